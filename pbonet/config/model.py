@@ -1,0 +1,218 @@
+"""What the configuration files say, as typed records (Stewart 1994, 3.8, 4.3, 5.5.2).
+
+The readers in this package make these records from text and the writer makes text from
+them; nothing else in pbonet looks at the text. Places are kept where a later step may
+still find a fault, so that it can name file, line and column.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from msgspec import Struct
+
+
+class Place(Struct, frozen=True, order=True):
+    """Where something stands: file name, line and column, both from 1."""
+
+    file: str
+    line: int
+    column: int = 1
+
+    def __str__(self) -> str:
+        """Return ``file:line:column``."""
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+class Limit(StrEnum):
+    """What happens to a value outside MIN and MAX when it is written."""
+
+    NONE = "none"
+    CLIP = "clip"
+    ERROR = "error"
+
+
+class Variable(Struct, frozen=True, kw_only=True):
+    """One variable of a state variable table (section 5.5.2)."""
+
+    name: str
+    """At most 15 characters, as in the thesis."""
+    type: str
+    """As the file spells it: ``double``, ``int``, ``struct[32]``, ``float32`` ..."""
+    desc: str = ""
+    units: str = "none"
+    nelem: int = 1
+    init: tuple[float | int, ...] | None = None
+    """May be shorter than `nelem`; the rest is zero."""
+    min: tuple[float | int, ...] | None = None
+    max: tuple[float | int, ...] | None = None
+    maxage: float | None = None
+    """Seconds; a reader sees the variable as stale when it is older."""
+    limit: Limit = Limit.NONE
+    finite: bool = True
+    """False admits NaN and infinities on copy-out."""
+    place: Place | None = None
+
+    @property
+    def dtype(self) -> str:
+        """The numpy type string of one element, such as ``<f8`` or ``V32``."""
+        from .types import numpy_type
+
+        return numpy_type(self.type)
+
+
+class SvarFile(Struct, frozen=True, kw_only=True):
+    """A ``.svar`` file: the union of all ports a subsystem may use."""
+
+    file: str
+    defines: dict[str, str]
+    variables: tuple[Variable, ...]
+
+
+class TaskType(StrEnum):
+    """How a task is timed (section 3.8)."""
+
+    PERIODIC = "periodic"
+    SYNCHRONOUS = "synchronous"
+    SPORADIC = "sporadic"
+    DEFERRABLE = "deferrable"
+    BACKGROUND = "background"
+
+
+class LocalLine(Struct, frozen=True):
+    """One line of the LOCAL part: the words behind the key, not yet decoded."""
+
+    words: tuple[str, ...]
+    place: Place | None = None
+
+
+class Rmod(Struct, frozen=True, kw_only=True):
+    """A ``.rmod`` file: a module configured for use (section 3.8).
+
+    Port names are the module's own; `svar_name` gives the variable behind one.
+    """
+
+    name: str
+    """The RMOD's name: the file's name without ``.rmod``."""
+    file: str
+    module: str
+    desc: str = ""
+    aliases: dict[str, str] = {}
+    """The module's name of a port, and the variable that stands for it."""
+    inconst: tuple[str, ...] = ()
+    outconst: tuple[str, ...] = ()
+    invar: tuple[str, ...] = ()
+    outvar: tuple[str, ...] = ()
+    tasktype: TaskType = TaskType.PERIODIC
+    freq: float | None = None
+    """Hz; also when the file says PERIOD. None for aperiodic servers."""
+    critical: bool = False
+    capacity: float | None = None
+    minc: float | None = None
+    maxc: float | None = None
+    softness: float | None = None
+    crit: int | None = None
+    rtpu: str | None = None
+    local: dict[str, LocalLine] = {}
+    places: dict[str, Place] = {}
+    """Where each keyword stands, for faults that are found later."""
+
+    def svar_name(self, port: str) -> str:
+        """Return the variable that the module's port `port` stands for."""
+        return self.aliases.get(port, port)
+
+
+class Scheduler(StrEnum):
+    """The scheduling algorithm of an RTPU (section 6.2)."""
+
+    MUF = "MUF"
+    EDF = "EDF"
+    RM = "RM"
+
+
+class Usage(StrEnum):
+    """Whether other subsystems may use the RTPU too (section 4.5.1)."""
+
+    EXCLUSIVE = "exclusive"
+    SHARED = "shared"
+
+
+class ErrPrint(StrEnum):
+    """Which messages are displayed at run time (section 4.5.1)."""
+
+    ERRORS = "errors"
+    WARNINGS = "warnings"
+    NONE = "none"
+
+
+class RtpuEntry(Struct, frozen=True, kw_only=True):
+    """One RTPU that a subsystem may use (section 4.5.1)."""
+
+    name: str
+    scheduler: Scheduler = Scheduler.MUF
+    usage: Usage = Usage.EXCLUSIVE
+    errprint: ErrPrint = ErrPrint.WARNINGS
+    minfreq: float = 1.0
+    maxfreq: float = 1000.0
+    place: Place | None = None
+
+
+class SbsFile(Struct, frozen=True, kw_only=True):
+    """A ``.sbs`` file: how a subsystem's hardware is set up (sections 4.3, 4.5.1)."""
+
+    file: str
+    subsystem: str
+    svarfile: str
+    master: str | None = None
+    """The RTPU that keeps the table; None means the first one named."""
+    rtpus: tuple[RtpuEntry, ...]
+
+    @property
+    def keeper(self) -> str:
+        """The name of the RTPU that creates and keeps the table."""
+        return self.master or self.rtpus[0].name
+
+
+class JobTask(Struct, frozen=True, kw_only=True):
+    """One TASK line of a job."""
+
+    rmod: str
+    rtpu: str | None = None
+    freq: float | None = None
+    place: Place | None = None
+
+
+class Condition(Struct, frozen=True):
+    """A PRE or POST condition, as written."""
+
+    text: str
+    place: Place | None = None
+
+
+class JobFile(Struct, frozen=True, kw_only=True):
+    """A ``.job`` file: a task set with the conditions around it (section 3.2)."""
+
+    file: str
+    name: str
+    desc: str = ""
+    sbs: str
+    """The subsystem's ``.sbs`` file, relative to the job's folder."""
+    pre: tuple[Condition, ...] = ()
+    post: tuple[Condition, ...] = ()
+    tasks: tuple[JobTask, ...]
+    off_order: tuple[str, ...] = ()
+    """OFF line: the order in which tasks are turned off; empty means the reverse."""
+
+
+class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``agent.toml``: what belongs to a machine and not to an application."""
+
+    name: str | None = None
+    domain: str = "default"
+    core: int | None = None
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ()
+    """Folders with modules, beside the library that pbonet brings."""
+    grace: float = 5.0
+    """Seconds that control goes on when the agent is gone."""

@@ -1,0 +1,321 @@
+"""Every exception of pbonet, as one tree, and the events that errors become.
+
+A message has four parts: what happened, where, what was expected and what was got,
+and what to do about it. They are kept apart in the exception, so that a prompt, a web
+page and a program can each show them in their own way, and so that an error travels
+from a task to the master without losing anything.
+
+::
+
+    PbonetError
+    ├── ConfigError (ValueError)           a file says something that cannot be
+    │   └── ConfigFileError                ... or cannot be read at all
+    ├── DeclarationError (TypeError)       a module's class body is wrong
+    ├── PortError (ValueError)             a port is used in a way it does not allow
+    ├── ParameterError (ValueError)        a LOCAL value is unknown, mistyped, out of bounds
+    ├── VerificationError (ValueError)     the configuration would be illegal
+    ├── SvarError
+    │   ├── SvarLayoutError                another layout or version than expected
+    │   ├── SvarDamagedError               not a table, cut short, or overwritten
+    │   ├── SvarAccessError (PermissionError)
+    │   ├── SvarMissingError (FileNotFoundError)
+    │   ├── SvarFullError (OSError)        no room in the table or in shared memory
+    │   ├── SvarOwnerError                 somebody else writes this variable
+    │   └── UnknownVariableError (KeyError)
+    ├── ModuleLoadError (ImportError)      module code is missing or does not load
+    ├── TaskError
+    │   ├── StateError                     the signal is not valid in this state
+    │   ├── MethodError                    a method of the module raised
+    │   ├── TaskDiedError                  the task's process ended
+    │   └── UnknownTaskError (KeyError)
+    ├── NodeError
+    │   ├── UnreachableError (ConnectionError)
+    │   ├── NoAnswerError (TimeoutError)
+    │   ├── DuplicateNameError
+    │   ├── ClaimError (PermissionError)   the RTPU belongs to another subsystem
+    │   ├── ProtocolError                  a message that is not understood
+    │   └── RealTimeError (OSError)        real-time rights refused
+    └── DeviceError (OSError)              a device is missing or does not answer
+"""
+
+from __future__ import annotations
+
+import difflib
+from enum import IntEnum
+from typing import TYPE_CHECKING, ClassVar, TypedDict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+class Severity(IntEnum):
+    """How bad an event is; the order is the order of the filters."""
+
+    DEBUG = 10
+    INFO = 20
+    WARNING = 30
+    ERROR = 40
+    FATAL = 50
+
+
+class WireError(TypedDict, total=False):
+    """An error as it travels: plain text fields, and the code that names its class."""
+
+    code: str
+    what: str
+    where: str
+    expected: str
+    got: str
+    remedy: str
+    debug: str
+
+
+class PbonetError(Exception):
+    """Base of everything that pbonet raises.
+
+    Args:
+        what: What happened, one sentence without a full stop at its end.
+        where: The place: ``file:line:column``, ``machine/task.port`` or the like.
+        expected: What would have been right.
+        got: What was there instead.
+        remedy: What to do.
+        debug: File, line and stack of the cause; shown with ``--debug`` only.
+    """
+
+    code: ClassVar[str] = "PBONET"
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: str = "",
+        expected: str = "",
+        got: str = "",
+        remedy: str = "",
+        debug: str = "",
+    ) -> None:
+        super().__init__(what)
+        self.what = what
+        self.where = where
+        self.expected = expected
+        self.got = got
+        self.remedy = remedy
+        self.debug = debug
+
+    def __str__(self) -> str:
+        """Return the whole message on one line."""
+        text = f"{self.where}: {self.what}" if self.where else self.what
+        if self.expected and self.got:
+            text += f" (expected {self.expected}, got {self.got})"
+        elif self.expected:
+            text += f" (expected {self.expected})"
+        elif self.got:
+            text += f" (got {self.got})"
+        return f"{text}; {self.remedy}" if self.remedy else text
+
+    def to_wire(self) -> WireError:
+        """Return the error as plain fields, empty ones left out."""
+        wire = WireError(code=self.code, what=self.what)
+        for key in ("where", "expected", "got", "remedy", "debug"):
+            if value := getattr(self, key):
+                wire[key] = value
+        return wire
+
+    @staticmethod
+    def from_wire(wire: WireError) -> PbonetError:
+        """Return the exception that `wire` describes; an unknown code gives the base."""
+        kind = _BY_CODE.get(wire.get("code", ""), PbonetError)
+        error = kind.__new__(kind)
+        PbonetError.__init__(
+            error,
+            wire.get("what", "unknown error"),
+            where=wire.get("where", ""),
+            expected=wire.get("expected", ""),
+            got=wire.get("got", ""),
+            remedy=wire.get("remedy", ""),
+            debug=wire.get("debug", ""),
+        )
+        return error
+
+
+class ConfigError(PbonetError, ValueError):
+    """A configuration file says something that cannot be."""
+
+    code = "CONFIG"
+
+
+class ConfigFileError(ConfigError):
+    """A configuration file cannot be read."""
+
+    code = "CONFIG_FILE"
+
+
+class DeclarationError(PbonetError, TypeError):
+    """The body of a module's class is wrong; `where` is ``module.Class.attribute``."""
+
+    code = "DECLARATION"
+
+
+class PortError(PbonetError, ValueError):
+    """A port is used in a way it does not allow, such as rebinding it."""
+
+    code = "PORT"
+
+
+class ParameterError(PbonetError, ValueError):
+    """A parameter is unknown, of the wrong type, or outside its bounds."""
+
+    code = "PARAMETER"
+
+
+class VerificationError(PbonetError, ValueError):
+    """The configuration would be illegal (Stewart 1994, section 3.3.1)."""
+
+    code = "VERIFICATION"
+
+
+class SvarError(PbonetError):
+    """Something is wrong with a state variable table."""
+
+    code = "SVAR"
+
+
+class SvarLayoutError(SvarError):
+    """The table has another layout, or was made by another version."""
+
+    code = "SVAR_LAYOUT"
+
+
+class SvarDamagedError(SvarError):
+    """The file is not a table, is cut short, or was overwritten."""
+
+    code = "SVAR_DAMAGED"
+
+
+class SvarAccessError(SvarError, PermissionError):
+    """The table belongs to somebody else."""
+
+    code = "SVAR_ACCESS"
+
+
+class SvarMissingError(SvarError, FileNotFoundError):
+    """There is no such table."""
+
+    code = "SVAR_MISSING"
+
+
+class SvarFullError(SvarError, OSError):
+    """No room is left in the table or in shared memory."""
+
+    code = "SVAR_FULL"
+
+
+class SvarOwnerError(SvarError):
+    """Another task writes the variable (equation 1 of section 3.3.1)."""
+
+    code = "SVAR_OWNER"
+
+
+class UnknownVariableError(SvarError, KeyError):
+    """The table has no variable of that name."""
+
+    code = "UNKNOWN_VARIABLE"
+
+
+class ModuleLoadError(PbonetError, ImportError):
+    """The code of a module is missing or does not load."""
+
+    code = "MODULE_LOAD"
+
+
+class TaskError(PbonetError):
+    """Something is wrong with a task."""
+
+    code = "TASK"
+
+
+class StateError(TaskError):
+    """The signal is not valid in the task's state (section 4.5.3)."""
+
+    code = "STATE"
+
+
+class MethodError(TaskError):
+    """A method of the module raised an exception."""
+
+    code = "METHOD"
+
+
+class TaskDiedError(TaskError):
+    """The task's process ended without being asked to."""
+
+    code = "TASK_DIED"
+
+
+class UnknownTaskError(TaskError, KeyError):
+    """The subsystem has no task of that name."""
+
+    code = "UNKNOWN_TASK"
+
+
+class NodeError(PbonetError):
+    """Something is wrong with an agent or an RTPU."""
+
+    code = "NODE"
+
+
+class UnreachableError(NodeError, ConnectionError):
+    """Nobody of that name can be reached."""
+
+    code = "UNREACHABLE"
+
+
+class NoAnswerError(NodeError, TimeoutError):
+    """Somebody of that name is there but did not answer in time."""
+
+    code = "NO_ANSWER"
+
+
+class DuplicateNameError(NodeError):
+    """The name is taken."""
+
+    code = "DUPLICATE_NAME"
+
+
+class ClaimError(NodeError, PermissionError):
+    """The RTPU belongs to another subsystem or another master."""
+
+    code = "CLAIM"
+
+
+class ProtocolError(NodeError):
+    """A message is malformed or of another version."""
+
+    code = "PROTOCOL"
+
+
+class RealTimeError(NodeError, OSError):
+    """The kernel refused a real-time right."""
+
+    code = "REAL_TIME"
+
+
+class DeviceError(PbonetError, OSError):
+    """A device is missing, refuses, or does not answer."""
+
+    code = "DEVICE"
+
+
+def _tree(kind: type[PbonetError]) -> Iterable[type[PbonetError]]:
+    yield kind
+    for below in kind.__subclasses__():
+        yield from _tree(below)
+
+
+_BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``did you mean NAME?`` for the nearest known name, or an empty string."""
+    near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"did you mean {near[0]}?" if near else ""

@@ -1,0 +1,457 @@
+"""What travels between masters and agents: msgpack maps, defined once.
+
+Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``, where
+``op`` names the operation and the other fields are its arguments; every answer is
+``{"v", "id", "ok", "result" | "error", "warnings"}``. Unknown fields are ignored, an
+unknown version is refused with both numbers. A request repeated with the same id is
+answered again and not executed twice.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import PbonetError, ProtocolError, WireError
+
+VERSION = 1
+
+
+class Request(Struct, kw_only=True, tag_field="op", omit_defaults=True):
+    """What every request carries."""
+
+    v: int = VERSION
+    id: str = ""
+    client: str = ""
+    """The master's own name, unique; its liveliness token carries it too."""
+    subsystem: str = ""
+    epoch: int = 0
+    """Of the claim; 0 where none is needed."""
+
+
+class Hello(Request, tag="hello"):
+    """Ask an agent who it is. Result: `AgentInfo`."""
+
+
+class Claim(Request, tag="claim"):
+    """Reserve the RTPU for a subsystem (section 4.5.1). Result: `Claimed`.
+
+    The same subsystem may claim again when the former master's token is gone, or with
+    `take_over`; the epoch then rises and the former master's commands are refused.
+    """
+
+    usage: str = "exclusive"
+    scheduler: str = "MUF"
+    errprint: str = "warnings"
+    minfreq: float = 1.0
+    maxfreq: float = 1000.0
+    take_over: bool = False
+
+
+class Release(Request, tag="release"):
+    """Give the RTPU back; refused while the subsystem has tasks on it. Result: None."""
+
+
+class OpenTable(Request, tag="open_table"):
+    """Create or attach the subsystem's table. Result: `TableInfo`.
+
+    Refused when a table of that name stands with another layout.
+    """
+
+    svar: str
+    """Text of the ``.svar`` file."""
+    svar_name: str
+    """Its name, for messages."""
+    keep: bool = False
+    """True on the RTPU that creates and keeps the table."""
+
+
+class CloseTable(Request, tag="close_table"):
+    """Detach from the table, the keeper removes it. Refused while tasks are attached."""
+
+
+class Spawn(Request, tag="spawn"):
+    """Create a task from an RMOD (section 4.5.2); answered when it is OFF.
+
+    Result: `TaskStatus`.
+    """
+
+    task: str
+    """The task's name in the subsystem: the RMOD's name, unless told otherwise."""
+    rmod: str
+    """Text of the ``.rmod`` file."""
+    rmod_name: str
+    freq: float | None = None
+    crit: int | None = None
+    """None: assigned by the scheduler's rule (section 6.2.3)."""
+    priority: int = 0
+    """User priority, from the data flow (section 6.2.4); higher runs first."""
+    timeout: float = 10.0
+    """Seconds that `init` may take."""
+
+
+class Control(Request, tag="control"):
+    """Send ``on off kill clear reinit`` to a task (section 4.5.3). Result: `TaskStatus`."""
+
+    task: str
+    signal: str
+    arg: str = ""
+    """Text for the module, as ``self.task.arg``."""
+    timeout: float = 5.0
+
+
+class Reconfig(Request, tag="reconfig"):
+    """Send an ordered list of signals, acknowledged once (section 4.4.4).
+
+    Result: `Reconfigured`. The first failure ends it.
+    """
+
+    items: list[tuple[str, str]]
+    """Pairs of task and signal."""
+    timeout: float = 5.0
+
+
+class Freq(Request, tag="freq"):
+    """Get (hz None) or set a task's frequency. Result: Hz as a float."""
+
+    task: str
+    hz: float | None = None
+
+
+class Get(Request, tag="get"):
+    """Ask for a task's parameters. Result: list of `ParamValue`."""
+
+    task: str
+    name: str | None = None
+
+
+class Set(Request, tag="set"):
+    """Change a parameter of a task between two cycles. Result: list of `ParamValue`."""
+
+    task: str
+    name: str
+    value: str
+    """As it would stand in a LOCAL line."""
+
+
+class Rank(Request, tag="rank"):
+    """Tell the criticality and user priority of tasks after a change. Result: None."""
+
+    tasks: dict[str, tuple[int, int]]
+
+
+class Status(Request, tag="status"):
+    """Ask for status; never touches a task. Result: `RtpuStatus`."""
+
+    task: str | None = None
+
+
+class Display(Request, tag="display"):
+    """Ask for values of variables. Result: list of `VarValue`."""
+
+    names: list[str] | None = None
+
+
+class Write(Request, tag="write"):
+    """Set a variable that no task writes, through the keeper. Result: `VarValue`."""
+
+    name: str
+    values: list[float]
+
+
+class Modules(Request, tag="modules"):
+    """Ask for the modules in the agent's libraries, or for one. Result: list of dict."""
+
+    name: str | None = None
+
+
+class Stop(Request, tag="stop"):
+    """Turn everything OFF in order and kill it; always accepted. Result: `Stopped`.
+
+    An empty `subsystem` means every subsystem on the RTPU.
+    """
+
+    timeout: float = 2.0
+    order: list[str] = []
+    """Tasks to turn off first, in this order."""
+
+
+class Events(Request, tag="events"):
+    """Ask for the agent's last events. Result: list of `Event`."""
+
+    since: int = 0
+    """Number of the first event wanted."""
+
+
+AnyRequest = (
+    Hello
+    | Claim
+    | Release
+    | OpenTable
+    | CloseTable
+    | Spawn
+    | Control
+    | Reconfig
+    | Freq
+    | Get
+    | Set
+    | Rank
+    | Status
+    | Display
+    | Write
+    | Modules
+    | Stop
+    | Events
+)
+
+
+class AgentInfo(Struct, kw_only=True):
+    """Who an agent is and what it can do."""
+
+    name: str
+    domain: str
+    host: str
+    machine: str
+    """Boot identity: equal for processes that share memory."""
+    core: int
+    cores: int
+    pid: int
+    rtpu_pid: int
+    backend: str
+    """``fifo`` or ``park``; what it means is in `limits`."""
+    limits: list[str] = []
+    """What is reduced and why, one sentence each; empty when nothing is."""
+    version: str
+    python: str
+    claims: dict[str, int] = {}
+    """Subsystems that use the RTPU, and the epoch of each."""
+    libraries: list[str] = []
+
+
+class Claimed(Struct, kw_only=True):
+    """A claim that was granted."""
+
+    epoch: int
+    tasks: list[str] = []
+    """Tasks of the subsystem that stand on the RTPU already."""
+
+
+class TableInfo(Struct, kw_only=True):
+    """A table that stands on the machine."""
+
+    name: str
+    layout: str
+    machine: str
+
+
+class TaskStatus(Struct, kw_only=True):
+    """Everything that section 4.4.1 lists for one task, and a little more.
+
+    Counters are totals since the task was turned on; each interface keeps its own
+    baseline to show "since the last status".
+    """
+
+    rmod: str
+    task: str
+    rtpu: str
+    tid: int
+    """The task's process id."""
+    S: str
+    crit: int
+    crit_assumed: bool = True
+    """True while the criticality does not rest on a known MAXC."""
+    priority: int = 0
+    state: str
+    cycle: int
+    miss: int
+    ref_f: float
+    mez_f: float
+    mez_t: float
+    ptime: float
+    tot_c: float
+    tick: float
+    min_c: float
+    max_c: float
+    last_c: float
+    warn: int
+    warning: str = ""
+    error: str = ""
+    jitter_max: float = 0.0
+    """Largest delay from release to the first line of `cycle`, seconds."""
+    jitter: list[int] = []
+    """Histogram of that delay; bin k counts delays below 2**k microseconds."""
+    faults: int = 0
+    """Minor page faults since the task was turned on."""
+    retries: int = 0
+    """Copy-ins that met the retry bound."""
+    module: str = ""
+    version: str = ""
+    transfer_in: float = 0.0
+    """Mean seconds of a copy-in, and of a copy-out."""
+    transfer_out: float = 0.0
+    now: int = 0
+    """CLOCK_MONOTONIC nanoseconds at which this was read."""
+
+
+class RtpuStatus(Struct, kw_only=True):
+    """Status of an RTPU and of the tasks asked for."""
+
+    rtpu: str
+    backend: str
+    scheduler: str
+    tasks: list[TaskStatus]
+    util: float = 0.0
+    """CPU share used by the tasks since the dispatcher started, of one core."""
+    dispatcher: float = 0.0
+    """CPU share used by the dispatcher."""
+    illegal: list[str] = []
+    """Causes for which the illegal-configuration flag is up."""
+
+
+class Reconfigured(Struct, kw_only=True):
+    """How far a reconfiguration came."""
+
+    done: int
+    states: dict[str, str] = {}
+    error: WireError | None = None
+    """Of item number `done`; the rest was not sent."""
+
+
+class ParamValue(Struct, kw_only=True):
+    """One parameter of a module."""
+
+    name: str
+    value: Any
+    type: str
+    unit: str
+    doc: str
+    bounds: str = ""
+
+
+class VarValue(Struct, kw_only=True):
+    """One variable of the table, with its provenance."""
+
+    name: str
+    index: int
+    values: list[float] | bytes
+    units: str
+    desc: str = ""
+    writer: str | None = None
+    age: float | None = None
+    """Seconds since it was written; None when it never was."""
+    cycle: int = 0
+    seq: int = 0
+    stale: bool = False
+
+
+class Stopped(Struct, kw_only=True):
+    """What a stop did."""
+
+    off: list[str]
+    killed: list[str]
+    """Tasks that did not stop by themselves and were ended."""
+
+
+class Event(Struct, kw_only=True):
+    """Something that happened, with its place and cycle."""
+
+    n: int
+    time: int
+    """CLOCK_MONOTONIC nanoseconds on the machine."""
+    wall: float
+    """For people to read."""
+    severity: int
+    code: str
+    rtpu: str
+    subsystem: str = ""
+    task: str = ""
+    cycle: int = 0
+    text: str
+
+
+class Answer(Struct, kw_only=True, omit_defaults=True):
+    """The answer to a request."""
+
+    v: int = VERSION
+    id: str = ""
+    ok: bool
+    result: Any = None
+    error: WireError | None = None
+    warnings: list[str] = []
+
+
+class _Version(Struct):
+    """The two fields that are looked at before all others."""
+
+    v: int = 0
+    id: str = ""
+
+
+class Codec:
+    """Packs and unpacks messages; refuses what it does not understand."""
+
+    MAX_BYTES: ClassVar[int] = 1 << 20
+
+    def __init__(self) -> None:
+        self._encoder = msgspec.msgpack.Encoder()
+        self._version = msgspec.msgpack.Decoder(_Version)
+        self._request = msgspec.msgpack.Decoder(AnyRequest)
+        self._answer = msgspec.msgpack.Decoder(Answer)
+
+    def pack(self, message: Request | Answer | Event) -> bytes:
+        """Return the message as msgpack bytes."""
+        return self._encoder.encode(message)
+
+    def request(self, data: bytes) -> AnyRequest:
+        """Return the request in `data`.
+
+        Raises:
+            ProtocolError: It is too long, malformed, or of another version.
+        """
+        self._check(data)
+        try:
+            return self._request.decode(data)
+        except msgspec.MsgspecError as error:
+            raise ProtocolError(
+                "the request is not understood",
+                got=str(error),
+                remedy="see docs/protocol.md for the fields of each operation",
+            ) from None
+
+    def answer(self, data: bytes) -> Answer:
+        """Return the answer in `data`.
+
+        Raises:
+            ProtocolError: It is too long, malformed, or of another version.
+        """
+        self._check(data)
+        try:
+            return self._answer.decode(data)
+        except msgspec.MsgspecError as error:
+            raise ProtocolError("the answer is not understood", got=str(error)) from None
+
+    def _check(self, data: bytes) -> None:
+        if len(data) > self.MAX_BYTES:
+            raise ProtocolError(
+                "the message is too long",
+                expected=f"at most {self.MAX_BYTES} bytes",
+                got=f"{len(data)} bytes",
+            )
+        try:
+            version = self._version.decode(data).v
+        except msgspec.MsgspecError as error:
+            raise ProtocolError("the message is not msgpack", got=str(error)) from None
+        if version != VERSION:
+            raise ProtocolError(
+                "the message is of another protocol version",
+                expected=f"version {VERSION}",
+                got=f"version {version}",
+                remedy="run the same pbonet version on every machine",
+            )
+
+
+def failure(error: PbonetError, request_id: str = "") -> Answer:
+    """Return the answer that carries `error`."""
+    return Answer(id=request_id, ok=False, error=error.to_wire())
