@@ -12,7 +12,7 @@ from a task to the master without losing anything.
     │   └── ConfigFileError                ... or cannot be read at all
     ├── DeclarationError (TypeError)       a module's class body is wrong
     ├── PortError (ValueError)             a port is used in a way it does not allow
-    ├── ParameterError (ValueError)        a LOCAL value is unknown, mistyped, out of bounds
+    ├── ParameterError (ValueError)        a LOCAL value is unknown or out of bounds
     ├── VerificationError (ValueError)     the configuration would be illegal
     ├── SvarError
     │   ├── SvarLayoutError                another layout or version than expected
@@ -123,7 +123,7 @@ class PbonetError(Exception):
 
     @staticmethod
     def from_wire(wire: WireError) -> PbonetError:
-        """Return the exception that `wire` describes; an unknown code gives the base."""
+        """Return the exception that `wire` describes; unknown codes give the base."""
         kind = _BY_CODE.get(wire.get("code", ""), PbonetError)
         error = kind.__new__(kind)
         PbonetError.__init__(

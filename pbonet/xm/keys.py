@@ -6,7 +6,7 @@ ROOT = "pbonet"
 
 
 def rtpu(domain: str, name: str, leaf: str) -> str:
-    """Return the key of an RTPU's `leaf`: ``alive``, ``sbs``, ``status`` or ``event``."""
+    """Return an RTPU's key for `leaf`: ``alive``, ``sbs``, ``status`` or ``event``."""
     return f"{ROOT}/{domain}/rtpu/{name}/{leaf}"
 
 

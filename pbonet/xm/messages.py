@@ -1,7 +1,7 @@
 """What travels between masters and agents: msgpack maps, defined once.
 
-Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``, where
-``op`` names the operation and the other fields are its arguments; every answer is
+Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``,
+where ``op`` names the operation and the other fields are its arguments; an answer is
 ``{"v", "id", "ok", "result" | "error", "warnings"}``. Unknown fields are ignored, an
 unknown version is refused with both numbers. A request repeated with the same id is
 answered again and not executed twice.
@@ -69,7 +69,7 @@ class OpenTable(Request, tag="open_table"):
 
 
 class CloseTable(Request, tag="close_table"):
-    """Detach from the table, the keeper removes it. Refused while tasks are attached."""
+    """Detach from the table; the keeper removes it. Refused while tasks use it."""
 
 
 class Spawn(Request, tag="spawn"):
@@ -93,7 +93,7 @@ class Spawn(Request, tag="spawn"):
 
 
 class Control(Request, tag="control"):
-    """Send ``on off kill clear reinit`` to a task (section 4.5.3). Result: `TaskStatus`."""
+    """Send ``on off kill clear reinit`` to a task (4.5.3). Result: `TaskStatus`."""
 
     task: str
     signal: str
@@ -162,7 +162,7 @@ class Write(Request, tag="write"):
 
 
 class Modules(Request, tag="modules"):
-    """Ask for the modules in the agent's libraries, or for one. Result: list of dict."""
+    """Ask for the modules in the agent's libraries. Result: list of `ModuleInfo`."""
 
     name: str | None = None
 
@@ -397,7 +397,9 @@ class Codec:
     def __init__(self) -> None:
         self._encoder = msgspec.msgpack.Encoder()
         self._version = msgspec.msgpack.Decoder(_Version)
-        self._request = msgspec.msgpack.Decoder(AnyRequest)
+        self._request: msgspec.msgpack.Decoder[AnyRequest] = msgspec.msgpack.Decoder(
+            AnyRequest
+        )
         self._answer = msgspec.msgpack.Decoder(Answer)
 
     def pack(self, message: Request | Answer | Event) -> bytes:
@@ -430,7 +432,9 @@ class Codec:
         try:
             return self._answer.decode(data)
         except msgspec.MsgspecError as error:
-            raise ProtocolError("the answer is not understood", got=str(error)) from None
+            raise ProtocolError(
+                "the answer is not understood", got=str(error)
+            ) from None
 
     def _check(self, data: bytes) -> None:
         if len(data) > self.MAX_BYTES:

@@ -1,0 +1,55 @@
+# Everything a user or a developer runs. A fresh Debian or Ubuntu needs Python >= 3.11
+# (with its headers and venv), a C compiler and make; the rest is put into .venv.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.h')
+
+.DEFAULT_GOAL := help
+.PHONY: help setup native demo check test bench docs clean
+
+help:  ## Show this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+setup: $(VENV)/.native  ## Install what is needed into .venv
+
+$(VENV)/.packages: pyproject.toml
+	$(PYTHON) scripts/preflight.py
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install --quiet "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
+	$(BIN)/python -m pip install --quiet --no-build-isolation \
+	  --group test --group dev --group typing --group docs \
+	  --editable ".[robot,devices,plot]"
+	touch $@
+
+$(VENV)/.native: $(VENV)/.packages $(NATIVE)
+	$(BIN)/python -m pip install --quiet --no-build-isolation --no-deps --editable .
+	touch $@
+
+native: $(VENV)/.native  ## Build the native parts again after a change
+
+demo: setup  ## Run the PUMA 560 example for 15 s and plot it
+	$(BIN)/python examples/puma/demo.py
+
+check: setup  ## Lint, types, layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+	$(BIN)/pyright
+
+test: setup  ## Run every test
+	$(BIN)/python -m pytest
+
+bench: setup  ## Measure everything that docs/benchmarks publishes
+	$(BIN)/python benchmarks/run.py
+
+docs: setup  ## Build the documentation
+	$(BIN)/sphinx-build --fail-on-warning --keep-going -q -b html docs docs/_build/html
+
+clean:  ## Remove what was built
+	rm -rf build docs/_build pbonet.egg-info
+	find pbonet \( -name '*.so' -o -name '*.c' \) -delete
+	rm -f $(VENV)/.native
