@@ -20,11 +20,26 @@ def master(domain: str, subsystem: str, client: str) -> str:
     return f"{ROOT}/{domain}/sbs/{subsystem}/master/{client}"
 
 
+def masters(domain: str, subsystem: str) -> str:
+    """Return the key expression that matches the tokens of a subsystem's masters."""
+    return f"{ROOT}/{domain}/sbs/{subsystem}/master/*"
+
+
 def network(domain: str, portname: str) -> str:
     """Return the key on which a master's network interface answers (section 4.4.2)."""
     return f"{ROOT}/{domain}/net/{portname}"
 
 
+def network_client(domain: str, portname: str, client: str) -> str:
+    """Return the liveliness key of a program that steers through the port."""
+    return f"{ROOT}/{domain}/net/{portname}/client/{client}"
+
+
 def rtpu_name(key: str) -> str:
     """Return the RTPU's name out of one of its keys."""
     return key.split("/")[3]
+
+
+def last(key: str) -> str:
+    """Return the last part of a key, such as a master's client name."""
+    return key.rsplit("/", 1)[-1]

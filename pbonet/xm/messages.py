@@ -178,6 +178,17 @@ class Stop(Request, tag="stop"):
     """Tasks to turn off first, in this order."""
 
 
+class Flag(Request, tag="flag"):
+    """Raise or clear an entry of the illegal-configuration flag (section 3.10).
+
+    The raiser is the subsystem's master. It raises ``equation 2`` while a loop that is
+    built by hand is not closed yet. Result: the causes that stand, a list of str.
+    """
+
+    cause: str
+    up: bool
+
+
 class Events(Request, tag="events"):
     """Ask for the agent's last events. Result: list of `Event`."""
 
@@ -203,6 +214,7 @@ AnyRequest = (
     | Write
     | Modules
     | Stop
+    | Flag
     | Events
 )
 
@@ -236,6 +248,8 @@ class Claimed(Struct, kw_only=True):
     epoch: int
     tasks: list[str] = []
     """Tasks of the subsystem that stand on the RTPU already."""
+    rmods: dict[str, str] = {}
+    """Text of the ``.rmod`` that each of them was spawned from."""
 
 
 class TableInfo(Struct, kw_only=True):
