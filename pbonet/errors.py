@@ -34,7 +34,8 @@ from a task to the master without losing anything.
     │   ├── DuplicateNameError
     │   ├── ClaimError (PermissionError)   the RTPU belongs to another subsystem
     │   ├── ProtocolError                  a message that is not understood
-    │   └── RealTimeError (OSError)        real-time rights refused
+    │   ├── RealTimeError (OSError)        real-time rights refused
+    │   └── SeveralError                   several places failed, each with its error
     └── DeviceError (OSError)              a device is missing or does not answer
 """
 
@@ -68,6 +69,7 @@ class WireError(TypedDict, total=False):
     got: str
     remedy: str
     debug: str
+    parts: list[WireError]
 
 
 class PbonetError(Exception):
@@ -126,6 +128,8 @@ class PbonetError(Exception):
         """Return the exception that `wire` describes; unknown codes give the base."""
         kind = _BY_CODE.get(wire.get("code", ""), PbonetError)
         error = kind.__new__(kind)
+        if isinstance(error, SeveralError):
+            error.errors = tuple(map(PbonetError.from_wire, wire.get("parts", [])))
         PbonetError.__init__(
             error,
             wire.get("what", "unknown error"),
@@ -298,6 +302,37 @@ class RealTimeError(NodeError, OSError):
     """The kernel refused a real-time right."""
 
     code = "REAL_TIME"
+
+
+class SeveralError(NodeError):
+    """Several places failed in one operation; `errors` holds the error of each.
+
+    The same errors stand as an `ExceptionGroup` in ``__cause__``.
+    """
+
+    code = "SEVERAL"
+
+    def __init__(
+        self, what: str, errors: Iterable[PbonetError], *, remedy: str = ""
+    ) -> None:
+        super().__init__(what, remedy=remedy)
+        self.errors = tuple(errors)
+        self.__cause__ = ExceptionGroup(what, self.errors)
+
+    def __str__(self) -> str:
+        """Return a tree: what happened, then one line for each place."""
+        lines = [super().__str__()]
+        for error in self.errors:
+            mark = "`-- " if error is self.errors[-1] else "|-- "
+            rest = "    " if error is self.errors[-1] else "|   "
+            lines.append(mark + f"\n{rest}".join(str(error).splitlines()))
+        return "\n".join(lines)
+
+    def to_wire(self) -> WireError:
+        """Return the error as plain fields, with those of each place."""
+        wire = super().to_wire()
+        wire["parts"] = [error.to_wire() for error in self.errors]
+        return wire
 
 
 class DeviceError(PbonetError, OSError):

@@ -19,7 +19,7 @@ from pbonet.errors import PbonetError, ProtocolError, WireError
 VERSION = 1
 
 
-class Request(Struct, kw_only=True, tag_field="op", omit_defaults=True):
+class Request(Struct, kw_only=True, tag_field="op"):
     """What every request carries."""
 
     v: int = VERSION
@@ -385,7 +385,7 @@ class Event(Struct, kw_only=True):
     text: str
 
 
-class Answer(Struct, kw_only=True, omit_defaults=True):
+class Answer(Struct, kw_only=True):
     """The answer to a request."""
 
     v: int = VERSION
