@@ -1,0 +1,296 @@
+"""Requests to agents, with the status and the time limits that zenoh does not give.
+
+A zenoh query that nobody answers, because nobody is there, because the server died with
+the query in its hands, or because access control dropped it, ends without a reply and
+without an error. This layer says which it was: it looks at the liveliness tokens, asks
+again under the same request id (an agent executes an id once), and gives up within the
+time limit of the request. A request that may take long is watched: an agent that stops
+answering is found out after two seconds, not at the end of the long limit.
+
+Stands for the message queues between the master task and the SBS servers of Stewart
+1994, section 4.5.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import secrets
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import msgspec
+import zenoh
+
+from pbonet.errors import (
+    NoAnswerError,
+    PbonetError,
+    ProtocolError,
+    SeveralError,
+    UnreachableError,
+    did_you_mean,
+)
+from pbonet.xm import keys
+from pbonet.xm.messages import Answer, Codec, Hello, Request
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+T = TypeVar("T")
+
+ANSWER_TIME: Final = 2.0
+"""Seconds in which an agent answers whatever happens, or is not there."""
+
+_PROBE_TIME: Final = 1.0
+_RETRY_PAUSE: Final = 0.05
+_TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
+
+log = logging.getLogger("pbonet.xm")
+
+
+def ignore_warning(rtpu: str, text: str) -> None:
+    """Take a warning that came with an answer, and log it."""
+    log.info("%s: %s", rtpu, text)
+
+
+class _Waiter:
+    """Collects the replies of one query; runs in zenoh's receiving thread."""
+
+    def __init__(self) -> None:
+        self.reply: zenoh.Reply | None = None
+        self.done = threading.Event()
+
+    def take(self, reply: zenoh.Reply) -> None:
+        if self.reply is None:
+            self.reply = reply
+
+    def end(self) -> None:
+        self.done.set()
+
+
+class Client:
+    """Asks the agents of one domain, in the name of one master or tool.
+
+    Args:
+        session: An open zenoh session that reaches at least one agent.
+        domain: The domain whose RTPUs are meant.
+        name: The client's own unique name, as its liveliness token carries it.
+        warned: Called with an RTPU's name and a warning that came with an answer.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: str,
+        name: str,
+        *,
+        warned: Callable[[str, str], None] = ignore_warning,
+    ) -> None:
+        self.session = session
+        self.domain = domain
+        self.name = name
+        self.warned = warned
+        self._codec = Codec()
+        self._run = secrets.token_hex(4)
+        self._count = itertools.count(1)
+
+    def tokens(self, key: str) -> list[str]:
+        """Return the keys of the liveliness tokens that match `key`, sorted."""
+        try:
+            replies = self.session.liveliness().get(
+                key, zenoh.handlers.FifoChannel(_TOKENS), timeout=_PROBE_TIME
+            )
+            found = {str(reply.ok.key_expr) for reply in replies if reply.ok}
+        except zenoh.ZError as error:
+            raise _no_session(error) from None
+        return sorted(found)
+
+    def rtpus(self) -> list[str]:
+        """Return the names of the RTPUs whose agents are there, sorted."""
+        return sorted(map(keys.rtpu_name, self.tokens(self._alive("*"))))
+
+    def call(
+        self,
+        rtpu: str,
+        request: Request,
+        result: type[T],
+        *,
+        timeout: float = ANSWER_TIME,
+    ) -> T:
+        """Send `request` to an RTPU and return its result as `result`.
+
+        Args:
+            rtpu: The RTPU's name.
+            request: What is asked; its id and client are filled in here.
+            result: The type of the result; `NoneType` when nothing comes back.
+            timeout: Seconds the operation itself may take. The answer may come half a
+                second later; a silent agent is given up after `ANSWER_TIME`.
+
+        Raises:
+            UnreachableError: No agent of that name is there.
+            NoAnswerError: The agent is there and did not answer in time.
+            PbonetError: The agent refused; the error is of the class it names.
+        """
+        request.id = f"{self._run}-{next(self._count)}"
+        request.client = request.client or self.name
+        answer = self._exchange(rtpu, request, timeout)
+        for text in answer.warnings:
+            self.warned(rtpu, text)
+        if not answer.ok:
+            raise _refusal(rtpu, answer)
+        try:
+            return msgspec.convert(answer.result, result)
+        except msgspec.ValidationError as error:
+            raise ProtocolError(
+                "the result is not what the operation gives",
+                where=rtpu,
+                got=str(error),
+                remedy="run the same pbonet version on every machine",
+            ) from None
+
+    def call_all(
+        self,
+        requests: Mapping[str, Request],
+        result: type[T],
+        *,
+        timeout: float = ANSWER_TIME,
+    ) -> tuple[dict[str, T], list[PbonetError]]:
+        """Send a request to each of several RTPUs at once.
+
+        Returns:
+            The results of those that gave one, and the errors of the others.
+        """
+        results: dict[str, T] = {}
+        errors: list[PbonetError] = []
+        if not requests:
+            return results, errors
+        with ThreadPoolExecutor(len(requests)) as pool:
+            calls = {
+                rtpu: pool.submit(self.call, rtpu, request, result, timeout=timeout)
+                for rtpu, request in requests.items()
+            }
+        for rtpu, call in calls.items():
+            try:
+                results[rtpu] = call.result()
+            except PbonetError as error:
+                errors.append(error)
+        return results, errors
+
+    def _alive(self, rtpu: str) -> str:
+        return keys.rtpu(self.domain, rtpu, "alive")
+
+    def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
+        """Return the agent's answer, asking again while it is there and silent."""
+        payload = self._codec.pack(request)
+        end = time.monotonic() + timeout + 0.5
+        give_up = time.monotonic() + ANSWER_TIME
+        while True:
+            waiter = self._get(rtpu, payload, end - time.monotonic())
+            self._watch(rtpu, waiter, end)
+            reply = waiter.reply
+            if reply is not None and reply.ok is not None:
+                return self._answer(rtpu, request, reply.ok.payload.to_bytes())
+            if reply is not None:  # zenoh's own time-out
+                raise _no_answer(rtpu, timeout)
+            self._must_be_there(rtpu)
+            if time.monotonic() > min(give_up, end):
+                raise _no_answer(rtpu, ANSWER_TIME)
+            time.sleep(_RETRY_PAUSE)  # it starts up, or its link is being restored
+
+    def _get(self, rtpu: str, payload: bytes, timeout: float) -> _Waiter:
+        waiter = _Waiter()
+        try:
+            self.session.get(
+                keys.rtpu(self.domain, rtpu, "sbs"),
+                zenoh.handlers.Callback(waiter.take, waiter.end, indirect=False),
+                payload=payload,
+                timeout=max(timeout, 0.1),
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise _no_session(error) from None
+        return waiter
+
+    def _watch(self, rtpu: str, waiter: _Waiter, end: float) -> None:
+        """Wait for the end of a query; ask a slow agent whether it is still there."""
+        while not waiter.done.wait(_PROBE_TIME):
+            left = end - time.monotonic()
+            if left <= 0:
+                return
+            if left > _PROBE_TIME and not self._hello(rtpu):
+                if waiter.done.is_set():
+                    return
+                self._must_be_there(rtpu)
+                raise _no_answer(rtpu, ANSWER_TIME)
+
+    def _hello(self, rtpu: str) -> bool:
+        """Tell whether the agent answers the simplest request."""
+        hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
+        waiter = self._get(rtpu, self._codec.pack(hello), _PROBE_TIME)
+        waiter.done.wait(2 * _PROBE_TIME)
+        return waiter.reply is not None and waiter.reply.ok is not None
+
+    def _must_be_there(self, rtpu: str) -> None:
+        names = self.rtpus()
+        if rtpu not in names:
+            raise unreachable(rtpu, self.domain, names)
+
+    def _answer(self, rtpu: str, request: Request, data: bytes) -> Answer:
+        answer = self._codec.answer(data)
+        if answer.id != request.id:
+            raise ProtocolError(
+                "the answer belongs to another request",
+                where=rtpu,
+                expected=request.id,
+                got=answer.id or "no id",
+            )
+        return answer
+
+
+def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None:
+    """Raise what went wrong: nothing, the one error, or all of them as one tree."""
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise SeveralError(what, errors, remedy=remedy)
+
+
+def unreachable(rtpu: str, domain: str, names: list[str]) -> UnreachableError:
+    """Return the error for an RTPU that is not among `names`."""
+    there = ", ".join(names) or "none"
+    hint = did_you_mean(rtpu, names)
+    start = f"start it with 'pbonet agent --name {rtpu}'"
+    if domain != "default":
+        start += f" --domain {domain}"
+    return UnreachableError(
+        "no agent of this name can be reached",
+        where=rtpu,
+        got=f"RTPUs of the domain {domain} that can be reached: {there}",
+        remedy=f"{hint} else {start}" if hint else start,
+    )
+
+
+def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:
+    return NoAnswerError(
+        f"the agent is there and did not answer within {seconds:g} s",
+        where=rtpu,
+        remedy=f"see its output; 'pbonet doctor' measures the way to {rtpu}",
+    )
+
+
+def _no_session(error: zenoh.ZError) -> UnreachableError:
+    return UnreachableError(
+        "the connection to the agents is closed", got=str(error), remedy="open it again"
+    )
+
+
+def _refusal(rtpu: str, answer: Answer) -> PbonetError:
+    """Return the error of an answer; its place begins with the RTPU."""
+    error = PbonetError.from_wire(answer.error or {})
+    if not error.where:
+        error.where = rtpu
+    elif rtpu not in error.where:
+        error.where = f"{rtpu}/{error.where}"
+    return error
