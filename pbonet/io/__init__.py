@@ -1,1 +1,24 @@
-"""io."""
+"""Devices as modules use them: non-blocking, bounded, with errors that say what to do.
+
+What stands here may be called inside `cycle`. Nothing in this package waits for a
+device, starts a thread, or keeps a clock of its own: a module tells a device what time
+it is, so that the same code runs in real time, in simulation and in replay.
+
+``serial_line``
+    A serial line of the machine, opened and configured by pyserial.
+``magellan``
+    The six-axis ball on such a line: its protocol, and the ball as a device.
+``chain``
+    Rigid-body mathematics of a serial arm, from its Denavit-Hartenberg table.
+``arm``
+    An arm that is simulated behind the interface a real one would have.
+``puma560``
+    The published numbers of the Unimation PUMA 560.
+``policy``
+    Whether devices may be opened at all; the simulator says no.
+"""
+
+from .policy import devices_allowed, no_devices
+from .serial_line import SerialLine
+
+__all__ = ["SerialLine", "devices_allowed", "no_devices"]

@@ -1,0 +1,201 @@
+"""A serial line that never blocks.
+
+pyserial opens and configures the line, which is the part that needs knowledge of every
+driver's habits. Bytes are then moved by plain system calls on the descriptor, for two
+reasons: pyserial's own `write` spins while the output buffer is full, and its `close`
+may wait half a minute for output that nobody reads.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import termios
+from contextlib import suppress
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, cast
+
+from pbonet.errors import DeviceError
+
+from .policy import require_devices
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+Parity = Literal["N", "E", "O"]
+
+
+class _Port(Protocol):
+    """The part of pyserial's port that is used here."""
+
+    fd: int
+
+    def close(self) -> None: ...
+
+    def reset_output_buffer(self) -> None: ...
+
+
+class SerialLine:
+    """One serial line, non-blocking in both directions.
+
+    Args:
+        path: The line's device file, such as ``/dev/ttyUSB0``.
+        baud: Bits a second.
+        bits: Data bits, 7 or 8.
+        parity: ``"N"``, ``"E"`` or ``"O"``.
+        stop: Stop bits, 1 or 2.
+        rtscts: Whether the line's handshake wires stop the flow of data.
+
+    After an error the line is closed, and may be opened again.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        baud: int = 9600,
+        *,
+        bits: int = 8,
+        parity: Parity = "N",
+        stop: int = 1,
+        rtscts: bool = False,
+    ) -> None:
+        self.path = path
+        self._settings: dict[str, Any] = {
+            "baudrate": baud,
+            "bytesize": bits,
+            "parity": parity,
+            "stopbits": stop,
+            "rtscts": rtscts,
+            "timeout": 0,
+        }
+        self._port: _Port | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether bytes can be moved."""
+        return self._port is not None
+
+    def open(self) -> None:
+        """Open and configure the line; return at once if it is open already.
+
+        Raises:
+            DeviceError: The line is missing, not a serial line, forbidden, or taken;
+                or pyserial is not installed.
+        """
+        if self._port is not None:
+            return
+        require_devices(self.path)
+        try:
+            serial = import_module("serial")
+        except ImportError:
+            raise DeviceError(
+                "serial lines need pyserial, which is not installed",
+                where=self.path,
+                remedy="pip install 'pbonet[devices]'",
+            ) from None
+        try:
+            port = serial.Serial(self.path, exclusive=True, **self._settings)
+        except (OSError, ValueError, termios.error) as error:
+            raise self._refused(error) from None
+        self._port = cast("_Port", port)
+        try:
+            _tell_silence_from_hangup(self._port.fd)
+        except (OSError, termios.error) as error:
+            self.close()
+            raise self._refused(error) from None
+
+    def read_available(self, limit: int = 256) -> bytes:
+        """Return the bytes that have arrived, at most `limit`; never waits.
+
+        Raises:
+            DeviceError: The line is not open, or the device is gone.
+        """
+        try:
+            data = os.read(self._descriptor(), limit)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._lost(error) from None
+        if not data and limit:
+            raise self._lost(OSError(errno.EIO, "the line hung up"))
+        return data
+
+    def write_nowait(self, data: bytes) -> int:
+        """Hand over as much of `data` as the line takes now; return how many bytes.
+
+        Raises:
+            DeviceError: The line is not open, or the device is gone.
+        """
+        try:
+            return os.write(self._descriptor(), data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise self._lost(error) from None
+
+    def close(self) -> None:
+        """Close the line and drop what was not sent; closing twice is allowed."""
+        port, self._port = self._port, None
+        if port is None:
+            return
+        with suppress(OSError, termios.error):
+            port.reset_output_buffer()
+        with suppress(OSError, termios.error):
+            port.close()
+
+    def __enter__(self) -> Self:
+        """Open the line."""
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the line."""
+        self.close()
+
+    def _descriptor(self) -> int:
+        if self._port is None:
+            raise DeviceError(
+                "the serial line is not open",
+                where=self.path,
+                remedy="call open() and wait for it to succeed",
+            )
+        return self._port.fd
+
+    def _refused(self, error: Exception) -> DeviceError:
+        number = getattr(error, "errno", None)
+        remedies = {
+            errno.ENOENT: "check cable and name; `ls /dev/tty*` lists what there is",
+            errno.EACCES: "add the user to the group that owns it, often `dialout`",
+            errno.EAGAIN: "another program has it open; end that program",
+        }
+        return DeviceError(
+            "the serial line cannot be opened",
+            where=self.path,
+            got=os.strerror(number) if number else str(error),
+            remedy=remedies.get(number or 0, "give the device file of a serial line"),
+        )
+
+    def _lost(self, error: OSError) -> DeviceError:
+        self.close()
+        return DeviceError(
+            "the device on the serial line is gone",
+            where=self.path,
+            got=os.strerror(error.errno) if error.errno else str(error),
+            remedy="check the cable; open() tries again",
+        )
+
+
+def _tell_silence_from_hangup(fd: int) -> None:
+    """Make an empty line raise EAGAIN, so that zero bytes mean that it hung up.
+
+    pyserial sets VMIN to 0, with which a read gives zero bytes in both cases.
+    """
+    os.set_blocking(fd, False)
+    settings = termios.tcgetattr(fd)
+    settings[6][termios.VMIN] = 1
+    termios.tcsetattr(fd, termios.TCSANOW, settings)
