@@ -1,0 +1,200 @@
+"""The runtime folder: where the processes of one machine find each other.
+
+``$PBONET_RUN_DIR``, else ``$XDG_RUNTIME_DIR/pbonet``, else ``/tmp/pbonet-<uid>``. It
+is the user's own and nobody else may enter it. Under it stands one folder per domain,
+and in that, per RTPU: ``NAME.sock`` (the agent's zenoh endpoint), ``NAME.ctl`` (the
+RTPU process's own socket), ``NAME.lock`` (held by the agent while it lives),
+``NAME.state`` (what has to be cleaned away should the RTPU process be killed) and
+``NAME.log`` (what the RTPU process wrote to its standard error).
+
+Nothing here imports zenoh: the RTPU process uses it too.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import stat
+import struct
+from pathlib import Path
+
+from pbonet.errors import DuplicateNameError, NodeError
+
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,31}")
+LONGEST_SOCKET = 107
+"""Bytes that Linux takes for the path of a Unix socket."""
+_FLOCK = struct.Struct("hhqqi4x")
+
+
+def check_name(what: str, name: str) -> str:
+    """Return `name` if it may stand in a key and in a file's name.
+
+    Raises:
+        NodeError: It may not.
+    """
+    if not NAME.fullmatch(name):
+        raise NodeError(
+            f"this is no name for {what}",
+            expected="1 to 32 letters, digits, '_', '-' and '.', no '-' or '.' first",
+            got=repr(name[:40]),
+        )
+    return name
+
+
+def folder() -> Path:
+    """Return the runtime folder, made if need be.
+
+    Raises:
+        NodeError: It cannot be made, or belongs to somebody else.
+    """
+    path = _choose()
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.stat()
+    except OSError as error:
+        raise NodeError(
+            "the runtime folder cannot be used",
+            where=str(path),
+            got=error.strerror or str(error),
+            remedy="set PBONET_RUN_DIR to a folder of your own",
+        ) from None
+    if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
+        raise NodeError(
+            "the runtime folder is not the user's own",
+            where=str(path),
+            expected=f"owner {os.getuid()} and mode 0700",
+            got=f"owner {found.st_uid} and mode {stat.S_IMODE(found.st_mode):04o}",
+            remedy="set PBONET_RUN_DIR to a folder of your own",
+        )
+    return path
+
+
+def _choose() -> Path:
+    if chosen := os.environ.get("PBONET_RUN_DIR"):
+        return Path(chosen)
+    session = Path(os.environ.get("XDG_RUNTIME_DIR") or "/nowhere")
+    if session.is_dir() and session.stat().st_uid == os.getuid():
+        return session / "pbonet"
+    return Path(f"/tmp/pbonet-{os.getuid()}")  # noqa: S108 - owner and mode are checked
+
+
+class Places:
+    """The files of one RTPU in the runtime folder."""
+
+    def __init__(self, domain: str, name: str) -> None:
+        self.domain = check_name("a domain", domain)
+        self.name = check_name("an RTPU", name)
+        self.folder = folder() / domain
+        self.folder.mkdir(mode=0o700, exist_ok=True)
+        self.sock = self.folder / f"{name}.sock"
+        self.ctl = self.folder / f"{name}.ctl"
+        self.lock = self.folder / f"{name}.lock"
+        self.state = self.folder / f"{name}.state"
+        self.log = self.folder / f"{name}.log"
+        for path in (self.sock, self.ctl):
+            _check_length(path)
+
+    @property
+    def endpoint(self) -> str:
+        """The zenoh endpoint of the agent's socket."""
+        return f"unixsock-stream/{self.sock}"
+
+    def remove(self, *paths: Path) -> None:
+        """Remove some of the files; a missing one is no fault."""
+        for path in paths:
+            path.unlink(missing_ok=True)
+
+
+def _check_length(path: Path) -> None:
+    if len(os.fsencode(path)) > LONGEST_SOCKET:
+        raise NodeError(
+            "the path of a socket is too long for the system",
+            where=str(path),
+            expected=f"at most {LONGEST_SOCKET} bytes",
+            got=f"{len(os.fsencode(path))} bytes",
+            remedy="set PBONET_RUN_DIR to a folder with a shorter path",
+        )
+
+
+class NameLock:
+    """Holds an RTPU's name on this machine for as long as the holder lives.
+
+    An open-file-description lock, because its holder can be asked for without taking
+    it: who only looks never stands in the way of an agent that starts.
+    """
+
+    def __init__(self, path: Path, text: str = "") -> None:
+        self.path = path
+        self._fd = self._take()
+        os.ftruncate(self._fd, 0)
+        os.pwrite(self._fd, text.encode(), 0)
+
+    def _take(self) -> int:
+        while True:
+            fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            try:
+                fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _whole(fcntl.F_WRLCK))
+            except (BlockingIOError, PermissionError):
+                holder = os.pread(fd, 200, 0).decode(errors="replace").strip()
+                os.close(fd)
+                raise DuplicateNameError(
+                    "the name is taken on this machine",
+                    where=str(self.path),
+                    got=holder,
+                    remedy="choose another name, or stop the one that runs",
+                ) from None
+            if _same_file(fd, self.path):
+                return fd
+            os.close(fd)  # its last holder removed it between our open and our lock
+
+    def release(self) -> None:
+        """Give the name back and remove the file; harmless when done twice."""
+        if self._fd >= 0:
+            self.path.unlink(missing_ok=True)
+            os.close(self._fd)
+            self._fd = -1
+
+
+def is_held(path: Path) -> bool:
+    """Return whether somebody holds the lock on `path`; takes nothing."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _whole(fcntl.F_WRLCK))
+    finally:
+        os.close(fd)
+    kind = int(_FLOCK.unpack(answer)[0])
+    return kind != fcntl.F_UNLCK
+
+
+def _same_file(fd: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(fd), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _whole(kind: int) -> bytes:
+    return _FLOCK.pack(kind, os.SEEK_SET, 0, 0, 0)
+
+
+def live_agents(domain: str) -> list[str]:
+    """Return the names of the agents of `domain` that live on this machine, sorted."""
+    here = folder() / check_name("a domain", domain)
+    names = (path.stem for path in here.glob("*.lock"))
+    return sorted(name for name in names if is_held(here / f"{name}.lock"))
+
+
+def machine() -> str:
+    """Return an identity that is equal for processes that see one shared memory.
+
+    It is made of the kernel's boot and of the shared memory's mount, so that two
+    containers on one host differ unless they share it, and two hosts of one name do.
+    """
+    boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    shared = Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108
+    found = shared.stat()
+    return f"{boot}/{found.st_dev}.{found.st_ino}"

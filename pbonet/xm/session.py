@@ -1,0 +1,186 @@
+"""Opens zenoh sessions the way pbonet uses them: this file alone configures zenoh.
+
+Agents run as routers and everything else is a client of some agent, so that one agent
+within reach reaches all. There is no discovery by multicast or gossip: agents of one
+machine find each other in the runtime folder, others are named. The shared-memory
+transport is off, and a lost peer is noticed within 400 ms.
+
+A session must be opened in a process that was started by exec, never after a fork.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+from typing import TYPE_CHECKING
+
+import zenoh
+
+from pbonet.errors import NodeError, UnreachableError
+
+from . import keys, rundir
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+LEASE_MS = 400
+"""After this long without a sign a peer is lost; shorter leases gave false losses."""
+PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")
+TOKENS = 100_000
+"""Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
+
+
+def check_endpoint(endpoint: str, *, insecure: bool = True) -> str:
+    """Return `endpoint` if an agent may use it.
+
+    Raises:
+        NodeError: It is malformed, of an unknown protocol, or reaches beyond this
+            machine without `insecure`.
+    """
+    protocol, slash, address = endpoint.partition("/")
+    if not slash or not address or protocol not in PROTOCOLS:
+        raise NodeError(
+            "this is no endpoint",
+            expected="PROTOCOL/ADDRESS with one of " + " ".join(PROTOCOLS),
+            got=repr(endpoint),
+            remedy="for example tcp/127.0.0.1:7447",
+        )
+    if protocol != "unixsock-stream" and not insecure and not _is_loopback(address):
+        raise NodeError(
+            "listening beyond this machine is not protected",
+            where=endpoint,
+            expected="an address of this machine alone, such as 127.0.0.1",
+            remedy="use --insecure if everybody on that network may steer the robot",
+        )
+    return endpoint
+
+
+def _is_loopback(address: str) -> bool:
+    host = address.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def agent(
+    places: rundir.Places, *, listen: Sequence[str] = (), connect: Sequence[str] = ()
+) -> zenoh.Session:
+    """Open an agent's session: a router on its socket and on `listen`.
+
+    It connects to `connect` and to the agents that live on this machine already, and
+    keeps trying while they are away.
+
+    Raises:
+        NodeError: An endpoint cannot be listened on.
+    """
+    neighbours = [
+        rundir.Places(places.domain, name).endpoint
+        for name in rundir.live_agents(places.domain)
+        if name != places.name
+    ]
+    config = _config(
+        mode="router",
+        listen={"endpoints": [places.endpoint, *listen]},
+        connect={"endpoints": [*map(check_endpoint, connect), *neighbours]},
+    )
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise NodeError(
+            "the agent's session cannot be opened",
+            where=" ".join([places.endpoint, *listen]),
+            got=_first_line(error),
+            remedy="is another program listening there?",
+        ) from None
+
+
+def client(
+    domain: str = "default", *, connect: Sequence[str] = (), timeout: float = 2.0
+) -> zenoh.Session:
+    """Open the session of a master or tool: a client of any agent it can reach.
+
+    Args:
+        domain: Agents of this domain on this machine are tried after `connect`.
+        connect: Endpoints of agents elsewhere.
+        timeout: Seconds to keep trying.
+
+    Raises:
+        UnreachableError: No agent can be reached.
+    """
+    endpoints = [*map(check_endpoint, connect), *local_endpoints(domain)]
+    if not endpoints:
+        raise UnreachableError(
+            f"no agent of domain {domain} runs on this machine",
+            where=str(rundir.folder() / domain),
+            remedy="start one with `pbonet agent --name NAME`, or name an agent "
+            "elsewhere with --connect tcp/HOST:PORT",
+        )
+    config = _config(
+        mode="client",
+        connect={
+            "endpoints": endpoints,
+            "timeout_ms": round(timeout * 1000),
+            "exit_on_failure": True,
+        },
+    )
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise UnreachableError(
+            f"no agent of domain {domain} answers",
+            where=" ".join(endpoints),
+            got=_first_line(error),
+            remedy="is an agent running there, and does it listen on that address?",
+        ) from None
+
+
+def local_endpoints(domain: str) -> list[str]:
+    """Return the sockets of the agents of `domain` that live on this machine."""
+    return [rundir.Places(domain, name).endpoint for name in rundir.live_agents(domain)]
+
+
+def alive(session: zenoh.Session, key: str, timeout: float = 1.0) -> list[str]:
+    """Return the keys of the liveliness tokens that match `key`, sorted, once each."""
+    replies = session.liveliness().get(
+        key, handler=zenoh.handlers.FifoChannel(TOKENS), timeout=timeout
+    )
+    return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok})
+
+
+def rtpus(session: zenoh.Session, domain: str, timeout: float = 1.0) -> list[str]:
+    """Return the names of the RTPUs of `domain` that are alive, sorted."""
+    found = alive(session, keys.all_rtpus(domain, "alive"), timeout)
+    return [keys.rtpu_name(key) for key in found]
+
+
+def _config(
+    *,
+    mode: str,
+    connect: Mapping[str, object],
+    listen: Mapping[str, object] | None = None,
+) -> zenoh.Config:
+    retry = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
+    settings: dict[str, object] = {
+        "mode": mode,
+        "connect": {**connect, "retry": retry},
+        "scouting": {
+            "delay": 0,  # half a second at every start otherwise, for nothing
+            "multicast": {"enabled": False},
+            "gossip": {"enabled": False},
+        },
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "link": {"tx": {"lease": LEASE_MS, "keep_alive": 4}},
+        },
+        "queries_default_timeout": 2000,
+    }
+    if listen is not None:
+        settings["listen"] = listen
+    return zenoh.Config.from_json5(json.dumps(settings))
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
