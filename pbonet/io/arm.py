@@ -1,0 +1,181 @@
+"""An arm that is simulated, behind the interface that a real one would have.
+
+A robot-interface module sends torques and reads joint angles and velocities. Here they
+come from the equations of motion of the published arm, with its motors' inertia and
+the friction of its gears, instead of from amplifiers and encoders. Only `advance` gives
+the simulation away: a real arm needs not be told that time has passed.
+
+The integration is semi-implicit with sub-steps: viscous and Coulomb friction and the
+end stops act on the velocity at the end of a step. So a joint sticks when friction can
+hold it and slips when it cannot, exactly and without chatter, at any step.
+"""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .chain import Chain
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from .puma560 import ArmData
+
+    Floats = NDArray[np.float64]
+
+
+class SimulatedArm:
+    """The equations of motion of an arm, advanced as time passes.
+
+    It starts with its brakes on. Like a real drive it brakes by itself when no torque
+    command has come for `watchdog` seconds; that also bounds the work of `advance`.
+
+    Args:
+        data: The arm's numbers.
+        substep: Longest integration step, seconds.
+        watchdog: Seconds that a torque command is good for.
+    """
+
+    def __init__(
+        self, data: ArmData, *, substep: float = 0.5e-3, watchdog: float = 0.05
+    ) -> None:
+        self.data = data
+        self.chain = Chain(data.dh, data.mass, data.com, data.inertia, data.rotor)
+        self.braked = True
+        self._substep = substep
+        self._watchdog = watchdog
+        self._since_command = 0.0
+        self._q = np.zeros(data.ndof)
+        self._qd = np.zeros(data.ndof)
+        self._torque = np.zeros(data.ndof)
+        self._diagonal = np.diag_indices(data.ndof)
+        self._viscous = data.viscous
+        self._friction = np.stack([-data.coulomb_down, data.coulomb_up])
+
+    @property
+    def q(self) -> Floats:
+        """Joint angles as the encoders tell them, rad."""
+        return self._q
+
+    @property
+    def qd(self) -> Floats:
+        """Joint velocities, rad/s."""
+        return self._qd
+
+    def place(self, q: ArrayLike, qd: ArrayLike) -> None:
+        """Put the arm somewhere, which can be done to a simulated one only."""
+        np.clip(q, self.data.lower, self.data.upper, out=self._q)
+        self._qd[:] = qd
+
+    def release_brakes(self) -> None:
+        """Let the motors carry the arm; a command must follow within the watchdog."""
+        self.braked = False
+        self._since_command = 0.0
+        self._torque[:] = 0.0
+
+    def brake(self) -> None:
+        """Stop the arm where it is and cut the motors off."""
+        self.braked = True
+        self._qd[:] = 0.0
+        self._torque[:] = 0.0
+
+    def command(self, torque: Floats) -> None:
+        """Set the motors' torques at the joints, N*m; the drives limit them."""
+        np.clip(torque, -self.data.torque, self.data.torque, out=self._torque)
+        self._since_command = 0.0
+
+    def advance(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        if self.braked:
+            return
+        left = self._watchdog - self._since_command
+        self._since_command += dt
+        steps = max(1, ceil(min(dt, left) / self._substep))
+        for _ in range(steps):
+            self._step(min(dt, left) / steps)
+        if dt > left:
+            self.brake()
+
+    def _step(self, h: float) -> None:
+        """Advance by `h`: M v' + h (D v' + f) = M v + h (torque - bias), q' = q + h v'.
+
+        The friction f lies between its bounds, and is at one of them while v' is not
+        zero. An end stop is a bound without end.
+        """
+        stiff = self.chain.mass_matrix(self._q)
+        push = stiff @ self._qd
+        push += h * (self._torque - self.chain.bias(self._q, self._qd))
+        matrix = stiff.copy()
+        matrix[self._diagonal] += h * self._viscous
+        low, high = h * self._friction
+        low[self._q <= self.data.lower] = -np.inf
+        high[self._q >= self.data.upper] = np.inf
+        self._qd[:] = solve_with_friction(matrix, push, low, high, self._qd)
+        self._q += h * self._qd
+        np.clip(self._q, self.data.lower, self.data.upper, out=self._q)
+
+
+def solve_with_friction(
+    matrix: Floats, push: Floats, low: Floats, high: Floats, guess: Floats
+) -> Floats:
+    """Return the velocity v with matrix v + f = push and Coulomb friction f.
+
+    f[i] = high[i] where v[i] > 0, low[i] where v[i] < 0, and between them where v[i] is
+    0. For a symmetric positive definite matrix there is exactly one such v. Signs are
+    guessed and corrected all at once, which takes one or two rounds as a rule; should
+    that go round in circles, only the first wrong sign is corrected, which ends for
+    certain (the principal pivoting of Judice and Pires 1994).
+
+    Args:
+        matrix: Symmetric positive definite, n by n.
+        push: n momenta.
+        low: Bounds of the friction, at most 0; minus infinity is a stop.
+        high: Bounds of the friction, at least 0; infinity is a stop.
+        guess: A velocity whose signs are likely right.
+    """
+    sign = np.sign(guess)
+    rounds = 0
+    while True:
+        sign[((sign > 0) & np.isinf(high)) | ((sign < 0) & np.isinf(low))] = 0.0
+        velocity, friction = _with_signs(matrix, push, low, high, sign)
+        slack = 1e-12 * (1.0 + np.abs(push))
+        better = np.where(velocity * sign < 0, 0.0, sign)
+        better[(sign == 0) & (friction > high + slack)] = 1.0
+        better[(sign == 0) & (friction < low - slack)] = -1.0
+        wrong = np.flatnonzero(better != sign)
+        if not wrong.size:
+            return velocity
+        if rounds > _ALL_AT_ONCE:
+            wrong = wrong[:1]
+        sign[wrong] = better[wrong]
+        rounds += 1
+
+
+_ALL_AT_ONCE = 10
+"""Rounds in which every wrong sign is corrected."""
+
+
+def _with_signs(
+    matrix: Floats, push: Floats, low: Floats, high: Floats, sign: Floats
+) -> tuple[Floats, Floats]:
+    """Return velocity and friction if the joints slip, or stick, as `sign` says."""
+    friction: Floats = np.where(sign > 0, high, np.where(sign < 0, low, 0.0))
+    stuck = sign == 0
+    if not stuck.any():
+        return _solve(matrix, push - friction), friction
+    reduced = matrix.copy()
+    reduced[stuck, :] = 0.0
+    reduced[:, stuck] = 0.0
+    reduced[stuck, stuck] = 1.0
+    load = push - friction
+    load[stuck] = 0.0
+    velocity = _solve(reduced, load)
+    friction[stuck] = (push - matrix @ velocity)[stuck]
+    return velocity, friction
+
+
+def _solve(matrix: Floats, load: Floats) -> Floats:
+    return np.asarray(np.linalg.solve(matrix, load), dtype=np.float64)
