@@ -1,0 +1,56 @@
+"""What the integration tests share: a runtime folder, and agents to talk to."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def run_dir(monkeypatch):
+    """A runtime folder with a short path, for sockets have little room."""
+    folder = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
+    monkeypatch.setenv("PBONET_RUN_DIR", str(folder))
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
+def world(run_dir):  # noqa: ARG001 - it must stand first
+    """One machine of fake agents, in a domain of its own."""
+    from fakeagent import World
+
+    return World(domain=f"t{secrets.token_hex(3)}")
+
+
+class Fakes(dict):
+    """Fake agents by name; calling it starts some."""
+
+    def __init__(self, world):
+        super().__init__()
+        self.world = world
+
+    def __call__(self, *names):
+        from fakeagent import FakeAgent
+
+        for name in names:
+            self[name] = FakeAgent(self.world, name)
+        deadline = time.monotonic() + 10.0
+        while any(fake.neighbours() != sorted(self) for fake in self.values()):
+            assert time.monotonic() < deadline, "the agents do not find each other"
+            time.sleep(0.01)
+        return self
+
+
+@pytest.fixture
+def agents(world):
+    """Start fake agents by calling it with their names; they end with the test."""
+    fakes = Fakes(world)
+    yield fakes
+    for fake in fakes.values():
+        fake.close()

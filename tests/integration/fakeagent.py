@@ -1,0 +1,392 @@
+"""Agents without tasks: they speak the messages over zenoh and have fault switches.
+
+For tests of the master alone; what tasks do is the node's matter. A `World` stands for
+one machine: its agents share the values of each subsystem's table.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+
+import msgspec
+import zenoh
+
+from pbonet.config import parse_rmod, parse_svar
+from pbonet.errors import (
+    ClaimError,
+    NodeError,
+    ParameterError,
+    PbonetError,
+    StateError,
+    UnknownTaskError,
+    UnknownVariableError,
+)
+from pbonet.xm import keys, rundir, session
+from pbonet.xm import messages as m
+
+MOVES = {
+    ("OFF", "on"): "ON",
+    ("ON", "off"): "OFF",
+    ("OFF", "kill"): "NOT-CREATED",
+    ("ON", "kill"): "NOT-CREATED",
+    ("ERROR", "kill"): "NOT-CREATED",
+    ("ERROR", "clear"): "OFF",
+    ("OFF", "reinit"): "OFF",
+    ("ON", "reinit"): "ON",
+}
+GUARDED = (
+    m.Spawn
+    | m.Control
+    | m.Reconfig
+    | m.Set
+    | m.Rank
+    | m.Write
+    | m.OpenTable
+    | m.CloseTable
+    | m.Release
+    | m.Flag
+)
+
+
+@dataclass
+class FakeTask:
+    name: str
+    text: str
+    rmod_name: str
+    freq: float
+    crit: int
+    priority: int
+    state: str = "OFF"
+    error: str = ""
+    since: float = 0.0
+    params: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class World:
+    """What the agents of one machine share."""
+
+    domain: str
+    values: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    modules: dict[str, dict] = field(default_factory=dict)
+    log: list[tuple[str, str]] = field(default_factory=list)
+    """Pairs of RTPU and what it did, in order."""
+
+
+class FakeAgent:
+    def __init__(self, world: World, name: str) -> None:
+        self.world = world
+        self.name = name
+        self.places = rundir.Places(world.domain, name)
+        self.lock = rundir.NameLock(self.places.lock, "fake")
+        self.claims: dict[str, tuple[int, str]] = {}
+        self.exclusive = ""
+        self.tasks: dict[str, FakeTask] = {}
+        self.tables: dict[str, str] = {}
+        self.flags: list[str] = []
+        self.silent = False
+        self.fail: dict[tuple[str, str], PbonetError] = {}
+        self.slow: dict[str, float] = {}
+        self.executed: dict[str, bytes] = {}
+        self.requests: list[m.Request] = []
+        self.codec = m.Codec()
+        self.session = session.agent(self.places)
+        self.kept: list[zenoh.Query] = []
+        self.queries = self.session.declare_queryable(
+            self.key("sbs"), zenoh.handlers.FifoChannel(64)
+        )
+        self.token = self.session.liveliness().declare_token(self.key("alive"))
+        self.workers = [
+            threading.Thread(target=self.work, daemon=True) for _ in range(4)
+        ]
+        for worker in self.workers:
+            worker.start()
+
+    def key(self, leaf: str) -> str:
+        return keys.rtpu(self.world.domain, self.name, leaf)
+
+    def neighbours(self) -> list[str]:
+        """Return the agents that this one sees, itself among them."""
+        return session.rtpus(self.session, self.world.domain)
+
+    def close(self) -> None:
+        if not self.session.is_closed():
+            self.session.close()
+        for worker in self.workers:
+            worker.join(5)
+        self.lock.release()
+
+    def work(self) -> None:
+        try:
+            for query in self.queries:
+                if self.silent:
+                    self.kept.append(query)
+                    continue
+                with query:
+                    query.reply(self.key("sbs"), self.answer(query.payload.to_bytes()))
+        except zenoh.ZError:
+            return
+
+    def answer(self, data: bytes) -> bytes:
+        request = self.codec.request(data)
+        if request.id not in self.executed:
+            self.requests.append(request)
+            try:
+                result = self.do(request)
+                answer = m.Answer(id=request.id, ok=True, result=result)
+            except PbonetError as error:
+                answer = m.failure(error, request.id)
+            self.executed[request.id] = self.codec.pack(answer)
+        return self.executed[request.id]
+
+    def do(self, request: m.Request) -> object:
+        op = type(request).__struct_config__.tag
+        time.sleep(self.slow.get(op, 0.0))
+        if isinstance(request, GUARDED):
+            self.check_epoch(request)
+        if self.exists_error(op, request):
+            raise self.fail[op, getattr(request, "task", "")]
+        return getattr(self, f"do_{op}")(request)
+
+    def exists_error(self, op: str, request: m.Request) -> bool:
+        return (op, getattr(request, "task", "")) in self.fail
+
+    def check_epoch(self, request: m.Request) -> None:
+        epoch, holder = self.claims.get(request.subsystem, (0, ""))
+        if request.epoch != epoch:
+            raise ClaimError(
+                "another master has taken over", where=self.name, got=holder
+            )
+
+    def did(self, text: str) -> None:
+        self.world.log.append((self.name, text))
+
+    def do_hello(self, _: m.Hello) -> m.AgentInfo:
+        return m.AgentInfo(
+            name=self.name,
+            domain=self.world.domain,
+            host="fakehost",
+            machine="fake",
+            core=0,
+            cores=2,
+            pid=0,
+            rtpu_pid=0,
+            backend="park",
+            version="0",
+            python="3",
+            claims={name: epoch for name, (epoch, _) in self.claims.items()},
+        )
+
+    def do_claim(self, request: m.Claim) -> m.Claimed:
+        others = set(self.claims) - {request.subsystem}
+        if others and (request.usage == "exclusive" or self.exclusive):
+            raise ClaimError(
+                "the RTPU belongs to another subsystem",
+                where=self.name,
+                got=", ".join(sorted(others)),
+            )
+        epoch, holder = self.claims.get(request.subsystem, (0, ""))
+        if holder and holder != request.client and not request.take_over:
+            key = keys.master(self.world.domain, request.subsystem, holder)
+            if session.alive(self.session, key):
+                raise ClaimError(
+                    "another master steers the subsystem",
+                    where=self.name,
+                    got=holder,
+                    remedy="end it, or take over",
+                )
+        self.claims[request.subsystem] = (epoch + 1, request.client)
+        self.exclusive = request.subsystem if request.usage == "exclusive" else ""
+        return m.Claimed(
+            epoch=epoch + 1,
+            tasks=list(self.tasks),
+            rmods={task.name: task.text for task in self.tasks.values()},
+        )
+
+    def do_release(self, request: m.Release) -> None:
+        if self.tasks:
+            raise NodeError("tasks stand on the RTPU", where=self.name)
+        self.claims.pop(request.subsystem, None)
+        self.exclusive = ""
+        self.did("release")
+
+    def do_open_table(self, request: m.OpenTable) -> m.TableInfo:
+        file = parse_svar(request.svar, request.svar_name)
+        self.tables[request.subsystem] = request.svar
+        if request.keep:
+            self.world.values[request.subsystem] = {
+                v.name: [*map(float, v.init or ()), *[0.0] * v.nelem][: v.nelem]
+                for v in file.variables
+            }
+        self.did(f"open_table keep={request.keep}")
+        return m.TableInfo(name=request.subsystem, layout="0", machine="fake")
+
+    def do_close_table(self, request: m.CloseTable) -> None:
+        self.tables.pop(request.subsystem, None)
+        self.did("close_table")
+
+    def do_spawn(self, request: m.Spawn) -> m.TaskStatus:
+        rmod = parse_rmod(request.rmod, f"{request.rmod_name}.rmod")
+        task = FakeTask(
+            request.task,
+            request.rmod,
+            request.rmod_name,
+            request.freq or rmod.freq or 0.0,
+            request.crit or 0,
+            request.priority,
+            params={name: " ".join(line.words) for name, line in rmod.local.items()},
+        )
+        self.tasks[request.task] = task
+        self.did(f"spawn {request.task}")
+        return self.status_of(task)
+
+    def task(self, name: str) -> FakeTask:
+        if name not in self.tasks:
+            raise UnknownTaskError("there is no such task", where=f"{self.name}/{name}")
+        return self.tasks[name]
+
+    def move(self, name: str, signal: str) -> FakeTask:
+        task = self.task(name)
+        state = MOVES.get((task.state, signal))
+        if state is None:
+            raise StateError(
+                f"the signal {signal} is not valid in the state {task.state}",
+                where=f"{self.name}/{name}",
+            )
+        task.state = state
+        if signal == "on":
+            task.since = time.monotonic()
+        if state == "NOT-CREATED":
+            del self.tasks[name]
+        self.did(f"{signal} {name}")
+        return task
+
+    def do_control(self, request: m.Control) -> m.TaskStatus:
+        return self.status_of(self.move(request.task, request.signal))
+
+    def do_reconfig(self, request: m.Reconfig) -> m.Reconfigured:
+        states: dict[str, str] = {}
+        for done, (name, signal) in enumerate(request.items):
+            try:
+                if ("reconfig", name) in self.fail:
+                    raise self.fail["reconfig", name]
+                states[name] = self.move(name, signal).state
+            except PbonetError as error:
+                return m.Reconfigured(done=done, states=states, error=error.to_wire())
+        return m.Reconfigured(done=len(request.items), states=states)
+
+    def do_freq(self, request: m.Freq) -> float:
+        task = self.task(request.task)
+        if request.hz is not None:
+            task.freq = request.hz
+        return task.freq
+
+    def do_get(self, request: m.Get) -> list[m.ParamValue]:
+        task = self.task(request.task)
+        if request.name is not None and request.name not in task.params:
+            raise ParameterError("there is no such parameter", where=request.name)
+        return [
+            m.ParamValue(name=n, value=v, type="str", unit="", doc="a parameter")
+            for n, v in task.params.items()
+            if request.name in {None, n}
+        ]
+
+    def do_set(self, request: m.Set) -> list[m.ParamValue]:
+        self.do_get(m.Get(task=request.task, name=request.name))
+        self.task(request.task).params[request.name] = request.value
+        return self.do_get(m.Get(task=request.task, name=request.name))
+
+    def do_rank(self, request: m.Rank) -> None:
+        for name, (crit, priority) in request.tasks.items():
+            self.task(name).crit = crit
+            self.task(name).priority = priority
+
+    def do_status(self, request: m.Status) -> m.RtpuStatus:
+        tasks = [self.task(request.task)] if request.task else self.tasks.values()
+        return m.RtpuStatus(
+            rtpu=self.name,
+            backend="park",
+            scheduler="MUF",
+            tasks=[self.status_of(task) for task in tasks],
+            illegal=list(self.flags),
+        )
+
+    def status_of(self, task: FakeTask) -> m.TaskStatus:
+        ptime = time.monotonic() - task.since if task.state == "ON" else 0.0
+        cycles = int(ptime * task.freq)
+        return m.TaskStatus(
+            rmod=task.rmod_name,
+            task=task.name,
+            rtpu=self.name,
+            tid=1,
+            S="P",
+            crit=task.crit,
+            priority=task.priority,
+            state=task.state,
+            cycle=cycles,
+            miss=0,
+            ref_f=task.freq,
+            mez_f=task.freq,
+            mez_t=1 / task.freq if task.freq else 0.0,
+            ptime=ptime,
+            tot_c=cycles * 1e-4,
+            tick=1e-9,
+            min_c=1e-4,
+            max_c=1e-4,
+            last_c=1e-4,
+            warn=0,
+            error=task.error,
+            module=parse_rmod(task.text, task.rmod_name).module,
+        )
+
+    def do_display(self, request: m.Display) -> list[m.VarValue]:
+        table = self.world.values.get(request.subsystem, {})
+        for name in request.names or ():
+            if name not in table:
+                raise UnknownVariableError("there is no such variable", where=name)
+        return [
+            m.VarValue(name=name, index=index, values=values, units="none")
+            for index, (name, values) in enumerate(table.items())
+            if request.names is None or name in request.names
+        ]
+
+    def do_write(self, request: m.Write) -> m.VarValue:
+        self.world.values[request.subsystem][request.name] = list(request.values)
+        return self.do_display(
+            m.Display(subsystem=request.subsystem, names=[request.name])
+        )[0]
+
+    def do_modules(self, request: m.Modules) -> list[dict]:
+        found = self.world.modules
+        if request.name is None:
+            return list(found.values())
+        if request.name not in found:
+            raise NodeError("there is no such module", where=request.name)
+        return [found[request.name]]
+
+    def do_stop(self, request: m.Stop) -> m.Stopped:
+        names = [n for n in request.order if n in self.tasks]
+        names += [n for n in reversed(self.tasks) if n not in names]
+        off = [n for n in names if self.tasks[n].state == "ON"]
+        for name in off:
+            self.move(name, "off")
+        for name in names:
+            self.move(name, "kill")
+        return m.Stopped(off=off, killed=[])
+
+    def do_flag(self, request: m.Flag) -> list[str]:
+        if request.up and request.cause not in self.flags:
+            self.flags.append(request.cause)
+        elif not request.up and request.cause in self.flags:
+            self.flags.remove(request.cause)
+        return list(self.flags)
+
+    def do_events(self, _: m.Events) -> list[m.Event]:
+        return []
+
+
+def to_builtins(info: object) -> dict:
+    """Return a module's description as it travels."""
+    return msgspec.to_builtins(info)

@@ -1,0 +1,133 @@
+"""The request layer: what it says when an agent is missing, silent, slow or refuses."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import NoneType
+
+import pytest
+
+from pbonet.errors import (
+    NoAnswerError,
+    ProtocolError,
+    SeveralError,
+    StateError,
+    UnknownTaskError,
+    UnreachableError,
+)
+from pbonet.xm import messages as m
+from pbonet.xm import rpc, session
+
+
+@pytest.fixture
+def client(world, agents):
+    agents("arm0", "arm1")
+    opened = session.client(world.domain)
+    yield rpc.Client(opened, world.domain, "tester")
+    opened.close()
+
+
+def test_request_is_answered_with_its_typed_result(client):
+    info = client.call("arm0", m.Hello(), m.AgentInfo)
+    assert (info.name, info.domain) == ("arm0", client.domain)
+
+
+def test_agents_are_listed_by_their_tokens(client):
+    assert client.rtpus() == ["arm0", "arm1"]
+
+
+def test_missing_agent_is_named_with_those_that_are_there(client):
+    start = time.monotonic()
+    with pytest.raises(UnreachableError) as caught:
+        client.call("arm00", m.Hello(), m.AgentInfo)
+    assert time.monotonic() - start < 2.0  # "a clear error within 2 s" is the promise
+    assert str(caught.value) == (
+        "arm00: no agent of this name can be reached (got RTPUs of the domain "
+        f"{client.domain} that can be reached: arm0, arm1); did you mean arm0? else "
+        f"start it with 'pbonet agent --name arm00' --domain {client.domain}"
+    )
+
+
+def test_silent_agent_is_there_but_does_not_answer(client, agents):
+    agents["arm1"].silent = True
+    with pytest.raises(NoAnswerError, match="is there and did not answer") as caught:
+        client.call("arm1", m.Hello(), m.AgentInfo, timeout=0.3)
+    assert caught.value.where == "arm1"
+
+
+def test_agent_that_falls_silent_in_a_long_request_is_found_out(client, agents):
+    agents["arm1"].silent = True
+    start = time.monotonic()
+    with pytest.raises(NoAnswerError):
+        client.call("arm1", m.Status(), m.RtpuStatus, timeout=30.0)
+    assert time.monotonic() - start < 10.0  # not the thirty seconds of the request
+
+
+def test_slow_operation_of_a_living_agent_is_waited_for(client, agents):
+    agents["arm0"].slow["status"] = 2.5
+    answer = client.call("arm0", m.Status(), m.RtpuStatus, timeout=10.0)
+    assert answer.rtpu == "arm0"
+
+
+def test_agent_that_dies_with_the_request_is_unreachable(client, agents):
+    agents["arm1"].silent = True
+    killer = threading.Timer(0.3, agents["arm1"].session.close)
+    killer.start()
+    with pytest.raises(UnreachableError, match="no agent of this name"):
+        client.call("arm1", m.Status(), m.RtpuStatus, timeout=5.0)
+    killer.join()
+
+
+def test_refusal_keeps_its_class_and_says_where(client):
+    with pytest.raises(UnknownTaskError) as caught:
+        client.call("arm0", m.Status(task="pid"), m.RtpuStatus)
+    assert caught.value.where == "arm0/pid"
+
+
+def test_refusal_without_a_place_gets_the_name_of_the_rtpu(client, agents):
+    agents["arm0"].fail["status", ""] = StateError("not now")
+    with pytest.raises(StateError, match=r"^arm0: not now$"):
+        client.call("arm0", m.Status(task=""), m.RtpuStatus)
+
+
+def test_result_of_another_type_is_a_protocol_error(client):
+    with pytest.raises(ProtocolError, match="not what the operation gives"):
+        client.call("arm0", m.Hello(), m.Claimed)
+
+
+def test_warnings_of_an_answer_reach_the_caller(client, agents, monkeypatch):
+    heard = []
+    client.warned = lambda rtpu, text: heard.append((rtpu, text))
+
+    def answer(data):
+        request = agents["arm0"].codec.request(data)
+        return agents["arm0"].codec.pack(
+            m.Answer(id=request.id, ok=True, warnings=["nearly full"])
+        )
+
+    monkeypatch.setattr(agents["arm0"], "answer", answer)
+    client.call("arm0", m.Hello(), NoneType)
+    assert heard == [("arm0", "nearly full")]
+
+
+def test_several_agents_are_asked_at_once_and_errors_are_kept_apart(client):
+    results, errors = client.call_all(
+        {name: m.Hello() for name in ("arm0", "arm1", "leg")}, m.AgentInfo
+    )
+    assert sorted(results) == ["arm0", "arm1"]
+    assert [error.where for error in errors] == ["leg"]
+    rpc.raise_all("nothing failed", [])
+    with pytest.raises(UnreachableError):
+        rpc.raise_all("one failed", errors)
+    with pytest.raises(SeveralError) as caught:
+        rpc.raise_all("2 RTPUs failed", [*errors, NoAnswerError("slow", where="arm1")])
+    assert str(caught.value).splitlines()[0] == "2 RTPUs failed"
+    assert str(caught.value).splitlines()[-1] == "`-- arm1: slow"
+    assert isinstance(caught.value.__cause__, ExceptionGroup)
+
+
+def test_closed_session_is_an_error_of_ours(client):
+    client.session.close()
+    with pytest.raises(UnreachableError, match="connection to the agents is closed"):
+        client.call("arm0", m.Hello(), m.AgentInfo)
