@@ -1,0 +1,117 @@
+"""Events of one RTPU: numbered, kept for late askers, handed to whoever publishes.
+
+Every error, warning, state change and line of output becomes an event. The RTPU process
+keeps them, so that numbers go on when its agent is restarted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import TYPE_CHECKING
+
+from pbonet.errors import Severity
+from pbonet.xm.messages import Event
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+KEPT = 4000
+LONGEST_TEXT = 8000
+
+
+class EventLog:
+    """The last events of one RTPU.
+
+    Args:
+        rtpu: Its name, written into every event.
+        clock_ns: CLOCK_MONOTONIC in nanoseconds; tests supply their own.
+        wall: Seconds since the epoch, for people to read.
+    """
+
+    def __init__(
+        self,
+        rtpu: str,
+        *,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self._rtpu = rtpu
+        self._clock_ns = clock_ns
+        self._wall = wall
+        self._kept: deque[Event] = deque(maxlen=KEPT)
+        self._next = 1
+        self.publish: Callable[[Event], None] | None = None
+
+    @property
+    def next(self) -> int:
+        """The number that the next event will have."""
+        return self._next
+
+    def add(
+        self,
+        severity: Severity,
+        code: str,
+        text: str,
+        *,
+        subsystem: str = "",
+        task: str = "",
+        cycle: int = 0,
+    ) -> Event:
+        """Number, keep and publish something that happened."""
+        if len(text) > LONGEST_TEXT:
+            text = f"{text[:LONGEST_TEXT]} ... ({len(text) - LONGEST_TEXT} more)"
+        event = Event(
+            n=self._next,
+            time=self._clock_ns(),
+            wall=self._wall(),
+            severity=int(severity),
+            code=code,
+            rtpu=self._rtpu,
+            subsystem=subsystem,
+            task=task,
+            cycle=cycle,
+            text=text,
+        )
+        self._next += 1
+        self._kept.append(event)
+        if self.publish is not None:
+            self.publish(event)
+        return event
+
+    def since(self, number: int, limit: int = KEPT) -> list[Event]:
+        """Return the kept events from `number` on, the oldest first."""
+        if not self._kept or number >= self._next:
+            return []
+        skip = max(0, number - self._kept[0].n)
+        return [self._kept[i] for i in range(skip, min(len(self._kept), skip + limit))]
+
+
+class LineBudget:
+    """Says which lines of a talkative source still pass: a rate with a burst.
+
+    What does not pass is counted, and the count is told once lines pass again.
+    """
+
+    def __init__(self, rate: float = 20.0, burst: float = 100.0) -> None:
+        self._rate = rate
+        self._burst = burst
+        self._tokens = burst
+        self._time_ns = 0
+        self.suppressed = 0
+
+    def take(self, now_ns: int) -> bool:
+        """Return whether one more line passes at `now_ns`."""
+        passed = (now_ns - self._time_ns) * 1e-9 * self._rate
+        self._tokens = min(self._burst, self._tokens + passed)
+        self._time_ns = now_ns
+        if self._tokens >= 1.0:
+            self._tokens -= 1.0
+            return True
+        self.suppressed += 1
+        return False
+
+    def told(self) -> int:
+        """Return how many lines were held back since the last call."""
+        count, self.suppressed = self.suppressed, 0
+        return count

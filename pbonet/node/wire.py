@@ -1,0 +1,299 @@
+"""What the processes of one RTPU say to each other: msgpack structs and their framing.
+
+Three links, all Unix sockets of one machine and one user:
+
+* agent and RTPU process: a stream socket in the runtime folder, frames of a 4-byte
+  length and a body. The agent forwards requests as it got them; the RTPU process
+  answers, and sends events and its own state unasked.
+* RTPU process and fork server: sequenced packets, with file descriptors.
+* RTPU process and task: sequenced packets, one message each.
+
+None of this is public: both ends are always of one version, and say so when they meet.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import NodeError, WireError
+
+if TYPE_CHECKING:
+    import asyncio
+    import socket
+
+LENGTH = struct.Struct("<I")
+LARGEST_FRAME = 64 << 20
+LARGEST_PACKET = 200_000
+"""A little less than the kernel's default send buffer."""
+
+
+class RtpuConfig(Struct, frozen=True, kw_only=True):
+    """What an agent tells the RTPU process that it starts, on its command line."""
+
+    domain: str
+    name: str
+    core: int
+    libraries: tuple[str, ...] = ()
+    grace: float = 5.0
+    backend: str = "auto"
+    ready_fd: int = -1
+    """Where to write one `Ready` when commands can be taken."""
+
+
+class Ready(Struct, kw_only=True):
+    """How the start of an RTPU process or of a fork server went."""
+
+    error: WireError | None = None
+
+
+# -- agent to RTPU process ------------------------------------------------------------
+
+
+class Attach(Struct, tag="attach"):
+    """The first message of an agent. Answered by `RtpuInfo`, then events follow."""
+
+    agent_pid: int
+    version: str
+    grace: float
+
+
+class Forward(Struct, tag="forward"):
+    """A request as it came from the network."""
+
+    n: int
+    data: bytes
+    masters: list[tuple[str, str]] | None = None
+    """Subsystem and client of the masters that live, where the request needs it."""
+
+
+class Note(Struct, tag="note"):
+    """Something the agent noticed, to be numbered among the events."""
+
+    severity: int
+    code: str
+    text: str
+
+
+class Shutdown(Struct, tag="shutdown"):
+    """Turn everything OFF in order and end."""
+
+    timeout: float
+
+
+FromAgent = Attach | Forward | Note | Shutdown
+
+
+# -- RTPU process to agent ------------------------------------------------------------
+
+
+class RtpuInfo(Struct, tag="info", kw_only=True):
+    """Who the RTPU process is."""
+
+    pid: int
+    core: int
+    version: str
+    backend: str
+    limits: list[str]
+    claims: dict[str, int]
+
+
+class Answered(Struct, tag="answered"):
+    """The packed answer to a forwarded request."""
+
+    n: int
+    data: bytes
+
+
+class Published(Struct, tag="published"):
+    """A packed event for the network."""
+
+    data: bytes
+
+
+class Ending(Struct, tag="ending"):
+    """The RTPU process ends, everything is OFF; the reason is for people."""
+
+    reason: str
+
+
+FromRtpu = RtpuInfo | Answered | Published | Ending
+
+
+# -- RTPU process and fork server -----------------------------------------------------
+
+
+class Fork(Struct, tag="fork"):
+    """Fork a task; its socket, output, and two memory files come with the message."""
+
+    n: int
+    kind: str
+    """``task`` or ``inspect``."""
+    title: str
+
+
+class Forked(Struct, tag="forked"):
+    """A child was forked, or could not be."""
+
+    n: int
+    pid: int
+    error: str = ""
+
+
+class Exited(Struct, tag="exited"):
+    """A child ended, with its status as `os.waitstatus_to_exitcode` gives it."""
+
+    pid: int
+    code: int
+
+
+FromForkServer = Forked | Exited
+
+
+# -- RTPU process to task -------------------------------------------------------------
+
+
+class Signal(Struct, tag="signal"):
+    """A lifecycle signal; it was found valid for the state the RTPU process knows."""
+
+    n: int
+    signal: str
+    arg: str = ""
+    handover: bool = False
+
+
+class SetParam(Struct, tag="set"):
+    """Change a parameter between two cycles."""
+
+    n: int
+    name: str
+    value: str
+
+
+class GetParam(Struct, tag="get"):
+    """Ask for one parameter or for all."""
+
+    n: int
+    name: str | None = None
+
+
+class SetFreq(Struct, tag="freq"):
+    """Change the frequency between two cycles."""
+
+    n: int
+    hz: float
+
+
+ToTask = Signal | SetParam | GetParam | SetFreq
+
+
+# -- task to RTPU process -------------------------------------------------------------
+
+
+class Done(Struct, tag="done", kw_only=True):
+    """The answer to a message, and the state after it; ``n`` 0 answers the spawn."""
+
+    n: int
+    state: str
+    result: Any = None
+    error: WireError | None = None
+
+
+class Notice(Struct, tag="notice", kw_only=True):
+    """Something that happened in the task unasked."""
+
+    severity: int
+    code: str
+    text: str
+    cycle: int = 0
+    state: str = ""
+    error: WireError | None = None
+
+
+FromTask = Done | Notice
+
+
+class TaskSpec(Struct, kw_only=True):
+    """Everything a task needs to become one; in a memory file, as it may be long."""
+
+    domain: str
+    rtpu: str
+    subsystem: str
+    task: str
+    core: int
+    slot: int
+    table: str
+    layout: str
+    rmod: str
+    rmod_name: str
+    freq: float
+    crit: int
+    libraries: tuple[str, ...]
+    forker: int
+    """The fork server's process id: who must be the parent."""
+
+
+class InspectSpec(Struct, kw_only=True):
+    """What an inspector has to describe."""
+
+    libraries: tuple[str, ...]
+    name: str | None = None
+
+
+def encode(message: Struct) -> bytes:
+    """Return `message` as msgpack bytes."""
+    return msgspec.msgpack.encode(message)
+
+
+def frame(message: Struct) -> bytes:
+    """Return `message` with its length before it."""
+    body = msgspec.msgpack.encode(message)
+    return LENGTH.pack(len(body)) + body
+
+
+async def read_frame(reader: asyncio.StreamReader) -> bytes:
+    """Return the body of the next frame.
+
+    Raises:
+        asyncio.IncompleteReadError: The other side has closed.
+        NodeError: The length is impossible.
+    """
+    (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
+    return await reader.readexactly(_checked(length))
+
+
+def receive_frame(sock: socket.socket) -> bytes:
+    """Return the body of the next frame of a blocking socket, b"" at its end.
+
+    Raises:
+        NodeError: The length is impossible.
+        OSError: The link broke.
+    """
+    head = _receive_exactly(sock, LENGTH.size)
+    if not head:
+        return b""
+    (length,) = LENGTH.unpack(head)
+    return _receive_exactly(sock, _checked(length))
+
+
+def _receive_exactly(sock: socket.socket, count: int) -> bytes:
+    got = bytearray()
+    while len(got) < count:
+        part = sock.recv(count - len(got))
+        if not part:
+            return b""
+        got += part
+    return bytes(got)
+
+
+def _checked(length: int) -> int:
+    if length > LARGEST_FRAME:
+        raise NodeError(
+            "a frame between agent and RTPU process is impossibly long",
+            expected=f"at most {LARGEST_FRAME} bytes",
+            got=f"{length} bytes",
+        )
+    return length
