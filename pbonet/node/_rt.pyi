@@ -1,0 +1,290 @@
+"""Real-time side of a node: core table, dispatcher, task slot, ring, process set-up.
+
+Nothing here knows modules, commands or the network. `docs/realtime.md` explains it.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from pbonet.sched.records import (
+    CoreStatus,
+    Decision,
+    Histograms,
+    Probe,
+    SlotStatus,
+)
+from pbonet.svar._svar import LocalTable
+
+# Why `Slot.run` came back.
+COMMAND: Final = 1
+"""`CoreTable.request` was called; the flag is cleared."""
+ORPHAN: Final = 2
+"""The parent is gone: run ``off`` and ``kill`` and end (last resort within 1 s)."""
+FLAGS: Final = 3
+"""A copy or commit raised a flag of the `leave` mask; see `Slot.flags`."""
+
+SLOTS: Final[int]
+"""Tasks that one core table holds."""
+MIN_PERIOD_NS: Final[int]
+COMMAND_LEVEL: Final = 3
+DISPATCHER_LEVEL: Final = 95
+LEAVE: Final[int]
+"""The default `leave` mask: all commit flags."""
+
+class CoreTable:
+    """The shared table of one core: ``pbonet.<uid>.core<k>`` in ``PBONET_SHM_DIR``.
+
+    With `member` the process attaches as an RTPU process: the table is created when
+    there is none or when the one found is stale, and is removed by the last member's
+    `close`. Without, an existing table is opened (tasks, agents, tools).
+
+    Raises:
+        NodeError: No table to open, or it is of another version or damaged.
+        RealTimeError: Shared memory is full, or the file belongs to somebody else.
+    """
+
+    core: int
+    path: str
+    member: bool
+    def __init__(self, core: int, *, member: bool = True) -> None: ...
+    def close(self) -> None:
+        """Detach; the last living member removes the file. Idempotent."""
+    def alloc(self, rtpu: str, task: str) -> int:
+        """Take a free slot; slots of dead RTPU processes are reclaimed first.
+
+        Raises:
+            NodeError: All slots are taken, or a name is longer than 63 bytes.
+        """
+    def free(self, i: int) -> None:
+        """Give the slot back; its task must be dead, or disarmed for good."""
+    def configure(
+        self,
+        i: int,
+        *,
+        pid: int | None = None,
+        period_ns: int | None = None,
+        deadline_ns: int | None = None,
+        crit: int | None = None,
+        priority: int | None = None,
+        kind: int | None = None,
+    ) -> None:
+        """Change what is given; the dispatcher takes the whole change in one turn.
+
+        A new period takes effect at the next release, the rest at once.
+
+        Args:
+            i: The slot.
+            pid: The task's process; its main thread is scheduled.
+            period_ns: At least MIN_PERIOD_NS.
+            deadline_ns: Relative to the release; 0 means the period.
+            crit: Criticality 0 to 63, higher first.
+            priority: User priority 0 to 65535, higher first.
+            kind: A `pbonet.sched.records.Kind`.
+
+        Raises:
+            ValueError: A value is out of its range.
+        """
+    def request(self, i: int) -> None:
+        """Tell the task that a command waits for it, waking it when it waits."""
+    def died(self, i: int) -> None:
+        """Tell the dispatcher that the task's process is gone."""
+    def find(self, rtpu: str, task: str) -> int | None:
+        """Return the slot of that name."""
+    def slots(self, rtpu: str | None = None) -> list[int]:
+        """Return the slots in use, of one RTPU or of all."""
+    def snapshot(self, i: int) -> SlotStatus: ...
+    def histograms(self, i: int) -> Histograms: ...
+    def status(self) -> CoreStatus: ...
+    def trace(self, since: int = 0) -> tuple[int, int, list[Decision]]:
+        """Return records of complete turns from number `since` on.
+
+        Returns:
+            The number to ask for next, how many records were lost to the ring's bound,
+            and the records.
+        """
+    def step(self, now_ns: int, *, park: bool = False) -> int:
+        """Take one turn in virtual time and act on nothing; for tests.
+
+        Returns:
+            The instant of the next event; 0 when there is none.
+
+        Raises:
+            RealTimeError: A dispatcher leads the table.
+        """
+    def post(self, i: int, *, mode: int | None = None, begun: bool = False,
+             done: bool = False) -> None:
+        """Play the task's part in virtual time; for tests, refused like `step`."""
+
+class Dispatcher:
+    """A native thread that leads the core or stands by for the leader.
+
+    It never takes the GIL. `backend` is ``auto``, ``fifo`` or ``park``; ``auto`` takes
+    ``fifo`` when `probe` finds the right to it.
+
+    Raises:
+        RealTimeError: ``fifo`` was asked for and is refused.
+    """
+
+    def __init__(self, table: CoreTable, backend: str = "auto") -> None: ...
+    def start(self) -> None: ...
+    def stop(self) -> None:
+        """End the thread; a standby takes over. Idempotent."""
+    @property
+    def leading(self) -> bool: ...
+    @property
+    def backend(self) -> str:
+        """``fifo`` or ``park``."""
+    @property
+    def running(self) -> bool: ...
+
+class Slot:
+    """The task's own end of its slot; made once in the task's process, main thread."""
+
+    index: int
+    def __init__(self, table: CoreTable, i: int) -> None: ...
+    def run(
+        self,
+        cycle: Callable[[float], object],
+        local: LocalTable | None,
+        *,
+        stable: Callable[[float], object] | None = None,
+        sync: Callable[[], object] | None = None,
+        ring: Ring | None = None,
+        leave: int = ...,
+    ) -> int:
+        """Run cycles until there is something else to do.
+
+        Per release: copy in, ``cycle(dt)`` (or ``stable(dt)`` while the
+        illegal-configuration flag is up), commit, account, record. Arms the slot when
+        it is not armed; on return the slot stays armed, and the task runs at
+        COMMAND_LEVEL until it calls `run` again or `disarm`. An exception of the
+        module comes through, the cycle then counts as failed and nothing is committed.
+
+        Args:
+            cycle: Called with the seconds between this release and that of the last
+                executed cycle.
+            local: Where to copy from and to; None does no copying.
+            stable: Runs in place of `cycle` while the flag is up.
+            sync: What a synchronous task blocks in, in place of a release.
+            ring: Gets one record a cycle.
+            leave: Flags of copy-in and commit on which to return FLAGS.
+
+        Returns:
+            COMMAND, ORPHAN or FLAGS.
+        """
+    def disarm(self) -> None:
+        """No more releases, until `run` arms again. Idempotent."""
+    def command_level(self) -> None:
+        """Go to the level of commands (after ``init``); nothing under ``park``."""
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def flags(self) -> int:
+        """Flags of the last copy-in and commit."""
+    @property
+    def release_ns(self) -> int:
+        """The release of the cycle that runs, or ran last."""
+    @property
+    def cycles(self) -> int: ...
+    @property
+    def missed(self) -> int: ...
+    @property
+    def period_ns(self) -> int: ...
+    @property
+    def pending(self) -> bool:
+        """A command waits (for a module that works in pieces)."""
+
+class Record:
+    """One cycle, out of a ring."""
+
+    cycle: int
+    release_ns: int
+    start_ns: int
+    """When ``cycle`` was called."""
+    end_ns: int
+    """When the commit was done."""
+    cpu_ns: int
+    flags: int
+    stable: bool
+    consumed: tuple[tuple[int, int], ...]
+    """(register, sequence) pairs of the copy-in."""
+    data: bytes
+    """The out-group as committed."""
+
+class Ring:
+    """Single producer, single consumer: ``pbonet.<uid>.<name>.ring``.
+
+    A full ring drops the new record and counts it; the producer never waits.
+    """
+
+    name: str
+    path: str
+    lost: int
+    @staticmethod
+    def create(name: str, capacity: int = 1 << 20) -> Ring:
+        """Make the file (replacing one that stands) and return its producer's end.
+
+        Args:
+            name: At most 100 characters, for instance ``subsystem.task``.
+            capacity: Bytes, rounded up to a power of two.
+        """
+    @staticmethod
+    def attach(name: str) -> Ring:
+        """Open an existing ring, as producer or consumer."""
+    def put(self, data: bytes, *, cycle: int = 0) -> bool:
+        """Append one record; False when the ring is full."""
+    def drain(self, limit: int = 0) -> list[Record]:
+        """Take the records that stand in the ring, oldest first (0: all).
+
+        Raises:
+            NodeError: Another process drains this ring.
+        """
+    def close(self) -> None: ...
+    def destroy(self) -> None:
+        """Close and remove the file."""
+
+def probe() -> Probe:
+    """Return which real-time rights this process has, with reasons; tries for real."""
+
+def orphan_guard(signal: int, parent: int = 0) -> int:
+    """End within 1 s when the parent process ends.
+
+    The kernel sends `signal` when the parent dies. Its handler is native: it flags
+    and wakes the slot, makes the returned descriptor readable, and arms ``alarm(1)``
+    with the default action as the last resort.
+
+    Args:
+        signal: A signal not used otherwise, for instance SIGUSR1.
+        parent: The parent's pid as known before the fork; when it is gone already, the
+            guard fires at once. 0: not checked.
+
+    Returns:
+        A descriptor that is readable once orphaned.
+    """
+
+def orphaned() -> bool: ...
+def lock_memory() -> None:
+    """Lock present and future pages as they are touched.
+
+    Raises:
+        RealTimeError: The memlock limit is too small for it to be safe.
+    """
+
+def prefault_stack(size: int = 1 << 19) -> None: ...
+def populate_pages() -> int:
+    """Make every private writable page present, undoing fork's sharing.
+
+    Returns:
+        Bytes populated.
+    """
+
+def set_timer_slack(ns: int = 1) -> None: ...
+def pin(core: int) -> None:
+    """Pin the calling thread to a core.
+
+    Raises:
+        RealTimeError: The core does not exist or may not be used.
+    """
+
+def monotonic_ns() -> int: ...
+def thread_cpu_ns() -> int: ...
