@@ -284,6 +284,8 @@ class TaskStatus(Struct, kw_only=True):
     mez_f: float
     mez_t: float
     ptime: float
+    on_ns: int = 0
+    """CLOCK_MONOTONIC nanoseconds at which it was last turned on; 0: never."""
     tot_c: float
     tick: float
     min_c: float

@@ -1,0 +1,202 @@
+"""What `status` shows: the fields of Stewart 1994, sections 4.4.1 and 6.7.1.
+
+An agent only ever adds up: its counters run from the moment the task was turned on and
+are never reset, because several interfaces look at one task. "Since the last status" is
+made here, by subtracting what the same interface saw last time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.xm.messages import TaskStatus
+
+Value: TypeAlias = str | int | float | bool | None
+
+
+class Field(Struct, frozen=True):
+    """One column of the status table."""
+
+    name: str
+    unit: str
+    doc: str
+
+
+FIELDS: Final = (
+    Field("rmod", "", "RMOD name of the task"),
+    Field("rtpu", "", "RTPU on which the task executes"),
+    Field("tid", "", "task id: the number of its process"),
+    Field("S", "", "P periodic, Y synchronous, S sporadic, D deferrable server"),
+    Field("crit", "", "criticality; ? behind it while it rests on no known MAXC"),
+    Field("state", "", "OFF, ON or ERROR"),
+    Field("cycle", "", "cycles executed since the last status"),
+    Field("miss", "", "cycles missed since the last status"),
+    Field("refF", "Hz", "reference frequency"),
+    Field("refT", "s", "reference period, 1/refF"),
+    Field("mezF", "Hz", "cycles executed per second"),
+    Field("mezT", "s", "measured period: time per cycle, executed or missed"),
+    Field("ptime", "s", "profiling time: since the last status, or since on"),
+    Field("totC", "s", "CPU time used within the profiling time"),
+    Field("tick", "s", "resolution of the profile"),
+    Field("minU", "%", "CPU share of the shortest cycle: minC per period"),
+    Field("maxU", "%", "CPU share of the longest cycle: maxC per period"),
+    Field("avgU", "%", "CPU share of the mean cycle: avgC per period"),
+    Field("minC", "s", "least CPU time of one cycle, since on"),
+    Field("maxC", "s", "most CPU time of one cycle, since on"),
+    Field("avgC", "s", "mean CPU time of one cycle"),
+    Field("warn", "", "warnings since the last status"),
+    Field("prio", "", "user priority, from the data flow"),
+    Field("jitter", "s", "longest delay from release to cycle, since on"),
+    Field("faults", "", "minor page faults since on"),
+    Field("retries", "", "copy-ins that met the retry bound, since on"),
+    Field("xfer", "%", "share of the CPU time spent on transfers of variables"),
+    Field("module", "", "module behind the RMOD"),
+    Field("version", "", "version of the module's code that was loaded"),
+)
+"""The thesis's fields in its order, then what today's machines let us add."""
+
+NAMES: Final = tuple(field.name for field in FIELDS)
+DEFAULT: Final = (
+    *("rmod", "rtpu", "S", "crit", "state", "cycle", "miss", "refF", "mezF"),
+    *("avgC", "maxC", "avgU", "maxU", "warn"),
+)
+"""What is shown until `status set` says otherwise."""
+
+
+class Profile(Struct, frozen=True, kw_only=True):
+    """One task's status as an interface shows it."""
+
+    task: str
+    fields: dict[str, Value]
+    warning: str = ""
+    """The first warning since the last status; shown once."""
+    error: str = ""
+    """Shown as long as the task is in ERROR."""
+
+
+class Baselines:
+    """What one interface has seen, so that it can show what happened since."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, TaskStatus] = {}
+
+    def since(self, statuses: Iterable[TaskStatus]) -> list[Profile]:
+        """Return the profiles since the last call for the same tasks."""
+        profiles: list[Profile] = []
+        for status in statuses:
+            before = self._seen.get(status.task)
+            profiles.append(profile(status, before))
+            self._seen[status.task] = status
+        return profiles
+
+    def forget(self) -> None:
+        """Start again: the next profiles are since the tasks were turned on."""
+        self._seen.clear()
+
+
+def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
+    """Return what happened to a task between two looks at it.
+
+    Args:
+        now: The later look.
+        before: The earlier one; None, or one from before the task was last turned on,
+            means since it was turned on.
+    """
+    since = before if before is not None and _continues(now, before) else None
+    cycle = now.cycle - (since.cycle if since else 0)
+    miss = now.miss - (since.miss if since else 0)
+    warn = now.warn - (since.warn if since else 0)
+    ptime = now.ptime - (since.ptime if since else 0.0)
+    tot_c = now.tot_c - (since.tot_c if since else 0.0)
+    period = 1.0 / now.ref_f if now.ref_f > 0 else _ratio(ptime, cycle + miss)
+    avg_c = _ratio(tot_c, cycle)
+    min_c, max_c = (now.min_c, now.max_c) if now.cycle else (None, None)
+    fields: dict[str, Value] = {
+        "rmod": now.rmod,
+        "rtpu": now.rtpu,
+        "tid": now.tid,
+        "S": now.S,
+        "crit": f"{now.crit}?" if now.crit_assumed else now.crit,
+        "state": now.state,
+        "cycle": cycle,
+        "miss": miss,
+        "refF": now.ref_f or None,
+        "refT": _ratio(1.0, now.ref_f),
+        "mezF": _ratio(cycle, ptime),
+        "mezT": _ratio(ptime, cycle + miss),
+        "ptime": ptime,
+        "totC": tot_c,
+        "tick": now.tick,
+        "minU": _percent(min_c, period),
+        "maxU": _percent(max_c, period),
+        "avgU": _percent(avg_c, period),
+        "minC": min_c,
+        "maxC": max_c,
+        "avgC": avg_c,
+        "warn": warn,
+        "prio": now.priority,
+        "jitter": now.jitter_max,
+        "faults": now.faults,
+        "retries": now.retries,
+        "xfer": _percent(
+            now.transfer_in + now.transfer_out, _ratio(now.tot_c, now.cycle)
+        ),
+        "module": now.module,
+        "version": now.version,
+    }
+    return Profile(
+        task=now.task,
+        fields=fields,
+        warning=now.warning if warn > 0 else "",
+        error=now.error if now.state == "ERROR" else "",
+    )
+
+
+def _continues(now: TaskStatus, before: TaskStatus) -> bool:
+    """Tell whether the counters of `now` go on from those of `before`."""
+    return (
+        now.tid == before.tid
+        and now.on_ns == before.on_ns
+        and now.cycle >= before.cycle
+        and now.miss >= before.miss
+        and now.warn >= before.warn
+        and now.ptime >= before.ptime
+        and now.tot_c >= before.tot_c
+    )
+
+
+def _ratio(part: float, whole: float | None) -> float | None:
+    """Return part/whole; None when there is nothing to divide by."""
+    return part / whole if whole else None
+
+
+def _percent(part: float | None, whole: float | None) -> float | None:
+    return 100.0 * part / whole if part is not None and whole else None
+
+
+def delay_quantile(histogram: list[int], share: float) -> float | None:
+    """Return the delay that `share` of the releases stayed below, in seconds.
+
+    Args:
+        histogram: Bin k counts delays below 2**k microseconds, as `TaskStatus.jitter`.
+        share: Between 0 and 1.
+
+    Returns:
+        The upper edge of the bin in which the quantile lies; None without releases.
+    """
+    total = sum(histogram)
+    if not total:
+        return None
+    wanted = math.ceil(share * total)
+    seen = 0
+    for exponent, count in enumerate(histogram):
+        seen += count
+        if seen >= wanted:
+            return float(2**exponent) * 1e-6
+    return None
