@@ -161,7 +161,7 @@ class Probe(Struct, frozen=True, kw_only=True):
 
 
 class Decision(Struct, frozen=True, array_like=True):
-    """One record of the dispatcher's trace; `pbonet.sched.dispatch` says what it means."""
+    """One record of the dispatcher's trace, explained in `pbonet.sched.dispatch`."""
 
     kind: int
     slot: int
