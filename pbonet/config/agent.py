@@ -1,0 +1,167 @@
+"""``agent.toml``: what belongs to a machine and not to an application."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+import msgspec
+
+from . import words
+from .model import AgentConfig, Place
+from .reader import MAX_LINE, Word, decode, fault, load, nearest, quote
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MAX_GRACE = 3600.0
+"""Longest grace in seconds."""
+
+_AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
+_MOST_CORES = 4096
+_KINDS = {
+    "bool": "a truth value",
+    "int": "a whole number",
+    "float": "a number",
+    "str": "text",
+    "list": "a list",
+    "dict": "a table",
+}
+
+
+def read_agent(path: str | Path) -> AgentConfig:
+    """Return what the ``agent.toml`` at `path` says.
+
+    Raises:
+        ConfigFileError: It cannot be read.
+        ConfigError: It is not TOML, or says something that cannot be.
+    """
+    return parse_agent(load(path), str(path))
+
+
+def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
+    """Return what the text of an ``agent.toml`` says; `file` is its name in messages.
+
+    Raises:
+        ConfigError: It is not TOML, or says something that cannot be.
+    """
+    text = decode(text, file) if isinstance(text, bytes) else text
+    text = text.removeprefix("\ufeff")
+    table = _toml(text, file)
+    known = get_type_hints(AgentConfig)
+    for key, value in table.items():
+        place = _place(text, file, key)
+        if key not in known:
+            raise fault(
+                f"unknown key {quote(key)}",
+                place,
+                expected=" or ".join(known),
+                remedy=nearest(key, known) or "remove it",
+            )
+        try:
+            msgspec.convert(value, known[key])
+        except msgspec.ValidationError as error:
+            raise fault(
+                f"the value of {key} is of the wrong type",
+                place,
+                expected=_expected(str(error)),
+                got=_got(value),
+                remedy="see docs/files.md for the keys of agent.toml",
+            ) from None
+    config = msgspec.convert(table, AgentConfig)
+    _check(config, text, file)
+    return config
+
+
+def _toml(text: str, file: str) -> dict[str, Any]:
+    """Return the table that the text is."""
+    _refuse_long_lines(text, file)
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
+        message = str(error)
+        match = _AT.search(message)
+        if match and match[1]:
+            place = Place(file, int(match[1]), int(match[2]))
+        elif match:
+            last = text.rstrip("\n")
+            line = last.count("\n") + 1
+            place = Place(file, line, len(last) - (last.rfind("\n") + 1) + 1)
+        else:
+            place = Place(file, 1)
+        reason = _AT.sub("", message)
+        if isinstance(error, RecursionError):
+            reason = "nested too deep"
+        raise fault(
+            f"this is not TOML: {quote(reason)[1:-1]}",
+            place,
+            expected="key = value",
+            remedy="texts stand in quotes, lists in brackets",
+        ) from None
+
+
+def _refuse_long_lines(text: str, file: str) -> None:
+    start, number = 0, 0
+    while start <= len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        number += 1
+        if end - start > MAX_LINE:
+            raise fault(
+                "the line is too long",
+                Place(file, number),
+                expected=f"at most {MAX_LINE} characters",
+                got=f"{end - start}",
+                remedy="is this a configuration file at all?",
+            )
+        start = end + 1
+
+
+def _place(text: str, file: str, key: str) -> Place:
+    """Return where a key of the top table stands."""
+    name = re.escape(key)
+    pattern = rf"^([ \t]*\[*[ \t]*)[\"']?{name}[\"']?(?=[ \t]*[=.\]])"
+    match = re.search(pattern, text, re.MULTILINE)
+    if match is None:
+        return Place(file, 1)
+    return Place(file, text.count("\n", 0, match.start()) + 1, len(match[1]) + 1)
+
+
+def _expected(message: str) -> str:
+    """Return what msgspec expected, out of its message."""
+    message, _, path = message.partition(" - at ")
+    wanted = message.removeprefix("Expected ").partition(", got")[0].replace("`", "")
+    wanted = wanted.replace(" | null", "").replace("array", "a list of texts")
+    inside = " in the list" if "[" in path else ""
+    return wanted.replace("str", "text") + inside
+
+
+def _got(value: object) -> str:
+    kind = type(value).__name__
+    return _KINDS.get(kind, f"a {kind}")
+
+
+def _check(config: AgentConfig, text: str, file: str) -> None:
+    """Refuse values of the right type that cannot be."""
+    for key in ("name", "domain"):
+        value: str | None = getattr(config, key)
+        if value is not None:
+            what = "an RTPU" if key == "name" else "a domain"
+            words.label(Word(value, _place(text, file, key)), what)
+    if config.core is not None and not 0 <= config.core < _MOST_CORES:
+        raise fault(
+            "there is no such core",
+            _place(text, file, "core"),
+            expected=f"0 to {_MOST_CORES - 1}",
+            got=f"{config.core}",
+            remedy="cores count from 0; see lscpu",
+        )
+    if not 0.0 <= config.grace <= MAX_GRACE:
+        raise fault(
+            "grace is out of bounds",
+            _place(text, file, "grace"),
+            expected=f"0 to {MAX_GRACE:g} s",
+            got=f"{config.grace:g} s",
+            remedy="correct the value",
+        )

@@ -1,0 +1,168 @@
+"""What order the keywords of a block have, and which of them may be left out.
+
+A grammar is written as it is shown to people: ``NAME TYPE [INIT] PRE* TASK+``.
+``[A|B]`` are optional keywords in any order, ``A|B`` at least one of them, ``*`` any
+number of lines, ``+`` one or more.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .model import Place
+from .reader import Line, Reader, fault
+
+if TYPE_CHECKING:
+    from pbonet.errors import ConfigError
+
+
+class Stage:
+    """One place in the order: the keywords that may stand there."""
+
+    def __init__(self, text: str) -> None:
+        self.many = text[-1] in "*+"
+        self.optional = text[0] == "[" or text[-1] == "*"
+        self.text = text.strip("[]*+")
+        self.keywords = tuple(self.text.split("|"))
+
+
+class Grammar:
+    """The order of a block's keywords.
+
+    Args:
+        text: The order as people read it.
+        after: Keywords that may follow the block.
+    """
+
+    def __init__(self, text: str, *, after: tuple[str, ...] = ("EOF",)) -> None:
+        self.text = text
+        self.after = after
+        self.stages = [Stage(part) for part in text.split()]
+        self.stage_of = {
+            keyword: number
+            for number, stage in enumerate(self.stages)
+            for keyword in stage.keywords
+        }
+
+    @property
+    def keywords(self) -> tuple[str, ...]:
+        """All keywords, in order."""
+        return tuple(self.stage_of)
+
+    def next_after(self, number: int, found: Block) -> list[str]:
+        """Return the keywords that may stand behind stage `number`."""
+        words: list[str] = []
+        for index, stage in enumerate(self.stages[max(number, 0) :], max(number, 0)):
+            missing = [k for k in stage.keywords if k not in found.lines]
+            words += stage.keywords if stage.many else missing
+            if index > number and not stage.optional:
+                return words
+        return words + [word for word in self.after if word not in words]
+
+
+class Block:
+    """The lines of one block, by keyword."""
+
+    def __init__(self, place: Place) -> None:
+        self.place = place
+        self.lines: dict[str, list[Line]] = {}
+
+    def __contains__(self, keyword: str) -> bool:
+        """Return whether the block has a line of that keyword."""
+        return keyword in self.lines
+
+    def __getitem__(self, keyword: str) -> Line:
+        """Return the first line of that keyword."""
+        return self.lines[keyword][0]
+
+    def get(self, keyword: str) -> Line | None:
+        """Return the line of that keyword, None when the block has none."""
+        lines = self.lines.get(keyword)
+        return lines[0] if lines else None
+
+    def all(self, keyword: str) -> list[Line]:
+        """Return every line of that keyword."""
+        return self.lines.get(keyword, [])
+
+    @property
+    def places(self) -> dict[str, Place]:
+        """Where each keyword stands first."""
+        return {keyword: lines[0].place for keyword, lines in self.lines.items()}
+
+
+def read_block(reader: Reader, grammar: Grammar) -> Block:
+    """Return the block that begins at the reader's next line.
+
+    Raises:
+        ConfigError: A keyword is unknown, missing, repeated, or out of order.
+    """
+    block = Block(reader.peek().place)
+    stage = -1
+    while True:
+        line = reader.peek()
+        if line.keyword in grammar.after and not _belongs(line, grammar, block):
+            _refuse_missing(grammar, stage, len(grammar.stages), line)
+            return block
+        number = grammar.stage_of.get(line.keyword)
+        if number is None:
+            raise _foreign(reader, line, grammar, grammar.next_after(stage, block))
+        if number < stage or (
+            line.keyword in block and not grammar.stages[number].many
+        ):
+            raise _late(line, grammar, block, stage)
+        _refuse_missing(grammar, stage, number, line)
+        stage = number
+        block.lines.setdefault(line.keyword, []).append(reader.take())
+
+
+def _belongs(line: Line, grammar: Grammar, block: Block) -> bool:
+    """Return whether a keyword that may begin the next block still is of this one."""
+    return line.keyword in grammar.stage_of and not block.lines
+
+
+def _foreign(
+    reader: Reader, line: Line, grammar: Grammar, expected: list[str]
+) -> ConfigError:
+    """Return the error for a keyword that this block does not have."""
+    if line.keyword not in reader.keywords:
+        return reader.unknown(line, expected)
+    return fault(
+        f"{line.keyword} cannot stand here",
+        line.place,
+        expected=" or ".join(expected),
+        remedy=f"the order is {grammar.text}, then {' or '.join(grammar.after)}",
+    )
+
+
+def _late(line: Line, grammar: Grammar, block: Block, stage: int) -> ConfigError:
+    """Return the error for a keyword that was given already or comes too late."""
+    first = block.get(line.keyword)
+    if first and not grammar.stages[grammar.stage_of[line.keyword]].many:
+        return fault(
+            f"{line.keyword} is given twice",
+            line.place,
+            expected=f"one {line.keyword} line",
+            got=f"another one in line {first.place.line}",
+            remedy="remove one of them",
+        )
+    former = next(k for k in grammar.stages[stage].keywords if k in block)
+    return fault(
+        f"wrong order: {line.keyword} stands behind {former}",
+        line.place,
+        expected=f"{line.keyword} before {former}",
+        remedy=f"the order is {grammar.text}",
+    )
+
+
+def _refuse_missing(grammar: Grammar, stage: int, until: int, line: Line) -> None:
+    """Refuse `line` when a required keyword between two stages has not come yet."""
+    for needed in grammar.stages[stage + 1 : until]:
+        if not needed.optional:
+            wanted = needed.text.replace("|", " or ")
+            raise fault(
+                f"wrong order: {line.keyword} stands where {wanted} must",
+                line.place,
+                expected=wanted,
+                got=line.keyword,
+                remedy=f"the order is {grammar.text}",
+            )

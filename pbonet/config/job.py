@@ -1,0 +1,163 @@
+"""The ``.job`` file: a task set and the conditions around it (section 3.2).
+
+The thesis says what a job is and leaves its syntax open; this one is pbonet's own.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import did_you_mean
+
+from . import words
+from .blocks import Block, Grammar, read_block
+from .model import Condition, JobFile, JobTask
+from .reader import Line, Reader, fault, load, quote
+from .rmod import frequency
+from .write import number, same_again, text_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+GRAMMAR = Grammar("JOB DESC SBS PRE* POST* TASK+ [OFF]")
+_FREQ_WORDS = 2
+
+
+def read_job(path: str | Path) -> JobFile:
+    """Return what the ``.job`` file at `path` says.
+
+    Raises:
+        ConfigFileError: It cannot be read.
+        ConfigError: It says something that cannot be.
+    """
+    return parse_job(load(path), str(path))
+
+
+def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
+    """Return what the text of a ``.job`` file says; `file` is its name in messages.
+
+    Raises:
+        ConfigError: It says something that cannot be.
+    """
+    reader = Reader(text, file, GRAMMAR.keywords)
+    block = read_block(reader, GRAMMAR)
+    tasks: dict[str, JobTask] = {}
+    for line in block.all("TASK"):
+        task = _task(reader, line)
+        if first := tasks.get(task.rmod):
+            above = first.place.line if first.place else 0
+            raise fault(
+                f"the RMOD {quote(task.rmod)} is named twice",
+                line.place,
+                expected="one TASK line for each RMOD",
+                got=f"another one in line {above}",
+                remedy="remove one, or copy the .rmod under another name",
+            )
+        tasks[task.rmod] = task
+    off_order = _off(block, tasks)
+    reader.finish()
+    return JobFile(
+        file=file,
+        name=words.label(words.single(block["JOB"], "a name"), "a job"),
+        desc=block["DESC"].rest,
+        sbs=words.path(block["SBS"], "the name of a .sbs file"),
+        pre=tuple(_condition(line) for line in block.all("PRE")),
+        post=tuple(_condition(line) for line in block.all("POST")),
+        tasks=tuple(tasks.values()),
+        off_order=off_order,
+    )
+
+
+def _condition(line: Line) -> Condition:
+    text = " ".join(word.text for word in line.words)
+    if not text:
+        raise fault(
+            f"{line.keyword} needs a condition",
+            line.place,
+            expected="a condition",
+            got="nothing",
+            remedy="write the condition behind the keyword, or remove the line",
+        )
+    return Condition(text, line.words[0].place)
+
+
+def _task(reader: Reader, line: Line) -> JobTask:
+    """Return the task of ``TASK rmod [rtpu] [FREQ hz]``."""
+    rest = line.words
+    if not rest:
+        raise fault(
+            "TASK names no RMOD",
+            line.place,
+            expected="TASK rmod [rtpu] [FREQ hz]",
+            got="nothing",
+            remedy="name the RMOD to run",
+        )
+    rmod = words.label(rest.pop(0), "an RMOD")
+    rtpu = freq = None
+    if rest and rest[0].text != "FREQ":
+        rtpu = words.label(rest.pop(0), "an RTPU")
+    if len(rest) >= _FREQ_WORDS and rest[0].text == "FREQ":
+        freq = frequency(reader, rest[1])
+        del rest[:_FREQ_WORDS]
+    if rest:
+        raise fault(
+            "TASK is malformed",
+            rest[0].place,
+            expected="TASK rmod [rtpu] [FREQ hz]",
+            got=f"{quote(rest[0].text)} here",
+            remedy="write the RTPU first, then FREQ and Hz",
+        )
+    return JobTask(rmod=rmod, rtpu=rtpu, freq=freq, place=line.place)
+
+
+def _off(block: Block, tasks: dict[str, JobTask]) -> tuple[str, ...]:
+    """Return the turn-off order of the OFF line."""
+    line = block.get("OFF")
+    if line is None:
+        return ()
+    order: dict[str, None] = {}
+    for word in line.words:
+        if word.text not in tasks or word.text in order:
+            again = word.text in order
+            raise fault(
+                f"OFF names {quote(word.text)} twice"
+                if again
+                else f"OFF names {quote(word.text)}, which no TASK line does",
+                word.place,
+                expected="each task at most once" if again else " or ".join(tasks),
+                remedy="remove one of them"
+                if again
+                else did_you_mean(word.text[:40], tasks) or "correct the name",
+            )
+        order[word.text] = None
+    if not order:
+        raise fault(
+            "OFF names no task",
+            line.place,
+            expected="tasks in the order of turning them off",
+            got="nothing",
+            remedy="name them, or remove the line for the reverse of turning on",
+        )
+    return tuple(order)
+
+
+def write_job(record: JobFile) -> str:
+    """Return the text of a ``.job`` file that says what `record` says.
+
+    Raises:
+        ConfigError: No file can say it.
+    """
+    lines = [
+        text_line("JOB", record.name),
+        text_line("DESC", record.desc),
+        text_line("SBS", record.sbs),
+    ]
+    lines += [text_line("PRE", condition.text) for condition in record.pre]
+    lines += [text_line("POST", condition.text) for condition in record.post]
+    for task in record.tasks:
+        freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
+        parts = (task.rmod, task.rtpu or "", freq)
+        lines.append(text_line("TASK", " ".join(part for part in parts if part)))
+    if record.off_order:
+        lines.append(text_line("OFF", " ".join(record.off_order)))
+    return same_again(record, "".join([*lines, "EOF\n"]), parse_job)

@@ -1,0 +1,389 @@
+"""The ``.rmod`` file: a module configured for use (section 3.8)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from pbonet.errors import did_you_mean
+
+from . import words
+from .blocks import Block, Grammar, read_block
+from .model import LocalLine, Place, Rmod, TaskType
+from .reader import Line, Reader, Word, fault, load, quote
+from .write import number, same_again, text_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+GRAMMAR = Grammar(
+    "MODULE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE [FREQ|PERIOD] "
+    "[CRITICAL|CAPACITY|MINC|MAXC|SOFTNESS|CRIT|RTPU]",
+    after=("LOCAL", "EOF"),
+)
+LISTS = ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
+CRITICALITIES = (1, 62)
+"""Lowest and highest CRIT; 0 and 63 are pbonet's own (section 4.5.1)."""
+
+_TIMED = {TaskType.PERIODIC, TaskType.SYNCHRONOUS}
+_SERVERS = {TaskType.SPORADIC, TaskType.DEFERRABLE}
+
+
+def read_rmod(path: str | Path) -> Rmod:
+    """Return what the ``.rmod`` file at `path` says.
+
+    Raises:
+        ConfigFileError: It cannot be read.
+        ConfigError: It says something that cannot be.
+    """
+    return parse_rmod(load(path), str(path))
+
+
+def parse_rmod(text: str | bytes, file: str) -> Rmod:
+    """Return what the text of a ``.rmod`` file says.
+
+    Args:
+        text: The text.
+        file: Its name, for messages; its last part without ``.rmod`` is the
+            RMOD's name.
+
+    Raises:
+        ConfigError: It says something that cannot be.
+    """
+    reader = Reader(text, file, (*GRAMMAR.keywords, "LOCAL"))
+    name = _name(file)
+    block = read_block(reader, GRAMMAR)
+    ports = {keyword: _ports(block[keyword]) for keyword in LISTS}
+    aliases = _aliases(block, ports)
+    tasktype = words.choice(
+        words.single(block["TASKTYPE"], "one task type"), TaskType, "a task type"
+    )
+    freq = _freq(reader, block, tasktype)
+    capacity = _capacity(reader, block, tasktype, freq)
+    minc, maxc = _times(reader, block)
+    local, places = _local(reader)
+    reader.finish()
+    return Rmod(
+        name=name,
+        file=file,
+        module=words.module(words.single(block["MODULE"], "the module's name")),
+        desc=block["DESC"].rest,
+        aliases=aliases,
+        inconst=_texts(ports["INCONST"]),
+        outconst=_texts(ports["OUTCONST"]),
+        invar=_texts(ports["INVAR"]),
+        outvar=_texts(ports["OUTVAR"]),
+        tasktype=tasktype,
+        freq=freq,
+        critical=_critical(block),
+        capacity=capacity,
+        minc=minc,
+        maxc=maxc,
+        softness=_softness(reader, block),
+        crit=_crit(reader, block),
+        rtpu=_rtpu(block),
+        local=local,
+        places={**block.places, **places},
+    )
+
+
+def rmod_name(file: str) -> str:
+    """Return the RMOD's name that belongs to a file name."""
+    return Path(file).name.removesuffix(".rmod")
+
+
+def _name(file: str) -> str:
+    return words.label(Word(rmod_name(file), Place(file, 1)), "an RMOD (its file name)")
+
+
+def _texts(ports: Iterable[Word]) -> tuple[str, ...]:
+    return tuple(port.text for port in ports)
+
+
+def _ports(line: Line) -> tuple[Word, ...]:
+    """Return the ports a list names; ``none`` for an empty one."""
+    found = line.words
+    if not found:
+        raise fault(
+            f"{line.keyword} is empty",
+            line.place,
+            expected="names of ports, or none",
+            got="nothing",
+            remedy=f"write {line.keyword} none",
+        )
+    if [word.text for word in found] == ["none"]:
+        return ()
+    seen: set[str] = set()
+    for word in found:
+        if word.text == "none":
+            raise fault(
+                f"{line.keyword} says none beside names",
+                word.place,
+                expected="names of ports, or none alone",
+                got=f"{len(found)} words",
+                remedy="remove none",
+            )
+        if words.variable(word, "a port") in seen:
+            raise fault(
+                f"{line.keyword} names {quote(word.text)} twice",
+                word.place,
+                expected="each port once",
+                remedy="remove one of them",
+            )
+        seen.add(word.text)
+    return tuple(found)
+
+
+class _Alias(NamedTuple):
+    port: Word
+    variable: str
+
+
+def _aliases(block: Block, ports: dict[str, tuple[Word, ...]]) -> dict[str, str]:
+    """Return which variable stands for which port."""
+    listed = {word.text for found in ports.values() for word in found}
+    aliases: dict[str, _Alias] = {}
+    for line in block.all("SVARALIAS"):
+        alias = _alias(line)
+        port = alias.port.text
+        if first := aliases.get(port):
+            raise fault(
+                f"the port {quote(port)} has two aliases",
+                alias.port.place,
+                expected="one SVARALIAS line for each port",
+                got=f"another one in line {first.port.place.line}",
+                remedy="remove one of them",
+            )
+        if port not in listed:
+            raise fault(
+                f"SVARALIAS for the unknown port {quote(port)}",
+                alias.port.place,
+                expected=f"a port of {', '.join(LISTS[:3])} or {LISTS[3]}",
+                got=quote(port),
+                remedy=did_you_mean(port, sorted(listed))
+                or "write PORT=VARIABLE with the module's own name first",
+            )
+        aliases[port] = alias
+    names = {port: alias.variable for port, alias in aliases.items()}
+    for direction in (("INCONST", "INVAR"), ("OUTCONST", "OUTVAR")):
+        _refuse_collision(direction, ports, names)
+    return names
+
+
+def _alias(line: Line) -> _Alias:
+    """Return the port and the variable of ``SVARALIAS PORT=VARIABLE``."""
+    text = "".join(word.text for word in line.words)
+    if text.count("=") != 1:
+        raise fault(
+            "SVARALIAS is malformed",
+            line.place,
+            expected="PORT=VARIABLE",
+            got=quote(line.rest),
+            remedy="write the module's name of the port, =, and the variable",
+        )
+    joined = Word(text, Place(line.place.file, line.place.line, line.rest_column))
+    port, variable = text.split("=")
+    at = joined.place.column + line.rest.index("=") + 1
+    behind = Place(joined.place.file, joined.place.line, at)
+    return _Alias(
+        Word(words.variable(Word(port, joined.place), "a port"), joined.place),
+        words.variable(Word(variable, behind)),
+    )
+
+
+def _refuse_collision(
+    direction: tuple[str, ...],
+    ports: dict[str, tuple[Word, ...]],
+    aliases: dict[str, str],
+) -> None:
+    """Refuse two ports of one direction that stand for the same variable."""
+    user: dict[str, Word] = {}
+    for word in (word for keyword in direction for word in ports[keyword]):
+        variable = aliases.get(word.text, word.text)
+        if first := user.get(variable):
+            raise fault(
+                f"the ports {quote(first.text)} and {quote(word.text)} both stand for "
+                f"the variable {quote(variable)}",
+                word.place,
+                expected=f"one port of {' and '.join(direction)} for each variable",
+                remedy="give one of them another variable by SVARALIAS",
+            )
+        user[variable] = word
+
+
+def _freq(reader: Reader, block: Block, tasktype: TaskType) -> float | None:
+    """Return the frequency in Hz, from FREQ or PERIOD."""
+    freq, period = block.get("FREQ"), block.get("PERIOD")
+    if freq and period:
+        second = max(freq.place, period.place)
+        raise fault(
+            "both FREQ and PERIOD are given",
+            second,
+            expected="one of them",
+            got=f"the other in line {min(freq.place, period.place).line}",
+            remedy="remove one of them",
+        )
+    line = freq or period
+    if line is None:
+        if tasktype in _TIMED:
+            raise fault(
+                f"a {tasktype.value} task without FREQ and PERIOD",
+                block["TASKTYPE"].place,
+                expected="FREQ in Hz or PERIOD in seconds behind TASKTYPE",
+                got="neither",
+                remedy="add the task's default frequency",
+            )
+        return None
+    if tasktype is TaskType.BACKGROUND:
+        raise fault(
+            f"{line.keyword} means nothing for a background task",
+            line.place,
+            expected=f"no {line.keyword}, as it runs when nothing else does",
+            remedy="remove the line, or choose another TASKTYPE",
+        )
+    return _hertz(reader, line)
+
+
+def _hertz(reader: Reader, line: Line) -> float:
+    if line.keyword == "FREQ":
+        return frequency(reader, words.single(line, "a frequency in Hz"))
+    word = words.single(line, "a period in seconds")
+    wanted = "seconds from 1e-06 to 1e+06"
+    return 1.0 / words.real(
+        reader, word, wanted, low=1e-6, high=1e6, open_low=False, open_high=False
+    )
+
+
+def frequency(reader: Reader, word: Word) -> float:
+    """Return the word as a task's frequency in Hz."""
+    wanted = "Hz from 1e-06 to 1e+06"
+    return words.real(
+        reader, word, wanted, low=1e-6, high=1e6, open_low=False, open_high=False
+    )
+
+
+def _critical(block: Block) -> bool:
+    """Return whether the task is marked; CRITICAL alone means yes."""
+    line = block.get("CRITICAL")
+    return line is not None and (not line.words or words.yes(line))
+
+
+def _capacity(
+    reader: Reader, block: Block, tasktype: TaskType, freq: float | None
+) -> float | None:
+    line = block.get("CAPACITY")
+    if line is None:
+        return None
+    if tasktype not in _SERVERS:
+        raise fault(
+            f"CAPACITY means nothing for a {tasktype.value} task",
+            line.place,
+            expected="CAPACITY with TASKTYPE sporadic or deferrable only",
+            remedy="remove the line, or choose another TASKTYPE",
+        )
+    high = 1.0 / freq if freq else 1e6
+    word = words.single(line, "seconds")
+    wanted = f"seconds above 0, at most {high:g}" + (", the period" if freq else "")
+    return words.real(reader, word, wanted, high=high, open_high=False)
+
+
+def _times(reader: Reader, block: Block) -> tuple[float | None, float | None]:
+    """Return the declared least and greatest execution times in seconds."""
+    found: list[float | None] = []
+    for keyword in ("MINC", "MAXC"):
+        line = block.get(keyword)
+        word = words.single(line, "seconds") if line else None
+        found.append(words.real(reader, word, "seconds above 0") if word else None)
+    minc, maxc = found
+    if minc is not None and maxc is not None and minc > maxc:
+        raise fault(
+            "MINC is above MAXC",
+            block["MINC"].place,
+            expected=f"at most {maxc} s, which is MAXC",
+            got=f"{minc} s",
+            remedy="exchange the values or correct one",
+        )
+    return minc, maxc
+
+
+def _softness(reader: Reader, block: Block) -> float | None:
+    line = block.get("SOFTNESS")
+    if line is None:
+        return None
+    word = words.single(line, "a fraction of the cycles")
+    return words.real(
+        reader,
+        word,
+        "0 (no cycle may miss) up to, not including, 1",
+        high=1.0,
+        open_low=False,
+    )
+
+
+def _crit(reader: Reader, block: Block) -> int | None:
+    line = block.get("CRIT")
+    if line is None:
+        return None
+    return words.whole(reader, words.single(line, "a criticality"), *CRITICALITIES)
+
+
+def _rtpu(block: Block) -> str | None:
+    line = block.get("RTPU")
+    return words.label(words.single(line, "an RTPU"), "an RTPU") if line else None
+
+
+def _local(reader: Reader) -> tuple[dict[str, LocalLine], dict[str, Place]]:
+    """Return the lines of the LOCAL part, which ends at EOF, and where it begins."""
+    head = reader.peek()
+    if head.keyword != "LOCAL":
+        return {}, {}
+    reader.take()
+    if head.words:
+        raise fault(
+            "LOCAL has words on its line",
+            head.words[0].place,
+            expected="LOCAL alone, and below it one parameter a line",
+            got=quote(head.rest),
+            remedy="move them to a line of their own",
+        )
+    local: dict[str, LocalLine] = {}
+    while (line := reader.peek()).keyword != "EOF":
+        reader.take()
+        if first := local.get(line.keyword):
+            where = f"another one in line {first.place.line}" if first.place else ""
+            raise fault(
+                f"the LOCAL parameter {quote(line.keyword)} is given twice",
+                line.place,
+                expected="one line for each parameter",
+                got=where,
+                remedy="remove one of them",
+            )
+        values = tuple(reader.constants.replace(word) for word in line.words)
+        local[line.keyword] = LocalLine(values, line.place)
+    return local, {"LOCAL": head.place}
+
+
+def write_rmod(record: Rmod) -> str:
+    """Return the text of a ``.rmod`` file that says what `record` says.
+
+    Raises:
+        ConfigError: No file can say it, such as a DESC of two lines.
+    """
+    lines = [text_line("MODULE", record.module), text_line("DESC", record.desc)]
+    lines += [text_line("SVARALIAS", f"{p}={v}") for p, v in record.aliases.items()]
+    for keyword in LISTS:
+        ports: tuple[str, ...] = getattr(record, keyword.lower())
+        lines.append(text_line(keyword, " ".join(ports) or "none"))
+    lines.append(text_line("TASKTYPE", record.tasktype.value))
+    for keyword in ("FREQ", "CAPACITY", "MINC", "MAXC", "SOFTNESS", "CRIT"):
+        value: float | int | None = getattr(record, keyword.lower())
+        if value is not None:
+            lines.append(text_line(keyword, number(value)))
+    if record.critical:
+        lines.append(text_line("CRITICAL", "yes"))
+    if record.rtpu is not None:
+        lines.append(text_line("RTPU", record.rtpu))
+    if record.local:
+        lines.append("\nLOCAL\n")
+        lines += [text_line(key, " ".join(v.words)) for key, v in record.local.items()]
+    return same_again(record, "".join([*lines, "EOF\n"]), parse_rmod)

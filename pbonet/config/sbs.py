@@ -1,0 +1,148 @@
+"""The ``.sbs`` file: how a subsystem's hardware is set up (sections 4.3, 4.5.1)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import did_you_mean
+
+from . import words
+from .blocks import Block, Grammar, read_block
+from .model import ErrPrint, RtpuEntry, SbsFile, Scheduler, Usage
+from .reader import Reader, fault, load, quote
+from .write import number, same_again, text_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HEAD = Grammar("SUBSYSTEM SVARFILE [MASTER]", after=("RTPU",))
+RTPU = Grammar("RTPU [SCHEDULER|USAGE|ERRPRINT|MINFREQ|MAXFREQ]", after=("RTPU", "EOF"))
+
+
+def read_sbs(path: str | Path) -> SbsFile:
+    """Return what the ``.sbs`` file at `path` says.
+
+    Raises:
+        ConfigFileError: It cannot be read.
+        ConfigError: It says something that cannot be.
+    """
+    return parse_sbs(load(path), str(path))
+
+
+def parse_sbs(text: str | bytes, file: str = "<text>") -> SbsFile:
+    """Return what the text of a ``.sbs`` file says; `file` is its name in messages.
+
+    Raises:
+        ConfigError: It says something that cannot be.
+    """
+    reader = Reader(text, file, (*HEAD.keywords, *RTPU.keywords))
+    head = read_block(reader, HEAD)
+    rtpus: dict[str, RtpuEntry] = {}
+    while reader.peek().keyword != "EOF":
+        entry = _rtpu(reader, rtpus)
+        rtpus[entry.name] = entry
+    reader.finish()
+    return SbsFile(
+        file=file,
+        subsystem=words.label(words.single(head["SUBSYSTEM"], "a name"), "a subsystem"),
+        svarfile=words.path(head["SVARFILE"], "the name of a .svar file"),
+        master=_master(head, rtpus),
+        rtpus=tuple(rtpus.values()),
+    )
+
+
+def _master(head: Block, rtpus: dict[str, RtpuEntry]) -> str | None:
+    line = head.get("MASTER")
+    if line is None:
+        return None
+    word = words.single(line, "the name of an RTPU")
+    if word.text not in rtpus:
+        raise fault(
+            f"MASTER names {quote(word.text)}, which no RTPU line does",
+            word.place,
+            expected=" or ".join(rtpus),
+            got=quote(word.text),
+            remedy=did_you_mean(word.text[:40], rtpus)
+            or "add an RTPU line for it, or name a listed one",
+        )
+    return word.text
+
+
+def _rtpu(reader: Reader, former: dict[str, RtpuEntry]) -> RtpuEntry:
+    """Return the RTPU whose block begins at the reader's next line."""
+    block = read_block(reader, RTPU)
+    name = words.single(block["RTPU"], "the name of an RTPU")
+    words.label(name, "an RTPU")
+    if first := former.get(name.text):
+        above = first.place.line if first.place else 0
+        raise fault(
+            f"the RTPU {quote(name.text)} is named twice",
+            name.place,
+            expected="one RTPU line for each RTPU",
+            got=f"another one in line {above}",
+            remedy="remove one of them",
+        )
+    entry = RtpuEntry(
+        name=name.text,
+        scheduler=_option(block, "SCHEDULER", Scheduler.MUF, "a scheduler"),
+        usage=_option(block, "USAGE", Usage.EXCLUSIVE, "a usage"),
+        errprint=_option(block, "ERRPRINT", ErrPrint.WARNINGS, "a kind of messages"),
+        minfreq=_hertz(reader, block, "MINFREQ", 1.0),
+        maxfreq=_hertz(reader, block, "MAXFREQ", 1000.0),
+        place=name.place,
+    )
+    if entry.minfreq >= entry.maxfreq:
+        line = block.get("MAXFREQ") or block["MINFREQ"]
+        told = {"MINFREQ", "MAXFREQ"} & block.lines.keys()
+        assumed = {"MINFREQ", "MAXFREQ"} - told
+        raise fault(
+            "MINFREQ is not below MAXFREQ",
+            line.place,
+            expected=f"MINFREQ below MAXFREQ = {entry.maxfreq:g} Hz",
+            got=f"MINFREQ = {entry.minfreq:g} Hz",
+            remedy=f"add {assumed.pop()}, which is the default here"
+            if assumed
+            else "exchange the values or correct one",
+        )
+    return entry
+
+
+def _option(
+    block: Block, keyword: str, default: words.Choice, what: str
+) -> words.Choice:
+    line = block.get(keyword)
+    if line is None:
+        return default
+    return words.choice(words.single(line, what), type(default), what)
+
+
+def _hertz(reader: Reader, block: Block, keyword: str, default: float) -> float:
+    line = block.get(keyword)
+    if line is None:
+        return default
+    return words.real(reader, words.single(line, "a frequency in Hz"), "Hz above 0")
+
+
+def write_sbs(record: SbsFile) -> str:
+    """Return the text of a ``.sbs`` file that says what `record` says.
+
+    Raises:
+        ConfigError: No file can say it.
+    """
+    lines = [
+        text_line("SUBSYSTEM", record.subsystem),
+        text_line("SVARFILE", record.svarfile),
+    ]
+    if record.master is not None:
+        lines.append(text_line("MASTER", record.master))
+    for rtpu in record.rtpus:
+        lines += [
+            "\n",
+            text_line("RTPU", rtpu.name),
+            text_line("SCHEDULER", rtpu.scheduler.value),
+            text_line("USAGE", rtpu.usage.value),
+            text_line("ERRPRINT", rtpu.errprint.value),
+            text_line("MINFREQ", number(rtpu.minfreq)),
+            text_line("MAXFREQ", number(rtpu.maxfreq)),
+        ]
+    return same_again(record, "".join([*lines, "EOF\n"]), parse_sbs)
