@@ -1,0 +1,38 @@
+"""pbonet: assemble a robot's control software from port-based objects.
+
+These are the names that the author of a module imports. Programs that steer a subsystem
+import `pbonet.master`; tests of modules import `pbonet.testing`.
+"""
+
+from .errors import PbonetError
+from .pbo import (
+    Answer,
+    Params,
+    PortBasedObject,
+    Signal,
+    State,
+    TaskContext,
+    param,
+    user_signal,
+)
+from .ports import InConst, InVar, Matrix, OutConst, OutVar, Vector
+
+__all__ = [
+    "Answer",
+    "InConst",
+    "InVar",
+    "Matrix",
+    "OutConst",
+    "OutVar",
+    "Params",
+    "PbonetError",
+    "PortBasedObject",
+    "Signal",
+    "State",
+    "TaskContext",
+    "Vector",
+    "param",
+    "user_signal",
+]
+
+__version__ = "0.1.0"

@@ -1,0 +1,55 @@
+"""Port-based objects: what a module is, apart from any process (Stewart 1994, 3.3-3.6).
+
+A module is a class that derives from `PortBasedObject`. This package reads its
+declarations, decodes its parameters, binds an instance to arrays, and describes it.
+"""
+
+from ._bind import bind
+from ._describe import ModuleInfo, ParamInfo, describe, render, source_version
+from ._object import Interface, PortBasedObject, interface
+from ._params import (
+    Param,
+    Params,
+    change_param,
+    decode_params,
+    param,
+    params_type,
+)
+from ._task import (
+    Answer,
+    Notice,
+    Outbox,
+    Signal,
+    State,
+    TaskContext,
+    TaskFailure,
+    TimeSource,
+    user_signal,
+)
+
+__all__ = [
+    "Answer",
+    "Interface",
+    "ModuleInfo",
+    "Notice",
+    "Outbox",
+    "Param",
+    "ParamInfo",
+    "Params",
+    "PortBasedObject",
+    "Signal",
+    "State",
+    "TaskContext",
+    "TaskFailure",
+    "TimeSource",
+    "bind",
+    "change_param",
+    "decode_params",
+    "describe",
+    "interface",
+    "param",
+    "params_type",
+    "render",
+    "source_version",
+    "user_signal",
+]

@@ -1,0 +1,171 @@
+"""What a module is, as data that travels and as text that is read."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from pathlib import Path
+from typing import Any, cast
+
+import msgspec
+from msgspec import Struct, structs
+
+from pbonet.ports import Kind, Port, shape_text
+
+from ._object import PortBasedObject
+
+
+class ParamInfo(Struct, frozen=True, kw_only=True):
+    """One parameter of a module."""
+
+    name: str
+    type: str
+    """In words, such as ``float`` or ``one or more float``."""
+    unit: str
+    doc: str
+    required: bool
+    default: str = ""
+    """As a LOCAL line would have it."""
+    bounds: str = ""
+
+
+class ModuleInfo(Struct, frozen=True, kw_only=True):
+    """What is known about a module without running it."""
+
+    name: str
+    """As the MODULE line of an RMOD names it."""
+    cls: str
+    doc: str
+    """The first paragraph of the class docstring."""
+    version: str
+    """A hash of the source; see `source_version`."""
+    file: str
+    ports: tuple[Port, ...]
+    params: tuple[ParamInfo, ...]
+    methods: tuple[str, ...]
+    """Methods that the module writes itself."""
+    critical_ok: bool
+    """True when it has `stable`, and so may be marked CRITICAL."""
+
+    def named(self, kind: Kind) -> tuple[str, ...]:
+        """Return the names of the ports of one kind, as an RMOD lists them."""
+        return tuple(port.name for port in self.ports if port.kind is kind)
+
+
+def source_version(source: bytes) -> str:
+    """Return the version of a module: the first 12 hex digits of its SHA-256."""
+    return hashlib.sha256(source).hexdigest()[:12]
+
+
+def describe(
+    cls: type[PortBasedObject[Any]],
+    *,
+    name: str = "",
+    file: str = "",
+    version: str = "",
+) -> ModuleInfo:
+    """Return what is known about a module.
+
+    Args:
+        cls: The module's class.
+        name: Its name in RMODs; by default that of the Python module it stands in.
+        file: Its file; found from the class by default.
+        version: Hash of the source that was run; computed from the file by default.
+    """
+    file = file or _file(cls)
+    if not version and file and Path(file).is_file():
+        version = source_version(Path(file).read_bytes())
+    declared = cls.__interface__
+    return ModuleInfo(
+        name=name or cls.__module__.rpartition(".")[2],
+        cls=cls.__qualname__,
+        doc=" ".join((inspect.getdoc(cls) or "").split("\n\n")[0].split()),
+        version=version,
+        file=file,
+        ports=declared.ports,
+        params=_params(cls),
+        methods=declared.methods,
+        critical_ok="stable" in declared.methods,
+    )
+
+
+def _file(cls: type) -> str:
+    try:
+        return inspect.getsourcefile(cls) or ""
+    except (OSError, TypeError):
+        return ""
+
+
+def _params(cls: type[PortBasedObject[Any]]) -> tuple[ParamInfo, ...]:
+    kind = cls.__params__
+    fields = {field.name: field for field in structs.fields(kind)}
+    found: list[ParamInfo] = []
+    for name, about in kind.__declared__.items():
+        default = fields[name].default
+        required = default is msgspec.NODEFAULT
+        found.append(
+            ParamInfo(
+                name=name,
+                type=about.type_text,
+                unit=about.unit,
+                doc=about.doc,
+                required=required,
+                default="" if required else local_text(default),
+                bounds=about.bounds,
+            )
+        )
+    return tuple(found)
+
+
+def local_text(value: Any) -> str:  # noqa: ANN401 - whatever a parameter holds
+    """Return a parameter's value as the words of a LOCAL line."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, tuple):
+        values = cast("tuple[object, ...]", value)
+        return " ".join(local_text(one) for one in values)
+    return str(value)
+
+
+def render(info: ModuleInfo) -> str:
+    """Return `info` as text for people, without colours."""
+    lines = [f"{info.name}: {info.doc}", ""]
+    ports: list[tuple[str, ...]] = [
+        (port.kind, port.name, port.attr, _type(port), port.unit, port.doc)
+        for port in info.ports
+    ]
+    lines += ["ports", *_table(ports or [("none",)]), "", "parameters"]
+    params: list[tuple[str, ...]] = [
+        (
+            param.name,
+            param.type,
+            param.unit,
+            param.bounds,
+            "required" if param.required else f"default {param.default}",
+            param.doc,
+        )
+        for param in info.params
+    ]
+    lines += [*_table(params or [("none",)]), ""]
+    lines.append(f"methods   {' '.join(info.methods)}")
+    lines.append(
+        f"CRITICAL  {'possible' if info.critical_ok else 'no: has no stable()'}"
+    )
+    lines.append(f"class     {info.cls} in {info.file or 'unknown file'}")
+    lines.append(f"version   {info.version or 'unknown'}")
+    return "\n".join(lines) + "\n"
+
+
+def _type(port: Port) -> str:
+    if port.is_scalar:
+        return port.type
+    return f"{port.type.removesuffix('[]')}[{shape_text(port.shape)}]"
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  "
+        + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]

@@ -1,0 +1,377 @@
+"""The base class of every module, and what is read from a module's class body."""
+
+from __future__ import annotations
+
+import inspect
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Generic,
+    TypeGuard,
+    get_args,
+    get_origin,
+)
+from typing import Annotated as A
+
+from msgspec import Struct
+
+from pbonet.errors import did_you_mean
+from pbonet.ports import MARKS, Declared, Declaring, Port, attribute, here, make_port
+
+from ._params import Params
+from ._task import Answer, TaskContext
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    P = TypeVar("P", bound=Params, default=Params)
+else:
+    from typing import TypeVar
+
+    P = TypeVar("P")
+
+METHODS = {
+    "init": "(self)",
+    "on": "(self)",
+    "cycle": "(self, dt)",
+    "off": "(self)",
+    "kill": "(self)",
+    "error": "(self, error)",
+    "clear": "(self)",
+    "reinit": "(self)",
+    "sync": "(self)",
+    "set": "(self, name, value)",
+    "get": "(self, name)",
+    "stable": "(self, dt)",
+}
+"""The methods that the runtime calls, and how each is written."""
+
+
+class Interface(Struct, frozen=True):
+    """What a module's class body declares."""
+
+    ports: tuple[Port, ...]
+    methods: tuple[str, ...]
+    """Methods that the module writes itself, in the order of `METHODS`."""
+
+
+class PortBasedObject(Generic[P]):
+    """Base of every module (Stewart 1994, sections 3.3 to 3.6).
+
+    The class body declares the ports, as annotations; the methods say what the module
+    does. Only `cycle` must be written. The runtime calls the methods, never the module
+    itself, and never two at once. Whatever a method raises is an error of the task:
+    see `error`.
+
+    A class with ports that several modules share is declared ``abstract=True`` and
+    needs no `cycle`.
+
+    Attributes:
+        params: The module's parameters, as `Params` of its own.
+        task: The task that runs it.
+    """
+
+    __interface__: ClassVar[Interface] = Interface((), ())
+    __params__: ClassVar[type[Params]] = Params
+    __abstract__: ClassVar[bool] = True
+
+    params: P
+    task: TaskContext
+
+    def __init_subclass__(cls, *, abstract: bool = False, **settings: Any) -> None:  # noqa: ANN401
+        """Read and check the declarations of one module."""
+        super().__init_subclass__(**settings)
+        body = Declaring(cls, here())
+        cls.__abstract__ = abstract
+        cls.__params__ = _params(cls, body)
+        _refuse_constructor(cls, body)
+        ports = _ports(cls, body)
+        cls.__interface__ = Interface(ports, _methods(cls, body, abstract=abstract))
+
+    def init(self) -> None:
+        """Prepare the task: called once, when it is created (signal spawn).
+
+        Before: in-consts are copied in, and `params` and `task` are set. After:
+        out-consts are copied out, and the task is OFF. An error here is followed by
+        `kill` and ends the task; `error` is not asked. Devices and files are opened
+        here, for this is not real time.
+        """
+
+    def on(self) -> Answer | None:
+        """Start: bring the state of the module in line with that of the system.
+
+        Called when an OFF task gets the signal on. Before: in-vars and out-vars are
+        copied in, so that outputs hold what the last writer left. After: out-vars are
+        copied out and are this task's own from then on; the task is ON.
+
+        Returns:
+            None to start, or `Answer.OFF` when the task cannot start yet: it stays
+            OFF and nothing is copied out.
+        """
+        return None
+
+    def cycle(self, dt: float) -> None:
+        """Do the work of one cycle, in real-time context.
+
+        Called at every wake-up of an ON task. Before: in-vars are copied in. After:
+        out-vars are copied out. No waiting for anything, no logging, no clock: `dt`
+        and ``self.task.now`` are the time; non-blocking calls of `pbonet.io` are fine.
+
+        Args:
+            dt: Seconds from the release of the last executed cycle to this one, so
+                that a missed cycle is seen; 1/freq in the first cycle.
+        """
+        raise NotImplementedError
+
+    def off(self) -> None:
+        """Stop in an orderly way: called when an ON task gets the signal off or kill.
+
+        Before: nothing is copied. After: out-vars are copied out once more and then
+        belong to nobody; their values stand, because a successor's `on` continues
+        from them. A module that must zero an actuator does so only when
+        ``self.task.handover`` is false. Saved data may be written here.
+        """
+
+    def kill(self) -> None:
+        """Give back what `init` took: called last in the life of a task.
+
+        Called on the signal kill (behind `off` when the task was ON), and after an
+        `init` that failed anywhere, so it first looks whether a resource is there.
+        Nothing is copied before or after.
+        """
+
+    def error(self, error: Exception) -> Answer:  # noqa: ARG002 - for modules
+        """Try to clear an error, or shut down gracefully.
+
+        Called when `on`, `cycle`, `stable`, `off`, `sync` or `reinit` raised or called
+        ``self.task.fail()``. Nothing is copied before or after; outputs stay what the
+        last complete cycle wrote. An error in here means `Answer.ERROR`.
+
+        Args:
+            error: What was raised; ``self.task.errmsg`` is its text.
+
+        Returns:
+            `Answer.OFF`: cleared; the task is OFF, `off` is not called.
+            `Answer.CONTINUE`: cleared, and safe to go on: behind ``fail()``, or, after
+            an exception, with what follows the method; the outputs of a cycle that
+            raised are discarded.
+            `Answer.ERROR` (the default): the task waits in ERROR for an operator.
+        """
+        return Answer.ERROR
+
+    def clear(self) -> Answer:
+        """Check that an operator has removed the cause of an error.
+
+        Called when a task in ERROR gets the signal clear. Nothing is copied before or
+        after.
+
+        Returns:
+            `Answer.OFF` (the default): the task may be turned on again.
+            `Answer.ERROR`: the cause is still there.
+        """
+        return Answer.OFF
+
+    def reinit(self) -> None:
+        """Take over new constants, without all that `init` did.
+
+        Called when the producer of an in-const was replaced. Before: in-consts are
+        copied in. After: out-consts are copied out, and the state is what it was. A
+        constant that is the size of a port cannot change this way.
+        """
+
+    def sync(self) -> None:
+        """Wait for the event that wakes a task which the clock does not time.
+
+        Called before every cycle of a synchronous task or an aperiodic server; the
+        only method that may block. Nothing is copied before or after; `cycle` follows
+        when it returns.
+        """
+
+    def set(self, name: str, value: object) -> None:
+        """Take note of a changed parameter: called between two cycles.
+
+        ``self.params`` holds the new value already; it passed its bounds. Raising
+        refuses it, and the old value comes back. Nothing is copied.
+
+        Args:
+            name: The parameter's name.
+            value: Its new value.
+        """
+
+    def get(self, name: str) -> object:
+        """Return a parameter's present value: called between two cycles.
+
+        Args:
+            name: The parameter's name.
+
+        Returns:
+            What ``self.params`` holds; a module that adapts a value by itself returns
+            the one in use.
+        """
+        value: object = getattr(self.params, name)
+        return value
+
+    def stable(self, dt: float) -> None:
+        """Keep the hardware stable without inputs, in real-time context.
+
+        Called in place of `cycle` while the illegal-configuration flag is up, for
+        tasks that are marked CRITICAL (section 3.10). Copies are as for `cycle`.
+
+        Args:
+            dt: As for `cycle`.
+        """
+        raise NotImplementedError
+
+
+def interface(cls: type[PortBasedObject[Any]]) -> Interface:
+    """Return what a module's class body declares."""
+    return cls.__interface__
+
+
+def _params(cls: type[PortBasedObject[Any]], body: Declaring) -> type[Params]:
+    """Return the class in ``PortBasedObject[Gains]``, or the inherited one."""
+    bases: tuple[object, ...] = vars(cls).get("__orig_bases__", ())
+    for base in bases:
+        origin = get_origin(base)
+        if isinstance(origin, type) and issubclass(origin, PortBasedObject):
+            chosen: object = get_args(base)[0]
+            if _is_params(chosen):
+                return chosen
+            if not isinstance(chosen, TypeVar):
+                raise body.error(
+                    "",
+                    "a module's parameters are a class derived from Params",
+                    expected="PortBasedObject[Gains], with class Gains(Params)",
+                    got=f"PortBasedObject[{getattr(chosen, '__name__', chosen)}]",
+                )
+    return cls.__params__
+
+
+def _is_params(chosen: object) -> TypeGuard[type[Params]]:
+    return isinstance(chosen, type) and issubclass(chosen, Params)
+
+
+def _refuse_constructor(cls: type, body: Declaring) -> None:
+    for name in ("__init__", "__new__"):
+        if name in vars(cls):
+            raise body.error(
+                name,
+                f"a module has no {name}: its ports do not exist yet when it runs",
+                remedy="write `def init(self) -> None:` instead",
+            )
+
+
+def _ports(cls: type, body: Declaring) -> tuple[Port, ...]:
+    """Return inherited and own ports, and set their attributes in the class."""
+    ports: dict[str, Port] = {}
+    for base in reversed(cls.__mro__[1:]):
+        inherited = getattr(base, "__interface__", Interface((), ()))
+        ports.update({port.attr: port for port in inherited.ports})
+    names = {port.name: port.attr for port in ports.values()}
+    for attr, hint in body.annotations(MARKS):
+        declared = _mark(body, attr, hint)
+        if declared is None:
+            continue
+        if attr in ports or attr in {*METHODS, "params", "task"}:
+            raise body.error(attr, f"the name {attr} is taken by a base class")
+        port = make_port(body, attr, get_args(hint)[0], declared)
+        other = names.setdefault(port.name, attr)
+        if other != attr:
+            raise body.error(attr, f"{other} is the port {port.name} already")
+        ports[attr] = port
+        setattr(cls, attr, attribute(port))
+    found = tuple(ports.values())
+    for port in found:
+        _check_symbols(body, port, ports)
+    return found
+
+
+def _mark(body: Declaring, attr: str, hint: object) -> Declared | None:
+    """Return what declares a port in an annotation, None when it is none."""
+    if get_origin(hint) is not A:
+        return None
+    marks = [word for word in get_args(hint)[1:] if _is_mark(word)]
+    if not marks:
+        return None
+    if len(marks) > 1 or not isinstance(marks[0], Declared):
+        raise body.error(
+            attr,
+            "a port is declared once, with its four words",
+            expected='A[type, InVar("NAME", "shape", "unit", "doc")]',
+            got=", ".join(getattr(mark, "__name__", repr(mark)) for mark in marks),
+        )
+    return marks[0]
+
+
+def _is_mark(word: object) -> bool:
+    return isinstance(word, Declared) or (
+        isinstance(word, type) and issubclass(word, Declared)
+    )
+
+
+def _check_symbols(body: Declaring, port: Port, ports: dict[str, Port]) -> None:
+    """Refuse a shape that names a port which cannot be a size."""
+    names = {other.name.lower(): other.attr for other in ports.values()}
+    for word in port.shape:
+        if not isinstance(word, str):
+            continue
+        other = ports.get(word)
+        if other and not (other.kind.is_const and other.type == "int"):
+            raise body.error(
+                port.attr,
+                f"the shape names port {word}, which is no integer constant",
+                expected=f"{word}: A[int, InConst(...)] or a name that is no port",
+                got=f"{other.kind} of type {other.type}",
+            )
+        if not other and word.lower() in names:
+            raise body.error(
+                port.attr,
+                f"the shape names {word}, which is no attribute",
+                remedy=f"write the attribute: {names[word.lower()]}",
+            )
+
+
+def _methods(cls: type, body: Declaring, *, abstract: bool) -> tuple[str, ...]:
+    """Check how the methods are written; return which ones the module has."""
+    for name, form in METHODS.items():
+        method = vars(cls).get(name)
+        if method is not None:
+            _check_method(body, name, form, method)
+    own = tuple(
+        name
+        for name in METHODS
+        if getattr(cls, name) is not getattr(PortBasedObject, name)
+    )
+    if not abstract and "cycle" not in own:
+        written = [name for name, value in vars(cls).items() if callable(value)]
+        raise body.error(
+            "",
+            "a module has a method cycle",
+            expected="def cycle(self, dt: float) -> None",
+            remedy=did_you_mean("cycle", written)
+            or "or say `abstract=True` behind the base class",
+        )
+    return own
+
+
+def _check_method(body: Declaring, name: str, form: str, method: object) -> None:
+    if not inspect.isfunction(method):
+        got = type(method).__name__
+    elif inspect.iscoroutinefunction(method) or inspect.isgeneratorfunction(method):
+        got = "a function that pauses (async or yield)"
+    else:
+        got = f"def {name}({', '.join(inspect.signature(method).parameters)})"
+        wanted = form.count(",") + 1
+        try:
+            inspect.signature(method).bind(*range(wanted))
+        except TypeError:
+            pass
+        else:
+            return
+    raise body.error(
+        name,
+        "the runtime cannot call this method",
+        expected=f"def {name}{form}",
+        got=got,
+    )

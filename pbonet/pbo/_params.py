@@ -1,0 +1,439 @@
+"""Parameters: one frozen struct per module, decoded from the LOCAL lines of an RMOD."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    TypeVar,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+)
+from typing import Annotated as A
+
+import msgspec
+from msgspec import Struct, structs
+
+from pbonet.errors import ParameterError, did_you_mean
+from pbonet.ports import Declaring, here
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ANY_COUNT = -1
+"""The count of a parameter that takes any number of values."""
+
+
+class Param(Struct, frozen=True):
+    """What `param` says about a parameter, and what its annotation adds."""
+
+    unit: str
+    doc: str
+    ge: float | None = None
+    gt: float | None = None
+    le: float | None = None
+    lt: float | None = None
+    name: str = ""
+    type: str = "float"
+    """``float``, ``int``, ``bool`` or ``str``, of each value."""
+    count: int = 0
+    """0 for one plain value, a number of values, or `ANY_COUNT`."""
+    choices: tuple[str, ...] = ()
+
+    @property
+    def bounds(self) -> str:
+        """The bounds as text, such as ``>= 0 and < 5``; empty without bounds."""
+        signs = {">=": self.ge, ">": self.gt, "<=": self.le, "<": self.lt}
+        return " and ".join(
+            f"{sign} {value:g}" for sign, value in signs.items() if value is not None
+        )
+
+    @property
+    def type_text(self) -> str:
+        """The type in words, such as ``3 float`` or ``one of linear, parabolic``."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        counts = {0: self.type, ANY_COUNT: f"one or more {self.type}"}
+        return counts.get(self.count, f"{self.count} {self.type}")
+
+    def __str__(self) -> str:
+        """Return type, unit and bounds in words."""
+        unit = "" if self.unit == "none" else f" in {self.unit}"
+        return f"{self.type_text}{unit}{f', {self.bounds}' if self.bounds else ''}"
+
+    def within(self, value: float) -> bool:
+        """Tell whether one value keeps the bounds and is finite."""
+        return (
+            math.isfinite(value)
+            and (self.ge is None or value >= self.ge)
+            and (self.gt is None or value > self.gt)
+            and (self.le is None or value <= self.le)
+            and (self.lt is None or value < self.lt)
+        )
+
+
+def param(
+    unit: str,
+    doc: str,
+    *,
+    ge: float | None = None,
+    gt: float | None = None,
+    le: float | None = None,
+    lt: float | None = None,
+) -> Param:
+    """Say what a parameter means, within its annotation.
+
+    Args:
+        unit: Its unit; ``none`` for a pure number or a word.
+        doc: What it is, in a few words.
+        ge: Smallest value that is allowed, in `unit`.
+        gt: Values must be larger than this.
+        le: Largest value that is allowed.
+        lt: Values must be smaller than this.
+
+    Returns:
+        What stands in the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
+    """
+    return Param(unit, doc, ge, gt, le, lt)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class _ParamsMeta(msgspec.StructMeta):
+    """Makes every parameter keyword-only and reads the declarations."""
+
+    __declared__: dict[str, Param]
+
+    def __new__(
+        cls,
+        name: str,
+        bases: tuple[type, ...],
+        namespace: dict[str, Any],
+        **settings: Any,  # noqa: ANN401 - what Struct takes
+    ) -> Any:  # noqa: ANN401 - a metaclass returns the class it makes
+        settings.setdefault("kw_only", True)
+        made: Any = super().__new__(cls, name, bases, namespace, **settings)
+        if bases != (Struct,):  # not Params itself
+            made.__declared__ = _declared(made, Declaring(made, here()))
+        return made
+
+
+class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsMeta):
+    """Base of a module's parameters: frozen, keyword-only, checked when made.
+
+    A module's parameters are declared like its ports::
+
+        class Gains(Params):
+            kp: A[float, param("N*m/rad", "stiffness", ge=0)]
+            kd: A[float, param("N*m*s/rad", "damping", ge=0)] = 0.0
+
+    Types are ``float``, ``int``, ``bool``, ``str``, ``Literal["a", "b"]`` and tuples of
+    the first four, ``tuple[float, float, float]`` or ``tuple[float, ...]``; bounds hold
+    for each value of a tuple. Required parameters come first.
+
+    Raises:
+        ParameterError: A value is mistyped or out of bounds.
+    """
+
+    __declared__: ClassVar[dict[str, Param]] = {}
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        for name, about in type(self).__declared__.items():
+            _check(type(self).__name__, about, getattr(self, name))
+
+
+class Line(Protocol):
+    """A LOCAL line: the words behind its key, and where it stands."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The words behind the key."""
+        ...
+
+    @property
+    def place(self) -> object:
+        """Where the line stands; its text is ``file:line:column``."""
+        ...
+
+
+class HasParams(Protocol):
+    """A module's class, seen from here."""
+
+    __params__: ClassVar[type[Params]]
+
+
+P = TypeVar("P", bound=Params)
+
+
+def params_type(cls: type[Params | HasParams]) -> type[Params]:
+    """Return the parameter class of a module, or the parameter class itself."""
+    return cls if issubclass(cls, Params) else cls.__params__
+
+
+def decode_params(
+    cls: type[Params | HasParams],
+    local: Mapping[str, Line],
+    *,
+    where: str = "",
+) -> Params:
+    """Make a module's parameters from the LOCAL lines of an RMOD.
+
+    Keys are matched without regard to case, as files write them in capitals.
+
+    Args:
+        cls: The module's class, or its parameter class.
+        local: The lines by key.
+        where: Place of what no line can be blamed for, such as a missing line.
+
+    Raises:
+        ParameterError: A key is unknown or missing, or a value is mistyped, out of
+            bounds, or one of too many or too few.
+    """
+    kind = params_type(cls)
+    known = {name.lower(): about for name, about in kind.__declared__.items()}
+    values: dict[str, Any] = {}
+    for key, line in local.items():
+        about = known.get(key.lower())
+        place = str(line.place) if line.place else where
+        if about is None:
+            raise _unknown(cls, key, place)
+        if about.name in values:
+            raise ParameterError(f"parameter {about.name} is given twice", where=place)
+        values[about.name] = _decode(about, line.words, place)
+    for field in structs.fields(kind):
+        if field.required and field.name not in values:
+            raise _missing(cls, kind.__declared__[field.name], local, where)
+    return kind(**values)
+
+
+def change_param(params: P, name: str, words: tuple[str, ...], *, where: str = "") -> P:
+    """Return `params` with one value changed, decoded and checked like a LOCAL line.
+
+    Raises:
+        ParameterError: No such parameter, or the value is refused.
+    """
+    known = {key.lower(): about for key, about in params.__declared__.items()}
+    about = known.get(name.lower())
+    if about is None:
+        raise _unknown(type(params), name, where)
+    return structs.replace(params, **{about.name: _decode(about, words, where)})
+
+
+_TRUE = frozenset({"true", "yes", "on", "1"})
+_FALSE = frozenset({"false", "no", "off", "0"})
+_INT = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
+_FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+def _decode(about: Param, words: tuple[str, ...], where: str) -> Any:  # noqa: ANN401
+    if about.type == "str" and not about.count:
+        words = (" ".join(words),) if words else ()
+    expected = {0: 1, ANY_COUNT: max(len(words), 1)}.get(about.count, about.count)
+    if len(words) != expected:
+        raise ParameterError(
+            f"parameter {about.name} has the wrong number of values",
+            where=where,
+            expected=str(about),
+            got=f"{len(words)} values" if len(words) != 1 else "1 value",
+        )
+    values = tuple(_word(about, word, where) for word in words)
+    value = values if about.count else values[0]
+    _check("", about, value, where=where)
+    return value
+
+
+def _word(about: Param, word: str, where: str) -> float | str:
+    low = word.lower()
+    if about.type == "str":
+        return word
+    if about.type == "bool" and low in _TRUE | _FALSE:
+        return low in _TRUE
+    if about.type == "int" and _INT.fullmatch(word):
+        return int(word, 16) if "x" in low else int(word)
+    if about.type == "float" and _FLOAT.fullmatch(word):
+        return float(word)
+    article = "an" if about.type == "int" else "a"
+    raise ParameterError(
+        f"a value of parameter {about.name} is not {article} {about.type}",
+        where=where,
+        expected=str(about),
+        got=f'"{word}"',
+        remedy=_hint(about.type),
+    )
+
+
+def _hint(kind: str) -> str:
+    if kind == "bool":
+        return "write yes or no"
+    return "write it without a decimal point" if kind == "int" else ""
+
+
+def _check(
+    owner: str,
+    about: Param,
+    value: Any,  # noqa: ANN401 - whatever was given
+    *,
+    where: str = "",
+) -> None:
+    """Raise unless `value` has the declared type, count, choice and bounds."""
+    place = where or f"{owner}.{about.name}"
+    if not _typed(about, value):
+        raise ParameterError(
+            f"parameter {about.name} has the wrong type",
+            where=place,
+            expected=str(about),
+            got=repr(value),
+        )
+    if about.choices and value not in about.choices:
+        near = did_you_mean(str(value), about.choices)
+        raise ParameterError(
+            f"parameter {about.name} has no such choice",
+            where=place,
+            expected=about.type_text,
+            got=repr(value),
+            remedy=near,
+        )
+    if about.type not in {"int", "float"}:
+        return
+    values: tuple[float, ...] = value if about.count else (value,)
+    for index, one in enumerate(values):
+        if not about.within(one):
+            which = f" (value {index + 1} of {len(values)})" if about.count else ""
+            raise ParameterError(
+                f"parameter {about.name} is out of bounds{which}",
+                where=place,
+                expected=str(about) if about.bounds else f"{about}, finite",
+                got=f"{one:g}",
+            )
+
+
+_PYTHON: dict[str, tuple[type, ...]] = {
+    "float": (float, int),
+    "int": (int,),
+    "bool": (bool,),
+    "str": (str,),
+}
+
+
+def _typed(about: Param, value: Any) -> bool:  # noqa: ANN401
+    if about.count:
+        if not isinstance(value, tuple) or not value:
+            return False
+        values = cast("tuple[object, ...]", value)
+        if about.count not in {ANY_COUNT, len(values)}:
+            return False
+        return all(_typed(structs.replace(about, count=0), one) for one in values)
+    if isinstance(value, bool) and about.type != "bool":
+        return False
+    return isinstance(value, _PYTHON[about.type])
+
+
+def _owner(cls: type) -> str:
+    return f"module {cls.__name__}" if not issubclass(cls, Params) else cls.__name__
+
+
+def _unknown(cls: type[Any], key: str, where: str) -> ParameterError:
+    names = list(params_type(cls).__declared__)
+    return ParameterError(
+        f"{_owner(cls)} has no parameter {key}",
+        where=where,
+        expected=f"one of {', '.join(names)}" if names else "no parameters at all",
+        remedy=did_you_mean(key.lower(), names),
+    )
+
+
+def _missing(
+    cls: type[Any], about: Param, local: Mapping[str, Line], where: str
+) -> ParameterError:
+    if not where and local:
+        where = str(next(iter(local.values())).place or "").split(":")[0]
+    return ParameterError(
+        f"{_owner(cls)} needs parameter {about.name}: {about.doc}",
+        where=where,
+        expected=str(about),
+        remedy=f"add a line `{about.name.upper()} ...` under LOCAL",
+    )
+
+
+def _declared(cls: type[Params], body: Declaring) -> dict[str, Param]:
+    """Read the declarations of one parameter class; those of its bases come first."""
+    found: dict[str, Param] = {}
+    for base in reversed(cls.__mro__[1:]):
+        found.update(getattr(base, "__declared__", {}))
+    for attr, hint in body.annotations(("param",)):
+        if get_origin(hint) is not ClassVar and hint is not ClassVar:
+            found[attr] = _declare(body, attr, hint)
+    lower = [name.lower() for name in found]
+    for name in found:
+        if lower.count(name.lower()) > 1:
+            raise body.error(name, "two parameters differ in case only")
+    for field in structs.fields(cls):
+        if field.default is not msgspec.NODEFAULT:
+            _check_default(body, found[field.name], field.default)
+    return found
+
+
+def _check_default(body: Declaring, about: Param, default: object) -> None:
+    try:
+        _check("", about, default)
+    except ParameterError as error:
+        raise body.error(
+            about.name,
+            f"the default is refused: {error.what}",
+            expected=error.expected,
+            got=error.got,
+        ) from None
+
+
+def _declare(body: Declaring, attr: str, hint: object) -> Param:
+    """Return what the annotation of one parameter says."""
+    marks = [m for m in get_args(hint)[1:] if isinstance(m, Param)]
+    if get_origin(hint) is not A or len(marks) != 1:
+        raise body.error(
+            attr,
+            "a parameter says its unit and meaning",
+            expected=f'{attr}: A[type, param("unit", "doc")]',
+            got=str(getattr(hint, "__name__", hint)),
+        )
+    if attr.startswith("_"):
+        raise body.error(attr, "a parameter is public", got=attr)
+    mark = marks[0]
+    for word in ("unit", "doc"):
+        value: object = getattr(mark, word)
+        if not isinstance(value, str) or not value.strip():
+            raise body.error(attr, f"the parameter has no {word}", got=repr(value))
+    kind, count, choices = _kind(body, attr, get_args(hint)[0])
+    about = structs.replace(mark, name=attr, type=kind, count=count, choices=choices)
+    if about.bounds and kind not in {"int", "float"}:
+        raise body.error(attr, f"a {kind} has no bounds", got=about.bounds)
+    return about
+
+
+def _kind(body: Declaring, attr: str, kind: object) -> tuple[str, int, tuple[str, ...]]:
+    """Return type name, count and choices of a parameter's type."""
+    plain = {float: "float", int: "int", bool: "bool", str: "str"}
+    words = get_args(kind)
+    if isinstance(kind, type) and kind in plain:
+        return plain[kind], 0, ()
+    if get_origin(kind) is Literal and all(isinstance(w, str) for w in words):
+        return "str", 0, words
+    if get_origin(kind) is tuple and words:
+        first, rest = words[0], set(words[1:])
+        if first in plain and rest <= {first}:
+            return plain[first], len(words), ()
+        if first in plain and words[1:] == (Ellipsis,):
+            return plain[first], ANY_COUNT, ()
+    raise body.error(
+        attr,
+        "the type cannot be a parameter's",
+        expected='float, int, bool, str, Literal["a", "b"], tuple[float, ...] '
+        "or tuple[float, float]",
+        got=str(kind),
+    )

@@ -1,0 +1,295 @@
+"""What a module sees of the task that runs it: ``self.task`` (Stewart 1994, 3.6)."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from enum import IntFlag, StrEnum
+from typing import TYPE_CHECKING, NoReturn, Protocol
+
+from msgspec import Struct
+
+from pbonet.errors import MethodError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class State(StrEnum):
+    """The states of a task (Stewart 1994, Figure 3.10)."""
+
+    NOT_CREATED = "NOT-CREATED"
+    OFF = "OFF"
+    ON = "ON"
+    ERROR = "ERROR"
+
+
+class Answer(StrEnum):
+    """What `on`, `error` and `clear` may return (Stewart 1994, section 3.6)."""
+
+    OFF = "OFF"
+    """`on`: not yet, stay OFF. `error`, `clear`: the task may be turned on again."""
+    CONTINUE = "CONTINUE"
+    """`error` only: the cause is gone and it is safe to go on."""
+    ERROR = "ERROR"
+    """`error`, `clear`: an operator is needed."""
+
+
+class Signal(IntFlag):
+    """Signals from a task to its master (Stewart 1994, section 4.4.4), 32 at most."""
+
+    OFF = 1 << 0
+    """The goal is reached; the task turns itself off after this cycle."""
+    FINISH = 1 << 1
+    """The goal is reached; the task goes on cycling."""
+    ERROR = 1 << 2
+    """The task has entered the ERROR state; sent by the runtime."""
+    WARNING = 1 << 3
+    """The task has warned; sent by the runtime."""
+    SHUTDOWN = 1 << 4
+    """A fatal error; the task has begun to shut the system down gracefully."""
+    ILLEGAL = 1 << 5
+    """The task has raised the illegal-configuration flag."""
+    LEGAL = 1 << 6
+    """The task has withdrawn its entry from the illegal-configuration flag."""
+
+
+SIGNALS = 32
+"""How many signals there are, the predefined ones included."""
+
+
+def user_signal(number: int) -> Signal:
+    """Return the signal that module and master agree on as `number`, 0 to 24.
+
+    Raises:
+        ValueError: There is no such signal.
+    """
+    if not 0 <= number < SIGNALS - len(Signal):
+        message = f"user signals go from 0 to {SIGNALS - len(Signal) - 1}, not {number}"
+        raise ValueError(message)
+    return Signal(1 << (len(Signal) + number))
+
+
+class TaskFailure(Exception):  # noqa: N818 - unwinds a method, is no error of its own
+    """Unwinds the method that called `TaskContext.fail`; modules don't catch it.
+
+    Args:
+        error: What the module said.
+        answer: What `error` answered, when it was asked already.
+    """
+
+    def __init__(self, error: MethodError, answer: Answer | None = None) -> None:
+        super().__init__(str(error))
+        self.error = error
+        self.answer = answer
+
+
+class Notice(Struct, frozen=True):
+    """A signal or a warning of a task, on its way to the master."""
+
+    bits: int
+    """The signal; `Signal.WARNING` for a warning."""
+    text: str
+    code: int
+    cycle: int
+    now: int
+    """Nanoseconds, as `TaskContext.now`."""
+
+
+class Outbox(Protocol):
+    """Takes the notices of a task; must not wait, for it is called within a cycle."""
+
+    def put(self, notice: Notice) -> None:
+        """Take `notice`; what cannot be kept is dropped and counted."""
+
+
+class BoundedOutbox:
+    """Keeps the last notices until somebody drains them.
+
+    Args:
+        size: How many are kept; older ones are dropped.
+    """
+
+    def __init__(self, size: int = 256) -> None:
+        self._notices: deque[Notice] = deque(maxlen=size)
+        self.dropped = 0
+
+    def put(self, notice: Notice) -> None:
+        """Keep `notice`, dropping the oldest when there is no room."""
+        if len(self._notices) == self._notices.maxlen:
+            self.dropped += 1
+        self._notices.append(notice)
+
+    def drain(self) -> list[Notice]:
+        """Return all kept notices, oldest first, and forget them."""
+        notices: list[Notice] = []
+        while self._notices:
+            notices.append(self._notices.popleft())
+        return notices
+
+
+class TimeSource(Protocol):
+    """Says which time and which cycle it is for a task."""
+
+    @property
+    def now(self) -> int:
+        """Release of the present cycle, else the present time; nanoseconds."""
+        ...
+
+    @property
+    def cyclecount(self) -> int:
+        """Cycles executed since the task was turned on."""
+        ...
+
+
+class Counted:
+    """A time source that its owner sets before each cycle.
+
+    Args:
+        clock: Gives nanoseconds while `release` is None, that is, between cycles.
+    """
+
+    def __init__(self, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self.clock = clock
+        self.release: int | None = None
+        self.cyclecount = 0
+
+    @property
+    def now(self) -> int:
+        """The release of the present cycle, or the clock's time between cycles."""
+        return self.clock() if self.release is None else self.release
+
+
+class TaskContext:
+    """``self.task``: the task that runs a module, as the module sees it.
+
+    Modules read the attributes and call `signal`, `warn` and `fail`; everything else is
+    set by the runtime.
+
+    Args:
+        name: The task's name.
+        rmod: The name of the RMOD it runs.
+        freq: Cycles per second; 0 for a task that is not periodic.
+        crit: Its criticality (section 6.2.3).
+        source: Where time and cycle count come from.
+        outbox: Where signals and warnings go.
+    """
+
+    def __init__(
+        self,
+        name: str = "task",
+        *,
+        rmod: str = "",
+        freq: float = 0.0,
+        crit: int = 0,
+        source: TimeSource | None = None,
+        outbox: Outbox | None = None,
+    ) -> None:
+        self.name = name
+        self.rmod = rmod or name
+        self.state = State.NOT_CREATED
+        """The state while this method executes."""
+        self.nextstate = State.OFF
+        """The state after this method, if it succeeds."""
+        self.errmsg = ""
+        """The last error or warning."""
+        self.errnum = 0
+        """Its number: 0 for none, 1 for an exception, else as the module gave it."""
+        self.crit = crit
+        self.freq = freq
+        self.nwarnings = 0
+        """Warnings since the task was turned on."""
+        self.signals = 0
+        """Every signal sent since the task was turned on, as bits."""
+        self.sigmask = 0
+        """Signals that the master does not want from this task, as bits."""
+        self.arg = ""
+        """The text that came with the signal that is being carried out."""
+        self.handover = False
+        """In `off`: True when a successor takes over the outputs at once."""
+        self.off_requested = False
+        """True when the module has sent `Signal.OFF`; the runtime obeys."""
+        self.source: TimeSource = source or Counted()
+        self.outbox: Outbox = outbox or BoundedOutbox()
+        self.on_fail: Callable[[MethodError], Answer] | None = None
+        """How the runtime asks the module's `error`; None where it cannot."""
+
+    @property
+    def now(self) -> int:
+        """The release of this cycle in nanoseconds of CLOCK_MONOTONIC.
+
+        Simulation and replay supply it, so a module takes the time from nowhere else.
+        """
+        return self.source.now
+
+    @property
+    def cyclecount(self) -> int:
+        """Cycles executed since the task was turned on."""
+        return self.source.cyclecount
+
+    @property
+    def period(self) -> float:
+        """Seconds from one release to the next; 0 for a task that is not periodic."""
+        return 1.0 / self.freq if self.freq else 0.0
+
+    def signal(self, signal: Signal | int, text: str = "") -> None:
+        """Send `signal` to the master, unless it is masked; never waits.
+
+        Args:
+            signal: One of `Signal`, or of `user_signal`.
+            text: Shown with it.
+        """
+        self.signals |= signal
+        if signal & Signal.OFF:
+            self.off_requested = True
+        if signal & ~self.sigmask:
+            self._notice(signal & ~self.sigmask, text, 0)
+
+    def warn(self, text: str, code: int = 0) -> None:
+        """Report something that is not right but lets the task go on; never waits.
+
+        Args:
+            text: What is not right, and what to do about it.
+            code: A number that a program may look for.
+        """
+        self.nwarnings += 1
+        self.errmsg = text
+        self.errnum = code
+        self.signals |= Signal.WARNING
+        if not self.sigmask & Signal.WARNING:
+            self._notice(Signal.WARNING, text, code)
+
+    def fail(self, text: str, code: int = 1) -> None:
+        """Report an error: `error` runs, and decides whether this call returns.
+
+        It returns when `error` answers CONTINUE; the method then goes on behind this
+        call. With any other answer, and always within `init`, `kill`, `reinit`,
+        `error`, `clear`, `set` and `get`, the method ends here.
+
+        Args:
+            text: What is wrong, and what to do about it.
+            code: A number that `error` and programs may look for, not 0.
+        """
+        error = MethodError(text, where=self.name)
+        self.errmsg = text
+        self.errnum = code
+        if self.on_fail is None:
+            self._unwind(error, None)
+        answer = self.on_fail(error)
+        if answer is not Answer.CONTINUE:
+            self._unwind(error, answer)
+
+    def reset(self) -> None:
+        """Forget what was counted; the runtime calls it when the task is turned on."""
+        self.signals = 0
+        self.nwarnings = 0
+        self.errmsg = ""
+        self.errnum = 0
+        self.off_requested = False
+
+    def _notice(self, bits: int, text: str, code: int) -> None:
+        self.outbox.put(Notice(int(bits), text, code, self.cyclecount, self.now))
+
+    @staticmethod
+    def _unwind(error: MethodError, answer: Answer | None) -> NoReturn:
+        raise TaskFailure(error, answer)

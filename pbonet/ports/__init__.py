@@ -1,0 +1,52 @@
+"""Ports: what a port-based object exchanges with others (Stewart 1994, 3.3, 3.5).
+
+A port is declared by an annotation in a module's class body and by nothing else. This
+package knows what a port is, checks how it was declared, unifies the sizes of a
+module's ports, and makes the attributes through which a module uses them.
+"""
+
+from ._attributes import SCALARS, ArrayPort, InScalar, OutScalar, attribute, view
+from ._declare import (
+    MARKS,
+    Declared,
+    InConst,
+    InVar,
+    Kind,
+    Matrix,
+    OutConst,
+    OutVar,
+    Port,
+    Vector,
+    accepts,
+    make_port,
+    wanted,
+)
+from ._shapes import parse_shape, shape_text, solve_shapes
+from ._source import Declaring, here
+
+__all__ = [
+    "MARKS",
+    "SCALARS",
+    "ArrayPort",
+    "Declared",
+    "Declaring",
+    "InConst",
+    "InScalar",
+    "InVar",
+    "Kind",
+    "Matrix",
+    "OutConst",
+    "OutScalar",
+    "OutVar",
+    "Port",
+    "Vector",
+    "accepts",
+    "attribute",
+    "here",
+    "make_port",
+    "parse_shape",
+    "shape_text",
+    "solve_shapes",
+    "view",
+    "wanted",
+]

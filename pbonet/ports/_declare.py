@@ -1,0 +1,271 @@
+"""How a port is declared, and what is checked about the declaration."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, ClassVar, cast, get_args, get_origin
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from ._shapes import parse_shape
+
+if TYPE_CHECKING:
+    from ._source import Declaring
+
+Vector = NDArray[np.float64]
+"""A port of one dimension."""
+Matrix = NDArray[np.float64]
+"""A port of two dimensions; its shape says which."""
+
+NAME_LENGTH = 15
+"""The longest name of a variable (Stewart 1994, section 5.5.2)."""
+
+
+class Kind(StrEnum):
+    """The four kinds of port (Stewart 1994, section 3.5)."""
+
+    INCONST = "in-const"
+    OUTCONST = "out-const"
+    INVAR = "in-var"
+    OUTVAR = "out-var"
+
+    @property
+    def is_input(self) -> bool:
+        """True for a port that somebody else writes."""
+        return self in {Kind.INCONST, Kind.INVAR}
+
+    @property
+    def is_const(self) -> bool:
+        """True for a port that is copied around `init` and `reinit` only."""
+        return self in {Kind.INCONST, Kind.OUTCONST}
+
+
+class Port(Struct, frozen=True):
+    """One port of a module, as plain data."""
+
+    attr: str
+    """The attribute of the module's class."""
+    name: str
+    """As ``.rmod`` and ``.svar`` files spell it."""
+    kind: Kind
+    shape: tuple[int | str, ...]
+    """Empty for a scalar; else numbers and names of sizes."""
+    unit: str
+    doc: str
+    type: str
+    """``float``, ``int`` or ``bool`` for scalars, else such as ``float64[]``."""
+
+    @property
+    def is_scalar(self) -> bool:
+        """True when the port is a plain Python number in the module."""
+        return not self.shape
+
+
+class Declared:
+    """What stands in a port's annotation; `make_port` turns it into a `Port`.
+
+    Args:
+        name: The port's name in ``.rmod`` and ``.svar`` files, at most 15 characters.
+        shape: ``"1"`` for a scalar, else sizes with commas between: ``"6"``,
+            ``"ndof"``, ``"ndof,4"``. A word is the attribute of an integer constant
+            of the same module, or any other name; one word means one size.
+        unit: The unit, such as ``rad/s``; ``none`` for a pure number.
+        doc: What the port carries, in a few words.
+    """
+
+    __slots__ = ("doc", "name", "shape", "unit")
+    kind: ClassVar[Kind]
+
+    def __init__(self, name: str, shape: str, unit: str, doc: str) -> None:
+        self.name = name
+        self.shape = shape
+        self.unit = unit
+        self.doc = doc
+
+    def __repr__(self) -> str:
+        """Return the declaration as it is written."""
+        words = ", ".join(repr(w) for w in (self.name, self.shape, self.unit, self.doc))
+        return f"{type(self).__name__}({words})"
+
+
+class InConst(Declared):
+    """A constant that another task produces; read before `init` and `reinit`."""
+
+    __slots__ = ()
+    kind = Kind.INCONST
+
+
+class OutConst(Declared):
+    """A constant that this module produces; written after `init` and `reinit`."""
+
+    __slots__ = ()
+    kind = Kind.OUTCONST
+
+
+class InVar(Declared):
+    """A variable that another task produces; read before `on` and every `cycle`."""
+
+    __slots__ = ()
+    kind = Kind.INVAR
+
+
+class OutVar(Declared):
+    """A variable that this module produces.
+
+    Read before `on`; written after `on`, every `cycle` and `off`.
+    """
+
+    __slots__ = ()
+    kind = Kind.OUTVAR
+
+
+MARKS = tuple(kind.__name__ for kind in (InConst, OutConst, InVar, OutVar))
+"""Names that mark an annotation as a port."""
+
+_SCALARS: dict[object, tuple[str, str]] = {
+    float: ("float", "f"),
+    int: ("int", "iu"),
+    bool: ("bool", "b"),
+}
+_KINDS = dict(_SCALARS.values())
+_NAME = re.compile(r"[!-~]+")
+
+
+def accepts(port: Port, dtype: str) -> bool:
+    """Tell whether a variable of numpy type `dtype` can stand behind `port`.
+
+    A Python float holds any floating type and an int any integer type; an array port is
+    the very type that its annotation says.
+    """
+    kind = np.dtype(dtype)
+    if port.is_scalar:
+        return kind.kind in _KINDS[port.type]
+    element = np.dtype(port.type.removesuffix("[]"))
+    return kind.kind == "V" if element.kind == "V" else kind == element
+
+
+def wanted(port: Port) -> str:
+    """Return which types of variable `port` accepts, in words."""
+    if port.is_scalar:
+        return {"float": "a floating type", "int": "an integer type"}.get(
+            port.type, "bool"
+        )
+    element = port.type.removesuffix("[]")
+    return {"float64": "double", "float32": "float", "void": "struct"}.get(
+        element, element
+    )
+
+
+def make_port(body: Declaring, attr: str, kind: object, declared: Declared) -> Port:
+    """Return the port that ``attr: A[kind, declared]`` declares.
+
+    Raises:
+        DeclarationError: Anything about it is wrong.
+    """
+    _check_attr(body, attr)
+    _check_words(body, attr, declared)
+    try:
+        shape = parse_shape(declared.shape)
+    except ValueError as error:
+        raise body.error(
+            attr,
+            f"the shape {error}",
+            expected='"1", "6", "ndof" or "ndof,4"',
+            got=f'"{declared.shape}"',
+        ) from None
+    return Port(
+        attr=attr,
+        name=declared.name,
+        kind=declared.kind,
+        shape=shape,
+        unit=declared.unit,
+        doc=declared.doc,
+        type=_type(body, attr, kind, shape),
+    )
+
+
+def _check_attr(body: Declaring, attr: str) -> None:
+    if attr.startswith("_"):
+        raise body.error(
+            attr,
+            "a port is public",
+            expected="a name without leading underscore",
+            got=attr,
+        )
+    if attr in vars(body.cls):
+        raise body.error(
+            attr,
+            "a port has no value in the class body",
+            remedy="take the assignment out; INIT in the .svar file sets first values",
+        )
+
+
+def _check_words(body: Declaring, attr: str, declared: Declared) -> None:
+    for word in ("name", "shape", "unit", "doc"):
+        value = getattr(declared, word)
+        if not isinstance(value, str) or not value.strip():
+            raise body.error(
+                attr,
+                f"the port has no {word}",
+                expected=f"{type(declared).__name__}(name, shape, unit, doc)",
+                got=repr(declared),
+                remedy='write "none" for the unit of a pure number'
+                if word == "unit"
+                else "",
+            )
+    name = declared.name
+    plain = _NAME.fullmatch(name) and "#" not in name and "=" not in name
+    if not plain or len(name) > NAME_LENGTH or name.lower() == "none":
+        raise body.error(
+            attr,
+            "the port's name cannot stand in an .rmod file",
+            expected=f"1 to {NAME_LENGTH} printable characters without blanks, # "
+            "and =, and not the word none",
+            got=f'"{name}" ({len(name)} characters)',
+        )
+
+
+def _type(body: Declaring, attr: str, kind: object, shape: tuple[Any, ...]) -> str:
+    scalar = _SCALARS.get(kind)
+    if scalar and not shape:
+        return scalar[0]
+    if scalar:
+        raise body.error(
+            attr,
+            "a port with more than one element is an array",
+            expected="Vector or Matrix",
+            got=scalar[0],
+        )
+    element = _element(kind)
+    if element is None:
+        raise body.error(
+            attr,
+            "the type cannot be a port's",
+            expected="float, int, bool, Vector, Matrix or NDArray[numpy type]",
+            got=getattr(kind, "__name__", str(kind)),
+        )
+    if not shape:
+        raise body.error(
+            attr,
+            "a port of one element is a plain number",
+            expected="float, int or bool",
+            got=f"an array of {element}",
+            remedy='name the size ("n") if it is an array that may have one element',
+        )
+    return f"{element}[]"
+
+
+def _element(kind: object) -> str | None:
+    """Return the element's numpy name of ``NDArray[...]``, None for anything else."""
+    if get_origin(kind) is not np.ndarray:
+        return None
+    described = get_args(kind)[-1]
+    words = get_args(described)
+    scalar: Any = words[0] if words else None
+    if not isinstance(scalar, type) or not issubclass(scalar, np.generic):
+        return None
+    element = cast("type[np.generic[Any]]", scalar)
+    return str(np.dtype(element).name)

@@ -1,0 +1,171 @@
+"""Shapes: numbers and names, and the one size that each name stands for."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PortError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from ._declare import Port
+
+_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+def parse_shape(text: str) -> tuple[int | str, ...]:
+    """Return the dimensions that `text` names; empty for the scalar ``"1"``.
+
+    Raises:
+        ValueError: The text is no shape; the message continues "the shape ...".
+    """
+    if text.strip() == "1":
+        return ()
+    dims: list[int | str] = []
+    for part in text.split(","):
+        word = part.strip()
+        if _WORD.fullmatch(word):
+            dims.append(word)
+        elif word.isascii() and word.isdigit() and int(word) > 0:
+            dims.append(int(word))
+        else:
+            message = f"has a part that is neither a size nor a name: {word!r}"
+            raise ValueError(message)
+    return tuple(dims)
+
+
+def shape_text(shape: tuple[int | str, ...]) -> str:
+    """Return `shape` as it is written in a declaration."""
+    return ",".join(str(dim) for dim in shape) or "1"
+
+
+class _Sizes:
+    """The sizes known so far, and who said so."""
+
+    def __init__(self, where: str) -> None:
+        self._known: dict[str, tuple[int, str]] = {}
+        self.where = where
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._known
+
+    def __getitem__(self, name: str) -> int:
+        return self._known[name][0]
+
+    def learn(self, name: str, size: int, origin: str) -> None:
+        """Note that `name` is `size`; an earlier, other size is an error."""
+        if size < 1:
+            raise PortError(
+                f"a size cannot be {size}",
+                where=self.where,
+                expected=f"{name} of at least 1",
+                got=f"{size} from {origin}",
+            )
+        before, who = self._known.setdefault(name, (size, origin))
+        if before != size:
+            raise PortError(
+                f"{who} and {origin} disagree about the size {name}",
+                where=self.where,
+                expected=f"{before} as {who} has it",
+                got=f"{size} from {origin}",
+                remedy="give both variables the same NELEM, or connect another one",
+            )
+
+    def split(self, shape: tuple[int | str, ...]) -> tuple[int, list[str]]:
+        """Return the product of the known dimensions, and the names not yet known."""
+        open_names = [d for d in shape if isinstance(d, str) and d not in self]
+        known = [
+            d if isinstance(d, int) else self[d] for d in shape if d not in open_names
+        ]
+        return math.prod(known), open_names
+
+
+def solve_shapes(
+    ports: Iterable[Port],
+    nelem: Mapping[str, int],
+    constants: Mapping[str, int] | None = None,
+    *,
+    where: str = "",
+) -> dict[str, tuple[int, ...]]:
+    """Find the one size that each name in the ports' shapes stands for.
+
+    Args:
+        ports: The ports of one module.
+        nelem: Number of elements of the variable behind a port, by the port's name.
+            Ports that are left out follow from the others.
+        constants: Known sizes, by the name in the shape or by the name of the integer
+            constant port whose attribute the shape names.
+        where: What the errors name as their place.
+
+    Returns:
+        The shape of every port, by attribute; empty tuples for scalars.
+
+    Raises:
+        PortError: Two ports disagree, a size does not divide, or one stays unknown.
+    """
+    ports = list(ports)
+    sizes = _Sizes(where)
+    _learn_constants(sizes, ports, constants or {})
+    open_ports = [port for port in ports if port.name in nelem]
+    while open_ports:
+        left = [
+            port for port in open_ports if not _learn(sizes, port, nelem[port.name])
+        ]
+        if len(left) == len(open_ports):
+            break
+        open_ports = left
+    return {port.attr: _solved(sizes, port) for port in ports}
+
+
+def _learn_constants(
+    sizes: _Sizes, ports: list[Port], constants: Mapping[str, int]
+) -> None:
+    used = {dim for port in ports for dim in port.shape if isinstance(dim, str)}
+    names = {port.attr: port.name for port in ports if port.kind.is_const}
+    for word in sorted(used):
+        for known in (word, names.get(word, word)):
+            if known in constants:
+                sizes.learn(word, int(constants[known]), f"constant {known}")
+
+
+def _learn(sizes: _Sizes, port: Port, count: int) -> bool:
+    """Learn what the port's count says; False while it cannot be used yet."""
+    product, names = sizes.split(port.shape)
+    origin = f"port {port.attr} ({port.name})"
+    if not names:
+        if product != count:
+            raise PortError(
+                f"{origin} has another size than its shape says",
+                where=sizes.where,
+                expected=f"{product} elements for shape {shape_text(port.shape)}",
+                got=f"{count} elements",
+                remedy=f"correct NELEM of the variable, or the shape of {port.attr}",
+            )
+        return True
+    if len(set(names)) > 1:
+        return False
+    size = round((count / product) ** (1 / len(names)))
+    if product * size ** len(names) != count:
+        raise PortError(
+            f"{origin} cannot have {count} elements",
+            where=sizes.where,
+            expected=f"a number of elements that fits shape {shape_text(port.shape)}",
+            got=f"{count} elements",
+        )
+    sizes.learn(names[0], size, origin)
+    return True
+
+
+def _solved(sizes: _Sizes, port: Port) -> tuple[int, ...]:
+    _, names = sizes.split(port.shape)
+    if names:
+        raise PortError(
+            f"the size of port {port.attr} ({port.name}) cannot be known",
+            where=sizes.where,
+            expected=f"a size for {' and '.join(sorted(set(names)))}",
+            remedy="connect a constant of that size, or a port that has it alone",
+        )
+    return tuple(d if isinstance(d, int) else sizes[d] for d in port.shape)
