@@ -1,0 +1,132 @@
+"""Where the master finds its files, and what it reads from them.
+
+Files travel by content (DESIGN, section 4): the master reads them where it stands and
+sends their text. An RMOD is looked for beside the ``.job``, then beside the ``.sbs``,
+then in the library.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.config import parse_rmod, parse_sbs, parse_svar, read_job
+from pbonet.config.reader import load
+from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.config.library import Library
+    from pbonet.config.model import JobFile, Rmod, SbsFile, SvarFile
+
+
+class RmodSource(Struct, frozen=True):
+    """An RMOD with the text it was read from."""
+
+    record: Rmod
+    text: str
+
+
+class Files:
+    """The files of one subsystem.
+
+    Args:
+        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        library: Where RMODs are found that stand beside neither.
+
+    Raises:
+        ConfigError: One of the files is missing or wrong.
+    """
+
+    def __init__(self, path: str | Path, library: Library) -> None:
+        path = Path(path)
+        self.job: JobFile | None = None
+        if path.suffix == ".job":
+            self.job = read_job(path)
+            path = path.parent / self.job.sbs
+        self.path = path
+        self.library = library
+        self.sbs: SbsFile = parse_sbs(load(path), str(path))
+        svar = path.parent / self.sbs.svarfile
+        self.table_text = load(svar)
+        self.table: SvarFile = parse_svar(self.table_text, str(svar))
+        self._folders = [path.parent]
+        if self.job is not None:
+            self._look_in(Path(self.job.file).parent)
+
+    def read_job(self, path: str | Path) -> JobFile:
+        """Return a job of this subsystem; its RMODs are looked for beside it first.
+
+        Args:
+            path: The file; a name without a folder is looked for beside the ``.sbs``
+                too, and ``.job`` may be left out.
+
+        Raises:
+            ConfigError: It is missing, wrong, or of another subsystem.
+        """
+        job = read_job(self._job_path(Path(path)))
+        folder = Path(job.file).parent
+        if (folder / job.sbs).resolve() != self.path.resolve():
+            raise ConfigError(
+                "the job is of another subsystem",
+                where=job.file,
+                expected=f"SBS {self.path.name}, as this master steers",
+                got=f"SBS {job.sbs}",
+                remedy="start it with its own subsystem",
+            )
+        self._look_in(folder)
+        return job
+
+    def rmod(self, name: str) -> RmodSource:
+        """Return the RMOD `name`, as its file says today.
+
+        Raises:
+            ConfigFileError: There is none of that name.
+            ConfigError: Its file is wrong.
+        """
+        name = name.removesuffix(".rmod")
+        path = self._find(name)
+        text = load(path)
+        return RmodSource(parse_rmod(text, str(path)), text)
+
+    def rmods(self) -> list[str]:
+        """Return the names of the RMODs that can be spawned, sorted."""
+        beside = {
+            path.stem for folder in self._folders for path in folder.glob("*.rmod")
+        }
+        return sorted(beside | set(self.library.rmods()))
+
+    def jobs(self) -> list[str]:
+        """Return the jobs that stand beside the ``.sbs``, sorted."""
+        return sorted(path.stem for path in self.path.parent.glob("*.job"))
+
+    def _look_in(self, folder: Path) -> None:
+        """Make `folder` the first in which RMODs are looked for."""
+        self._folders = [folder, *(f for f in self._folders if f != folder)]
+
+    def _job_path(self, path: Path) -> Path:
+        wanted = path if path.suffix == ".job" else path.with_name(path.name + ".job")
+        beside = self.path.parent / wanted
+        if wanted.exists() or not beside.exists():
+            return wanted
+        return beside
+
+    def _find(self, name: str) -> Path:
+        for folder in self._folders:
+            path = folder / f"{name}.rmod"
+            if Path(name).name == name and path.exists():
+                return path
+        if name in self.library.rmods():
+            return Path(self.library.find_rmod(name))
+        raise self._unknown(name, self.rmods())
+
+    def _unknown(self, name: str, known: Iterable[str]) -> ConfigFileError:
+        places = [str(folder) for folder in self._folders]
+        return ConfigFileError(
+            f"there is no RMOD {name}",
+            expected=f"{name}.rmod in {' or '.join(places)}, or in the library",
+            remedy=did_you_mean(name, known) or "see 'module' for what there is",
+        )

@@ -1,0 +1,218 @@
+"""The RTPUs of one subsystem: claims on them, and requests under those claims.
+
+Claiming stands for what `sbsInit` does in Stewart 1994, section 4.5.1: the master asks
+every RTPU of the ``.sbs`` file for its use, exclusive or shared. A claim carries an
+epoch into every command, so that a master that was replaced is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import socket
+from types import NoneType
+from typing import TYPE_CHECKING, TypeVar
+
+import zenoh
+
+from pbonet.errors import (
+    ClaimError,
+    NodeError,
+    PbonetError,
+    UnreachableError,
+    did_you_mean,
+)
+from pbonet.xm import keys, rpc
+from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from pbonet.config.model import RtpuEntry, SbsFile
+
+T = TypeVar("T")
+
+log = logging.getLogger("pbonet.master")
+
+
+def client_name(kind: str) -> str:
+    """Return a unique name for a master or tool: its kind, host, process, and luck."""
+    host = "".join(c if c.isalnum() else "-" for c in socket.gethostname())[:24]
+    return f"{kind}-{host}-{os.getpid()}-{secrets.token_hex(2)}"
+
+
+class Fleet:
+    """The RTPUs that a ``.sbs`` file names, as one master sees them.
+
+    Args:
+        client: How they are asked.
+        sbs: What the file says.
+    """
+
+    def __init__(self, client: rpc.Client, sbs: SbsFile) -> None:
+        self.client = client
+        self.sbs = sbs
+        self.entries: dict[str, RtpuEntry] = {entry.name: entry for entry in sbs.rtpus}
+        self.epochs: dict[str, int] = {}
+        self._token: zenoh.LivelinessToken | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The RTPUs in the order of the file."""
+        return list(self.entries)
+
+    @property
+    def keeper_first(self) -> list[str]:
+        """The RTPUs, the one that keeps the table before the others."""
+        return sorted(self.entries, key=lambda name: name != self.sbs.keeper)
+
+    @property
+    def claimed(self) -> bool:
+        """Whether this master holds the subsystem."""
+        return bool(self.epochs)
+
+    def entry(self, rtpu: str) -> RtpuEntry:
+        """Return what the file says about an RTPU.
+
+        Raises:
+            NodeError: The file does not name it.
+        """
+        if rtpu not in self.entries:
+            raise NodeError(
+                f"the subsystem {self.sbs.subsystem} has no RTPU {rtpu}",
+                where=self.sbs.file,
+                expected="one of " + ", ".join(self.entries),
+                remedy=did_you_mean(rtpu, self.entries) or "add an RTPU line for it",
+            )
+        return self.entries[rtpu]
+
+    def claim(self, *, take_over: bool = False) -> dict[str, m.Claimed]:
+        """Reserve every RTPU; on failure none stays reserved by this call.
+
+        Raises:
+            SeveralError: Several RTPUs cannot be had; of one, its own error.
+            ClaimError: An RTPU belongs to another subsystem or another master.
+            UnreachableError: An agent is not there.
+        """
+        self._declare()
+        claims: dict[str, m.Request] = {
+            name: m.Claim(
+                subsystem=self.sbs.subsystem,
+                usage=entry.usage,
+                scheduler=entry.scheduler,
+                errprint=entry.errprint,
+                minfreq=entry.minfreq,
+                maxfreq=entry.maxfreq,
+                take_over=take_over,
+            )
+            for name, entry in self.entries.items()
+        }
+        results, errors = self.client.call_all(claims, m.Claimed)
+        self.epochs = {name: claimed.epoch for name, claimed in results.items()}
+        if errors:
+            self._give_back(results)
+            self.drop()
+            rpc.raise_all(
+                f"{len(errors)} of {len(claims)} RTPUs of the subsystem "
+                f"{self.sbs.subsystem} cannot be had",
+                errors,
+            )
+        return results
+
+    def call(
+        self,
+        rtpu: str,
+        request: m.Request,
+        result: type[T],
+        *,
+        timeout: float = rpc.ANSWER_TIME,
+    ) -> T:
+        """Send a request to one RTPU, under the claim on it if there is one.
+
+        Raises:
+            PbonetError: As `rpc.Client.call` and the agent say.
+        """
+        return self.client.call(
+            rtpu, self._signed(rtpu, request), result, timeout=timeout
+        )
+
+    def each(
+        self,
+        make: Callable[[str], m.Request],
+        result: type[T],
+        *,
+        rtpus: Iterable[str] | None = None,
+        timeout: float = rpc.ANSWER_TIME,
+    ) -> tuple[dict[str, T], list[PbonetError]]:
+        """Send a request to each RTPU at once; return results and errors."""
+        requests = {
+            rtpu: self._signed(rtpu, make(rtpu)) for rtpu in rtpus or self.entries
+        }
+        return self.client.call_all(requests, result, timeout=timeout)
+
+    def release(self) -> list[PbonetError]:
+        """Give every RTPU back; return what went wrong."""
+        errors: list[PbonetError] = []
+        if self.epochs:
+            _, errors = self.each(
+                lambda _: m.Release(), NoneType, rtpus=list(self.epochs)
+            )
+        self.drop()
+        return errors
+
+    def drop(self) -> None:
+        """Stop being a master without telling the agents; claims stand open to others.
+
+        The agents go on; the next master of the subsystem finds the tasks running.
+        """
+        self.epochs = {}
+        if self._token is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._token.undeclare()  # pyright: ignore[reportUnknownMemberType]
+            self._token = None
+
+    def masters(self) -> list[str]:
+        """Return the names of the subsystem's masters that live."""
+        key = keys.masters(self.client.domain, self.sbs.subsystem)
+        return [keys.last(token) for token in self.client.tokens(key)]
+
+    def must_be_claimed(self) -> None:
+        """Refuse what only a master may do.
+
+        Raises:
+            ClaimError: The subsystem was opened for watching, or is closed.
+        """
+        if not self.epochs:
+            raise ClaimError(
+                "this changes the subsystem, which is open for watching only",
+                where=self.sbs.subsystem,
+                remedy="open it as its master",
+            )
+
+    def _signed(self, rtpu: str, request: m.Request) -> m.Request:
+        request.subsystem = self.sbs.subsystem
+        request.epoch = self.epochs.get(rtpu, 0)
+        return request
+
+    def _declare(self) -> None:
+        """Show a token as long as this master lives; agents look for it."""
+        if self._token is not None:
+            return
+        key = keys.master(self.client.domain, self.sbs.subsystem, self.client.name)
+        try:
+            self._token = self.client.session.liveliness().declare_token(key)
+        except zenoh.ZError as error:
+            raise UnreachableError(
+                "the connection to the agents is closed", got=str(error)
+            ) from None
+
+    def _give_back(self, claims: dict[str, m.Claimed]) -> None:
+        """Release what a claim in vain got, unless the subsystem has tasks there."""
+        free = [name for name, claimed in claims.items() if not claimed.tasks]
+        if not free:
+            return
+        _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
+        for error in errors:
+            log.warning("cannot give back: %s", error)
