@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin
 
 import numpy as np
 from msgspec import Struct
@@ -131,6 +131,8 @@ _SCALARS: dict[object, tuple[str, str]] = {
     bool: ("bool", "b"),
 }
 _KINDS = dict(_SCALARS.values())
+_ELEMENTS = "biufV"
+"""Numpy kinds that a table can hold."""
 _NAME = re.compile(r"[!-~]+")
 
 
@@ -267,5 +269,8 @@ def _element(kind: object) -> str | None:
     scalar: Any = words[0] if words else None
     if not isinstance(scalar, type) or not issubclass(scalar, np.generic):
         return None
-    element = cast("type[np.generic[Any]]", scalar)
-    return str(np.dtype(element).name)
+    try:
+        dtype = np.dtype(scalar.__name__)
+    except TypeError:
+        return None
+    return str(dtype.name) if dtype.kind in _ELEMENTS else None
