@@ -27,6 +27,7 @@ from a task to the master without losing anything.
     │   ├── StateError                     the signal is not valid in this state
     │   ├── MethodError                    a method of the module raised
     │   ├── TaskDiedError                  the task's process ended
+    │   ├── ReconfigError                  an item of a list of signals failed
     │   └── UnknownTaskError (KeyError)
     ├── NodeError
     │   ├── UnreachableError (ConnectionError)
@@ -254,6 +255,18 @@ class TaskDiedError(TaskError):
     """The task's process ended without being asked to."""
 
     code = "TASK_DIED"
+
+
+class ReconfigError(TaskError):
+    """An item of a list of signals failed (section 4.4.4).
+
+    `done` items were carried out, the item after them failed, `rest` (which begins
+    with it) was not. The item's own error stands in ``__cause__``.
+    """
+
+    code = "RECONFIG"
+    done: int = 0
+    rest: tuple[tuple[str, str], ...] = ()
 
 
 class UnknownTaskError(TaskError, KeyError):
