@@ -1,0 +1,103 @@
+"""The C headers of this folder, as far as _svar.pyx uses them."""
+
+from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
+
+cdef extern from "local.h" nogil:
+    enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
+    enum: PB_HELD, PB_GROUP_VARS, PB_GROUP_CONSTS
+    struct pb_stamp:
+        int64_t time_ns
+        uint64_t cycle
+    struct pb_static:
+        uint32_t n_vars, n_regs, version
+        uint64_t size, text, text_bytes, live, mode, keep_stamps
+        uint8_t layout[16]
+    struct pb_var:
+        uint64_t bytes
+        int64_t maxage_ns
+    struct pb_cause:
+        int64_t time_ns
+        char cause[128]
+        char raiser[64]
+        char machine[64]
+    struct pb_reg:
+        uint64_t state, uid, bytes, owner, pid, start, space, head
+        char task[64]
+    struct pb_table:
+        uint8_t *base
+        pb_static *fixed
+        pb_var *vars
+        pb_reg *regs
+    struct pb_group:
+        pb_reg *reg
+        uint64_t bytes, uid
+        uint32_t n
+        const uint32_t *vars
+        const uint64_t *at
+    struct pb_check:
+        uint32_t type, rule, var
+        uint64_t at, n
+        const void *min
+        const void *max
+    struct pb_source:
+        uint64_t uid, seq
+    struct pb_piece:
+        uint64_t bytes
+    struct pb_age:
+        uint32_t var
+    struct pb_plan:
+        uint32_t n_vars
+        const uint32_t *vars
+        const uint64_t *to
+        pb_source *sources
+        pb_piece *pieces
+        pb_age *ages
+    struct pb_outputs:
+        pb_group group
+        const pb_check *checks
+        uint32_t n_checks
+        bint live
+        uint64_t first
+    struct pb_counts:
+        uint64_t copies, retries, torn, lost, stale, commits, refused, clipped
+    struct pb_local:
+        pb_table table
+        uint8_t *data
+        uint8_t *staging
+        pb_plan plans[3]
+        pb_outputs outputs[2]
+        pb_counts counts
+        uint64_t *consumed
+        uint32_t n_consumed, fault_var
+        uint64_t fault_element
+    struct pb_view:
+        pb_stamp stamp
+        uint64_t uid, seq
+        uint32_t reg, live
+        char task[64]
+    void pb_lay_out(pb_static *s, pb_var *vars, uint64_t spare)
+    int pb_format(void *base, pb_static *s, pb_var *vars, const void *text, const void *values)
+    pb_table pb_table_at(void *base)
+    int pb_verify(const void *base, uint64_t bytes)
+    int pb_look(pb_table *t, uint32_t v, void *to, pb_view *view)
+    int pb_set(pb_table *t, uint32_t v, const void *value, int64_t now_ns)
+    int pb_enter(pb_table *t, pb_group *g, pb_reg *who, uint8_t *named)
+    int pb_ask(pb_table *t, pb_group *g, const uint8_t *data, bint constants, uint32_t *rival)
+    int pb_claim(pb_table *t, pb_group *g, const uint8_t *data, pb_stamp stamp, bint constants,
+                 uint32_t *rival)
+    int pb_let_go(pb_table *t, uint32_t r, bint leave, bint dead)
+    bint pb_register_at(pb_table *t, uint32_t r, pb_reg *copy)
+    pb_cause pb_cause_of(const char *cause, const char *raiser, const char *machine)
+    int pb_raise(pb_table *t, const pb_cause *cause)
+    int pb_clear(pb_table *t, const pb_cause *which)
+    bint pb_cause_at(pb_table *t, int i, pb_cause *cause)
+    uint64_t pb_illegal(pb_table *t)
+    uint64_t pb_generation_seen(pb_table *t)
+    uint64_t pb_process_start(uint64_t pid)
+    uint64_t pb_process_space()
+    int64_t pb_now()
+    int pb_copy_in(pb_local *l, pb_plan *p)
+    int pb_judge(pb_local *l, pb_outputs *o)
+    int pb_commit(pb_local *l, pb_outputs *o, int64_t now_ns, uint64_t cycle)
+    int pb_commit_one(pb_local *l, pb_outputs *o, uint32_t i, int64_t now_ns, uint64_t cycle)
+    int pb_read_one(pb_local *l, uint32_t v, uint64_t at)

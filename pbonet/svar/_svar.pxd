@@ -1,0 +1,37 @@
+"""What other native parts of pbonet call without Python.
+
+The structures behind these classes stay in the C headers of this folder, so whoever
+cimports the classes needs no include path.
+"""
+
+
+cdef class Arena:
+    """A table's file, mapped whole."""
+
+    cdef object memory, machine
+    cdef const char *machine_text
+    cdef void *core            # struct pb_table
+    cdef void *base
+    cdef size_t bytes
+    # Raise a cause of the illegal-configuration flag, clear all that a raiser raised; both
+    # take the claimers' lock for at most 2 s. 0 is good, negative: full or stuck.
+    cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil
+    cdef int c_clear_illegal(self, const char *raiser) noexcept nogil
+    cdef bint c_illegal(self) noexcept nogil
+
+
+cdef class LocalTable:
+    """One task's local table; flags are the bits of pbonet.svar.Flags, 0 is good."""
+
+    cdef readonly Arena arena
+    cdef list kept             # the buffers that core points into
+    cdef void *core            # struct pb_local
+    cdef readonly int flags    # of the last copy, commit or claim
+    cdef readonly unsigned long long cycles  # cycle number of the last commit
+    cdef void *out_data        # the out-vars' place in the local table
+    cdef size_t out_bytes
+    cdef unsigned long long *consumed  # pairs: register uid, sequence
+    cdef int n_consumed                # number of pairs
+    cdef int c_copy_in(self) noexcept nogil
+    cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil
+    cdef bint c_illegal(self) noexcept nogil

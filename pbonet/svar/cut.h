@@ -1,0 +1,143 @@
+/* A consistent cut: the newest values of many variables from several registers, such that
+ * an instant exists at which all of them were current (thesis, section 5.5: data is always
+ * transferred as a complete set).
+ *
+ * Note the generation and every register's head, copy, look again. All unchanged: every
+ * group was current from the last first look to the first second look. Else again, at most
+ * PB_TRIES times; then whole groups are accepted, and the caller is told that the cut is
+ * not proven. Nothing waits: no turn of this loop depends on another process's progress.
+ */
+#ifndef PBONET_CUT_H
+#define PBONET_CUT_H
+
+#include "arena.h"
+
+enum { PB_TRIES = 16, PB_TRIES_WHOLE = 256 };
+enum pb_result { PB_CONSISTENT, PB_WHOLE, PB_LOST };
+
+struct pb_source {
+    const struct pb_reg *reg;
+    uint8_t *slots;
+    uint64_t stride, uid, seq;
+};
+
+struct pb_piece {
+    uint32_t source;
+    uint64_t from, to, bytes;
+};
+
+struct pb_age {
+    uint32_t source, var;
+    uint64_t from;
+    int64_t maxage_ns;
+    struct pb_stamp stamp;
+};
+
+/* Which bytes go where; made anew whenever the generation has changed. The caller provides
+ * arrays for n_vars sources, pieces and ages. */
+struct pb_plan {
+    uint32_t n_vars, n_sources, n_pieces, n_ages;
+    const uint32_t *vars; /* indices, in rising order */
+    const uint64_t *to;   /* places in the local table */
+    struct pb_source *sources;
+    struct pb_piece *pieces;
+    struct pb_age *ages;
+    uint64_t generation;
+    bool all_ages; /* note every variable's stamp, not only of those with MAXAGE */
+};
+
+static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p, uint32_t r) {
+    const struct pb_reg *reg = t->regs + r;
+    uint32_t i = 0;
+    while (i < p->n_sources && p->sources[i].reg != reg) i++;
+    if (i == p->n_sources) {
+        p->sources[p->n_sources++] = (struct pb_source){
+            reg, t->base + atomic_load_explicit(&reg->slots, memory_order_relaxed),
+            atomic_load_explicit(&reg->stride, memory_order_relaxed),
+            atomic_load_explicit(&reg->uid, memory_order_relaxed), 0};
+    }
+    return i;
+}
+
+static inline void pb_add_piece(struct pb_plan *p, struct pb_piece new) {
+    struct pb_piece *last = p->pieces + p->n_pieces - 1;
+    if (p->n_pieces && last->source == new.source && last->from + last->bytes == new.from &&
+        last->to + last->bytes == new.to) {
+        last->bytes += new.bytes; /* neighbours on both sides: one copy */
+    } else {
+        p->pieces[p->n_pieces++] = new;
+    }
+}
+
+/* Make the plan for `generation`; false when that is no longer the newest. */
+static inline bool pb_replan(const struct pb_table *t, struct pb_plan *p,
+                             uint64_t generation) {
+    const struct pb_entry *dir = pb_directory(t, generation);
+    p->generation = 0;
+    p->n_sources = p->n_pieces = p->n_ages = 0;
+    for (uint32_t i = 0; i < p->n_vars; i++) {
+        const uint32_t v = p->vars[i];
+        const struct pb_var *var = t->vars + v;
+        struct pb_entry e;
+        uint32_t source;
+        pb_copy(&e, dir + v, sizeof e);
+        if (e.reg >= t->fixed->n_regs) return false;
+        source = pb_source_of(t, p, e.reg);
+        pb_add_piece(p, (struct pb_piece){source, PB_LINE + e.at, p->to[i], var->bytes});
+        if (var->maxage_ns || p->all_ages)
+            p->ages[p->n_ages++] = (struct pb_age){
+                source, v,
+                e.reg == PB_KEEPER ? PB_LINE + t->fixed->keep_stamps + v * sizeof(struct pb_stamp)
+                                   : 0,
+                var->maxage_ns, {0, 0}};
+    }
+    /* SYNC POINT C1, partners R1 (directory slot) and O1 (register fields): nothing above
+     * may be used, not even to compute an address, unless it belongs to this generation. */
+    pb_read_fence();
+    if (pb_read_end(&t->live->generation) != generation) return false;
+    p->generation = generation;
+    return true;
+}
+
+static inline void pb_copy_pieces(struct pb_plan *p, uint8_t *to) {
+    for (uint32_t i = 0; i < p->n_pieces; i++) {
+        const struct pb_piece *piece = p->pieces + i;
+        const struct pb_source *s = p->sources + piece->source;
+        pb_copy(to + piece->to, pb_slot(s->slots, s->stride, s->seq) + piece->from,
+                piece->bytes);
+    }
+    for (uint32_t i = 0; i < p->n_ages; i++) {
+        const struct pb_source *s = p->sources + p->ages[i].source;
+        pb_copy(&p->ages[i].stamp, pb_slot(s->slots, s->stride, s->seq) + p->ages[i].from,
+                sizeof p->ages[i].stamp);
+    }
+}
+
+/* Read the plan's variables to `to`. `tries` is raised by the number of vain attempts. */
+static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p, uint8_t *to,
+                                    uint64_t *tries) {
+    for (uint32_t try = 0; try < PB_TRIES_WHOLE; try++, ++*tries) {
+        bool same = true, whole = true;
+        /* SYNC POINT C2, partner R2 in pb_write_end on the generation. */
+        uint64_t generation = pb_read_begin(&t->live->generation);
+        if (generation != p->generation && !pb_replan(t, p, generation)) continue;
+        for (uint32_t i = 0; i < p->n_sources; i++)
+            p->sources[i].seq = pb_read_begin(&p->sources[i].reg->head);
+        pb_copy_pieces(p, to);
+        /* SYNC POINT C3, partner R1: all second looks come after all copies, and all first
+         * looks (acquire) came before them. */
+        pb_read_fence();
+        for (uint32_t i = 0; i < p->n_sources; i++) {
+            uint64_t again = pb_read_end(&p->sources[i].reg->head);
+            same &= again == p->sources[i].seq;
+            whole &= pb_whole(p->sources[i].seq, again);
+        }
+        /* SYNC POINT C4, partner R1 on the generation: the registers were not reused. */
+        if (pb_read_end(&t->live->generation) != generation) continue;
+        if (same) return PB_CONSISTENT;
+        if (whole && try + 1 >= PB_TRIES) return PB_WHOLE;
+    }
+    return PB_LOST;
+}
+
+#endif

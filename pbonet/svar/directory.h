@@ -1,0 +1,136 @@
+/* The directory and the registers that it names: what every change of ownership is made of.
+ *
+ * The next directory is prepared beside the present one and published by one store
+ * (pb_write_end on the generation): killed anywhere, a claimer leaves either the old
+ * ownership of all its variables or the new one. Slots of a register are given to another
+ * only when the directory of the present generation no longer names it, so a reader that
+ * still copies from them finds another generation.
+ */
+#ifndef PBONET_DIRECTORY_H
+#define PBONET_DIRECTORY_H
+
+#include "lock.h"
+
+enum { PB_RIVAL = -1, PB_FULL = -2, PB_STUCK = -3, PB_ALIVE = -4 };
+
+/* The variables that a task writes together, as its process sees them. */
+struct pb_group {
+    struct pb_reg *reg;
+    uint8_t *slots;
+    uint64_t stride, bytes, uid;
+    uint32_t n;
+    const uint32_t *vars; /* their indices, in rising order */
+    const uint64_t *at;   /* their places in the group */
+};
+
+static inline uint64_t pb_generation(const struct pb_table *t) { /* under the lock */
+    return atomic_load_explicit(&t->live->generation, memory_order_relaxed);
+}
+
+static inline void pb_commit_raw(struct pb_reg *reg, uint8_t *slots, uint64_t stride,
+                                 const void *data, size_t bytes, struct pb_stamp stamp) {
+    uint64_t seq = pb_write_begin(&reg->head);
+    uint8_t *slot = pb_slot(slots, stride, seq);
+    pb_copy_out(slot + PB_LINE, data, bytes);
+    pb_copy_out(slot, &stamp, sizeof stamp);
+    pb_write_end(&reg->head, seq);
+}
+
+static inline void pb_commit_group(struct pb_group *g, const void *data,
+                                   struct pb_stamp stamp) {
+    pb_commit_raw(g->reg, g->slots, g->stride, data, g->bytes, stamp);
+}
+
+/* The generation, for who only wants to know whether something changed. */
+static inline uint64_t pb_generation_seen(const struct pb_table *t) {
+    return pb_read_begin(&t->live->generation);
+}
+
+/* Copy a register's description; false when it is free. */
+static inline bool pb_register_at(const struct pb_table *t, uint32_t r, struct pb_reg *copy) {
+    if (pb_lock(t->live)) return false;
+    *copy = t->regs[r];
+    pb_unlock(t->live);
+    return atomic_load_explicit(&copy->state, memory_order_relaxed) != PB_FREE;
+}
+
+/* Begin the next directory: a copy of the present one. */
+static inline struct pb_entry *pb_next(const struct pb_table *t, uint64_t *generation) {
+    struct pb_entry *next;
+    *generation = pb_write_begin(&t->live->generation);
+    next = pb_directory(t, *generation);
+    pb_copy_out(next, pb_directory(t, *generation - 1),
+                t->fixed->n_vars * sizeof(struct pb_entry));
+    return next;
+}
+
+/* Free the registers that no variable stands in and nobody will write to. */
+static inline void pb_sweep(const struct pb_table *t, uint8_t *named) {
+    const struct pb_entry *now = pb_directory(t, pb_generation(t));
+    memset(named, 0, t->fixed->n_regs);
+    for (uint32_t v = 0; v < t->fixed->n_vars; v++)
+        if (now[v].reg < t->fixed->n_regs) named[now[v].reg] = 1;
+    for (uint32_t r = 1; r < t->fixed->n_regs; r++) {
+        struct pb_reg *reg = t->regs + r;
+        uint64_t state = atomic_load_explicit(&reg->state, memory_order_relaxed);
+        if (state == PB_FREE || named[r]) continue;
+        if (state == PB_LEFT || !pb_alive(reg)) {
+            PBONET_STEP(8);
+            atomic_store_explicit(&reg->state, PB_FREE, memory_order_relaxed);
+        }
+    }
+}
+
+/* The first place in the arena where `bytes` are free; 0 when there is none. */
+static inline uint64_t pb_room(const struct pb_table *t, uint64_t bytes) {
+    uint64_t at = t->fixed->arena;
+    for (uint32_t r = 0; r < t->fixed->n_regs; r++) {
+        const struct pb_reg *reg = t->regs + r;
+        uint64_t from = atomic_load_explicit(&reg->slots, memory_order_relaxed);
+        uint64_t to = from + PB_SLOTS * atomic_load_explicit(&reg->stride, memory_order_relaxed);
+        if (atomic_load_explicit(&reg->state, memory_order_relaxed) == PB_FREE) continue;
+        if (from >= at + bytes || to <= at) continue;
+        at = to; /* in the way: go behind it and look at all of them again */
+        r = (uint32_t)-1;
+    }
+    return at + bytes <= t->fixed->size ? at : 0;
+}
+
+/* Take a register for a group of g->bytes; `who` names its writer. `named` is scratch of
+ * n_regs bytes. Returns its index, PB_FULL or PB_STUCK. */
+static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
+                           const struct pb_reg *who, uint8_t *named) {
+    uint64_t stride = pb_stride(g->bytes), slots;
+    struct pb_reg *reg = t->regs + 1;
+    if (pb_lock(t->live)) return PB_STUCK;
+    pb_sweep(t, named);
+    while (reg < t->regs + t->fixed->n_regs &&
+           atomic_load_explicit(&reg->state, memory_order_relaxed) != PB_FREE) reg++;
+    slots = pb_room(t, PB_SLOTS * stride);
+    if (reg == t->regs + t->fixed->n_regs || !slots) {
+        pb_unlock(t->live);
+        return PB_FULL;
+    }
+    /* SYNC POINT O1, partner R4: who reads a field set here also sees the generation that
+     * no longer names the register. */
+    atomic_thread_fence(memory_order_release);
+    g->uid = ++t->live->uids;
+    atomic_store_explicit(&reg->slots, slots, memory_order_relaxed);
+    atomic_store_explicit(&reg->stride, stride, memory_order_relaxed);
+    atomic_store_explicit(&reg->uid, g->uid, memory_order_relaxed);
+    PBONET_STEP(9);
+    reg->bytes = g->bytes;
+    reg->owner = who->owner ? who->owner : g->uid;
+    reg->pid = who->pid;
+    reg->start = who->start;
+    reg->space = who->space;
+    pb_copy_out(reg->task, who->task, sizeof reg->task);
+    atomic_store_explicit(&reg->state, PB_HELD, memory_order_relaxed);
+    g->reg = reg;
+    g->slots = t->base + slots;
+    g->stride = stride;
+    pb_unlock(t->live);
+    return (int)(reg - t->regs);
+}
+
+#endif

@@ -1,0 +1,107 @@
+/* What is looked at before a group is committed: are floats finite, are values within the
+ * limits of variables that say LIMIT clip or LIMIT error. Works on the private local copy.
+ */
+#ifndef PBONET_GUARD_H
+#define PBONET_GUARD_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+enum pb_type { PB_I1, PB_I2, PB_I4, PB_I8, PB_U1, PB_U2, PB_U4, PB_U8, PB_F4, PB_F8 };
+enum pb_rule { PB_FINITE, PB_CLIP, PB_LIMIT };
+
+/* One stretch of a group under one rule; min and max have n elements of the type. */
+struct pb_check {
+    uint32_t type, rule, var;
+    uint64_t at, n;
+    const void *min, *max;
+};
+
+/* A float is not finite when all bits of its exponent are set: adding one to the lowest of
+ * them then carries into the sign's place. Free of branches, so that it becomes vector code. */
+static inline bool pb_finite_f8(const uint8_t *data, uint64_t n) {
+    uint64_t carry = 0, bits;
+    for (uint64_t i = 0; i < n; i++) {
+        memcpy(&bits, data + 8 * i, sizeof bits);
+        carry |= (bits & 0x7ff0000000000000u) + 0x0010000000000000u;
+    }
+    return !(carry >> 63);
+}
+
+static inline bool pb_finite_f4(const uint8_t *data, uint64_t n) {
+    uint32_t carry = 0, bits;
+    for (uint64_t i = 0; i < n; i++) {
+        memcpy(&bits, data + 4 * i, sizeof bits);
+        carry |= (bits & 0x7f800000u) + 0x00800000u;
+    }
+    return !(carry >> 31);
+}
+
+static inline bool pb_finite(const uint8_t *data, uint32_t type, uint64_t n) {
+    return type == PB_F8 ? pb_finite_f8(data, n) : pb_finite_f4(data, n);
+}
+
+/* The first of n elements outside its limits, n when there is none; with `clip` they are
+ * brought inside and counted. NaN is outside of nothing: FINITE judges it. */
+#define PB_DEFINE_LIMIT(name, kind)                                                     \
+    static inline uint64_t pb_limit_##name(uint8_t *data, const kind *min, const kind *max, \
+                                           uint64_t n, bool clip, uint64_t *clipped) {  \
+        kind *x = (kind *)(void *)data;                                                 \
+        for (uint64_t i = 0; i < n; i++) {                                              \
+            if (!(x[i] < min[i]) && !(x[i] > max[i])) continue;                         \
+            if (!clip) return i;                                                        \
+            x[i] = x[i] < min[i] ? min[i] : max[i];                                     \
+            ++*clipped;                                                                 \
+        }                                                                               \
+        return n;                                                                       \
+    }
+PB_DEFINE_LIMIT(i1, int8_t)
+PB_DEFINE_LIMIT(i2, int16_t)
+PB_DEFINE_LIMIT(i4, int32_t)
+PB_DEFINE_LIMIT(i8, int64_t)
+PB_DEFINE_LIMIT(u1, uint8_t)
+PB_DEFINE_LIMIT(u2, uint16_t)
+PB_DEFINE_LIMIT(u4, uint32_t)
+PB_DEFINE_LIMIT(u8, uint64_t)
+PB_DEFINE_LIMIT(f4, float)
+PB_DEFINE_LIMIT(f8, double)
+
+static inline uint64_t pb_limit(const struct pb_check *c, uint8_t *data, uint64_t *clipped) {
+    bool clip = c->rule == PB_CLIP;
+    switch (c->type) {
+    case PB_I1: return pb_limit_i1(data, c->min, c->max, c->n, clip, clipped);
+    case PB_I2: return pb_limit_i2(data, c->min, c->max, c->n, clip, clipped);
+    case PB_I4: return pb_limit_i4(data, c->min, c->max, c->n, clip, clipped);
+    case PB_I8: return pb_limit_i8(data, c->min, c->max, c->n, clip, clipped);
+    case PB_U1: return pb_limit_u1(data, c->min, c->max, c->n, clip, clipped);
+    case PB_U2: return pb_limit_u2(data, c->min, c->max, c->n, clip, clipped);
+    case PB_U4: return pb_limit_u4(data, c->min, c->max, c->n, clip, clipped);
+    case PB_U8: return pb_limit_u8(data, c->min, c->max, c->n, clip, clipped);
+    case PB_F4: return pb_limit_f4(data, c->min, c->max, c->n, clip, clipped);
+    default: return pb_limit_f8(data, c->min, c->max, c->n, clip, clipped);
+    }
+}
+
+/* The first check that the group fails, with the element in `*element`; n when none. */
+static inline uint32_t pb_guard(const struct pb_check *checks, uint32_t n, uint8_t *group,
+                                uint64_t *element, uint64_t *clipped) {
+    for (uint32_t i = 0; i < n; i++) {
+        const struct pb_check *c = checks + i;
+        uint8_t *data = group + c->at;
+        uint64_t e = 0;
+        if (c->rule == PB_FINITE) {
+            const uint64_t size = c->type == PB_F8 ? 8 : 4;
+            if (pb_finite(data, c->type, c->n)) continue;
+            while (pb_finite(data + e * size, c->type, 1)) e++;
+        } else if ((e = pb_limit(c, data, clipped)) == c->n) {
+            continue;
+        }
+        *element = e;
+        return i;
+    }
+    return n;
+}
+
+#endif

@@ -1,0 +1,143 @@
+/* A task's local state variable table (thesis, section 5.5): private memory, what is
+ * copied into it before a cycle, and what is copied out of it behind one. */
+#ifndef PBONET_LOCAL_H
+#define PBONET_LOCAL_H
+
+#include "cut.h"
+#include "flag.h"
+#include "guard.h"
+#include "keeper.h"
+#include "look.h"
+
+enum pb_flags {
+    PB_COPY_TORN = 1,  /* retry bound met: groups whole, cut not proven */
+    PB_COPY_STALE = 2, /* an input is older than its MAXAGE */
+    PB_COPY_KEPT = 4,  /* with TORN: the inputs of the last copy were kept */
+    PB_COPY_LOST = 8,  /* with TORN: no whole copy was had, do not use the inputs */
+    PB_COMMIT_NONFINITE = 16,
+    PB_COMMIT_LIMIT = 32,
+    PB_COMMIT_NOT_OWNER = 64,
+};
+
+enum { PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON, PB_PLANS };
+enum { PB_GROUP_VARS, PB_GROUP_CONSTS, PB_GROUPS };
+
+struct pb_outputs {
+    struct pb_group group;
+    const struct pb_check *checks;
+    uint32_t n_checks;
+    bool live;     /* claimed by this process */
+    uint64_t first; /* place of the group in the local table */
+};
+
+struct pb_counts {
+    uint64_t copies, retries, torn, lost, stale, commits, refused, clipped;
+};
+
+struct pb_local {
+    struct pb_table table;
+    uint8_t *data, *staging; /* staging: NULL, or as large as data: keep last inputs */
+    struct pb_plan plans[PB_PLANS];
+    struct pb_outputs outputs[PB_GROUPS];
+    struct pb_counts counts;
+    uint64_t *consumed; /* pairs of register uid and sequence, room for the largest plan */
+    uint32_t n_consumed;
+    uint32_t fault_var; /* of the last refused commit, or the stale input */
+    uint64_t fault_element;
+};
+
+static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
+    int64_t now = pb_now();
+    for (uint32_t i = 0; i < p->n_ages; i++) {
+        const struct pb_age *age = p->ages + i;
+        if (age->stamp.time_ns && now - age->stamp.time_ns <= age->maxage_ns) continue;
+        l->fault_var = age->var;
+        l->counts.stale++;
+        return PB_COPY_STALE;
+    }
+    return 0;
+}
+
+/* Bring a plan's variables into the local table; returns flags. */
+static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
+    enum pb_result result;
+    int flags = 0;
+    l->counts.copies++;
+    result = pb_cut(&l->table, p, l->staging ? l->staging : l->data, &l->counts.retries);
+    if (result != PB_CONSISTENT) {
+        flags |= PB_COPY_TORN;
+        l->counts.torn++;
+        if (result == PB_LOST) l->counts.lost++;
+        if (l->staging) return flags | PB_COPY_KEPT;
+        if (result == PB_LOST) return flags | PB_COPY_LOST;
+    }
+    if (l->staging) {
+        for (uint32_t i = 0; i < p->n_pieces; i++)
+            memcpy(l->data + p->pieces[i].to, l->staging + p->pieces[i].to, p->pieces[i].bytes);
+    }
+    for (uint32_t i = 0; i < p->n_sources; i++) {
+        l->consumed[2 * i] = p->sources[i].uid;
+        l->consumed[2 * i + 1] = p->sources[i].seq;
+    }
+    l->n_consumed = p->n_sources;
+    return p->n_ages ? flags | pb_stale(l, p) : flags;
+}
+
+/* Judge a group before it goes out; returns flags. */
+static inline int pb_judge(struct pb_local *l, const struct pb_outputs *o) {
+    uint32_t failed;
+    if (!o->n_checks) return 0;
+    failed = pb_guard(o->checks, o->n_checks, l->data + o->first, &l->fault_element,
+                      &l->counts.clipped);
+    if (failed == o->n_checks) return 0;
+    l->fault_var = o->checks[failed].var;
+    l->counts.refused++;
+    return o->checks[failed].rule == PB_FINITE ? PB_COMMIT_NONFINITE : PB_COMMIT_LIMIT;
+}
+
+static inline bool pb_is_mine(const struct pb_outputs *o) {
+    return o->live && atomic_load_explicit(&o->group.reg->uid, memory_order_relaxed) ==
+                          o->group.uid;
+}
+
+/* Bring in one variable, wherever it stands in the local table. */
+static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
+    struct pb_view view;
+    enum pb_result result = pb_look(&l->table, v, l->data + at, &view);
+    return result == PB_CONSISTENT ? 0 : PB_COPY_TORN | PB_COPY_LOST;
+}
+
+/* Send a group out; returns flags, and leaves the table alone when any is set. */
+static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, int64_t now_ns,
+                            uint64_t cycle) {
+    int flags;
+    if (!o->group.n) return 0;
+    if (!pb_is_mine(o)) return PB_COMMIT_NOT_OWNER;
+    if ((flags = pb_judge(l, o))) return flags;
+    pb_commit_group(&o->group, l->data + o->first, (struct pb_stamp){now_ns, cycle});
+    l->counts.commits++;
+    return 0;
+}
+
+/* Send out one variable of the group; the others keep their last committed values. */
+static inline int pb_commit_one(struct pb_local *l, struct pb_outputs *o, uint32_t i,
+                                int64_t now_ns, uint64_t cycle) {
+    struct pb_group *g = &o->group;
+    struct pb_stamp stamp = {now_ns, cycle};
+    uint64_t seq;
+    uint8_t *slot;
+    int flags;
+    if (!pb_is_mine(o)) return PB_COMMIT_NOT_OWNER;
+    if ((flags = pb_judge(l, o))) return flags;
+    seq = pb_write_begin(&g->reg->head);
+    slot = pb_slot(g->slots, g->stride, seq) + PB_LINE;
+    pb_copy_out(slot, pb_slot(g->slots, g->stride, seq - 1) + PB_LINE, g->bytes);
+    pb_copy_out(slot + g->at[i], l->data + o->first + g->at[i],
+                l->table.vars[g->vars[i]].bytes);
+    pb_copy_out(slot - PB_LINE, &stamp, sizeof stamp);
+    pb_write_end(&g->reg->head, seq);
+    l->counts.commits++;
+    return 0;
+}
+
+#endif

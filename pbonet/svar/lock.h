@@ -1,0 +1,103 @@
+/* The lock between claimers, and whether a process still lives.
+ *
+ * Only changes of ownership, operator-set values and causes take the lock; reading and
+ * committing never do. It is robust (the kernel gives it on when its holder dies; as each
+ * change is published by one store there is nothing to repair), inherits priorities where
+ * the kernel can, and is never waited for longer than PB_PATIENCE seconds.
+ */
+#ifndef PBONET_LOCK_H
+#define PBONET_LOCK_H
+
+#include "arena.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { PB_PATIENCE = 2 };
+
+static inline int64_t pb_now(void) {
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return now.tv_sec * INT64_C(1000000000) + now.tv_nsec;
+}
+
+static inline int pb_lock_make(pthread_mutex_t *lock) {
+    static const int protocols[] = {PTHREAD_PRIO_INHERIT, PTHREAD_PRIO_NONE};
+    pthread_mutexattr_t attr;
+    int error = 0;
+    for (int i = 0; i < 2; i++) {
+        pthread_mutexattr_init(&attr);
+        pthread_mutexattr_setpshared(&attr, PTHREAD_PROCESS_SHARED);
+        pthread_mutexattr_setrobust(&attr, PTHREAD_MUTEX_ROBUST);
+        pthread_mutexattr_setprotocol(&attr, protocols[i]);
+        error = pthread_mutex_init(lock, &attr);
+        pthread_mutexattr_destroy(&attr);
+        if (error) continue;
+        error = pthread_mutex_lock(lock); /* some kernels refuse only here */
+        if (!error) return pthread_mutex_unlock(lock);
+    }
+    return error;
+}
+
+/* Returns 0, or an errno: ETIMEDOUT when somebody holds the lock and does not run. */
+static inline int pb_lock(struct pb_live *live) {
+    struct timespec until;
+    int error;
+    clock_gettime(CLOCK_REALTIME, &until);
+    until.tv_sec += PB_PATIENCE;
+    /* SYNC POINT L1, partner L2 in pb_unlock: the new holder sees what the old one wrote,
+     * whether that one unlocked or died (the kernel's hand-over orders as well). */
+    error = pthread_mutex_timedlock(&live->lock, &until);
+    if (error == EOWNERDEAD) error = pthread_mutex_consistent(&live->lock);
+    PBONET_STEP(5);
+    return error;
+}
+
+static inline void pb_unlock(struct pb_live *live) {
+    PBONET_STEP(6);
+    /* SYNC POINT L2, partner L1 in pb_lock. */
+    pthread_mutex_unlock(&live->lock);
+    PBONET_STEP(7);
+}
+
+/* When the process started, in ticks since boot; 0 when there is none or it is a zombie.
+ * Together with the number it names a process for good: numbers are used again. */
+static inline uint64_t pb_process_start(uint64_t pid) {
+    char path[40], text[512], *at;
+    ssize_t bytes;
+    int file;
+    snprintf(path, sizeof path, "/proc/%llu/stat", (unsigned long long)pid);
+    file = open(path, O_RDONLY | O_CLOEXEC);
+    if (file < 0) return 0;
+    bytes = read(file, text, sizeof text - 1);
+    close(file);
+    if (bytes <= 0) return 0;
+    text[bytes] = 0;
+    at = strrchr(text, ')'); /* the name before it may hold anything */
+    if (!at || at[1] != ' ' || at[2] == 'Z' || at[2] == 'X') return 0;
+    at += 2;
+    for (int field = 3; field < 22; field++) {
+        at = strchr(at, ' ');
+        if (!at) return 0;
+        at++;
+    }
+    return strtoull(at, NULL, 10);
+}
+
+/* The name space in which process numbers mean something. */
+static inline uint64_t pb_process_space(void) {
+    struct stat st;
+    return stat("/proc/self/ns/pid", &st) ? 0 : (uint64_t)st.st_ino;
+}
+
+/* Whether the holder of a register lives; who cannot be judged from here counts as alive. */
+static inline bool pb_alive(const struct pb_reg *reg) {
+    return reg->space != pb_process_space() || pb_process_start(reg->pid) == reg->start;
+}
+
+#endif

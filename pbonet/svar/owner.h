@@ -1,0 +1,113 @@
+/* Who writes what: variables are claimed and given up, always under the lock, and always
+ * as one event for readers (directory.h says why). */
+#ifndef PBONET_OWNER_H
+#define PBONET_OWNER_H
+
+#include "directory.h"
+
+/* The newest value of a variable, for who holds the lock; its owner may go on writing, so
+ * the copy is made again until it is whole. False when it never was. */
+static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry *e,
+                                 const uint8_t *value, uint64_t bytes) {
+    const struct pb_reg *reg = t->regs + e->reg;
+    uint8_t *slots = t->base + atomic_load_explicit(&reg->slots, memory_order_relaxed);
+    uint64_t stride = atomic_load_explicit(&reg->stride, memory_order_relaxed);
+    for (int tries = 0; tries < 64; tries++) {
+        uint64_t word, seq = pb_read_begin(&reg->head);
+        const uint8_t *from = pb_slot(slots, stride, seq) + PB_LINE + e->at;
+        bool same = true;
+        for (uint64_t i = 0; i < bytes && same; i += sizeof word) {
+            pb_copy(&word, from + i, sizeof word);
+            same = !memcmp(&word, value + i, sizeof word);
+        }
+        pb_read_fence();
+        if (pb_whole(seq, pb_read_end(&reg->head))) return same;
+    }
+    return false;
+}
+
+enum { PB_TAKE, PB_SHARE, PB_REFUSE };
+
+/* May the group take this variable? A constant that its owner gives the same value is
+ * left to that owner (thesis, section 3.5: only a different value is a conflict). */
+static inline int pb_may(const struct pb_table *t, const struct pb_group *g, uint32_t i,
+                         const uint8_t *data, bool constants) {
+    const struct pb_entry *e = pb_directory(t, pb_generation(t)) + g->vars[i];
+    if (!e->live || t->regs + e->reg == g->reg || !pb_alive(t->regs + e->reg)) return PB_TAKE;
+    if (constants && pb_peek_equal(t, e, data + g->at[i], t->vars[g->vars[i]].bytes))
+        return PB_SHARE;
+    return PB_REFUSE;
+}
+
+/* The variable that another live task owns, if any; for who holds the lock. */
+static inline bool pb_refused(const struct pb_table *t, const struct pb_group *g,
+                              const uint8_t *data, bool constants, uint32_t *rival) {
+    for (uint32_t i = 0; i < g->n; i++) {
+        if (pb_may(t, g, i, data, constants) != PB_REFUSE) continue;
+        *rival = g->vars[i];
+        return true;
+    }
+    return false;
+}
+
+/* Would a claim be refused now? Asked before a module is turned on, to no obligation. */
+static inline int pb_ask(const struct pb_table *t, const struct pb_group *g,
+                         const uint8_t *data, bool constants, uint32_t *rival) {
+    bool refused;
+    if (pb_lock(t->live)) return PB_STUCK;
+    refused = pb_refused(t, g, data, constants, rival);
+    pb_unlock(t->live);
+    return refused ? PB_RIVAL : 0;
+}
+
+/* Commit the group and take all its variables, as one event. Returns 0, PB_STUCK, or
+ * PB_RIVAL with the variable that another live task owns. */
+static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
+                           struct pb_stamp stamp, bool constants, uint32_t *rival) {
+    uint64_t generation;
+    struct pb_entry *next;
+    if (pb_lock(t->live)) return PB_STUCK;
+    if (pb_refused(t, g, data, constants, rival)) {
+        pb_unlock(t->live);
+        return PB_RIVAL;
+    }
+    pb_commit_group(g, data, stamp);
+    next = pb_next(t, &generation);
+    for (uint32_t i = 0; i < g->n; i++) {
+        struct pb_entry mine = {(uint32_t)(g->reg - t->regs), 1, g->at[i]};
+        if (pb_may(t, g, i, data, constants) == PB_TAKE)
+            pb_copy_out(next + g->vars[i], &mine, sizeof mine);
+    }
+    pb_write_end(&t->live->generation, generation);
+    pb_unlock(t->live);
+    return 0;
+}
+
+/* Give up all variables that stand in register `r`; their values stand. With `leave` the
+ * register is not written again; with `dead` it must belong to a process that has gone. */
+static inline int pb_let_go(const struct pb_table *t, uint32_t r, bool leave, bool dead) {
+    const struct pb_entry *now;
+    struct pb_entry *next;
+    uint64_t generation;
+    uint32_t v = 0;
+    if (pb_lock(t->live)) return PB_STUCK;
+    if (dead && pb_alive(t->regs + r)) {
+        pb_unlock(t->live);
+        return PB_ALIVE;
+    }
+    now = pb_directory(t, pb_generation(t));
+    while (v < t->fixed->n_vars && !(now[v].reg == r && now[v].live)) v++;
+    if (v < t->fixed->n_vars) {
+        next = pb_next(t, &generation);
+        for (; v < t->fixed->n_vars; v++) {
+            struct pb_entry left = {r, 0, next[v].at};
+            if (next[v].reg == r) pb_copy_out(next + v, &left, sizeof left);
+        }
+        pb_write_end(&t->live->generation, generation);
+    }
+    if (leave) atomic_store_explicit(&t->regs[r].state, PB_LEFT, memory_order_relaxed);
+    pb_unlock(t->live);
+    return 0;
+}
+
+#endif
