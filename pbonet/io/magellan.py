@@ -184,6 +184,16 @@ class Ball:
             self.motion = AT_REST
         return self.motion
 
+    def restart(self) -> None:
+        """Forget what the ball sent while nobody polled it."""
+        if self._line.is_open:
+            try:
+                self._line.discard_input()
+            except DeviceError as error:
+                self.fault = error
+        self._decoder = Decoder()
+        self.motion, self.keys = AT_REST, Keys(0)
+
     def close(self) -> None:
         """Let go of the line; the next poll opens it again."""
         self._line.close()

@@ -133,6 +133,17 @@ class SerialLine:
         except OSError as error:
             raise self._lost(error) from None
 
+    def discard_input(self) -> None:
+        """Forget the bytes that have arrived and were not read.
+
+        Raises:
+            DeviceError: The line is not open, or the device is gone.
+        """
+        try:
+            termios.tcflush(self._descriptor(), termios.TCIFLUSH)
+        except termios.error as error:
+            raise self._lost(OSError(*error.args)) from None
+
     def close(self) -> None:
         """Close the line and drop what was not sent; closing twice is allowed."""
         port, self._port = self._port, None

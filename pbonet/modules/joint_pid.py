@@ -1,0 +1,36 @@
+"""Joint-space PID control, one independent loop per joint."""
+
+from typing import Annotated as A
+
+import numpy as np
+
+from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
+
+
+class Gains(Params):
+    """Gains shared by every joint."""
+
+    kp: A[float, param("N*m/rad", "stiffness", ge=0)]
+    limit: A[float, param("N*m", "largest torque per joint", gt=0)]
+    ki: A[float, param("N*m/(rad*s)", "integral gain", ge=0)] = 0.0
+    kd: A[float, param("N*m*s/rad", "damping", ge=0)] = 0.0
+
+
+class JointPID(PortBasedObject[Gains]):
+    """Hold q at q_ref: tau = kp*e + integral(ki*e) - kd*qd, with e = q_ref - q."""
+
+    ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
+    q_ref: A[Vector, InVar("Q_REF", "ndof", "rad", "reference position")]
+    q: A[Vector, InVar("Q_MEZ", "ndof", "rad", "measured position")]
+    qd: A[Vector, InVar("Q^_MEZ", "ndof", "rad/s", "measured velocity")]
+    tau: A[Vector, OutVar("T_REF", "ndof", "N*m", "commanded torque, within +-limit")]
+
+    def on(self) -> None:
+        self._integral = np.zeros_like(self.q)  # N*m: one limit bounds every term
+
+    def cycle(self, dt: float) -> None:
+        k, error = self.params, self.q_ref - self.q
+        self._integral += k.ki * error * dt
+        self._integral.clip(-k.limit, k.limit, out=self._integral)  # anti-windup
+        torque = k.kp * error + self._integral - k.kd * self.qd
+        torque.clip(-k.limit, k.limit, out=self.tau)

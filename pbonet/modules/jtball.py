@@ -1,0 +1,117 @@
+"""A six-axis ball that moves joints: how far it is pushed says how fast they go."""
+
+from typing import Annotated as A
+
+import numpy as np
+
+from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
+from pbonet.errors import ParameterError
+from pbonet.io import SerialLine
+from pbonet.io.magellan import AXES, Ball
+from pbonet.io.recorded import RecordedBall
+
+from ._values import PerElement, spread
+
+
+class Steering(Params):
+    """Which ball steers which joint, how fast, and how far."""
+
+    speed: A[PerElement, param("rad/s", "of each joint at full push", ge=0)]
+    lower: A[PerElement, param("rad", "smallest reference of each joint")]
+    upper: A[PerElement, param("rad", "largest reference of each joint")]
+    device: A[str, param("none", "device file of the ball's serial line")] = ""
+    trace: A[str, param("none", "name of a recorded trace, played instead")] = ""
+    repeat: A[bool, param("none", "whether the trace begins anew at its end")] = False
+    axes: A[
+        tuple[int, ...],
+        param(
+            "none",
+            "axis of the ball for each joint, 1 to 6, minus reverses",
+            ge=-6,
+            le=6,
+        ),
+    ] = (1, 2, 3, 4, 5, 6)
+    full: A[float, param("counts", "deflection that is full push", gt=0)] = 400.0
+    dead: A[float, param("counts", "deflection that is still rest", ge=0)] = 15.0
+    enable: A[
+        int, param("none", "button that must be held, 1 to 9; 0 for none", ge=0, le=9)
+    ] = 0
+
+
+class JtBall(PortBasedObject[Steering]):
+    """q_ref += rate * dt, within the limits; rate = speed * push of the joint's axis.
+
+    The reference goes on from wherever it stands when the module is turned on. When
+    the ball is lost it rests: the reference stays, a warning says so, and the ball is
+    looked for once a second until it is back.
+    """
+
+    ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
+    q_ref: A[Vector, OutVar("Q_REF", "ndof", "rad", "reference joint position")]
+
+    def init(self) -> None:
+        self._ball = self._find_ball()
+        self._fault = False
+        self._take_parameters()
+        self._poll()  # a ball that is missing is told at once
+
+    def set(self, name: str, value: object) -> None:  # noqa: ARG002 - nearly all at once
+        if name in {"device", "trace", "repeat"}:
+            raise ParameterError(
+                f"parameter {name} is read when the task is created",
+                remedy="kill the task and spawn it again",
+            )
+        self._take_parameters()
+
+    def on(self) -> None:
+        self._ball.restart()
+
+    def cycle(self, dt: float) -> None:
+        push = self._poll()[self._axis]
+        size = np.minimum(np.abs(push), self.params.full) - self.params.dead
+        step = np.sign(push) * np.maximum(size, 0.0) * self._gain * dt
+        # a reference that begins beyond a limit may come back, but not go further
+        low = np.minimum(self._lower, self.q_ref)
+        high = np.maximum(self._upper, self.q_ref)
+        np.clip(self.q_ref + step, low, high, out=self.q_ref)
+
+    def kill(self) -> None:
+        if ball := getattr(self, "_ball", None):
+            ball.close()
+
+    def _find_ball(self) -> Ball | RecordedBall:
+        k = self.params
+        if bool(k.device) == bool(k.trace):
+            raise ParameterError(
+                "the ball is either a device or a trace",
+                expected="one of DEVICE and TRACE under LOCAL",
+                got="both" if k.device else "none of them",
+            )
+        if k.trace:
+            return RecordedBall(k.trace, repeat=k.repeat)
+        return Ball(SerialLine(k.device, 9600))
+
+    def _take_parameters(self) -> None:
+        k, n = self.params, self.ndof
+        axes = np.array(k.axes[:n])
+        if len(axes) < n or not axes.all() or k.dead >= k.full:
+            raise ParameterError(
+                "the ball's axes cannot steer the joints",
+                expected=f"{n} AXES out of 1 to {AXES}, and DEAD below FULL",
+                got=f"AXES {k.axes}, DEAD {k.dead:g}, FULL {k.full:g}",
+            )
+        speed = np.sign(axes) * spread(k.speed, n, "speed")
+        limits = spread(k.lower, n, "lower"), spread(k.upper, n, "upper")
+        self._axis, self._gain = np.abs(axes) - 1, speed / (k.full - k.dead)
+        self._lower, self._upper = limits
+
+    def _poll(self) -> Vector:
+        ball = self._ball
+        motion = ball.poll(self.task.now)
+        if ball.fault and not self._fault:
+            self.task.warn(f"the ball rests: {ball.fault}")
+        self._fault = ball.fault is not None
+        button = self.params.enable
+        if button and not ball.keys.mask >> (button - 1) & 1:
+            return np.zeros(AXES)
+        return np.array(motion.axes, dtype=np.float64)
