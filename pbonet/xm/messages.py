@@ -309,6 +309,8 @@ class TaskStatus(Struct, kw_only=True):
     transfer_out: float = 0.0
     now: int = 0
     """CLOCK_MONOTONIC nanoseconds at which this was read."""
+    ring: str = ""
+    """Name of the ring in shared memory that gets one record a cycle."""
 
 
 class RtpuStatus(Struct, kw_only=True):

@@ -1,0 +1,147 @@
+"""What has to be cleaned away should the RTPU process be killed, and the cleaning.
+
+The RTPU process writes down what it makes: tasks, rings, tables. Whoever comes after a
+killed one, its agent at once or the next RTPU process of that name, reads this, waits
+for the tasks to end (each turns itself off within a second), ends those that do not,
+and removes what stands in shared memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import NodeError, PbonetError
+from pbonet.svar import Table
+from pbonet.xm import rundir
+
+from . import _rt, runtime
+
+PATIENCE = 1.5
+"""Seconds that orphaned tasks have: they end themselves within one."""
+_LOOK = 0.01
+
+
+class TaskLeft(Struct, array_like=True):
+    """A process and what it used."""
+
+    pid: int
+    started: int
+    ring: str
+
+
+class Leftovers(Struct, kw_only=True):
+    """The content of a state file."""
+
+    pid: int
+    started: int
+    core: int
+    epoch: int = 0
+    tables: list[str] = []
+    tasks: list[TaskLeft] = []
+
+    @property
+    def alive(self) -> bool:
+        """Whether the RTPU process that wrote this still runs."""
+        return runtime.is_alive(self.pid, self.started)
+
+
+def write(path: Path, state: Leftovers) -> None:
+    """Replace the state file, whole or not at all.
+
+    Raises:
+        NodeError: The runtime folder cannot be written to.
+    """
+    fresh = path.with_suffix(".state.new")
+    try:
+        fresh.write_bytes(msgspec.json.encode(state))
+        fresh.rename(path)
+    except OSError as error:
+        raise NodeError(
+            "the runtime folder cannot be written to",
+            where=str(path),
+            got=error.strerror or str(error),
+            remedy="make room there",
+        ) from None
+
+
+def read(path: Path) -> Leftovers | None:
+    """Return what the state file says; None when there is none that can be read."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Leftovers)
+    except (OSError, msgspec.MsgspecError):
+        return None
+
+
+def others_use(table: str, but: int) -> bool:
+    """Return whether an RTPU process of this machine other than `but` has `table`."""
+    for path in rundir.folder().glob("*/*.state"):
+        state = read(path)
+        if state is not None and state.pid != but and state.alive:
+            if table in state.tables:
+                return True
+    return False
+
+
+def clean(places: rundir.Places, patience: float = PATIENCE) -> list[str]:
+    """Clean up after a killed RTPU process of that name; return what was done.
+
+    Does nothing while one is alive.
+    """
+    state = read(places.state)
+    if state is None:
+        places.remove(places.ctl, places.state)
+        return []
+    if state.alive:
+        return []
+    done = _end_tasks(state, patience)
+    for task in state.tasks:
+        done += _remove_ring(task.ring)
+    for name in state.tables:
+        if not others_use(name, state.pid):
+            done += _remove_table(name)
+    done += _sweep_core(state.core)
+    places.remove(places.ctl, places.state)
+    return done
+
+
+def _end_tasks(state: Leftovers, patience: float) -> list[str]:
+    """Wait for the tasks, end those that stay; return what was done."""
+    done: list[str] = []
+    deadline = time.monotonic() + patience
+    for task in state.tasks:
+        while time.monotonic() < deadline and runtime.is_alive(task.pid, task.started):
+            time.sleep(_LOOK)
+        if runtime.is_alive(task.pid, task.started):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(task.pid, signal.SIGKILL)
+            done.append(f"process {task.pid} did not end and was killed")
+    return done
+
+
+def _remove_ring(name: str) -> list[str]:
+    with contextlib.suppress(PbonetError, OSError):
+        if name:
+            _rt.Ring.attach(name).destroy()
+            return [f"ring {name} was removed"]
+    return []
+
+
+def _remove_table(name: str) -> list[str]:
+    with contextlib.suppress(PbonetError, OSError):
+        Table.attach(name).destroy()
+        return [f"table {name} was removed"]
+    return []
+
+
+def _sweep_core(core: int) -> list[str]:
+    """Let the core table drop its dead members, and its file if none is left."""
+    with contextlib.suppress(PbonetError, OSError):
+        _rt.CoreTable(core, member=True).close()
+    return []

@@ -1,0 +1,277 @@
+"""The RTPU process's side of the fork server: asks for children, hears of their ends."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.errors import NodeError
+
+from . import runtime, wire
+from .output import PIPE_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+F_SETPIPE_SZ = 1031
+START_TIME = 20.0
+"""Seconds that a fork server may take to import everything, on a busy machine."""
+
+
+class Child:
+    """A forked child as the RTPU process holds it.
+
+    Attributes:
+        pid: Its process id.
+        started: What `runtime.start_time` says; names it together with `pid`.
+        sock: The near end of its socket, non-blocking.
+        out: The reading end of what it prints, non-blocking.
+        exited: Resolves to its exit code, or to minus the signal that ended it.
+    """
+
+    def __init__(
+        self, pid: int, sock: socket.socket, out: int, crash: int, spec: int
+    ) -> None:
+        self.pid = pid
+        self.started = runtime.start_time(pid)
+        self.sock = sock
+        self.out = out
+        self._crash = crash
+        self._spec = spec
+        self._pidfd = os.pidfd_open(pid)
+        self.exited: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+    def crash_text(self) -> str:
+        """Return what the child left about its end: a traceback, or nothing."""
+        return _read_all(self._crash).decode(errors="replace").strip()
+
+    def result(self) -> bytes:
+        """Return what an inspector wrote over its specification."""
+        return _read_all(self._spec)
+
+    def send_signal(self, which: signal.Signals) -> None:
+        """Send a signal to this very process; harmless when it is gone."""
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self._pidfd, which)
+
+    def close(self) -> None:
+        """Close all files of the child; it should have ended."""
+        self.sock.close()
+        for fd in (self.out, self._crash, self._spec, self._pidfd):
+            with contextlib.suppress(OSError):
+                os.close(fd)
+
+
+def _read_all(fd: int) -> bytes:
+    return os.pread(fd, os.fstat(fd).st_size, 0)
+
+
+class Spawner:
+    """Starts the fork server, and again when it ends; forks children through it.
+
+    Args:
+        core: The RTPU's core.
+        died: Called with the exit code when the fork server ends unasked.
+    """
+
+    def __init__(self, core: int, died: Callable[[int], None]) -> None:
+        self._core = core
+        self._died = died
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+        self._waiting: dict[int, asyncio.Future[int]] = {}
+        self._children: dict[int, Child] = {}
+        self._early: dict[int, int] = {}
+        self._count = 0
+        self._lock = asyncio.Lock()
+        self._reader: asyncio.Task[None] | None = None
+        self._decoder: msgspec.msgpack.Decoder[wire.FromForkServer] = (
+            msgspec.msgpack.Decoder(wire.FromForkServer)
+        )
+
+    @property
+    def pid(self) -> int:
+        """The fork server's process id, 0 when there is none."""
+        return self._process.pid if self._process else 0
+
+    async def start(self) -> None:
+        """Start the fork server and wait until it can fork.
+
+        Raises:
+            NodeError: It did not come up.
+        """
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        near.setblocking(False)
+        arguments = [str(far.fileno()), str(os.getpid()), str(self._core)]
+        self._process = subprocess.Popen(  # noqa: ASYNC220 - returns after the exec
+            [sys.executable, "-P", "-m", "pbonet.node.forkserver", *arguments],
+            env=runtime.environment(),
+            pass_fds=[far.fileno()],
+            stdin=subprocess.DEVNULL,
+        )
+        far.close()
+        self._control = near
+        loop = asyncio.get_running_loop()
+        try:
+            first = await asyncio.wait_for(loop.sock_recv(near, 65536), START_TIME)
+        except (TimeoutError, OSError):
+            first = b""
+        if not first:
+            self._process.kill()
+            code = self._process.wait()
+            raise NodeError(
+                "the fork server did not start",
+                got=f"exit code {code}",
+                remedy="see the RTPU process's log in the runtime folder",
+            )
+        self._reader = asyncio.create_task(self._read(near), name="fork server")
+
+    async def fork(self, kind: str, title: str, spec: msgspec.Struct) -> Child:
+        """Fork a child of `kind` that finds `spec` in its memory file.
+
+        Raises:
+            NodeError: The system gives no process, or there is no fork server.
+        """
+        async with self._lock:
+            if self._control is None:
+                await self.start()
+        with contextlib.ExitStack() as far_ends:
+            near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            far_ends.enter_context(far)
+            near.setblocking(False)
+            out, out_far = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
+            far_ends.callback(os.close, out_far)
+            spec_fd = _memory_file("spec", wire.encode(spec))
+            crash_fd = _memory_file("crash", b"")
+            with contextlib.suppress(OSError):  # the user's pipe quota may be used up
+                import fcntl
+
+                fcntl.fcntl(out_far, F_SETPIPE_SZ, PIPE_BYTES)
+            try:
+                pid = await self._ask(
+                    kind, title, [far.fileno(), out_far, spec_fd, crash_fd]
+                )
+            except BaseException:
+                near.close()
+                for fd in (out, spec_fd, crash_fd):
+                    os.close(fd)
+                raise
+        child = Child(pid, near, out, crash_fd, spec_fd)
+        self._children[pid] = child
+        if pid in self._early:
+            self._end(pid, self._early.pop(pid))
+        return child
+
+    async def _ask(self, kind: str, title: str, fds: list[int]) -> int:
+        control = self._control
+        if control is None:
+            raise NodeError("the fork server has ended")
+        self._count += 1
+        n = self._count
+        answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+        self._waiting[n] = answer
+        request = wire.Fork(n, kind, title)
+        try:
+            socket.send_fds(control, [wire.encode(request)], fds)
+            return await answer
+        except OSError as error:
+            raise NodeError(
+                "the fork server does not take requests", got=str(error)
+            ) from None
+        finally:
+            self._waiting.pop(n, None)
+
+    async def _read(self, control: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                data = await loop.sock_recv(control, 65536)
+            except OSError:
+                data = b""
+            if not data:
+                break
+            message = self._decoder.decode(data)
+            if isinstance(message, wire.Forked):
+                self._forked(message)
+            elif message.pid in self._children:
+                self._end(message.pid, message.code)
+            else:
+                self._early[message.pid] = message.code
+        self._lost()
+
+    def _forked(self, message: wire.Forked) -> None:
+        answer = self._waiting.get(message.n)
+        if answer is None or answer.done():
+            return
+        if message.error:
+            answer.set_exception(
+                NodeError("the system gives no process", got=message.error)
+            )
+        else:
+            answer.set_result(message.pid)
+
+    def _end(self, pid: int, code: int) -> None:
+        child = self._children.pop(pid)
+        if not child.exited.done():
+            child.exited.set_result(code)
+
+    def _lost(self) -> None:
+        """Handle the end of the fork server; its children end by themselves."""
+        process, control = self._process, self._control
+        self._process = self._control = None
+        if control is not None:
+            control.close()
+        for answer in self._waiting.values():
+            if not answer.done():
+                answer.set_exception(NodeError("the fork server has ended"))
+        orphans = list(self._children.values())
+        self._children.clear()
+        for child in orphans:
+            _watch_orphan(child)
+        if process is not None:
+            self._died(process.wait())
+
+    async def close(self) -> None:
+        """End the fork server; its children should have ended."""
+        if self._reader is not None:
+            self._reader.cancel()
+            await asyncio.gather(self._reader, return_exceptions=True)
+        process, control = self._process, self._control
+        self._process = self._control = None
+        if control is not None:
+            control.close()
+        if process is not None:
+            process.wait()
+
+
+def _watch_orphan(child: Child) -> None:
+    """Resolve `exited` of a child whose parent is gone: nobody tells its code."""
+    loop = asyncio.get_running_loop()
+    pidfd = os.pidfd_open(child.pid) if runtime.is_alive(child.pid, child.started) else -1
+    if pidfd < 0:
+        child.exited.set_result(-signal.SIGKILL)
+        return
+
+    def ended() -> None:
+        loop.remove_reader(pidfd)
+        os.close(pidfd)
+        if not child.exited.done():
+            child.exited.set_result(-signal.SIGTERM)
+
+    loop.add_reader(pidfd, ended)
+
+
+def _memory_file(name: str, content: bytes) -> int:
+    fd = os.memfd_create(f"pbonet-{name}", os.MFD_CLOEXEC)
+    view = memoryview(content)
+    while view:
+        view = view[os.write(fd, view) :]
+    return fd

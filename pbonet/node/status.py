@@ -1,0 +1,118 @@
+"""Makes the status of tasks and of the RTPU from shared memory; touches no task.
+
+Stewart 1994, section 4.4.1, lists the fields; `docs/status.md` says what each means.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.pbo import State
+from pbonet.xm.messages import RtpuStatus, TaskStatus
+
+if TYPE_CHECKING:
+    from pbonet.config.model import Rmod
+    from pbonet.sched.records import CoreStatus, SlotStatus
+
+    from .ranking import Ranked
+    from .tasks import Task
+
+TICK = 1e-9
+"""Resolution of the profile in seconds: the CPU clock counts nanoseconds."""
+LETTERS = {"periodic": "P", "synchronous": "Y", "sporadic": "S", "deferrable": "D"}
+_NS = 1e-9
+
+
+def letter(rmod: Rmod) -> str:
+    """Return the thesis's letter for how a task is timed."""
+    return LETTERS.get(rmod.tasktype.value, "B")
+
+
+def task_status(rtpu: str, task: Task, slot: SlotStatus, rank: Ranked) -> TaskStatus:
+    """Return everything that is known of a task.
+
+    Args:
+        rtpu: The RTPU's name.
+        task: What the RTPU process knows of it.
+        slot: What stands in the core table.
+        rank: What it was ranked by.
+    """
+    cycles = slot.cycles - slot.on_cycles
+    missed = slot.missed - slot.on_missed
+    spent = (slot.cpu_total_ns - slot.on_cpu_ns) * _NS
+    ptime = _profile_ns(task.state, slot) * _NS
+    return TaskStatus(
+        rmod=task.facts.rmod.name,
+        task=task.name,
+        rtpu=rtpu,
+        tid=task.child.pid,
+        S=letter(task.facts.rmod),
+        crit=slot.crit,
+        crit_assumed=rank.assumed,
+        priority=slot.priority,
+        state=task.state.value,
+        cycle=cycles,
+        miss=missed,
+        ref_f=task.freq,
+        mez_f=cycles / ptime if ptime > 0 else 0.0,
+        mez_t=ptime / (cycles + missed) if cycles + missed else 0.0,
+        ptime=ptime,
+        tot_c=spent,
+        tick=TICK,
+        min_c=slot.cpu_min_ns * _NS,
+        max_c=slot.cpu_max_ns * _NS,
+        last_c=slot.cpu_last_ns * _NS,
+        warn=task.warnings,
+        warning=task.warning,
+        error=task.error,
+        jitter_max=slot.jitter_max_ns * _NS,
+        jitter=list(slot.jitter),
+        faults=slot.faults - slot.on_faults,
+        retries=slot.torn,
+        module=task.ready.module if task.ready else task.facts.rmod.module,
+        version=task.ready.version if task.ready else "",
+        transfer_in=slot.copy_in_ns * _NS / slot.cycles if slot.cycles else 0.0,
+        transfer_out=slot.copy_out_ns * _NS / slot.cycles if slot.cycles else 0.0,
+        on_ns=slot.on_ns,
+        now=slot.now_ns,
+        ring=task.facts.ring,
+    )
+
+
+def _profile_ns(state: State, slot: SlotStatus) -> int:
+    """Return the time over which cycles were counted: since the task was turned on."""
+    if slot.on_ns == 0:
+        return 0
+    end = slot.now_ns if state is State.ON else max(slot.release_ns, slot.on_ns)
+    return max(end - slot.on_ns, 0)
+
+
+def rtpu_status(
+    rtpu: str,
+    scheduler: str,
+    core: CoreStatus,
+    tasks: list[TaskStatus],
+    spent_ns: int,
+    illegal: list[str],
+) -> RtpuStatus:
+    """Return the status of the RTPU with that of the tasks asked for.
+
+    Args:
+        rtpu: Its name.
+        scheduler: The algorithm in use.
+        core: What stands in the core table about the dispatcher.
+        tasks: The tasks asked for.
+        spent_ns: CPU time of all its tasks since the dispatcher began.
+        illegal: Causes for which the illegal-configuration flag is up.
+    """
+    now = max((task.now for task in tasks), default=0)
+    since = now - core.since_ns if now and core.since_ns else 0
+    return RtpuStatus(
+        rtpu=rtpu,
+        backend=core.backend,
+        scheduler=scheduler,
+        tasks=tasks,
+        util=spent_ns / since if since > 0 else 0.0,
+        dispatcher=core.cpu_ns / since if since > 0 else 0.0,
+        illegal=illegal,
+    )

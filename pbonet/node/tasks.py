@@ -1,0 +1,310 @@
+"""One task as the RTPU process holds it: its process, its socket, what is known of it.
+
+Nothing here decides what a signal means or when a task may have one; that is the work
+of `pbonet.node.operations`. This is the link: one message at a time, its answer within
+a time limit, and the certainty of hearing about the end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.errors import NoAnswerError, Severity, StateError, TaskDiedError, TaskError
+from pbonet.pbo import State
+
+from . import wire
+from .output import Lines
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.config.model import Rmod
+    from pbonet.errors import PbonetError
+
+    from .spawner import Child
+
+DUMP_SIGNAL = signal.SIGQUIT
+"""Makes a task write where it stands into its crash file, whatever it is doing."""
+END_TIME = 1.0
+"""Seconds that a task which said good-bye may take to end."""
+_DUMP_TIME = 0.1
+
+
+class Facts(msgspec.Struct, kw_only=True):
+    """What a task was made from; does not change while it lives."""
+
+    subsystem: str
+    name: str
+    rmod: Rmod
+    text: str
+    """The RMOD's text, for masters that come later."""
+    slot: int
+    ring: str = ""
+
+
+class Ready(msgspec.Struct, kw_only=True):
+    """What a task says about itself when its `init` is done."""
+
+    module: str
+    version: str
+    critical_ok: bool
+    notes: list[str] = []
+
+
+class Task:
+    """A task that was forked.
+
+    Args:
+        facts: What it was made from.
+        child: Its process.
+        wake: Tells the task, through its slot, that a message waits.
+        tell: Takes what the task reports unasked, and what it prints.
+        ended: Called once, with the exit code, when the process is gone.
+    """
+
+    def __init__(
+        self,
+        facts: Facts,
+        child: Child,
+        *,
+        wake: Callable[[], None],
+        tell: Callable[[Task, wire.Notice], None],
+        ended: Callable[[Task, int], None],
+    ) -> None:
+        self.facts = facts
+        self.child = child
+        self.state = State.NOT_CREATED
+        self.ready: Ready | None = None
+        self.freq = facts.rmod.freq or 0.0
+        self.on_rank = 0
+        """Counts up over all tasks as they are turned on; OFF goes the other way."""
+        self.warnings = 0
+        self.warning = ""
+        self.error = ""
+        self.stopping = False
+        """True once its end is wanted, so that the end is no event."""
+        self.lock = asyncio.Lock()
+        self.gone = asyncio.Event()
+        self._wake = wake
+        self._tell = tell
+        self._ended = ended
+        self._count = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[wire.Done]] = {}
+        self._busy = {0: "init"}
+        self._decoder: msgspec.msgpack.Decoder[wire.FromTask] = msgspec.msgpack.Decoder(
+            wire.FromTask
+        )
+        self.spawned = self._expect(0)
+        self._lines = Lines(self._printed, time.monotonic_ns)
+        asyncio.get_running_loop().add_reader(child.out, self._read_output)
+        self._life = asyncio.create_task(self._live(), name=f"task {facts.name}")
+
+    @property
+    def name(self) -> str:
+        """The task's name in its subsystem."""
+        return self.facts.name
+
+    @property
+    def busy(self) -> str:
+        """What the task is carrying out now; empty when it waits for a message."""
+        return next(iter(self._busy.values()), "")
+
+    async def command(
+        self, what: str, make: Callable[[int], wire.ToTask], timeout: float
+    ) -> wire.Done:
+        """Send one message and return the answer.
+
+        Args:
+            what: What is asked, for messages: ``on``, ``set``.
+            make: Makes the message from its number.
+            timeout: Seconds to wait for the answer.
+
+        Raises:
+            StateError: The task is still carrying out an earlier message.
+            NoAnswerError: It did not answer in time, and may do so later.
+            TaskDiedError: It ended.
+            PbonetError: What the task answered.
+        """
+        async with self.lock:
+            if self.busy:
+                raise StateError(
+                    f"the task is still busy with {self.busy!r}",
+                    where=self.name,
+                    remedy="wait for it, or `kill` the task",
+                )
+            n = next(self._count)
+            answer = self._expect(n)
+            self._busy[n] = what
+            self.send(make(n))
+            return await self.wait_for(answer, what, timeout)
+
+    async def wait_for(
+        self, answer: asyncio.Future[wire.Done], what: str, timeout: float
+    ) -> wire.Done:
+        """Return the answer to a message, or the reason why there is none.
+
+        Raises:
+            NoAnswerError: It did not come in time.
+            TaskDiedError: The task ended.
+            PbonetError: What the task answered.
+        """
+        try:
+            done = await asyncio.wait_for(asyncio.shield(answer), timeout)
+        except TimeoutError:
+            raise NoAnswerError(
+                f"the task did not finish {what!r} within {timeout:g} s",
+                where=self.name,
+                remedy="wait for it, or `kill` the task",
+            ) from None
+        if done.error is not None:
+            raise error_of(done)
+        return done
+
+    def send(self, message: wire.ToTask) -> None:
+        """Hand a message to the task; it looks at it after its present component."""
+        data = wire.encode(message)
+        if len(data) > wire.LARGEST_PACKET:
+            raise TaskError(
+                "the message is too long for a task",
+                where=self.name,
+                expected=f"at most {wire.LARGEST_PACKET} bytes",
+                got=f"{len(data)} bytes",
+            )
+        try:
+            self.child.sock.send(data)
+        except OSError as error:
+            raise TaskDiedError(
+                "the task takes no messages", where=self.name, got=str(error)
+            ) from None
+        self._wake()
+
+    async def where(self) -> str:
+        """Return the task's Python stack, as text; for tasks that hang."""
+        self.child.send_signal(DUMP_SIGNAL)
+        for _ in range(10):
+            await asyncio.sleep(_DUMP_TIME / 10)
+            if text := self.child.crash_text():
+                return text
+        return ""
+
+    async def end(self, patience: float) -> bool:
+        """Wait for the end, then make it; return whether it came by itself."""
+        self.stopping = True
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self.gone.wait(), max(patience, 0.0))
+            return True
+        self.child.send_signal(signal.SIGKILL)
+        await self.gone.wait()
+        return False
+
+    def _expect(self, n: int) -> asyncio.Future[wire.Done]:
+        answer: asyncio.Future[wire.Done] = asyncio.get_running_loop().create_future()
+        self._waiting[n] = answer
+        return answer
+
+    async def _live(self) -> None:
+        """Read what the task says until it ends; then clean up after it."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                data = await loop.sock_recv(self.child.sock, 2 * wire.LARGEST_PACKET)
+            except OSError:
+                break
+            if not data:
+                break
+            self._take(data)
+        code = await self.child.exited
+        loop.remove_reader(self.child.out)
+        self._read_output()
+        self._lines.close()
+        self.state = State.NOT_CREATED
+        self._ended(self, code)
+        for answer in self._waiting.values():
+            if not answer.done():
+                answer.set_exception(self.death(code))
+                answer.exception()  # nobody may wait for it any more
+        self._waiting.clear()
+        self.child.close()
+        self.gone.set()
+
+    def _take(self, data: bytes) -> None:
+        try:
+            message = self._decoder.decode(data)
+        except msgspec.MsgspecError as error:
+            text = f"the task sent what is no message: {error}"
+            self._tell(
+                self,
+                wire.Notice(severity=int(Severity.ERROR), code="PROTOCOL", text=text),
+            )
+            return
+        if isinstance(message, wire.Done):
+            self._finished(message)
+            return
+        if message.state:
+            self.state = State(message.state)
+        self._tell(self, message)
+
+    def _finished(self, message: wire.Done) -> None:
+        self.state = State(message.state)
+        self._busy.pop(message.n, None)
+        answer = self._waiting.pop(message.n, None)
+        if answer is not None and not answer.done():
+            answer.set_result(message)
+
+    def death(self, code: int) -> TaskDiedError:
+        """Return the error that says how the task ended."""
+        return TaskDiedError(
+            f"the task ended by itself: {describe_end(code)}",
+            where=self.name,
+            remedy="spawn it again when the cause is gone",
+            debug=self.child.crash_text(),
+        )
+
+    def _read_output(self) -> None:
+        import os
+
+        with contextlib.suppress(BlockingIOError, OSError):
+            for _ in range(16):  # a bounded share of the loop for one talkative task
+                data = os.read(self.child.out, 65536)
+                if not data:
+                    asyncio.get_running_loop().remove_reader(self.child.out)
+                    return
+                self._lines.feed(data)
+
+    def _printed(self, line: str) -> None:
+        self._tell(
+            self, wire.Notice(severity=int(Severity.INFO), code="OUTPUT", text=line)
+        )
+
+
+def error_of(done: wire.Done) -> PbonetError:
+    """Return the error of an answer as an exception."""
+    from pbonet.errors import PbonetError
+
+    return PbonetError.from_wire(done.error or {})
+
+
+def describe_end(code: int) -> str:
+    """Return an exit code in words."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = str(-code)
+    words = {
+        "SIGSEGV": " (segmentation fault)",
+        "SIGKILL": " (killed)",
+        "SIGABRT": " (abort)",
+        "SIGBUS": " (bus error)",
+        "SIGFPE": " (arithmetic fault in native code)",
+        "SIGALRM": " (did not turn itself off in time)",
+    }
+    return f"signal {name}{words.get(name, '')}"
