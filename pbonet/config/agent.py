@@ -20,13 +20,14 @@ MAX_GRACE = 3600.0
 
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _MOST_CORES = 4096
+_ITEM = re.compile(r"\[(\d+)\]")
 _KINDS = {
     "bool": "a truth value",
     "int": "a whole number",
     "float": "a number",
-    "str": "text",
-    "list": "a list",
-    "dict": "a table",
+    "str": "a text in quotes",
+    "array": "a list of texts",
+    "object": "a table",
 }
 
 
@@ -65,8 +66,7 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
             raise fault(
                 f"the value of {key} is of the wrong type",
                 place,
-                expected=_expected(str(error)),
-                got=_got(value),
+                **_expected_and_got(str(error)),
                 remedy="see docs/files.md for the keys of agent.toml",
             ) from None
     config = msgspec.convert(table, AgentConfig)
@@ -128,18 +128,19 @@ def _place(text: str, file: str, key: str) -> Place:
     return Place(file, text.count("\n", 0, match.start()) + 1, len(match[1]) + 1)
 
 
-def _expected(message: str) -> str:
-    """Return what msgspec expected, out of its message."""
-    message, _, path = message.partition(" - at ")
-    wanted = message.removeprefix("Expected ").partition(", got")[0].replace("`", "")
-    wanted = wanted.replace(" | null", "").replace("array", "a list of texts")
-    inside = " in the list" if "[" in path else ""
-    return wanted.replace("str", "text") + inside
+def _expected_and_got(message: str) -> dict[str, str]:
+    """Return what msgspec expected and what it got, in words."""
+    kinds, _, path = message.partition(" - at ")
+    wanted, _, got = kinds.removeprefix("Expected ").partition(", got ")
+    item = (
+        f"item {match[1]} of the list to be " if (match := _ITEM.search(path)) else ""
+    )
+    return {"expected": item + _in_words(wanted), "got": _in_words(got)}
 
 
-def _got(value: object) -> str:
-    kind = type(value).__name__
-    return _KINDS.get(kind, f"a {kind}")
+def _in_words(kinds: str) -> str:
+    names = kinds.replace("`", "").split(" | ")
+    return " or ".join(_KINDS.get(name, name) for name in names if name != "null")
 
 
 def _check(config: AgentConfig, text: str, file: str) -> None:

@@ -5,6 +5,7 @@ The thesis says what a job is and leaves its syntax open; this one is pbonet's o
 
 from __future__ import annotations
 
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from pbonet.errors import did_you_mean
@@ -12,7 +13,7 @@ from pbonet.errors import did_you_mean
 from . import words
 from .blocks import Block, Grammar, read_block
 from .model import Condition, JobFile, JobTask
-from .reader import Line, Reader, fault, load, quote
+from .reader import Line, Reader, Word, fault, load, quote
 from .rmod import frequency
 from .write import number, same_again, text_line
 
@@ -92,12 +93,12 @@ def _task(reader: Reader, line: Line) -> JobTask:
             got="nothing",
             remedy="name the RMOD to run",
         )
-    rmod = words.label(rest.pop(0), "an RMOD")
+    rmod = _rmod(rest.pop(0))
     rtpu = freq = None
     if rest and rest[0].text != "FREQ":
-        rtpu = words.label(rest.pop(0), "an RTPU")
+        rtpu = _rtpu(rest.pop(0))
     if len(rest) >= _FREQ_WORDS and rest[0].text == "FREQ":
-        freq = frequency(reader, rest[1])
+        freq = frequency(reader, rest[1]._replace(keyword="FREQ"))
         del rest[:_FREQ_WORDS]
     if rest:
         raise fault(
@@ -108,6 +109,31 @@ def _task(reader: Reader, line: Line) -> JobTask:
             remedy="write the RTPU first, then FREQ and Hz",
         )
     return JobTask(rmod=rmod, rtpu=rtpu, freq=freq, place=line.place)
+
+
+def _rmod(word: Word) -> str:
+    if word.text.endswith(".rmod"):
+        name = word.text.removesuffix(".rmod")
+        raise fault(
+            "TASK names a file",
+            word.place,
+            expected="the name of an RMOD, without folder and .rmod",
+            got=quote(word.text),
+            remedy=f"write {quote(PurePosixPath(name).name)}",
+        )
+    return words.label(word, "an RMOD")
+
+
+def _rtpu(word: Word) -> str:
+    if word.text[0].isdigit():
+        raise fault(
+            f"TASK has {quote(word.text)} where an RTPU may stand",
+            word.place,
+            expected="TASK rmod [rtpu] [FREQ hz]",
+            got=quote(word.text),
+            remedy=f"for a frequency write FREQ {word.text[:10]}",
+        )
+    return words.label(word, "an RTPU")
 
 
 def _off(block: Block, tasks: dict[str, JobTask]) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ MAX_NESTING = 32
 """Deepest chain of a DEFINE that names another one."""
 
 _LONGEST_QUOTE = 40
+_FIRST = {"NAME": ".svar", "MODULE": ".rmod", "SUBSYSTEM": ".sbs", "JOB": ".job"}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x0c\x0e-\x1f\x7f]|\r(?!\n)")
 _WORD = re.compile(r"[^ \t]+")
 _CONSTANT = re.compile(r"([+-]?)([A-Za-z_][A-Za-z0-9_]*)")
@@ -37,10 +38,11 @@ _NUMBER = re.compile(r"[+-]?(?:\d|\.\d|inf\b|nan\b)", re.ASCII)
 
 
 class Word(NamedTuple):
-    """One word of a line and its place."""
+    """One word of a line, its place, and the keyword it stands behind."""
 
     text: str
     place: Place
+    keyword: str = ""
 
 
 class Line(NamedTuple):
@@ -59,9 +61,8 @@ class Line(NamedTuple):
             if match[0].startswith("#"):
                 break
             column = self.rest_column + match.start()
-            found.append(
-                Word(match[0], Place(self.place.file, self.place.line, column))
-            )
+            place = Place(self.place.file, self.place.line, column)
+            found.append(Word(match[0], place, self.keyword))
         return found
 
 
@@ -99,6 +100,11 @@ def nearest(word: str, *known: Iterable[str]) -> str:
     return ""
 
 
+def _format_of(keyword: str) -> str:
+    ending = _FIRST.get(keyword)
+    return f"is this a {ending} file?" if ending else ""
+
+
 def load(path: str | Path) -> str:
     """Return the text of a configuration file.
 
@@ -106,15 +112,11 @@ def load(path: str | Path) -> str:
         ConfigFileError: It is missing, unreadable, too long, or not UTF-8 text.
     """
     path = Path(path)
+    data = None
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise ConfigFileError(
-                "this is not a regular file",
-                where=str(path),
-                remedy="name a configuration file",
-            )
-        with path.open("rb") as stream:
-            data = stream.read(MAX_FILE + 1)
+        if stat.S_ISREG(path.stat().st_mode):
+            with path.open("rb") as stream:
+                data = stream.read(MAX_FILE + 1)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigFileError(
@@ -122,6 +124,12 @@ def load(path: str | Path) -> str:
             where=str(path),
             remedy=_similar_file(path) or "check the path and its permissions",
         ) from None
+    if data is None:
+        raise ConfigFileError(
+            "this is not a regular file",
+            where=str(path),
+            remedy="name a configuration file",
+        )
     return decode(data, str(path))
 
 
@@ -243,7 +251,9 @@ class Reader:
             f"unknown keyword {quote(line.keyword)}",
             line.place,
             expected=" or ".join(expected),
-            remedy=nearest(line.keyword, expected, self.keywords),
+            remedy=nearest(line.keyword, expected, self.keywords)
+            or _format_of(line.keyword)
+            or "correct the keyword or remove the line",
         )
 
     def _cut_short(self) -> ConfigError:
@@ -403,7 +413,7 @@ class Constants:
         text = word.text
         for _ in range(MAX_NESTING):
             match = _CONSTANT.fullmatch(text)
-            if match is None or match[2] not in self._defined:
+            if match is None or not self._known(match[2], word):
                 return text
             sign, name = match.groups()
             value = self._defined[name].text
@@ -418,13 +428,24 @@ class Constants:
                 )
         raise self._too_deep(word)
 
+    def _known(self, name: str, word: Word) -> bool:
+        """Return whether the constant is defined above the word that names it."""
+        value = self._defined.get(name)
+        return value is not None and value.place.line < word.place.line
+
     def undefined(self, word: Word, wanted: str) -> ConfigError:
         """Return the error for a word that is neither a number nor a constant."""
         text = self.replace(word)
         match = _CONSTANT.fullmatch(text)
         if match is None:
-            return fault(f"{quote(text)} is not a number", word.place, expected=wanted)
-        name = match[2]
+            return fault(
+                f"{quote(text)} is not a number",
+                word.place,
+                expected=wanted,
+                remedy="write numbers as in 2.5, -3 or 1e-3",
+            )
+        name = match[2][:_LONGEST_QUOTE]
+        behind = "" if text == word.text else f", which {quote(word.text)} stands for"
         later = re.search(
             rf"^[ \t]*DEFINE[ \t]+{name}(?![^\s])", self._reader.text, re.MULTILINE
         )
@@ -432,9 +453,10 @@ class Constants:
             line = self._reader.text.count("\n", 0, later.start()) + 1
             remedy = f"move its DEFINE from line {line} above this line"
         else:
-            remedy = nearest(name, self._defined) or f"add DEFINE {name} above"
+            known = [other for other in self._defined if self._known(other, word)]
+            remedy = nearest(name, known) or f"add DEFINE {name} above"
         return fault(
-            f"the constant {quote(name)} is not defined",
+            f"the constant {quote(name)} is not defined{behind}",
             word.place,
             expected=f"{wanted}, or a constant that stands for one",
             remedy=remedy,

@@ -114,7 +114,7 @@ def _type(reader: Reader, line: Line) -> ElementType:
     word = words.single(line, "one type")
     text = word.text
     if match := _STRUCT.fullmatch(text):
-        size = Word(match[1], word.place)
+        size = Word(match[1], word.place, "the size of a struct")
         text = f"struct[{words.whole(reader, size, 1, MAX_STRUCT)}]"
     kind = element_type(text)
     if kind is None:

@@ -200,7 +200,9 @@ def element(
         raise _no_number(reader, word, text, wanted)
     value = float(text)
     named = "inf" in text or text == "nan"
-    if (named and finite) or (not named and abs(value) > kind.high):
+    if named and finite:
+        raise _outside(word, text, wanted, "correct the value, or add FINITE no")
+    if not named and abs(value) > kind.high:
         raise _outside(word, text, wanted)
     return value
 
@@ -211,16 +213,13 @@ def _no_number(reader: Reader, word: Word, text: str, wanted: str) -> ConfigErro
     return reader.constants.undefined(word, wanted)
 
 
-def _outside(word: Word, text: str, wanted: str) -> ConfigError:
-    stands = (
-        f"{quote(word.text)} stands for {quote(text)}, which"
-        if text != word.text
-        else ""
-    )
+def _outside(
+    word: Word, text: str, wanted: str, remedy: str = "correct the value"
+) -> ConfigError:
+    stands = f", which stands for {quote(text)}" if text != word.text else ""
     return fault(
-        f"{stands or quote(text)} cannot be the value here",
+        f"{word.keyword} cannot be {quote(word.text)}{stands}",
         word.place,
         expected=wanted,
-        got=quote(text),
-        remedy="correct the value",
+        remedy=remedy,
     )

@@ -17,7 +17,7 @@ _PLACES = frozenset({"file", "place", "places"})
 
 def text_line(keyword: str, text: str) -> str:
     """Return one line of a keyword and its argument."""
-    return f"{keyword:<9} {text}".rstrip() + "\n"
+    return f"{keyword:<9} {text}".rstrip(" \t") + "\n"
 
 
 def number(value: float) -> str:

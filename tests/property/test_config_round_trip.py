@@ -1,0 +1,211 @@
+"""A record written and read again means the same, whatever it says."""
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pbonet import config
+from pbonet.config.model import (
+    Condition,
+    ErrPrint,
+    JobFile,
+    JobTask,
+    Limit,
+    LocalLine,
+    Rmod,
+    RtpuEntry,
+    SbsFile,
+    Scheduler,
+    SvarFile,
+    TaskType,
+    Usage,
+    Variable,
+)
+from pbonet.config.types import TYPES, element_type
+from pbonet.config.write import meaning
+
+LETTERS = "ABCXYZabcxyz_"
+names = st.builds(
+    str.__add__, st.sampled_from(LETTERS), st.text(LETTERS + "019^'.", max_size=14)
+).filter(lambda name: name.lower() != "none")
+labels = st.builds(
+    str.__add__, st.sampled_from(LETTERS), st.text(LETTERS + "019-", max_size=12)
+)
+text = st.text(st.characters(exclude_categories=("Cc", "Cs")), max_size=30).map(
+    lambda words: words.strip(" \t")
+)
+words = st.text(
+    st.characters(exclude_categories=("Cc", "Cs"), exclude_characters=" \t#"),
+    min_size=1,
+    max_size=8,
+)
+sentence = st.lists(words, min_size=1, max_size=4).map(" ".join)
+seconds = st.floats(1e-6, 1e6)
+hertz = st.floats(1e-6, 1e6)
+
+
+@st.composite
+def variables(draw: st.DrawFn, name: str) -> Variable:
+    size = draw(st.integers(1, 4096))
+    kind = element_type(draw(st.sampled_from([*TYPES, f"struct[{size}]"])))
+    assert kind is not None
+    nelem = draw(st.integers(1, 6))
+    finite = not kind.is_float or draw(st.booleans())
+    values = st.integers(int(kind.low), int(kind.high))
+    ranges = values
+    if kind.is_float:
+        width = 8 * kind.size
+        ranges = st.floats(kind.low, kind.high, width=width)
+        values = ranges if finite else st.floats(width=width)
+    init = low = high = None
+    if not kind.is_struct:
+        init = draw(st.none() | st.lists(values, min_size=1, max_size=nelem))
+    if not kind.is_struct and draw(st.booleans()):
+        pairs = [sorted([draw(ranges), draw(ranges)]) for _ in range(nelem)]
+        low, high = zip(*pairs, strict=True)
+    limit = Limit.NONE
+    started = [*(init or []), *[0] * (nelem - len(init or []))]
+    if (
+        low
+        and high
+        and not any(map(math.isnan, started))
+        and all(
+            least <= value <= most
+            for least, value, most in zip(low, started, high, strict=True)
+        )
+    ):
+        limit = draw(st.sampled_from(Limit))
+    return Variable(
+        name=name,
+        type=kind.name,
+        desc=draw(text),
+        units=draw(sentence),
+        nelem=nelem,
+        init=tuple(init) if init else None,
+        min=low,
+        max=high,
+        maxage=draw(st.none() | seconds),
+        limit=limit,
+        finite=finite,
+    )
+
+
+@st.composite
+def svars(draw: st.DrawFn) -> SvarFile:
+    chosen = draw(st.lists(names, min_size=1, max_size=4, unique=True))
+    return SvarFile(
+        file="a.svar",
+        defines=draw(st.dictionaries(st.sampled_from(["A1", "B1"]), words)),
+        variables=tuple(draw(variables(name)) for name in chosen),
+    )
+
+
+@st.composite
+def rmods(draw: st.DrawFn) -> Rmod:
+    ports = draw(st.lists(names, max_size=8, unique=True))
+    spare = [f"V{number}" for number in range(8)]
+    aliases = {
+        port: spare[number]
+        for number, port in enumerate(ports)
+        if not set(spare) & set(ports) and draw(st.booleans())
+    }
+    cut = sorted(draw(st.tuples(*[st.integers(0, len(ports))] * 3)))
+    tasktype = draw(st.sampled_from(TaskType))
+    timed = tasktype in {TaskType.PERIODIC, TaskType.SYNCHRONOUS}
+    server = tasktype in {TaskType.SPORADIC, TaskType.DEFERRABLE}
+    freq = draw(hertz) if timed else None
+    if server:
+        freq = draw(st.none() | hertz)
+    times = sorted([draw(seconds), draw(seconds)])
+    keys = words.filter(lambda key: key not in {"EOF", "DEFINE"})
+    local = draw(st.dictionaries(keys, st.lists(words, max_size=4).map(tuple)))
+    return Rmod(
+        name="a",
+        file="folder/a.rmod",
+        module=draw(names.map(lambda name: "m" + "".join(filter(str.isalnum, name)))),
+        desc=draw(text),
+        aliases=aliases,
+        inconst=tuple(ports[: cut[0]]),
+        outconst=tuple(ports[cut[0] : cut[1]]),
+        invar=tuple(ports[cut[1] : cut[2]]),
+        outvar=tuple(ports[cut[2] :]),
+        tasktype=tasktype,
+        freq=freq,
+        critical=draw(st.booleans()),
+        capacity=draw(st.none() | st.floats(1e-9, 1 / (freq or 1))) if server else None,
+        minc=draw(st.sampled_from([None, times[0]])),
+        maxc=draw(st.sampled_from([None, times[1]])),
+        softness=draw(st.none() | st.floats(0, 1, exclude_max=True)),
+        crit=draw(st.none() | st.integers(1, 62)),
+        rtpu=draw(st.none() | labels),
+        local={key: LocalLine(value) for key, value in local.items()},
+    )
+
+
+@st.composite
+def sbss(draw: st.DrawFn) -> SbsFile:
+    rtpus: list[RtpuEntry] = []
+    for name in draw(st.lists(labels, min_size=1, max_size=4, unique=True)):
+        low, high = sorted(draw(st.lists(hertz, min_size=2, max_size=2, unique=True)))
+        entry = RtpuEntry(
+            name=name,
+            scheduler=draw(st.sampled_from(Scheduler)),
+            usage=draw(st.sampled_from(Usage)),
+            errprint=draw(st.sampled_from(ErrPrint)),
+            minfreq=low,
+            maxfreq=high,
+        )
+        rtpus.append(entry)
+    return SbsFile(
+        file="a.sbs",
+        subsystem=draw(labels),
+        svarfile=draw(text.filter(bool)),
+        master=draw(st.sampled_from([None, *(rtpu.name for rtpu in rtpus)])),
+        rtpus=tuple(rtpus),
+    )
+
+
+@st.composite
+def jobs(draw: st.DrawFn) -> JobFile:
+    chosen = draw(st.lists(labels, min_size=1, max_size=4, unique=True))
+    off = draw(st.lists(st.sampled_from(chosen), unique=True))
+    conditions = st.lists(sentence.map(Condition), max_size=3).map(tuple)
+    rtpu = st.none() | labels.filter(lambda name: name != "FREQ")
+    return JobFile(
+        file="a.job",
+        name=draw(labels),
+        desc=draw(text),
+        sbs=draw(text.filter(bool)),
+        pre=draw(conditions),
+        post=draw(conditions),
+        tasks=tuple(
+            JobTask(rmod=rmod, rtpu=draw(rtpu), freq=draw(st.none() | hertz))
+            for rmod in chosen
+        ),
+        off_order=tuple(off),
+    )
+
+
+@given(svars())
+def test_svar(record: SvarFile) -> None:
+    again = config.parse_svar(config.write_svar(record), record.file)
+    assert meaning(again) == meaning(record)
+
+
+@given(rmods())
+def test_rmod(record: Rmod) -> None:
+    again = config.parse_rmod(config.write_rmod(record), record.file)
+    assert meaning(again) == meaning(record)
+
+
+@given(sbss())
+def test_sbs(record: SbsFile) -> None:
+    again = config.parse_sbs(config.write_sbs(record), record.file)
+    assert meaning(again) == meaning(record)
+
+
+@given(jobs())
+def test_job(record: JobFile) -> None:
+    again = config.parse_job(config.write_job(record), record.file)
+    assert meaning(again) == meaning(record)
