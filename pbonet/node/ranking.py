@@ -29,8 +29,8 @@ class Wish(Struct, kw_only=True):
     """Hz; 0 where the task is not periodic."""
     maxc: float | None = None
     rmod_crit: int | None = None
-    told: tuple[int, int] | None = None
-    """Criticality and priority that the master gave."""
+    told: tuple[int | None, int] | None = None
+    """Criticality (None: the rule's) and priority that the master gave."""
     spawn_crit: int | None = None
     priority: int = 0
 
@@ -80,5 +80,6 @@ def _rule(
 
 def _ranked(wish: Wish, assigned: Assigned) -> Ranked:
     if wish.told is not None:
-        return Ranked(wish.told[0], wish.told[1], assigned.assumed)
+        crit = assigned.crit if wish.told[0] is None else wish.told[0]
+        return Ranked(crit, wish.told[1], assigned.assumed)
     return Ranked(assigned.crit, wish.priority, assigned.assumed)

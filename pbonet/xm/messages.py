@@ -137,9 +137,14 @@ class Set(Request, tag="set"):
 
 
 class Rank(Request, tag="rank"):
-    """Tell the criticality and user priority of tasks after a change. Result: None."""
+    """Tell the criticality and user priority of tasks after a change. Result: None.
 
-    tasks: dict[str, tuple[int, int]]
+    A criticality of None leaves it to the scheduler's rule, which the RTPU knows best:
+    it sees the tasks of every subsystem on its core. User priorities follow the data
+    flow of the whole subsystem (section 6.2.4), which only its master sees.
+    """
+
+    tasks: dict[str, tuple[int | None, int]]
 
 
 class Status(Request, tag="status"):
