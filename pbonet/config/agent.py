@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import msgspec
 
 from . import words
+from .lines import Word, fault, nearest, quote
 from .model import AgentConfig, Place
-from .reader import MAX_LINE, Word, decode, fault, load, nearest, quote
+from .reader import MAX_LINE, decode, load
 
 if TYPE_CHECKING:
     from pathlib import Path

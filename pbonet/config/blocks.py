@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .lines import Line, fault
 from .model import Place
-from .reader import Line, Reader, fault
+from .reader import Reader
 
 if TYPE_CHECKING:
     from pbonet.errors import ConfigError

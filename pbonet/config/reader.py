@@ -13,10 +13,12 @@ import difflib
 import re
 import stat
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
+from pbonet.errors import ConfigError, ConfigFileError
 
+from .constants import Constants
+from .lines import WORD, Line, fault, nearest, quote
 from .model import Place
 
 if TYPE_CHECKING:
@@ -26,78 +28,9 @@ MAX_FILE = 16 << 20
 """Longest file, in bytes."""
 MAX_LINE = 1 << 20
 """Longest line, in characters."""
-MAX_NESTING = 32
-"""Deepest chain of a DEFINE that names another one."""
 
-_LONGEST_QUOTE = 40
 _FIRST = {"NAME": ".svar", "MODULE": ".rmod", "SUBSYSTEM": ".sbs", "JOB": ".job"}
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x0c\x0e-\x1f\x7f]|\r(?!\n)")
-_WORD = re.compile(r"[^ \t]+")
-_CONSTANT = re.compile(r"([+-]?)([A-Za-z_][A-Za-z0-9_]*)")
-_NUMBER = re.compile(r"[+-]?(?:\d|\.\d|inf\b|nan\b)", re.ASCII)
-
-
-class Word(NamedTuple):
-    """One word of a line, its place, and the keyword it stands behind."""
-
-    text: str
-    place: Place
-    keyword: str = ""
-
-
-class Line(NamedTuple):
-    """A keyword and what stands behind it, as written."""
-
-    keyword: str
-    rest: str
-    place: Place
-    rest_column: int
-
-    @property
-    def words(self) -> list[Word]:
-        """The arguments; a word that begins with ``#`` starts a comment."""
-        found: list[Word] = []
-        for match in _WORD.finditer(self.rest):
-            if match[0].startswith("#"):
-                break
-            column = self.rest_column + match.start()
-            place = Place(self.place.file, self.place.line, column)
-            found.append(Word(match[0], place, self.keyword))
-        return found
-
-
-def quote(text: str) -> str:
-    """Return `text` in quotes, shortened and with unprintable characters escaped."""
-    if len(text) > _LONGEST_QUOTE:
-        text = text[: _LONGEST_QUOTE - 3] + "..."
-    shown = (
-        c if c.isprintable() else c.encode("unicode_escape").decode() for c in text
-    )
-    return f"'{''.join(shown)}'"
-
-
-def fault(
-    what: str, place: Place, *, expected: str = "", got: str = "", remedy: str = ""
-) -> ConfigError:
-    """Return the error that says `what` is wrong at `place`."""
-    return ConfigError(
-        what, where=str(place), expected=expected, got=got, remedy=remedy
-    )
-
-
-def nearest(word: str, *known: Iterable[str]) -> str:
-    """Return ``did you mean NAME?`` out of the first list that has a near name.
-
-    Names that differ in case only count as equal to the word.
-    """
-    for names in known:
-        folded = {name.casefold(): name for name in names}
-        if name := folded.get(word.casefold()):
-            return f"did you mean {name}?"
-    for names in known:
-        if len(word) <= _LONGEST_QUOTE and (hint := did_you_mean(word, names)):
-            return hint
-    return ""
 
 
 def _format_of(keyword: str) -> str:
@@ -194,7 +127,7 @@ class Reader:
             decode(text, file) if isinstance(text, bytes) else _clean(text, file)
         )
         _refuse_control(self.text, file)
-        self.constants = Constants(self)
+        self.constants = Constants(self.text)
         self._lines = self._meaningful()
         self._ahead: Line | None = None
         self._last = Place(file, 1)
@@ -298,7 +231,7 @@ class Reader:
                         remedy="is this a configuration file at all?",
                     )
                 content = self.text[start:end].rstrip(" \t\r")
-                word = _WORD.search(content)
+                word = WORD.search(content)
                 if word and not word[0].startswith("#"):
                     yield self._line(content, word, number)
             start = end + 1
@@ -328,143 +261,3 @@ def _refuse_control(text: str, file: str) -> None:
             got=f"0x{ord(text[at]):02x}",
             remedy="remove it; is it a configuration file at all?",
         )
-
-
-class Constants:
-    """What DEFINE lines said so far."""
-
-    def __init__(self, reader: Reader) -> None:
-        self._reader = reader
-        self._defined: dict[str, Word] = {}
-
-    @property
-    def words(self) -> dict[str, str]:
-        """The constants as written."""
-        return {name: word.text for name, word in self._defined.items()}
-
-    def define(self, line: Line) -> None:
-        """Carry out one DEFINE line.
-
-        Raises:
-            ConfigError: It is malformed, repeats a name, or defines it by itself.
-        """
-        words = line.words
-        if len(words) != 2:  # noqa: PLR2004 - a name and its value
-            raise fault(
-                "a DEFINE needs a name and one value",
-                line.place,
-                expected="DEFINE NAME value",
-                got=f"{len(words)} words behind DEFINE",
-                remedy="write one constant a line",
-            )
-        name, value = words
-        match = _CONSTANT.fullmatch(name.text)
-        if match is None or match[1]:
-            raise fault(
-                f"{quote(name.text)} cannot be the name of a constant",
-                name.place,
-                expected="a letter or _, then letters, digits and _",
-                remedy="choose another name",
-            )
-        if name.text in self._defined:
-            first = self._defined[name.text].place.line
-            raise fault(
-                f"the constant {quote(name.text)} is defined twice",
-                name.place,
-                expected="one DEFINE for each constant",
-                got=f"another one in line {first}",
-                remedy="remove one of them",
-            )
-        self._defined[name.text] = value
-        self._refuse_recursion(name)
-
-    def _refuse_recursion(self, name: Word) -> None:
-        chain = [name.text]
-        while match := _CONSTANT.fullmatch(self._defined[chain[-1]].text):
-            follower = match[2]
-            if follower in chain:
-                raise fault(
-                    f"the constant {quote(name.text)} is defined by itself",
-                    name.place,
-                    expected="a value, or a constant that has one",
-                    got=" -> ".join([*chain, follower]),
-                    remedy="give one of them a number",
-                )
-            if follower not in self._defined:
-                return
-            chain.append(follower)
-            if len(chain) > MAX_NESTING:
-                raise self._too_deep(name)
-
-    @staticmethod
-    def _too_deep(word: Word) -> ConfigError:
-        return fault(
-            f"the constant {quote(word.text)} is nested too deep",
-            word.place,
-            expected=f"at most {MAX_NESTING} constants in a chain",
-            remedy="give it its value",
-        )
-
-    def replace(self, word: Word) -> str:
-        """Return the word's text with a constant's name replaced by its value.
-
-        ``-NAME`` is replaced too if the constant is a number.
-        """
-        text = word.text
-        for _ in range(MAX_NESTING):
-            match = _CONSTANT.fullmatch(text)
-            if match is None or not self._known(match[2], word):
-                return text
-            sign, name = match.groups()
-            value = self._defined[name].text
-            text = _negate(value) if sign == "-" else value
-            if sign and not (_NUMBER.match(value) or _CONSTANT.fullmatch(value)):
-                raise fault(
-                    f"{quote(word.text)} needs a constant that is a number",
-                    word.place,
-                    expected=f"a number as the value of {name}",
-                    got=quote(value),
-                    remedy="remove the sign or change the DEFINE",
-                )
-        raise self._too_deep(word)
-
-    def _known(self, name: str, word: Word) -> bool:
-        """Return whether the constant is defined above the word that names it."""
-        value = self._defined.get(name)
-        return value is not None and value.place.line < word.place.line
-
-    def undefined(self, word: Word, wanted: str) -> ConfigError:
-        """Return the error for a word that is neither a number nor a constant."""
-        text = self.replace(word)
-        match = _CONSTANT.fullmatch(text)
-        if match is None:
-            return fault(
-                f"{quote(text)} is not a number",
-                word.place,
-                expected=wanted,
-                remedy="write numbers as in 2.5, -3 or 1e-3",
-            )
-        name = match[2][:_LONGEST_QUOTE]
-        behind = "" if text == word.text else f", which {quote(word.text)} stands for"
-        later = re.search(
-            rf"^[ \t]*DEFINE[ \t]+{name}(?![^\s])", self._reader.text, re.MULTILINE
-        )
-        if later:
-            line = self._reader.text.count("\n", 0, later.start()) + 1
-            remedy = f"move its DEFINE from line {line} above this line"
-        else:
-            known = [other for other in self._defined if self._known(other, word)]
-            remedy = nearest(name, known) or f"add DEFINE {name} above"
-        return fault(
-            f"the constant {quote(name)} is not defined{behind}",
-            word.place,
-            expected=f"{wanted}, or a constant that stands for one",
-            remedy=remedy,
-        )
-
-
-def _negate(text: str) -> str:
-    """Return the text of the number or constant with its sign turned round."""
-    if text.startswith("-"):
-        return text[1:]
-    return "-" + text.removeprefix("+")

@@ -9,8 +9,9 @@ from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
+from .lines import Line, Word, fault, quote
 from .model import LocalLine, Place, Rmod, TaskType
-from .reader import Line, Reader, Word, fault, load, quote
+from .reader import Reader, load
 from .write import number, same_again, text_line
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
+from .lines import fault, quote
 from .model import ErrPrint, RtpuEntry, SbsFile, Scheduler, Usage
-from .reader import Reader, fault, load, quote
+from .reader import Reader, load
 from .write import number, same_again, text_line
 
 if TYPE_CHECKING:

@@ -10,8 +10,9 @@ from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
+from .lines import Line, Word, fault, quote
 from .model import Limit, SvarFile, Variable
-from .reader import Line, Reader, Word, fault, load, quote
+from .reader import Reader, load
 from .types import MAX_STRUCT, TYPES, ElementType, element_type
 from .write import number, same_again, text_line
 

@@ -11,7 +11,8 @@ import re
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
-from .reader import Line, Reader, Word, fault, nearest, quote
+from .lines import Line, Word, fault, nearest, quote
+from .reader import Reader
 
 if TYPE_CHECKING:
     from pbonet.errors import ConfigError
