@@ -19,6 +19,7 @@ from a task to the master without losing anything.
     │   ├── SvarDamagedError               not a table, cut short, or overwritten
     │   ├── SvarAccessError (PermissionError)
     │   ├── SvarMissingError (FileNotFoundError)
+    │   ├── SvarExistsError (FileExistsError)
     │   ├── SvarFullError (OSError)        no room in the table or in shared memory
     │   ├── SvarOwnerError                 somebody else writes this variable
     │   └── UnknownVariableError (KeyError)
@@ -207,6 +208,12 @@ class SvarMissingError(SvarError, FileNotFoundError):
     """There is no such table."""
 
     code = "SVAR_MISSING"
+
+
+class SvarExistsError(SvarError, FileExistsError):
+    """A table of that name stands already, and somebody uses it."""
+
+    code = "SVAR_EXISTS"
 
 
 class SvarFullError(SvarError, OSError):

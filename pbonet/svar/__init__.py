@@ -1,1 +1,17 @@
-"""svar."""
+"""The state variable table: how tasks exchange values (Stewart 1994, section 5.5)."""
+
+from .codes import Flags
+from .local import LocalTable
+from .records import Cause, Counts, Register, VarInfo
+from .table import SPARE, Table
+
+__all__ = [
+    "SPARE",
+    "Cause",
+    "Counts",
+    "Flags",
+    "LocalTable",
+    "Register",
+    "Table",
+    "VarInfo",
+]

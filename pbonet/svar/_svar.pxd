@@ -13,6 +13,7 @@ cdef class Arena:
     cdef void *core            # struct pb_table
     cdef void *base
     cdef size_t bytes
+    cdef int fd
     # Raise a cause of the illegal-configuration flag, clear all that a raiser raised; both
     # take the claimers' lock for at most 2 s. 0 is good, negative: full or stuck.
     cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil

@@ -1,0 +1,336 @@
+# cython: language_level=3, boundscheck=False, wraparound=False
+# distutils: extra_compile_args = -O3 -std=c11
+# distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h
+"""Thin skin over the C headers: buffers in, numbers out; the errors are made in Python."""
+
+from cpython.bytearray cimport PyByteArray_AS_STRING
+from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
+from libc.string cimport memcpy, memset, strncpy
+from posix.mman cimport MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE, mmap, munmap
+
+from posix.unistd cimport close
+
+from pbonet.svar._headers cimport *
+
+VERSION = PB_VERSION
+CAUSES = PB_CAUSES
+STATIC_BYTES = sizeof(pb_static)
+
+
+def now_ns() -> int:
+    return pb_now()
+
+
+def process_start(unsigned long long pid) -> int:
+    return pb_process_start(pid)
+
+
+cdef class Blueprint:
+    """What a table will look like: its size, before there is any memory for it."""
+
+    cdef pb_static fixed
+    cdef bytes text
+    cdef bytearray var_memory
+    cdef pb_var *vars
+
+    def __init__(self, const uint64_t[::1] sizes, const int64_t[::1] maxages, bytes text,
+                 bytes layout, unsigned mode, unsigned spare):
+        cdef Py_ssize_t i, n = sizes.shape[0]
+        if maxages.shape[0] != n or len(layout) != 16:
+            raise ValueError("sizes, maxages and layout do not fit together")
+        memset(&self.fixed, 0, sizeof(self.fixed))
+        self.text = text
+        self.var_memory = bytearray(max(1, n) * sizeof(pb_var))
+        self.vars = <pb_var *>PyByteArray_AS_STRING(self.var_memory)
+        for i in range(n):
+            self.vars[i].bytes = sizes[i]
+            self.vars[i].maxage_ns = maxages[i]
+        self.fixed.n_vars = n
+        self.fixed.text_bytes = len(text)
+        self.fixed.mode = mode
+        memcpy(self.fixed.layout, <const char *>layout, 16)
+        pb_lay_out(&self.fixed, self.vars, spare)
+
+    @property
+    def size(self) -> int:
+        return self.fixed.size
+
+
+cdef inline pb_table *table(Arena arena) noexcept nogil:
+    return <pb_table *>arena.core
+
+
+cdef class Arena:
+    """A table's file, mapped whole and populated; unmapped when nobody uses it any more."""
+
+    def __cinit__(self, int fd, size_t size, bytes machine):
+        self.memory = bytearray(sizeof(pb_table))
+        self.core = PyByteArray_AS_STRING(self.memory)
+        self.machine = machine
+        self.machine_text = machine
+        cdef void *base = mmap(NULL, size, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, fd, 0)
+        if base == MAP_FAILED:
+            raise MemoryError("the table cannot be mapped")
+        self.base = base
+        self.bytes = size
+        self.fd = fd  # ours from here on: its lock says that somebody uses the file
+
+    def __dealloc__(self):
+        if self.base != NULL:
+            munmap(self.base, self.bytes)
+            close(self.fd)
+
+    def format(self, Blueprint plan not None, const uint8_t[::1] values) -> int:
+        """Fill fresh zeroed memory; returns an errno."""
+        if plan.fixed.size != self.bytes or <size_t>values.shape[0] < plan.fixed.keep_stamps:
+            raise ValueError("the plan is of another size")
+        cdef const void *first = &values[0] if values.shape[0] else NULL
+        return pb_format(self.base, &plan.fixed, plan.vars, <const char *>plan.text, first)
+
+    def verify(self) -> int:
+        """Judge the file; only 0 lets anything else be called."""
+        cdef int verdict = pb_verify(self.base, self.bytes)
+        if verdict == 0:
+            table(self)[0] = pb_table_at(self.base)
+        return verdict
+
+    @property
+    def fileno(self) -> int:
+        return self.fd
+
+    @property
+    def version(self) -> int:
+        return (<pb_static *>self.base).version
+
+    @property
+    def mode(self) -> int:
+        return table(self).fixed.mode
+
+    @property
+    def layout(self) -> bytes:
+        return (<char *>table(self).fixed.layout)[:16]
+
+    @property
+    def text(self) -> bytes:
+        cdef pb_static *fixed = table(self).fixed
+        return (<char *>self.base)[fixed.text:fixed.text + fixed.text_bytes]
+
+    @property
+    def generation(self) -> int:
+        return pb_generation_seen(table(self))
+
+    def look(self, unsigned v, uint8_t[::1] to):
+        """Copy a variable; returns None, or where it comes from."""
+        cdef pb_view view
+        if v >= table(self).fixed.n_vars or <size_t>to.shape[0] < table(self).vars[v].bytes:
+            raise ValueError("no room for the variable")
+        if pb_look(table(self), v, &to[0], &view) != 0:
+            return None
+        return (view.reg, view.live != 0, view.stamp.time_ns, view.stamp.cycle, view.uid,
+                view.seq, view.task.decode(errors="replace"))
+
+    def set(self, unsigned v, const uint8_t[::1] value, long long now) -> int:
+        if v >= table(self).fixed.n_vars or <size_t>value.shape[0] < table(self).vars[v].bytes:
+            raise ValueError("the value is too short")
+        return pb_set(table(self), v, &value[0], now)
+
+    def registers(self) -> list:
+        """Return (index, uid, owner, pid, task, bytes, commits, held) of those in use."""
+        cdef pb_reg reg
+        cdef uint32_t r
+        found = []
+        for r in range(1, table(self).fixed.n_regs):
+            if pb_register_at(table(self), r, &reg):
+                found.append((r, reg.uid, reg.owner, reg.pid, reg.task.decode(errors="replace"),
+                              reg.bytes, reg.head, reg.state == PB_HELD))
+        return found
+
+    def let_go(self, unsigned r, bint leave, bint dead) -> int:
+        if r == 0 or r >= table(self).fixed.n_regs:
+            raise ValueError("no such register")
+        return pb_let_go(table(self), r, leave, dead)
+
+    cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil:
+        cdef pb_cause c = pb_cause_of(cause, raiser, self.machine_text)
+        return pb_raise(table(self), &c)
+
+    cdef int c_clear_illegal(self, const char *raiser) noexcept nogil:
+        cdef pb_cause c = pb_cause_of(b"", raiser, self.machine_text)
+        return pb_clear(table(self), &c)
+
+    cdef bint c_illegal(self) noexcept nogil:
+        return pb_illegal(table(self)) != 0
+
+    def raise_illegal(self, bytes cause, bytes raiser, bytes machine) -> int:
+        cdef pb_cause c = pb_cause_of(cause, raiser, machine)
+        return pb_raise(table(self), &c)
+
+    def clear_illegal(self, bytes cause, bytes raiser, bytes machine) -> int:
+        cdef pb_cause c = pb_cause_of(cause, raiser, machine)
+        return pb_clear(table(self), &c)
+
+    def causes(self) -> list:
+        """Return (cause, raiser, machine, time_ns) of every cause that stands."""
+        cdef pb_cause cause
+        return [(cause.cause.decode(errors="replace"), cause.raiser.decode(errors="replace"),
+                 cause.machine.decode(errors="replace"), cause.time_ns)
+                for i in range(PB_CAUSES) if pb_cause_at(table(self), i, &cause)]
+
+
+cdef inline pb_local *local(LocalTable task) noexcept nogil:
+    return <pb_local *>task.core
+
+
+cdef inline int copy(LocalTable task, int which) noexcept nogil:
+    task.flags = pb_copy_in(local(task), local(task).plans + which)
+    task.n_consumed = local(task).n_consumed
+    return task.flags
+
+
+cdef void *room(list kept, size_t n, size_t size):
+    memory = bytearray((n or 1) * size)
+    kept.append(memory)
+    return PyByteArray_AS_STRING(memory)
+
+
+cdef class LocalTable:
+    """Native half of a task's local table; pbonet.svar.local has the other half."""
+
+    def __cinit__(self, Arena arena not None, uint8_t[::1] data not None, uint8_t[::1] staging,
+                  size_t largest, *args, **kwargs):
+        self.arena = arena
+        self.kept = [data, staging]
+        self.core = room(self.kept, 1, sizeof(pb_local))
+        local(self).table = table(arena)[0]
+        local(self).data = &data[0]
+        local(self).staging = NULL if staging is None else &staging[0]
+        self.consumed = <unsigned long long *>room(self.kept, 2 * largest, sizeof(uint64_t))
+        local(self).consumed = <uint64_t *>self.consumed
+
+    def set_plan(self, unsigned which, const uint32_t[::1] vars, const uint64_t[::1] to):
+        """Say which variables a copy brings, and to which places."""
+        cdef pb_plan *plan = local(self).plans + which
+        cdef size_t n = vars.shape[0]
+        self.kept += [vars, to]
+        plan.n_vars = n
+        plan.vars = &vars[0] if n else NULL
+        plan.to = &to[0] if n else NULL
+        plan.sources = <pb_source *>room(self.kept, n, sizeof(pb_source))
+        plan.pieces = <pb_piece *>room(self.kept, n, sizeof(pb_piece))
+        plan.ages = <pb_age *>room(self.kept, n, sizeof(pb_age))
+
+    def set_group(self, unsigned which, const uint32_t[::1] vars, const uint64_t[::1] at,
+                  size_t first, size_t size, list checks):
+        """Say what is written together, and what is looked at before it goes out."""
+        cdef pb_outputs *o = local(self).outputs + which
+        cdef pb_check *c = <pb_check *>room(self.kept, len(checks), sizeof(pb_check))
+        cdef const uint8_t[::1] low, high
+        self.kept += [vars, at, checks]
+        o.group.n = vars.shape[0]
+        o.group.vars = &vars[0] if o.group.n else NULL
+        o.group.at = &at[0] if o.group.n else NULL
+        o.group.bytes = size
+        o.first = first
+        o.checks = c
+        o.n_checks = len(checks)
+        for i, (kind, rule, var, place, n, low, high) in enumerate(checks):
+            c[i].type, c[i].rule, c[i].var, c[i].at, c[i].n = kind, rule, var, place, n
+            if low is not None and high is not None:
+                c[i].min, c[i].max = <const void *>&low[0], <const void *>&high[0]
+        if which == PB_GROUP_VARS:
+            self.out_data = local(self).data + first
+            self.out_bytes = size
+
+    def enter(self, unsigned which, unsigned long long owner, unsigned long long pid,
+              bytes task) -> int:
+        """Take a register for a group; returns its index or a negative code."""
+        cdef pb_reg who
+        memset(&who, 0, sizeof(who))
+        who.owner, who.pid, who.start = owner, pid, pb_process_start(pid)
+        who.space = pb_process_space()
+        strncpy(who.task, task, PB_NAME - 1)
+        named = bytearray(table(self.arena).fixed.n_regs)
+        return pb_enter(table(self.arena), &local(self).outputs[which].group, &who,
+                        <uint8_t *>PyByteArray_AS_STRING(named))
+
+    def ask(self, unsigned which) -> tuple:
+        """Return (code, variable): would a claim be refused?"""
+        cdef uint32_t rival = 0
+        cdef pb_outputs *o = local(self).outputs + which
+        cdef int code = pb_ask(table(self.arena), &o.group, local(self).data + o.first,
+                               which == PB_GROUP_CONSTS, &rival)
+        return code, rival
+
+    def take(self, unsigned which, long long now, unsigned long long cycle) -> tuple:
+        """Judge, commit and claim a group; returns (code, variable), flags in `flags`."""
+        cdef uint32_t rival = 0
+        cdef pb_outputs *o = local(self).outputs + which
+        cdef int code
+        self.flags = pb_judge(local(self), o)
+        if self.flags or not o.group.n:
+            return 0, 0
+        code = pb_claim(table(self.arena), &o.group, local(self).data + o.first,
+                        pb_stamp(now, cycle), which == PB_GROUP_CONSTS, &rival)
+        o.live = o.live or code == 0
+        return code, rival
+
+    def give(self, unsigned which, unsigned reg, bint leave) -> int:
+        """Give a group's variables up; returns 0 or a negative code."""
+        local(self).outputs[which].live = False
+        return pb_let_go(table(self.arena), reg, leave, False)
+
+    def owns(self, unsigned which) -> bool:
+        return local(self).outputs[which].live
+
+    def register_uid(self, unsigned which) -> int:
+        return local(self).outputs[which].group.uid
+
+    cdef int c_copy_in(self) noexcept nogil:
+        return copy(self, PB_PLAN_IN)
+
+    cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil:
+        self.cycles = cycle
+        self.flags = pb_commit(local(self), local(self).outputs + PB_GROUP_VARS, now_ns, cycle)
+        return self.flags
+
+    cdef bint c_illegal(self) noexcept nogil:
+        return pb_illegal(&local(self).table) != 0
+
+    def copy_in(self) -> int:
+        """Bring the in-vars as one consistent cut; returns flags."""
+        return copy(self, PB_PLAN_IN)
+
+    def copy_in_on(self) -> int:
+        """Bring in-vars and out-vars, as `on` wants them; returns flags."""
+        return copy(self, PB_PLAN_ON)
+
+    def copy_in_consts(self) -> int:
+        """Bring the in-consts; returns flags."""
+        return copy(self, PB_PLAN_CONSTS)
+
+    def commit(self, long long now_ns=0, unsigned long long cycle=0) -> int:
+        """Send the out-vars as one group; returns flags, and sends nothing if any is set."""
+        return self.c_commit(now_ns or pb_now(), cycle or self.cycles + 1)
+
+    def read_one(self, unsigned v, unsigned long long at) -> int:
+        return pb_read_one(local(self), v, at)
+
+    def write_one(self, unsigned which, unsigned i, long long now, unsigned long long cycle) -> int:
+        return pb_commit_one(local(self), local(self).outputs + which, i, now, cycle)
+
+    @property
+    def illegal(self) -> bool:
+        return self.c_illegal()
+
+    @property
+    def pairs(self) -> list:
+        """(register uid, sequence) of everything that the last copy brought."""
+        return [(self.consumed[2 * i], self.consumed[2 * i + 1]) for i in range(self.n_consumed)]
+
+    @property
+    def fault(self) -> tuple:
+        return local(self).fault_var, local(self).fault_element
+
+    @property
+    def counts(self) -> dict:
+        return local(self).counts

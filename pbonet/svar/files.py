@@ -1,0 +1,211 @@
+"""The files behind tables: where they stand, who may open them, who still uses one.
+
+Everybody who is attached holds a shared lock on the file, which the kernel drops when
+the process ends. So a file that can be locked alone is one that a crash left behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import stat
+from pathlib import Path
+
+from pbonet.errors import (
+    SvarAccessError,
+    SvarDamagedError,
+    SvarError,
+    SvarExistsError,
+    SvarFullError,
+    SvarMissingError,
+)
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
+
+
+def folder() -> Path:
+    """Return where shared memory files stand: ``PBONET_SHM_DIR``, or ``/dev/shm``."""
+    return Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108 - its place
+
+
+def path_of(name: str) -> Path:
+    """Return the file of the table `name` of this user.
+
+    Raises:
+        SvarError: The name cannot be part of a file's name.
+    """
+    if not _NAME.fullmatch(name):
+        raise SvarError(
+            f"{name!r} cannot be the name of a table",
+            expected="letters, digits, and _ . + - behind the first, at most 100",
+            remedy="rename the subsystem",
+        )
+    return folder() / f"pbonet.{os.geteuid()}.{name}.svar"
+
+
+def make(path: Path, size: int, mode: int) -> tuple[int, Path]:
+    """Make a file of zeros under a name of its own; return its descriptor and name.
+
+    Its pages are allocated at once: a full /dev/shm is an error now, not a bus error in
+    a control loop.
+
+    Raises:
+        SvarFullError: There is no room for it.
+        SvarAccessError: The folder cannot be written to.
+    """
+    fresh = path.with_name(f"{path.name}.{os.getpid()}.new")
+    fresh.unlink(missing_ok=True)
+    try:
+        fd = os.open(fresh, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    except OSError as error:
+        raise _no_file(path, error) from None
+    try:
+        os.fchmod(fd, mode)
+        os.posix_fallocate(fd, 0, size)
+    except OSError as error:
+        os.close(fd)
+        fresh.unlink(missing_ok=True)
+        raise _no_room(path, size, error) from None
+    fcntl.flock(fd, fcntl.LOCK_SH)
+    return fd, fresh
+
+
+def publish(fresh: Path, path: Path) -> None:
+    """Give a filled file its name; a file that a crash left there is replaced.
+
+    Raises:
+        SvarExistsError: A table of that name is in use.
+    """
+    try:
+        for _ in range(16):
+            with contextlib.suppress(FileExistsError):
+                path.hardlink_to(fresh)
+                return
+            if not _remove_leftover(path):
+                break
+    finally:
+        fresh.unlink(missing_ok=True)
+    raise SvarExistsError(
+        "a table of this name stands already and is in use",
+        where=str(path),
+        remedy="attach to it, stop the subsystem that uses it, or choose another name",
+    )
+
+
+def open_file(path: Path) -> tuple[int, int]:
+    """Open a table's file and return its descriptor and size.
+
+    Raises:
+        SvarMissingError: There is none.
+        SvarAccessError: It is not this user's own, or open to others.
+        SvarDamagedError: It is empty.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        raise _missing(path) from None
+    except OSError as error:
+        raise _no_file(path, error) from None
+    try:
+        _check_owner(path, os.fstat(fd))
+        fcntl.flock(fd, fcntl.LOCK_SH)  # a leftover's judge holds it for an instant
+        status = os.fstat(fd)
+        if not status.st_nlink:
+            raise _missing(path)
+        if not status.st_size:
+            raise SvarDamagedError("the table's file is empty", where=str(path))
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd, status.st_size
+
+
+def check_mode(path: Path, fd: int, mode: int) -> None:
+    """Refuse a file whose permissions were changed since the table was made.
+
+    Raises:
+        SvarAccessError: They were.
+    """
+    got = stat.S_IMODE(os.fstat(fd).st_mode)
+    if got != mode:
+        raise SvarAccessError(
+            "the table's permissions are not those it was made with",
+            where=str(path),
+            expected=f"{mode:04o}",
+            got=f"{got:04o}",
+            remedy=f"chmod {mode:04o} {path}, if you trust who changed them",
+        )
+
+
+def _check_owner(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        raise SvarAccessError(
+            "this is not a table's file",
+            where=str(path),
+            expected="a regular file",
+            got=stat.filemode(status.st_mode),
+        )
+    if status.st_uid != os.geteuid():
+        raise SvarAccessError(
+            "the table belongs to somebody else",
+            where=str(path),
+            expected=f"user {os.geteuid()}",
+            got=f"user {status.st_uid}",
+            remedy="shared memory is each user's own; remove the file if it is not theirs",
+        )
+
+
+def _remove_leftover(path: Path) -> bool:
+    """Remove a file that nobody is attached to; False when somebody is."""
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return True
+    except OSError as error:
+        raise _no_file(path, error) from None
+    try:
+        _check_owner(path, os.fstat(fd))
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        with contextlib.suppress(FileNotFoundError):
+            if path.stat().st_ino == os.fstat(fd).st_ino:
+                path.unlink()
+        return True
+    finally:
+        os.close(fd)
+
+
+def _missing(path: Path) -> SvarMissingError:
+    return SvarMissingError(
+        "there is no such table",
+        where=str(path),
+        remedy="start the subsystem that makes it; `pbonet run` does so",
+    )
+
+
+def _no_file(path: Path, error: OSError) -> SvarError:
+    if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE}:
+        return _no_room(path, 0, error)
+    reason = "a symbolic link" if error.errno == errno.ELOOP else os.strerror(error.errno or 0)
+    return SvarAccessError(
+        "the table's file cannot be opened",
+        where=str(path),
+        expected="a regular file of this user, readable and writable",
+        got=reason,
+        remedy="look at the permissions of the file and its folder",
+    )
+
+
+def _no_room(path: Path, size: int, error: OSError) -> SvarFullError:
+    return SvarFullError(
+        "there is no room for the table in shared memory",
+        where=str(path),
+        expected=f"{size} free bytes" if size else "",
+        got=os.strerror(error.errno or 0),
+        remedy=f"look at `df {path.parent}` and remove what crashes left there",
+    )

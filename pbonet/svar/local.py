@@ -1,0 +1,306 @@
+"""A task's local state variable table (Stewart 1994, sections 3.6 and 5.5)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from pbonet.errors import (
+    SvarError,
+    SvarFullError,
+    SvarOwnerError,
+    UnknownVariableError,
+    did_you_mean,
+)
+
+from . import _svar, layout
+from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS, Flags
+from .records import Counts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from pbonet.config.model import Variable
+
+    from .table import Table
+
+
+class LocalTable(_svar.LocalTable):
+    """Private copies of a task's variables, and the transfers to and from the table.
+
+    Made by `Table.local`. `copy_in`, `copy_in_on`, `copy_in_consts` and `commit` are
+    native and return `Flags`; 0 is good. Everything belongs to one thread.
+    """
+
+    _task: str
+    _table: str
+    _variables: tuple[Variable, ...]
+    _arrays: dict[str, NDArray[np.generic]]
+    _places: dict[str, tuple[int, int]]
+    _groups: tuple[layout.Group, layout.Group]
+    _registers: list[int]
+    _owner: int
+
+    @classmethod
+    def make(
+        cls,
+        table: Table,
+        arena: _svar.Arena,
+        task: str,
+        pid: int,
+        ports: list[list[int]],
+        *,
+        keep: bool,
+    ) -> LocalTable:
+        """Lay the local table out and take its registers; `Table.local` calls this."""
+        inconst, outconst, invar, outvar = ports
+        variables = table.variables
+        both = set(outconst) & set(outvar)
+        if both:
+            raise SvarOwnerError(
+                f"{variables[both.pop()].name} is an out-const and an out-var",
+                where=f"{table.name}/{task}",
+                remedy="name it in OUTCONST or in OUTVAR",
+            )
+        if _svar.process_start(pid) == 0:
+            raise SvarOwnerError(
+                f"there is no process {pid} that could write",
+                where=f"{table.name}/{task}",
+                expected="the process of the task",
+            )
+        groups = layout.group_of(variables, outvar), layout.group_of(variables, outconst)
+        places, size = _lay_out(variables, groups, {*inconst, *invar})
+        data = _aligned(size)
+        largest = max(len(inconst), len({*invar, *outvar}), 1)
+        self = cls(arena, data, _aligned(size) if keep else None, largest)
+        self._task, self._table, self._variables = task, table.name, variables
+        self._groups = groups
+        self._places = {variables[i].name: (i, at) for i, at in places.items()}
+        self._arrays = {
+            variables[i].name: _view(variables[i], data, at) for i, at in places.items()
+        }
+        for which, wanted in ((CONSTS, inconst), (IN, invar), (ON, {*invar, *outvar})):
+            chosen = sorted(wanted)
+            at = np.array([places[i] for i in chosen], np.uint64)
+            self.set_plan(which, np.array(chosen, np.uint32), at)
+        self._take_registers(pid, places)
+        return self
+
+    def _take_registers(self, pid: int, places: dict[int, int]) -> None:
+        self._registers = [0, 0]
+        self._owner = 0
+        for which, group in enumerate(self._groups):
+            first = places[int(group.vars[0])] if len(group.vars) else 0
+            checks = layout.checks_of(self._variables, group)
+            self.set_group(which, group.vars, group.at, first, group.bytes, checks)
+            if not len(group.vars):
+                continue
+            code = self.enter(which, self._owner, pid, self._task.encode())
+            if code == FULL:
+                self.close()
+                raise SvarFullError(
+                    f"no register is left for {self._task}",
+                    where=self._table,
+                    expected=f"room for four times {group.bytes} bytes",
+                    remedy="kill tasks that are not needed, or make the table with more "
+                    "`spare`",
+                )
+            self._check(code)
+            self._registers[which] = code
+            self._owner = self._owner or self.register_uid(which)
+
+    @property
+    def task(self) -> str:
+        """The task's name."""
+        return self._task
+
+    @property
+    def owner(self) -> int:
+        """The number under which `Table.reap` knows the task; 0 when it writes nothing."""
+        return self._owner
+
+    @property
+    def claimed(self) -> bool:
+        """Whether the task owns its out-vars."""
+        return self.owns(VARS)
+
+    @property
+    def consumed(self) -> list[tuple[int, int]]:
+        """(register uid, sequence) of every group that the last copy brought."""
+        return self.pairs
+
+    @property
+    def counters(self) -> Counts:
+        """Totals since the local table was made."""
+        return Counts(**self.counts)
+
+    @property
+    def blamed(self) -> tuple[str, int]:
+        """The variable and element that the last refused commit or stale copy met."""
+        return layout.blamed(self._variables, *self.fault)
+
+    def names(self) -> list[str]:
+        """Return the variables of the local table."""
+        return list(self._arrays)
+
+    def array(self, name: str) -> NDArray[np.generic]:
+        """Return the private copy of a variable: one-dimensional, writable, for life.
+
+        Raises:
+            UnknownVariableError: The task has no such variable.
+        """
+        try:
+            return self._arrays[name]
+        except KeyError:
+            raise UnknownVariableError(
+                f"{self._task} has no variable {name}",
+                where=self._table,
+                remedy=did_you_mean(name, self._arrays)
+                or "name it in the task's .rmod file",
+            ) from None
+
+    def copy_out_consts(self, now_ns: int = 0) -> int:
+        """Send the out-consts and own them; returns flags, and sends nothing if any is set.
+
+        A constant that its present owner gives the same value is left to that owner.
+
+        Raises:
+            SvarOwnerError: A live task gives one of them another value.
+        """
+        return self._take(OUT_CONSTS, now_ns, 0)
+
+    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
+        """Commit the out-vars and own them all, as one event; returns flags.
+
+        Nothing is sent or owned when a flag is set.
+
+        Raises:
+            SvarOwnerError: A live task owns one of them.
+        """
+        return self._take(VARS, now_ns, cycle)
+
+    def check_claim(self) -> None:
+        """Refuse, before a module is turned on, what `claim` would refuse after it.
+
+        Raises:
+            SvarOwnerError: A live task owns one of the out-vars.
+        """
+        self._judge(*self.ask(VARS))
+
+    def release(self) -> None:
+        """Give the out-vars up; their values stand until another task takes over."""
+        if self._registers[VARS]:
+            self._check(self.give(VARS, self._registers[VARS], False))  # noqa: FBT003
+
+    def read(self, name: str) -> int:
+        """Bring one variable into the local table (svarRead); returns flags."""
+        try:
+            return self.read_one(*self._places[name])
+        except KeyError:
+            self.array(name)
+            raise
+
+    def write(self, name: str, now_ns: int = 0, cycle: int = 0) -> int:
+        """Send one out-var (svarWrite); the others keep what was last committed.
+
+        Raises:
+            UnknownVariableError: The task does not write it.
+        """
+        index = self._places.get(name, (-1, 0))[0]
+        for which, group in enumerate(self._groups):
+            found = np.flatnonzero(group.vars == index)
+            if len(found):
+                return self.write_one(
+                    which, int(found[0]), now_ns or _svar.now_ns(), cycle
+                )
+        raise UnknownVariableError(
+            f"{self._task} does not write {name}",
+            where=self._table,
+            remedy="name it in OUTVAR of the task's .rmod file",
+        )
+
+    def close(self) -> None:
+        """Give everything up; values stand, the registers may be used again."""
+        for which, register in enumerate(self._registers):
+            if register:
+                self._registers[which] = 0
+                self._check(self.give(which, register, True))  # noqa: FBT003
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _take(self, which: int, now_ns: int, cycle: int) -> int:
+        code, rival = self.take(which, now_ns or _svar.now_ns(), cycle)
+        self._judge(code, rival)
+        return self.flags
+
+    def _judge(self, code: int, rival: int) -> None:
+        if code == RIVAL:
+            name = self._variables[rival].name
+            seen = self.arena.look(rival, np.zeros(layout.var_bytes(self._variables[rival]), np.uint8))
+            owner = (seen[-1] if seen and seen[1] else "") or "another task"
+            raise SvarOwnerError(
+                f"{self._task} cannot write {name}, another task does",
+                where=self._table,
+                expected="one task that writes a variable",
+                got=f"owner {owner}",
+                remedy=f"turn {owner} off first, or give {self._task} an alias for {name} "
+                "and join both",
+            )
+        self._check(code)
+
+    def _check(self, code: int) -> None:
+        if code == STUCK:
+            raise SvarError(
+                "the lock between claimers was not free for 2 s",
+                where=self._table,
+                remedy="look for a stopped process (state T) that was changing ownership",
+            )
+
+
+def _lay_out(
+    variables: tuple[Variable, ...],
+    groups: tuple[layout.Group, layout.Group],
+    inputs: Iterable[int],
+) -> tuple[dict[int, int], int]:
+    """Return the place of every variable in the local table, and its size.
+
+    Groups come first, each as the table has it; then what is only read.
+    """
+    places: dict[int, int] = {}
+    size = 0
+    for group in groups:
+        for index, at in zip(group.vars.tolist(), group.at.tolist(), strict=True):
+            places[index] = size + at
+        size = layout.padded(size + group.bytes, layout.LINE)
+    for index in sorted(inputs):
+        if index not in places:
+            places[index] = size
+            size += layout.var_bytes(variables[index])
+    return places, size
+
+
+def _aligned(size: int) -> NDArray[np.uint8]:
+    """Return zeroed bytes that begin at a cache line."""
+    room = np.zeros(size + 2 * layout.LINE, np.uint8)
+    skip = -room.ctypes.data % layout.LINE
+    return room[skip : skip + layout.padded(max(size, 1), layout.LINE)]
+
+
+def _view(
+    variable: Variable, data: NDArray[np.uint8], at: int
+) -> NDArray[np.generic]:
+    dtype = np.dtype(variable.dtype)
+    return data[at : at + variable.nelem * dtype.itemsize].view(dtype)

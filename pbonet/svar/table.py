@@ -1,0 +1,488 @@
+"""The state variable table as one process sees it (Stewart 1994, section 5.5)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import TYPE_CHECKING, Self
+
+import msgspec
+import numpy as np
+
+from pbonet.config.model import Limit
+from pbonet.errors import (
+    SvarDamagedError,
+    SvarError,
+    SvarFullError,
+    SvarLayoutError,
+    SvarOwnerError,
+    UnknownVariableError,
+    did_you_mean,
+)
+
+from . import files, layout
+from ._svar import CAUSES, STATIC_BYTES, VERSION, Arena, Blueprint, now_ns
+from .codes import ALIVE, FULL, RIVAL, STUCK, Verdict
+from .local import LocalTable
+from .records import Cause, Register, VarInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from pbonet.config.model import Variable
+
+SPARE = 4
+"""How many times the whole table fits into its arena, beside the keeper's register."""
+
+
+class Table:
+    """One subsystem's table on this machine; made by `create` or `attach`.
+
+    Reading needs no right but the file's; writing is done by tasks, through the
+    `LocalTable` that `local` makes, and by an operator for variables that no task owns.
+
+    Args:
+        name: The table's name.
+        path: Its file.
+        arena: The file, mapped.
+    """
+
+    def __init__(self, name: str, path: Path, arena: Arena) -> None:
+        self.name = name
+        self.path = path
+        self._arena: Arena | None = arena
+        self._variables = layout.decode(arena.text)
+        self._index = {v.name: i for i, v in enumerate(self._variables)}
+
+    @classmethod
+    def create(
+        cls,
+        name: str,
+        variables: Sequence[Variable],
+        *,
+        mode: int = 0o600,
+        spare: int = SPARE,
+    ) -> Table:
+        """Make a table with every variable at its INIT value (svarCreate).
+
+        A file of that name that nobody is attached to was left by a crash and is
+        replaced.
+
+        Args:
+            name: Part of the file's name.
+            variables: What the ``.svar`` file defines.
+            mode: Permissions of the file.
+            spare: How many times the whole table fits into the arena.
+
+        Raises:
+            SvarExistsError: A table of that name is in use.
+            SvarLayoutError: The variables cannot be a table.
+            SvarFullError: There is no room in shared memory.
+        """
+        layout.check_variables(variables)
+        path = files.path_of(name)
+        maxages = [round((v.maxage or 0.0) * 1e9) for v in variables]
+        plan = Blueprint(
+            np.array([layout.var_bytes(v) for v in variables], np.uint64),
+            np.array(maxages, np.int64),
+            layout.encode(variables),
+            layout.layout_hash(variables),
+            mode,
+            spare,
+        )
+        values = layout.initial_values(variables)
+        fd, fresh = files.make(path, plan.size, mode)
+        try:
+            arena = Arena(fd, plan.size, _machine())
+        except BaseException:
+            os.close(fd)
+            fresh.unlink(missing_ok=True)
+            raise
+        if error := arena.format(plan, values):
+            fresh.unlink(missing_ok=True)
+            raise SvarError(
+                "the lock of the table cannot be made",
+                where=str(path),
+                got=os.strerror(error),
+            )
+        files.publish(fresh, path)
+        _verify(path, arena, plan.size)
+        return cls(name, path, arena)
+
+    @classmethod
+    def attach(cls, name: str, *, layout: str | None = None) -> Table:
+        """Attach to a table that stands (svarAttach).
+
+        Args:
+            name: The table's name.
+            layout: What its `layout` must be; None takes any.
+
+        Raises:
+            SvarMissingError: There is none.
+            SvarAccessError: It is not this user's own, or its permissions were changed.
+            SvarDamagedError: It is no table, cut short, or was overwritten.
+            SvarLayoutError: It is of another version or another layout.
+        """
+        path = files.path_of(name)
+        fd, size = files.open_file(path)
+        try:
+            if size < STATIC_BYTES:
+                raise _damaged(path, Verdict.NO_TABLE)
+            arena = Arena(fd, size, _machine())
+        except BaseException:
+            os.close(fd)
+            raise
+        _verify(path, arena, size)
+        files.check_mode(path, arena.fileno, arena.mode)
+        try:
+            table = cls(name, path, arena)
+        except msgspec.MsgspecError:
+            raise _damaged(path, Verdict.DAMAGED) from None
+        if layout is not None and table.layout != layout:
+            raise SvarLayoutError(
+                "a table of this name stands with another layout",
+                where=str(path),
+                expected=f"layout {layout}",
+                got=f"layout {table.layout}",
+                remedy="stop the subsystem that uses it, or give this one another name",
+            )
+        return table
+
+    @staticmethod
+    def layout_of(variables: Sequence[Variable]) -> str:
+        """Return what `layout` of a table of these variables would be."""
+        return layout.layout_hash(variables).hex()
+
+    @property
+    def layout(self) -> str:
+        """Equal for tables that mean the same; DESC does not count."""
+        return self._open().layout.hex()
+
+    @property
+    def generation(self) -> int:
+        """Rises with every change of ownership."""
+        return self._open().generation
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All variables, in the order of their indices."""
+        return self._variables
+
+    def names(self) -> list[str]:
+        """Return the names of all variables, in the order of their indices."""
+        return list(self._index)
+
+    def index(self, name: str) -> int:
+        """Return the index of a variable (svarTranslate).
+
+        Raises:
+            UnknownVariableError: The table has none of that name.
+        """
+        try:
+            return self._index[name]
+        except KeyError:
+            raise UnknownVariableError(
+                f"the table has no variable {name}",
+                where=self.name,
+                remedy=did_you_mean(name, self._index)
+                or "add it to the .svar file, or correct the alias",
+            ) from None
+
+    def variable(self, which: str | int) -> Variable:
+        """Return the record of a variable, by name or index."""
+        return self._variables[self._number(which)]
+
+    def read(self, which: str | int) -> NDArray[np.generic]:
+        """Return the newest value of a variable (svarRead, svarReadIx).
+
+        Raises:
+            UnknownVariableError: There is none of that name or index.
+        """
+        return self._look(self._number(which))[0]
+
+    def info(self, which: str | int) -> VarInfo:
+        """Return who wrote a variable, when, and who owns it now."""
+        number = self._number(which)
+        variable = self._variables[number]
+        (_, live, time_ns, cycle, uid, seq, task) = self._look(number)[1]
+        age = now_ns() - time_ns if time_ns else None
+        stale = variable.maxage is not None and (
+            age is None or age > variable.maxage * 1e9
+        )
+        return VarInfo(
+            owner=task if live else None,
+            writer=task or None,
+            time_ns=time_ns,
+            age_ns=age,
+            cycle=cycle,
+            seq=seq,
+            register=uid,
+            stale=stale,
+        )
+
+    def write(self, which: str | int, values: Sequence[float] | bytes) -> None:
+        """Set a variable that no task owns, as an operator does (svarWrite).
+
+        Raises:
+            SvarOwnerError: A task owns it.
+            SvarLayoutError: There are more or fewer values than elements, or they do not
+                fit the type.
+            SvarError: A value is not finite, or outside LIMIT.
+        """
+        number = self._number(which)
+        variable = self._variables[number]
+        value = _typed(self.name, variable, values)
+        room = np.zeros(layout.var_bytes(variable), np.uint8)
+        room[: value.nbytes] = value.view(np.uint8)
+        code = self._open().set(number, room, now_ns())
+        if code == RIVAL:
+            owner = self.info(number).owner
+            raise SvarOwnerError(
+                f"{variable.name} cannot be set, a task writes it",
+                where=self.name,
+                expected="a variable that no task owns",
+                got=f"owner {owner}",
+                remedy=f"turn {owner} off first",
+            )
+        self._check_stuck(code)
+
+    def local(
+        self,
+        task: str,
+        pid: int,
+        *,
+        inconst: Sequence[str] = (),
+        outconst: Sequence[str] = (),
+        invar: Sequence[str] = (),
+        outvar: Sequence[str] = (),
+        keep: bool = False,
+    ) -> LocalTable:
+        """Make the local table of a task, with registers for what it writes.
+
+        Args:
+            task: The task's name.
+            pid: The process that will write; when it dies its claims may be taken over.
+            inconst: Variables read by `copy_in_consts`.
+            outconst: Variables written by `copy_out_consts`.
+            invar: Variables read by `copy_in`.
+            outvar: Variables written by `commit`.
+            keep: On a cut that cannot be proven consistent keep the last inputs, instead
+                of using groups that are whole each. Costs a second copy.
+
+        Raises:
+            UnknownVariableError: There is no such variable.
+            SvarFullError: No register is left.
+        """
+        ports = [
+            sorted({self.index(name) for name in names})
+            for names in (inconst, outconst, invar, outvar)
+        ]
+        return LocalTable.make(self, self._open(), task, pid, ports, keep=keep)
+
+    def registers(self) -> list[Register]:
+        """Return who holds which register; a recorder names writers by it."""
+        return [Register(*fields) for fields in self._open().registers()]
+
+    def reap(self, owner: int | str) -> list[str]:
+        """Free the claims of a task whose process has ended; its values stand.
+
+        Args:
+            owner: `LocalTable.owner`, or the task's name.
+
+        Returns:
+            The variables that lost their owner.
+
+        Raises:
+            SvarOwnerError: The process still runs.
+        """
+        arena = self._open()
+        dead = [r for r in self.registers() if owner in {r.owner, r.task} and r.held]
+        mine = {r.uid for r in dead}
+        freed = [
+            variable.name
+            for number, variable in enumerate(self._variables)
+            if (seen := self._look(number)[1])[1] and seen[4] in mine
+        ]
+        for register in dead:
+            code = arena.let_go(register.index, True, True)  # noqa: FBT003
+            if code == ALIVE:
+                raise SvarOwnerError(
+                    f"the claims of {register.task} stand, its process runs",
+                    where=self.name,
+                    expected=f"process {register.pid} to have ended",
+                    remedy="turn the task off, or end the process first",
+                )
+            self._check_stuck(code)
+        return freed
+
+    @property
+    def illegal(self) -> list[Cause]:
+        """The causes for which the illegal-configuration flag is up; empty: it is down."""
+        return [Cause(*fields) for fields in self._open().causes()]
+
+    def raise_illegal(self, cause: str, raiser: str, machine: str = "") -> None:
+        """Raise the flag; raising the same cause again changes nothing.
+
+        Raises:
+            SvarFullError: As many causes as there is room for stand.
+        """
+        words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
+        code = self._open().raise_illegal(*words)
+        if code == FULL:
+            raise SvarFullError(
+                f"{CAUSES} causes stand, this one was not added: {cause}",
+                where=self.name,
+                remedy="the flag is up all the same; clear what has been dealt with",
+            )
+        self._check_stuck(code)
+
+    def clear_illegal(self, raiser: str, cause: str = "", machine: str = "") -> int:
+        """Take back what `raiser` raised on this machine; return how many causes went."""
+        words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
+        code = self._open().clear_illegal(*words)
+        self._check_stuck(code)
+        return code
+
+    def close(self) -> None:
+        """Let go of the table (svarDetach); local tables made from it go on working."""
+        self._arena = None
+
+    def destroy(self) -> None:
+        """Remove the file and let go; whoever is attached goes on working."""
+        with contextlib.suppress(FileNotFoundError):
+            self.path.unlink()
+        self.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open(self) -> Arena:
+        if self._arena is None:
+            raise SvarError("the table was closed", where=self.name)
+        return self._arena
+
+    def _number(self, which: str | int) -> int:
+        if isinstance(which, str):
+            return self.index(which)
+        if 0 <= which < len(self._variables):
+            return which
+        raise UnknownVariableError(
+            "the table has no variable of that index",
+            where=self.name,
+            expected=f"0 to {len(self._variables) - 1}",
+            got=f"{which}",
+        )
+
+    def _look(
+        self, number: int
+    ) -> tuple[NDArray[np.generic], tuple[int, bool, int, int, int, int, str]]:
+        variable = self._variables[number]
+        room = np.zeros(layout.var_bytes(variable), np.uint8)
+        seen = self._open().look(number, room)
+        if seen is None:
+            raise SvarError(
+                f"{variable.name} could not be read whole",
+                where=self.name,
+                remedy="its writer commits faster than this reader can copy; try again",
+            )
+        dtype = np.dtype(variable.dtype)
+        return room[: variable.nelem * dtype.itemsize].view(dtype), seen
+
+    def _check_stuck(self, code: int) -> None:
+        if code == STUCK:
+            raise _stuck(self.name)
+
+
+def _stuck(where: str) -> SvarError:
+    return SvarError(
+        "the lock between claimers was not free for 2 s",
+        where=where,
+        remedy="look for a stopped process (state T) that was changing ownership",
+    )
+
+
+def _machine() -> bytes:
+    return os.uname().nodename.encode()
+
+
+def _typed(
+    where: str, variable: Variable, values: Sequence[float] | bytes
+) -> NDArray[np.generic]:
+    dtype = np.dtype(variable.dtype)
+    if isinstance(values, bytes):
+        expected = dtype.itemsize * variable.nelem
+        if len(values) != expected:
+            raise SvarLayoutError(
+                f"the value does not fit {variable.name}",
+                where=where,
+                expected=f"{expected} bytes",
+                got=f"{len(values)} bytes",
+            )
+        return np.frombuffer(values, dtype)
+    if len(values) != variable.nelem:
+        raise SvarLayoutError(
+            f"the value does not fit {variable.name}",
+            where=where,
+            expected=f"{variable.nelem} values",
+            got=f"{len(values)} values",
+        )
+    typed = layout.values_of(variable, values, where="the value")
+    _check_range(where, variable, typed)
+    return typed
+
+
+def _check_range(where: str, variable: Variable, typed: NDArray[np.generic]) -> None:
+    if typed.dtype.kind == "f" and variable.finite and not np.isfinite(typed).all():
+        raise SvarError(
+            f"{variable.name} takes finite values only",
+            where=where,
+            remedy="say FINITE no in the .svar file if NaN is meant",
+        )
+    if variable.limit is not Limit.NONE and variable.min and variable.max:
+        low, high = (layout.values_of(variable, m, where="MIN") for m in (variable.min, variable.max))
+        if bool(np.any(typed < low) or np.any(typed > high)):
+            raise SvarError(
+                f"{variable.name} would be outside its limits",
+                where=where,
+                expected=f"{variable.min} to {variable.max} {variable.units}",
+                got=f"{typed.tolist()}",
+            )
+
+
+def _verify(path: Path, arena: Arena, size: int) -> None:
+    verdict = Verdict(arena.verify())
+    if verdict is Verdict.OTHER_VERSION:
+        raise SvarLayoutError(
+            "the table was made by another version of pbonet",
+            where=str(path),
+            expected=f"table version {VERSION} and this machine's C library",
+            got=f"table version {arena.version}",
+            remedy="run the same version in every process of the subsystem",
+        )
+    if verdict is not Verdict.SOUND:
+        raise _damaged(path, verdict, size)
+
+
+def _damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
+    what = {
+        Verdict.NO_TABLE: "the file is not a state variable table",
+        Verdict.CUT_SHORT: "the table's file is cut short",
+    }.get(verdict, "the table's file was overwritten, its checksum is wrong")
+    return SvarDamagedError(
+        what,
+        where=str(path),
+        got=f"{size} bytes" if size else "",
+        remedy="stop the subsystem, remove the file and start again",
+    )
