@@ -4,19 +4,29 @@ A module is a class that derives from `PortBasedObject`. This package reads its
 declarations, decodes its parameters, binds an instance to arrays, and describes it.
 """
 
-from ._bind import bind
-from ._describe import ModuleInfo, ParamInfo, describe, render, source_version
+from ._bind import Memory, bind, check_sizes, memory
+from ._describe import (
+    ModuleInfo,
+    ParamInfo,
+    describe,
+    local_text,
+    render,
+    source_version,
+)
 from ._object import Interface, PortBasedObject, interface
 from ._params import (
     Param,
     Params,
     change_param,
     decode_params,
+    find_param,
     param,
     params_type,
 )
 from ._task import (
     Answer,
+    BoundedOutbox,
+    Counted,
     Notice,
     Outbox,
     Signal,
@@ -29,7 +39,10 @@ from ._task import (
 
 __all__ = [
     "Answer",
+    "BoundedOutbox",
+    "Counted",
     "Interface",
+    "Memory",
     "ModuleInfo",
     "Notice",
     "Outbox",
@@ -44,9 +57,13 @@ __all__ = [
     "TimeSource",
     "bind",
     "change_param",
+    "check_sizes",
     "decode_params",
     "describe",
+    "find_param",
     "interface",
+    "local_text",
+    "memory",
     "param",
     "params_type",
     "render",

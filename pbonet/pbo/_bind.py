@@ -2,22 +2,68 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from msgspec import Struct
+from numpy.typing import NDArray
+
 from pbonet.errors import DeclarationError, ParameterError, PortError
-from pbonet.ports import SCALARS, solve_shapes, view
+from pbonet.ports import SCALARS, Kind, Port, solve_shapes, view
 
 from ._object import PortBasedObject
 from ._params import Params
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-
     from ._task import TaskContext
 
 M = TypeVar("M", bound=PortBasedObject[Any])
+
+_MEMORY = "_port_memory"
+"""The instance attribute that holds its `Memory`."""
+
+
+class Memory(Struct, frozen=True):
+    """What an instance is bound to."""
+
+    arrays: Mapping[str, NDArray[Any]]
+    """The local copy behind each port, by attribute, writable."""
+    sizes: Mapping[str, int]
+    """What each constant that is a size of a port must be, by attribute."""
+
+
+def memory(instance: PortBasedObject[Any]) -> Memory:
+    """Return what `instance` is bound to."""
+    found: Memory = vars(instance)[_MEMORY]
+    return found
+
+
+def check_sizes(instance: PortBasedObject[Any], kind: Kind) -> None:
+    """Raise unless the constants that are sizes have the sizes of the ports.
+
+    Args:
+        instance: Its constants were just copied in, or set by `init`.
+        kind: Which of them are looked at: in-consts or out-consts.
+
+    Raises:
+        PortError: A constant has another value.
+    """
+    cls = type(instance)
+    sizes = memory(instance).sizes
+    for port in cls.__interface__.ports:
+        if port.kind is not kind or port.attr not in sizes:
+            continue
+        value, size = int(getattr(instance, port.attr)), sizes[port.attr]
+        if value != size:
+            named = [p.name for p in cls.__interface__.ports if port.attr in p.shape]
+            raise PortError(
+                f"{kind} {port.name} is not the size of the ports that it names",
+                where=f"{cls.__name__}.{port.attr}",
+                expected=f"{size}, as {' and '.join(named)} have",
+                got=str(value),
+                remedy="correct NELEM in the .svar file; a task that runs must be "
+                "killed and spawned again to have another size",
+            )
 
 
 def bind(
@@ -64,6 +110,7 @@ def bind(
         "params": params,
         "task": task,
         SCALARS: scalars,
+        _MEMORY: Memory(arrays, _sizes(ports, shapes)),
     }
     for port in ports:
         array = view(port, arrays[port.attr], shapes[port.attr], where=where)
@@ -73,6 +120,19 @@ def bind(
             bound[port.attr] = array
     instance.__dict__.update(bound)
     return instance
+
+
+def _sizes(
+    ports: tuple[Port, ...], shapes: Mapping[str, tuple[int, ...]]
+) -> dict[str, int]:
+    """Return the sizes that shapes gave to constants, by the constant's attribute."""
+    consts = {port.attr for port in ports if port.kind.is_const}
+    return {
+        dim: size
+        for port in ports
+        for dim, size in zip(port.shape, shapes[port.attr], strict=True)
+        if isinstance(dim, str) and dim in consts
+    }
 
 
 def _check_attrs(wanted: set[str], got: set[str], where: str) -> None:

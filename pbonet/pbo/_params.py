@@ -219,11 +219,20 @@ def change_param(params: P, name: str, words: tuple[str, ...], *, where: str = "
     Raises:
         ParameterError: No such parameter, or the value is refused.
     """
-    known = {key.lower(): about for key, about in params.__declared__.items()}
-    about = known.get(name.lower())
-    if about is None:
-        raise _unknown(type(params), name, where)
+    about = params.__declared__[find_param(params, name, where=where)]
     return structs.replace(params, **{about.name: _decode(about, words, where)})
+
+
+def find_param(params: Params, name: str, *, where: str = "") -> str:
+    """Return the parameter that `name` means, whatever its case.
+
+    Raises:
+        ParameterError: There is none.
+    """
+    for key in params.__declared__:
+        if key.lower() == name.lower():
+            return key
+    raise _unknown(type(params), name, where)
 
 
 _TRUE = frozenset({"true", "yes", "on", "1"})

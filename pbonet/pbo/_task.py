@@ -70,8 +70,10 @@ def user_signal(number: int) -> Signal:
     return Signal(1 << (len(Signal) + number))
 
 
-class TaskFailure(Exception):  # noqa: N818 - unwinds a method, is no error of its own
-    """Unwinds the method that called `TaskContext.fail`; modules don't catch it.
+class TaskFailure(BaseException):
+    """Unwinds the method that called `TaskContext.fail`.
+
+    No `Exception`, so that a module which catches those does not catch its own failure.
 
     Args:
         error: What the module said.
@@ -263,8 +265,8 @@ class TaskContext:
         """Report an error: `error` runs, and decides whether this call returns.
 
         It returns when `error` answers CONTINUE; the method then goes on behind this
-        call. With any other answer, and always within `init`, `kill`, `reinit`,
-        `error`, `clear`, `set` and `get`, the method ends here.
+        call. With any other answer, and always where `error` is not asked (in `init`,
+        `kill`, `error`, `clear`, `set` and `get`), the method ends here.
 
         Args:
             text: What is wrong, and what to do about it.

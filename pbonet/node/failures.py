@@ -1,0 +1,118 @@
+"""What a step of a task's life may fail with, and how that is told."""
+
+from __future__ import annotations
+
+import traceback
+from typing import TYPE_CHECKING
+
+from pbonet.errors import MethodError, PbonetError, PortError, SvarError
+from pbonet.pbo import Answer, TaskFailure
+
+if TYPE_CHECKING:
+    from .lifecycle import Rule, Step
+
+RAISED = (Exception, SystemExit, TaskFailure)
+"""What is caught around a module's methods: everything but the wish to end Python."""
+
+Raised = Exception | TaskFailure
+
+
+REFUSED = {
+    8: "no whole set of inputs was had",
+    16: "an output is not a finite number",
+    32: "an output is outside its limits",
+    64: "the outputs belong to another task",
+}
+"""Flags of a copy that are errors of the task, and what they mean."""
+
+
+class StepFailed(Exception):  # noqa: N818 - carries a failure to the executor
+    """A step failed."""
+
+    def __init__(self, step: Step, cause: Raised) -> None:
+        super().__init__(step, cause)
+        self.step = step
+        self.cause = cause
+
+
+class RefusedError(PortError):
+    """A constant that is a size changed: the module is not at fault and not asked."""
+
+    def __init__(self, error: PortError) -> None:
+        super().__init__(
+            error.what,
+            where=error.where,
+            expected=error.expected,
+            got=error.got,
+            remedy=error.remedy,
+        )
+
+
+def contained(error: BaseException) -> Raised:
+    """Return what a module raised as something that can be dealt with.
+
+    A module may raise anything; ``sys.exit()`` must not end the task's process, for the
+    task would then miss its `off` and `kill`.
+    """
+    if isinstance(error, Exception | TaskFailure):
+        return error
+    wrapped = MethodError(f"{type(error).__name__}: {error}")
+    wrapped.__traceback__ = error.__traceback__
+    return wrapped
+
+
+def accept(flags: object) -> None:
+    """Raise when a copy's flags say that it was refused."""
+    if not isinstance(flags, int) or not flags:
+        return
+    for bit, text in REFUSED.items():
+        if flags & bit:
+            raise SvarError(text, remedy="the table keeps its last values")
+
+
+def is_answer(answer: object) -> bool:
+    """Tell whether a module, typed or not, returned an `Answer`."""
+    return isinstance(answer, Answer)
+
+
+def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
+    """Return the error that says what `step` may answer; `error` has no rule."""
+    allowed = list(found.answers) if found else list(Answer)
+    words = ["None" if one is None else f"Answer.{one}" for one in allowed]
+    got = f"Answer.{answer}" if isinstance(answer, Answer) else repr(answer)
+    return MethodError(
+        f"{step} gave an answer that it cannot give",
+        expected=" or ".join(words),
+        got=got,
+    )
+
+
+def method_error(error: Raised, method: str, task: str) -> MethodError:
+    """Return what a method raised as the error of the task, with its parts kept."""
+    where = f"{task}.{method}"
+    if isinstance(error, TaskFailure):
+        return MethodError(error.error.what, where=where, debug=_trace(error))
+    if isinstance(error, PbonetError):
+        return MethodError(
+            error.what if isinstance(error, MethodError) else f"{error}",
+            where=where,
+            expected=error.expected if isinstance(error, MethodError) else "",
+            got=error.got if isinstance(error, MethodError) else "",
+            remedy=error.remedy if isinstance(error, MethodError) else "",
+            debug=error.debug or _trace(error),
+        )
+    remedy = ""
+    if isinstance(error, ValueError) and "read-only" in str(error):
+        remedy = (
+            "inputs are written by their producers; take a copy: `x = self.x.copy()`"
+        )
+    return MethodError(
+        f"{type(error).__name__}: {error}" if str(error) else type(error).__name__,
+        where=where,
+        remedy=remedy,
+        debug=_trace(error),
+    )
+
+
+def _trace(error: BaseException) -> str:
+    return "".join(traceback.format_exception(error)).rstrip()
