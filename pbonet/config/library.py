@@ -1,0 +1,325 @@
+"""The library: where modules and RMODs are found by name (Stewart 1994, section 3.9).
+
+A library is a list of folders with ``module.py`` files and ``.rmod`` files. The modules
+that pbonet brings come first, then the folders that a machine's ``agent.toml`` names,
+then the packages that register under the entry point group ``pbonet.modules``. A module
+is loaded by its name only, never from a path or from text that came over the network.
+"""
+
+from __future__ import annotations
+
+import importlib.machinery
+import importlib.util
+import keyword
+import sys
+import types
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeGuard
+
+from msgspec import Struct
+
+from pbonet.errors import (
+    ConfigFileError,
+    DeclarationError,
+    ModuleLoadError,
+    did_you_mean,
+)
+from pbonet.pbo import ModuleInfo, PortBasedObject, describe, source_version
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+BUILT_IN = "pbonet.modules"
+"""The package of the modules that pbonet brings."""
+GROUP = "pbonet.modules"
+"""The entry point group of packages with more modules."""
+_VERSION = "__pbonet_version__"
+"""The attribute of a Python module that holds the version it was run from."""
+
+
+class LoadedModule(Struct, frozen=True):
+    """A module whose code was run."""
+
+    cls: type[PortBasedObject[Any]]
+    info: ModuleInfo
+    path: Path
+
+
+class Shelf(Struct, frozen=True):
+    """One folder of a library."""
+
+    folder: Path
+    package: str
+    """The Python package that the folder is, so that modules may import each other's
+    subroutines (``from ._values import spread``)."""
+
+
+class Library:
+    """Modules and RMODs by name.
+
+    Args:
+        folders: Folders beside the modules that pbonet brings and those of installed
+            packages; earlier ones win. One that does not exist is an error when a name
+            is looked for that nobody else has.
+    """
+
+    def __init__(self, folders: Iterable[str | Path] = ()) -> None:
+        self.folders = tuple(Path(folder).expanduser() for folder in folders)
+        self._loaded: dict[tuple[str, str], LoadedModule] = {}
+
+    @property
+    def shelves(self) -> tuple[Shelf, ...]:
+        """The folders in the order in which they are searched."""
+        own = [Shelf(folder, _package_name(folder)) for folder in self.folders]
+        return (*_packaged(BUILT_IN), *own, *_registered())
+
+    def load(self, module: str) -> LoadedModule:
+        """Run a module's code, unless the same text was run before, and describe it.
+
+        Args:
+            module: Its name, as the MODULE line of an RMOD has it.
+
+        Raises:
+            ModuleLoadError: There is none, or its code does not load; the message
+                names file and line.
+            DeclarationError: Its class body is wrong.
+        """
+        shelf, path = self._find(_checked(module), ".py")
+        source = _read(path)
+        version = source_version(source)
+        known = self._loaded.get((str(path), version))
+        if known is not None:
+            return known
+        python = _run(shelf, path, source, version)
+        cls = _only_class(python, module, path)
+        info = describe(cls, name=module, file=str(path), version=version)
+        loaded = LoadedModule(cls, info, path)
+        self._loaded[str(path), version] = loaded
+        return loaded
+
+    def find_module(self, module: str) -> Path:
+        """Return the file of a module, without running it.
+
+        Raises:
+            ModuleLoadError: There is none of that name.
+        """
+        return self._find(_checked(module), ".py")[1]
+
+    def find_rmod(self, name: str) -> Path:
+        """Return the file of an RMOD.
+
+        Raises:
+            ConfigFileError: There is none of that name.
+        """
+        wanted = name.removesuffix(".rmod")
+        if wanted == Path(wanted).name and wanted not in {"", ".", ".."}:
+            for shelf in self.shelves:
+                path = shelf.folder / f"{wanted}.rmod"
+                if path.is_file():
+                    return path
+        raise ConfigFileError(
+            f"the library has no RMOD {name}",
+            expected=f"{wanted}.rmod in {self._places()}",
+            remedy=did_you_mean(wanted, self.rmods()) or self._missing(),
+        )
+
+    def modules(self) -> tuple[str, ...]:
+        """Return the names of all modules, sorted; no code is run."""
+        names = {
+            path.stem
+            for shelf in self.shelves
+            for path in shelf.folder.glob("*.py")
+            if not path.stem.startswith(("_", "test_")) and _is_name(path.stem)
+        }
+        return tuple(sorted(names))
+
+    def rmods(self) -> tuple[str, ...]:
+        """Return the names of all RMODs, sorted."""
+        names = {
+            path.stem for shelf in self.shelves for path in shelf.folder.glob("*.rmod")
+        }
+        return tuple(sorted(names))
+
+    def _find(self, name: str, suffix: str) -> tuple[Shelf, Path]:
+        for shelf in self.shelves:
+            path = shelf.folder / f"{name}{suffix}"
+            if path.is_file():
+                return shelf, path
+        raise ModuleLoadError(
+            f"the library has no module {name}",
+            expected=f"{name}{suffix} in {self._places()}",
+            remedy=did_you_mean(name, self.modules()) or self._missing(),
+        )
+
+    def _places(self) -> str:
+        return " or ".join(str(shelf.folder) for shelf in self.shelves)
+
+    def _missing(self) -> str:
+        """Return what to say about folders that are not there."""
+        gone = [str(folder) for folder in self.folders if not folder.is_dir()]
+        if not gone:
+            return "write it (`pbonet new module`), or name its folder in agent.toml"
+        return f"there is no folder {' and no folder '.join(gone)}"
+
+
+def _is_name(name: str) -> bool:
+    return name.isidentifier() and name.isascii() and not keyword.iskeyword(name)
+
+
+def _checked(module: str) -> str:
+    """Return a module's name if it is one; it may have come over the network."""
+    if not _is_name(module) or module.startswith("_"):
+        raise ModuleLoadError(
+            "a module is named, not located",
+            expected="letters, digits and underscores, no leading underscore",
+            got=f'"{module}"',
+            remedy="name the folder in agent.toml and the module by its file's name "
+            "without .py",
+        )
+    return module
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise ModuleLoadError(
+            "the module's file cannot be read",
+            where=str(path),
+            got=error.strerror or str(error),
+        ) from None
+
+
+def _packaged(package: str) -> list[Shelf]:
+    """Return the folders of an importable package."""
+    spec = importlib.util.find_spec(package)
+    folders = (spec.submodule_search_locations or []) if spec else []
+    return [Shelf(Path(folder), package) for folder in folders]
+
+
+def _registered() -> list[Shelf]:
+    """Return the folders of the packages that are registered as libraries."""
+    found: list[Shelf] = []
+    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+        try:
+            found += _packaged(point.value)
+        except ImportError as error:
+            raise ModuleLoadError(
+                f"entry point {point.name} names a package that does not import",
+                where=point.value,
+                got=f"{type(error).__name__}: {error}",
+                remedy="install it anew, or remove it",
+            ) from None
+    return found
+
+
+def _package_name(folder: Path) -> str:
+    """Return the name of the package that a plain folder becomes."""
+    return f"_pbonet_library_{source_version(str(folder.absolute()).encode())}"
+
+
+def _run(shelf: Shelf, path: Path, source: bytes, version: str) -> types.ModuleType:
+    """Run a module's code under its qualified name and return what it made.
+
+    A module that this process has imported by itself is taken as it is, so that there
+    are not two classes of one name.
+    """
+    module = path.stem
+    if shelf.package not in sys.modules and shelf.package != BUILT_IN:
+        _make_package(shelf)
+    name = f"{shelf.package}.{module}"
+    before = sys.modules.get(name)
+    if before is not None and getattr(before, _VERSION, version) == version:
+        return before
+    spec = importlib.machinery.ModuleSpec(name, loader=None, origin=str(path))
+    python = importlib.util.module_from_spec(spec)
+    python.__file__ = str(path)
+    setattr(python, _VERSION, version)
+    sys.modules[name] = python
+    try:
+        exec(compile(source, str(path), "exec"), python.__dict__)  # noqa: S102
+    except BaseException as error:
+        if before is None:
+            del sys.modules[name]
+        else:
+            sys.modules[name] = before
+        if isinstance(error, DeclarationError) or not isinstance(
+            error, Exception | SystemExit
+        ):
+            raise
+        raise _broken(module, path, error) from error
+    return python
+
+
+def _make_package(shelf: Shelf) -> None:
+    """Make a plain folder a package, so that its files can import each other."""
+    if (shelf.folder / "__init__.py").exists() and not shelf.package.startswith(
+        "_pbonet"
+    ):
+        importlib.import_module(shelf.package)
+        return
+    package = types.ModuleType(shelf.package, "A folder of pbonet modules.")
+    package.__path__ = [str(shelf.folder)]
+    sys.modules[shelf.package] = package
+
+
+def _broken(module: str, path: Path, error: BaseException) -> ModuleLoadError:
+    """Return the error that says where the code of a module failed, and how."""
+    line = 0
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        line = error.lineno or 0
+        text = (error.text or "").strip()
+        got = f"{error.msg}: `{text}`" if text else error.msg
+    else:
+        trace = error.__traceback__
+        while trace is not None:
+            if trace.tb_frame.f_code.co_filename == str(path):
+                line = trace.tb_lineno
+            trace = trace.tb_next
+        got = f"{type(error).__name__}: {error}"
+    return ModuleLoadError(
+        f"the code of module {module} does not load",
+        where=f"{path}:{line}" if line else str(path),
+        got=got,
+        remedy=_beside(path, error),
+    )
+
+
+def _beside(path: Path, error: BaseException) -> str:
+    """Return what to say when an import would have found a file of the same folder."""
+    name = error.name if isinstance(error, ModuleNotFoundError) else None
+    if name and (path.parent / f"{name}.py").is_file():
+        return f"write `from . import {name}`: the folder is a package"
+    return ""
+
+
+def _is_module(
+    value: object, python: types.ModuleType
+) -> TypeGuard[type[PortBasedObject[Any]]]:
+    """Tell whether `value` is a module class that `python` itself defines."""
+    return (
+        isinstance(value, type)
+        and issubclass(value, PortBasedObject)
+        and value.__module__ == python.__name__
+        and not value.__abstract__
+    )
+
+
+def _only_class(
+    python: types.ModuleType, module: str, path: Path
+) -> type[PortBasedObject[Any]]:
+    """Return the one module class that a file defines."""
+    own = [value for value in vars(python).values() if _is_module(value, python)]
+    named = [
+        cls for cls in own if cls.__name__.lower() == module.replace("_", "").lower()
+    ]
+    if len(own) == 1 or len(named) == 1:
+        return (own if len(own) == 1 else named)[0]
+    names = ", ".join(cls.__name__ for cls in own)
+    raise ModuleLoadError(
+        f"module {module} must define one class that derives from PortBasedObject",
+        where=str(path),
+        expected="one, or one that is named like the file",
+        got=names or "none",
+    )
