@@ -34,10 +34,10 @@ class Flags(IntFlag):
     COPY_KEPT = 4
     """With TORN: the inputs of the last copy were kept, as the task asked for."""
     COPY_LOST = 8
-    """With TORN: a group was not had whole in 256 tries. The inputs must not be used."""
+    """With TORN: a group was not had whole in 256 tries; do not use the inputs."""
     COMMIT_NONFINITE = 16
     """Nothing was committed: a float is NaN or infinite."""
     COMMIT_LIMIT = 32
-    """Nothing was committed: a value is outside MIN and MAX of a LIMIT error variable."""
+    """Nothing was committed: a value is outside MIN and MAX, with LIMIT error."""
     COMMIT_NOT_OWNER = 64
     """Nothing was committed: the task has not claimed its variables."""

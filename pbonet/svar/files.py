@@ -13,6 +13,7 @@ import os
 import re
 import stat
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pbonet.errors import (
     SvarAccessError,
@@ -20,8 +21,15 @@ from pbonet.errors import (
     SvarError,
     SvarExistsError,
     SvarFullError,
+    SvarLayoutError,
     SvarMissingError,
 )
+
+from ._svar import VERSION
+from .codes import Verdict
+
+if TYPE_CHECKING:
+    from ._svar import Arena
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
 
@@ -95,13 +103,13 @@ def publish(fresh: Path, path: Path) -> None:
     )
 
 
-def open_file(path: Path) -> tuple[int, int]:
-    """Open a table's file and return its descriptor and size.
+def open_file(path: Path, least: int) -> tuple[int, int]:
+    """Open a table's file of `least` bytes; return its descriptor and size.
 
     Raises:
         SvarMissingError: There is none.
         SvarAccessError: It is not this user's own, or open to others.
-        SvarDamagedError: It is empty.
+        SvarDamagedError: It is too short for a table.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
@@ -110,17 +118,22 @@ def open_file(path: Path) -> tuple[int, int]:
     except OSError as error:
         raise _no_file(path, error) from None
     try:
-        _check_owner(path, os.fstat(fd))
-        fcntl.flock(fd, fcntl.LOCK_SH)  # a leftover's judge holds it for an instant
-        status = os.fstat(fd)
-        if not status.st_nlink:
-            raise _missing(path)
-        if not status.st_size:
-            raise SvarDamagedError("the table's file is empty", where=str(path))
+        size = _judge_open(path, fd, least)
     except BaseException:
         os.close(fd)
         raise
-    return fd, status.st_size
+    return fd, size
+
+
+def _judge_open(path: Path, fd: int, least: int) -> int:
+    _check_owner(path, os.fstat(fd))
+    fcntl.flock(fd, fcntl.LOCK_SH)  # a leftover's judge holds it for an instant
+    status = os.fstat(fd)
+    if not status.st_nlink:
+        raise _missing(path)
+    if status.st_size < least:
+        raise damaged(path, Verdict.NO_TABLE, status.st_size)
+    return status.st_size
 
 
 def check_mode(path: Path, fd: int, mode: int) -> None:
@@ -154,7 +167,7 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
             where=str(path),
             expected=f"user {os.geteuid()}",
             got=f"user {status.st_uid}",
-            remedy="shared memory is each user's own; remove the file if it is not theirs",
+            remedy="shared memory is each user's own; remove a stranger's file",
         )
 
 
@@ -191,7 +204,11 @@ def _missing(path: Path) -> SvarMissingError:
 def _no_file(path: Path, error: OSError) -> SvarError:
     if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE}:
         return _no_room(path, 0, error)
-    reason = "a symbolic link" if error.errno == errno.ELOOP else os.strerror(error.errno or 0)
+    reason = (
+        "a symbolic link"
+        if error.errno == errno.ELOOP
+        else os.strerror(error.errno or 0)
+    )
     return SvarAccessError(
         "the table's file cannot be opened",
         where=str(path),
@@ -208,4 +225,47 @@ def _no_room(path: Path, size: int, error: OSError) -> SvarFullError:
         expected=f"{size} free bytes" if size else "",
         got=os.strerror(error.errno or 0),
         remedy=f"look at `df {path.parent}` and remove what crashes left there",
+    )
+
+
+def stuck(where: str) -> SvarError:
+    """Return the error for a lock that somebody holds without running."""
+    return SvarError(
+        "the lock between claimers was not free for 2 s",
+        where=where,
+        remedy="look for a stopped process (state T) that was changing ownership",
+    )
+
+
+def verify(path: Path, arena: Arena, size: int) -> None:
+    """Refuse what is no sound table of this version.
+
+    Raises:
+        SvarLayoutError: It is of another version.
+        SvarDamagedError: It is no table, cut short, or was overwritten.
+    """
+    verdict = Verdict(arena.verify())
+    if verdict is Verdict.OTHER_VERSION:
+        raise SvarLayoutError(
+            "the table was made by another version of pbonet",
+            where=str(path),
+            expected=f"table version {VERSION} and this machine's C library",
+            got=f"table version {arena.version}",
+            remedy="run the same version in every process of the subsystem",
+        )
+    if verdict is not Verdict.SOUND:
+        raise damaged(path, verdict, size)
+
+
+def damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
+    """Return the error for a file that is no sound table."""
+    what = {
+        Verdict.NO_TABLE: "the file is not a state variable table",
+        Verdict.CUT_SHORT: "the table's file is cut short",
+    }.get(verdict, "the table's file was overwritten, its checksum is wrong")
+    return SvarDamagedError(
+        what,
+        where=str(path),
+        got=f"{size} bytes" if size else "",
+        remedy="stop the subsystem, remove the file and start again",
     )

@@ -8,12 +8,13 @@ together.
 from __future__ import annotations
 
 import hashlib
-from typing import TYPE_CHECKING, NamedTuple
+import itertools
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
 
-from pbonet.config.model import Limit, Variable
+from pbonet.config.model import Variable
 from pbonet.errors import SvarLayoutError
 
 if TYPE_CHECKING:
@@ -26,27 +27,13 @@ LINE = 64
 NAME_LENGTH = 15
 """Characters that a variable's name may have (Stewart 1994, section 5.5.2)."""
 
-_TYPES = ("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
-_FINITE, _CLIP, _LIMIT = range(3)
-
-
-class Check(NamedTuple):
-    """One look at a stretch of a group before it is committed; guard.h reads it."""
-
-    type: int
-    rule: int
-    var: int
-    at: int
-    n: int
-    low: NDArray[np.uint8] | None
-    high: NDArray[np.uint8] | None
-
 
 class Group(NamedTuple):
-    """Variables that are written together, and their places in the group."""
+    """Variables that are written together, in the order of their indices."""
 
-    vars: NDArray[np.uint32]
-    at: NDArray[np.uint64]
+    indices: tuple[int, ...]
+    at: tuple[int, ...]
+    """Their places in the group."""
     bytes: int
 
 
@@ -62,7 +49,7 @@ def var_bytes(variable: Variable) -> int:
 
 def values_of(
     variable: Variable, values: Sequence[float] | None, *, where: str
-) -> NDArray[np.generic]:
+) -> NDArray[Any]:
     """Return `values` in the variable's type, filled up with zeros.
 
     Raises:
@@ -95,7 +82,7 @@ def check_variables(variables: Sequence[Variable]) -> None:
     """Refuse what cannot be a table.
 
     Raises:
-        SvarLayoutError: A name is empty, too long or there twice, or NELEM is not positive.
+        SvarLayoutError: A name is empty, too long or there twice, or NELEM is below 1.
     """
     seen: set[str] = set()
     for variable in variables:
@@ -156,54 +143,8 @@ def initial_values(variables: Sequence[Variable]) -> NDArray[np.uint8]:
 
 
 def group_of(variables: Sequence[Variable], indices: Iterable[int]) -> Group:
-    """Return the group of the variables with these indices, in their order."""
-    chosen = sorted(indices)
+    """Return the group of the variables with these indices."""
+    chosen = tuple(sorted(indices))
     sizes = [var_bytes(variables[i]) for i in chosen]
-    places = np.cumsum([0, *sizes])
-    return Group(
-        np.array(chosen, np.uint32), places[:-1].astype(np.uint64), int(places[-1])
-    )
-
-
-def checks_of(variables: Sequence[Variable], group: Group) -> list[Check]:
-    """Return what is looked at before the group goes out.
-
-    First whether floats are finite, so that an infinity is an error even where a limit
-    would clip it; neighbours of one type are looked at in one go.
-    """
-    finite: list[Check] = []
-    limits: list[Check] = []
-    for index, at in zip(group.vars.tolist(), group.at.tolist(), strict=True):
-        variable = variables[index]
-        dtype = np.dtype(variable.dtype)
-        if dtype.kind not in "iuf":
-            continue
-        code = _TYPES.index(f"{dtype.kind}{dtype.itemsize}")
-        if dtype.kind == "f" and variable.finite:
-            _add_finite(finite, Check(code, _FINITE, index, at, variable.nelem, None, None))
-        if variable.limit is not Limit.NONE and variable.min and variable.max:
-            rule = _CLIP if variable.limit is Limit.CLIP else _LIMIT
-            low, high = (
-                values_of(variable, values, where=where).view(np.uint8)
-                for where, values in (("MIN", variable.min), ("MAX", variable.max))
-            )
-            limits.append(Check(code, rule, index, at, variable.nelem, low, high))
-    return finite + sorted(limits, key=lambda check: -check.rule)
-
-
-def _add_finite(checks: list[Check], new: Check) -> None:
-    if checks:
-        last = checks[-1]
-        width = int(_TYPES[new.type][1])
-        if last.type == new.type and last.at + last.n * width == new.at:
-            checks[-1] = last._replace(n=last.n + new.n)
-            return
-    checks.append(new)
-
-
-def blamed(variables: Sequence[Variable], index: int, element: int) -> tuple[str, int]:
-    """Return name and element that a merged check means: it counts on over neighbours."""
-    while element >= variables[index].nelem:
-        element -= variables[index].nelem
-        index += 1
-    return variables[index].name, element
+    *places, size = itertools.accumulate(sizes, initial=0)
+    return Group(chosen, tuple(places), size)

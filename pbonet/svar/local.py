@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from pbonet.errors import (
-    SvarError,
     SvarFullError,
     SvarOwnerError,
     UnknownVariableError,
     did_you_mean,
 )
 
-from . import _svar, layout
-from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS, Flags
+from . import _svar, files, guards, layout
+from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
 from .records import Counts
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class LocalTable(_svar.LocalTable):
     _task: str
     _table: str
     _variables: tuple[Variable, ...]
-    _arrays: dict[str, NDArray[np.generic]]
+    _arrays: dict[str, NDArray[Any]]
     _places: dict[str, tuple[int, int]]
     _groups: tuple[layout.Group, layout.Group]
     _registers: list[int]
@@ -72,7 +71,10 @@ class LocalTable(_svar.LocalTable):
                 where=f"{table.name}/{task}",
                 expected="the process of the task",
             )
-        groups = layout.group_of(variables, outvar), layout.group_of(variables, outconst)
+        groups = (
+            layout.group_of(variables, outvar),
+            layout.group_of(variables, outconst),
+        )
         places, size = _lay_out(variables, groups, {*inconst, *invar})
         data = _aligned(size)
         largest = max(len(inconst), len({*invar, *outvar}), 1)
@@ -94,10 +96,16 @@ class LocalTable(_svar.LocalTable):
         self._registers = [0, 0]
         self._owner = 0
         for which, group in enumerate(self._groups):
-            first = places[int(group.vars[0])] if len(group.vars) else 0
-            checks = layout.checks_of(self._variables, group)
-            self.set_group(which, group.vars, group.at, first, group.bytes, checks)
-            if not len(group.vars):
+            first = places[group.indices[0]] if group.indices else 0
+            self.set_group(
+                which,
+                np.array(group.indices, np.uint32),
+                np.array(group.at, np.uint64),
+                first,
+                group.bytes,
+                guards.checks_of(self._variables, group),
+            )
+            if not group.indices:
                 continue
             code = self.enter(which, self._owner, pid, self._task.encode())
             if code == FULL:
@@ -106,8 +114,8 @@ class LocalTable(_svar.LocalTable):
                     f"no register is left for {self._task}",
                     where=self._table,
                     expected=f"room for four times {group.bytes} bytes",
-                    remedy="kill tasks that are not needed, or make the table with more "
-                    "`spare`",
+                    remedy="kill tasks that are not needed, or make the table "
+                    "with more `spare`",
                 )
             self._check(code)
             self._registers[which] = code
@@ -120,7 +128,7 @@ class LocalTable(_svar.LocalTable):
 
     @property
     def owner(self) -> int:
-        """The number under which `Table.reap` knows the task; 0 when it writes nothing."""
+        """What `Table.reap` knows the task by; 0 when it writes nothing."""
         return self._owner
 
     @property
@@ -141,13 +149,13 @@ class LocalTable(_svar.LocalTable):
     @property
     def blamed(self) -> tuple[str, int]:
         """The variable and element that the last refused commit or stale copy met."""
-        return layout.blamed(self._variables, *self.fault)
+        return guards.blamed(self._variables, *self.fault)
 
     def names(self) -> list[str]:
         """Return the variables of the local table."""
         return list(self._arrays)
 
-    def array(self, name: str) -> NDArray[np.generic]:
+    def array(self, name: str) -> NDArray[Any]:
         """Return the private copy of a variable: one-dimensional, writable, for life.
 
         Raises:
@@ -164,7 +172,7 @@ class LocalTable(_svar.LocalTable):
             ) from None
 
     def copy_out_consts(self, now_ns: int = 0) -> int:
-        """Send the out-consts and own them; returns flags, and sends nothing if any is set.
+        """Send the out-consts and own them; returns flags, and then sends nothing.
 
         A constant that its present owner gives the same value is left to that owner.
 
@@ -212,11 +220,9 @@ class LocalTable(_svar.LocalTable):
         """
         index = self._places.get(name, (-1, 0))[0]
         for which, group in enumerate(self._groups):
-            found = np.flatnonzero(group.vars == index)
-            if len(found):
-                return self.write_one(
-                    which, int(found[0]), now_ns or _svar.now_ns(), cycle
-                )
+            if index in group.indices:
+                place = group.indices.index(index)
+                return self.write_one(which, place, now_ns or _svar.now_ns(), cycle)
         raise UnknownVariableError(
             f"{self._task} does not write {name}",
             where=self._table,
@@ -248,26 +254,23 @@ class LocalTable(_svar.LocalTable):
 
     def _judge(self, code: int, rival: int) -> None:
         if code == RIVAL:
-            name = self._variables[rival].name
-            seen = self.arena.look(rival, np.zeros(layout.var_bytes(self._variables[rival]), np.uint8))
+            variable = self._variables[rival]
+            room = np.zeros(layout.var_bytes(variable), np.uint8)
+            seen = self.arena.look(rival, room)
             owner = (seen[-1] if seen and seen[1] else "") or "another task"
             raise SvarOwnerError(
-                f"{self._task} cannot write {name}, another task does",
+                f"{self._task} cannot write {variable.name}, another task does",
                 where=self._table,
                 expected="one task that writes a variable",
                 got=f"owner {owner}",
-                remedy=f"turn {owner} off first, or give {self._task} an alias for {name} "
-                "and join both",
+                remedy=f"turn {owner} off first, or give {self._task} an alias for "
+                f"{variable.name} and join both",
             )
         self._check(code)
 
     def _check(self, code: int) -> None:
         if code == STUCK:
-            raise SvarError(
-                "the lock between claimers was not free for 2 s",
-                where=self._table,
-                remedy="look for a stopped process (state T) that was changing ownership",
-            )
+            raise files.stuck(self._table)
 
 
 def _lay_out(
@@ -282,7 +285,7 @@ def _lay_out(
     places: dict[int, int] = {}
     size = 0
     for group in groups:
-        for index, at in zip(group.vars.tolist(), group.at.tolist(), strict=True):
+        for index, at in zip(group.indices, group.at, strict=True):
             places[index] = size + at
         size = layout.padded(size + group.bytes, layout.LINE)
     for index in sorted(inputs):
@@ -299,8 +302,6 @@ def _aligned(size: int) -> NDArray[np.uint8]:
     return room[skip : skip + layout.padded(max(size, 1), layout.LINE)]
 
 
-def _view(
-    variable: Variable, data: NDArray[np.uint8], at: int
-) -> NDArray[np.generic]:
+def _view(variable: Variable, data: NDArray[np.uint8], at: int) -> NDArray[Any]:
     dtype = np.dtype(variable.dtype)
     return data[at : at + variable.nelem * dtype.itemsize].view(dtype)

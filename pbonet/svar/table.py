@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgspec
 import numpy as np
 
-from pbonet.config.model import Limit
 from pbonet.errors import (
-    SvarDamagedError,
     SvarError,
     SvarFullError,
     SvarLayoutError,
@@ -20,8 +18,9 @@ from pbonet.errors import (
     did_you_mean,
 )
 
-from . import files, layout
-from ._svar import CAUSES, STATIC_BYTES, VERSION, Arena, Blueprint, now_ns
+from . import files, guards
+from . import layout as lay
+from ._svar import CAUSES, STATIC_BYTES, Arena, Blueprint, now_ns
 from .codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .local import LocalTable
 from .records import Cause, Register, VarInfo
@@ -55,7 +54,7 @@ class Table:
         self.name = name
         self.path = path
         self._arena: Arena | None = arena
-        self._variables = layout.decode(arena.text)
+        self._variables = lay.decode(arena.text)
         self._index = {v.name: i for i, v in enumerate(self._variables)}
 
     @classmethod
@@ -83,18 +82,18 @@ class Table:
             SvarLayoutError: The variables cannot be a table.
             SvarFullError: There is no room in shared memory.
         """
-        layout.check_variables(variables)
+        lay.check_variables(variables)
         path = files.path_of(name)
         maxages = [round((v.maxage or 0.0) * 1e9) for v in variables]
         plan = Blueprint(
-            np.array([layout.var_bytes(v) for v in variables], np.uint64),
+            np.array([lay.var_bytes(v) for v in variables], np.uint64),
             np.array(maxages, np.int64),
-            layout.encode(variables),
-            layout.layout_hash(variables),
+            lay.encode(variables),
+            lay.layout_hash(variables),
             mode,
             spare,
         )
-        values = layout.initial_values(variables)
+        values = lay.initial_values(variables)
         fd, fresh = files.make(path, plan.size, mode)
         try:
             arena = Arena(fd, plan.size, _machine())
@@ -110,7 +109,7 @@ class Table:
                 got=os.strerror(error),
             )
         files.publish(fresh, path)
-        _verify(path, arena, plan.size)
+        files.verify(path, arena, plan.size)
         return cls(name, path, arena)
 
     @classmethod
@@ -125,23 +124,21 @@ class Table:
             SvarMissingError: There is none.
             SvarAccessError: It is not this user's own, or its permissions were changed.
             SvarDamagedError: It is no table, cut short, or was overwritten.
-            SvarLayoutError: It is of another version or another layout.
+            SvarLayoutError: It is of another version or another lay.
         """
         path = files.path_of(name)
-        fd, size = files.open_file(path)
+        fd, size = files.open_file(path, STATIC_BYTES)
         try:
-            if size < STATIC_BYTES:
-                raise _damaged(path, Verdict.NO_TABLE)
             arena = Arena(fd, size, _machine())
         except BaseException:
             os.close(fd)
             raise
-        _verify(path, arena, size)
+        files.verify(path, arena, size)
         files.check_mode(path, arena.fileno, arena.mode)
         try:
             table = cls(name, path, arena)
         except msgspec.MsgspecError:
-            raise _damaged(path, Verdict.DAMAGED) from None
+            raise files.damaged(path, Verdict.DAMAGED) from None
         if layout is not None and table.layout != layout:
             raise SvarLayoutError(
                 "a table of this name stands with another layout",
@@ -155,7 +152,7 @@ class Table:
     @staticmethod
     def layout_of(variables: Sequence[Variable]) -> str:
         """Return what `layout` of a table of these variables would be."""
-        return layout.layout_hash(variables).hex()
+        return lay.layout_hash(variables).hex()
 
     @property
     def layout(self) -> str:
@@ -196,7 +193,7 @@ class Table:
         """Return the record of a variable, by name or index."""
         return self._variables[self._number(which)]
 
-    def read(self, which: str | int) -> NDArray[np.generic]:
+    def read(self, which: str | int) -> NDArray[Any]:
         """Return the newest value of a variable (svarRead, svarReadIx).
 
         Raises:
@@ -229,14 +226,14 @@ class Table:
 
         Raises:
             SvarOwnerError: A task owns it.
-            SvarLayoutError: There are more or fewer values than elements, or they do not
-                fit the type.
+            SvarLayoutError: There are more or fewer values than elements, or they do
+                not fit the type.
             SvarError: A value is not finite, or outside LIMIT.
         """
         number = self._number(which)
         variable = self._variables[number]
-        value = _typed(self.name, variable, values)
-        room = np.zeros(layout.var_bytes(variable), np.uint8)
+        value = guards.typed(self.name, variable, values)
+        room = np.zeros(lay.var_bytes(variable), np.uint8)
         room[: value.nbytes] = value.view(np.uint8)
         code = self._open().set(number, room, now_ns())
         if code == RIVAL:
@@ -270,8 +267,8 @@ class Table:
             outconst: Variables written by `copy_out_consts`.
             invar: Variables read by `copy_in`.
             outvar: Variables written by `commit`.
-            keep: On a cut that cannot be proven consistent keep the last inputs, instead
-                of using groups that are whole each. Costs a second copy.
+            keep: On a cut that cannot be proven consistent keep the last inputs,
+                instead of using groups that are whole each. Costs a second copy.
 
         Raises:
             UnknownVariableError: There is no such variable.
@@ -321,7 +318,7 @@ class Table:
 
     @property
     def illegal(self) -> list[Cause]:
-        """The causes for which the illegal-configuration flag is up; empty: it is down."""
+        """Why the illegal-configuration flag is up; empty: it is down."""
         return [Cause(*fields) for fields in self._open().causes()]
 
     def raise_illegal(self, cause: str, raiser: str, machine: str = "") -> None:
@@ -341,7 +338,7 @@ class Table:
         self._check_stuck(code)
 
     def clear_illegal(self, raiser: str, cause: str = "", machine: str = "") -> int:
-        """Take back what `raiser` raised on this machine; return how many causes went."""
+        """Take back what `raiser` raised on this machine; return how many went."""
         words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
         code = self._open().clear_illegal(*words)
         self._check_stuck(code)
@@ -387,9 +384,9 @@ class Table:
 
     def _look(
         self, number: int
-    ) -> tuple[NDArray[np.generic], tuple[int, bool, int, int, int, int, str]]:
+    ) -> tuple[NDArray[Any], tuple[int, bool, int, int, int, int, str]]:
         variable = self._variables[number]
-        room = np.zeros(layout.var_bytes(variable), np.uint8)
+        room = np.zeros(lay.var_bytes(variable), np.uint8)
         seen = self._open().look(number, room)
         if seen is None:
             raise SvarError(
@@ -402,87 +399,8 @@ class Table:
 
     def _check_stuck(self, code: int) -> None:
         if code == STUCK:
-            raise _stuck(self.name)
-
-
-def _stuck(where: str) -> SvarError:
-    return SvarError(
-        "the lock between claimers was not free for 2 s",
-        where=where,
-        remedy="look for a stopped process (state T) that was changing ownership",
-    )
+            raise files.stuck(self.name)
 
 
 def _machine() -> bytes:
     return os.uname().nodename.encode()
-
-
-def _typed(
-    where: str, variable: Variable, values: Sequence[float] | bytes
-) -> NDArray[np.generic]:
-    dtype = np.dtype(variable.dtype)
-    if isinstance(values, bytes):
-        expected = dtype.itemsize * variable.nelem
-        if len(values) != expected:
-            raise SvarLayoutError(
-                f"the value does not fit {variable.name}",
-                where=where,
-                expected=f"{expected} bytes",
-                got=f"{len(values)} bytes",
-            )
-        return np.frombuffer(values, dtype)
-    if len(values) != variable.nelem:
-        raise SvarLayoutError(
-            f"the value does not fit {variable.name}",
-            where=where,
-            expected=f"{variable.nelem} values",
-            got=f"{len(values)} values",
-        )
-    typed = layout.values_of(variable, values, where="the value")
-    _check_range(where, variable, typed)
-    return typed
-
-
-def _check_range(where: str, variable: Variable, typed: NDArray[np.generic]) -> None:
-    if typed.dtype.kind == "f" and variable.finite and not np.isfinite(typed).all():
-        raise SvarError(
-            f"{variable.name} takes finite values only",
-            where=where,
-            remedy="say FINITE no in the .svar file if NaN is meant",
-        )
-    if variable.limit is not Limit.NONE and variable.min and variable.max:
-        low, high = (layout.values_of(variable, m, where="MIN") for m in (variable.min, variable.max))
-        if bool(np.any(typed < low) or np.any(typed > high)):
-            raise SvarError(
-                f"{variable.name} would be outside its limits",
-                where=where,
-                expected=f"{variable.min} to {variable.max} {variable.units}",
-                got=f"{typed.tolist()}",
-            )
-
-
-def _verify(path: Path, arena: Arena, size: int) -> None:
-    verdict = Verdict(arena.verify())
-    if verdict is Verdict.OTHER_VERSION:
-        raise SvarLayoutError(
-            "the table was made by another version of pbonet",
-            where=str(path),
-            expected=f"table version {VERSION} and this machine's C library",
-            got=f"table version {arena.version}",
-            remedy="run the same version in every process of the subsystem",
-        )
-    if verdict is not Verdict.SOUND:
-        raise _damaged(path, verdict, size)
-
-
-def _damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
-    what = {
-        Verdict.NO_TABLE: "the file is not a state variable table",
-        Verdict.CUT_SHORT: "the table's file is cut short",
-    }.get(verdict, "the table's file was overwritten, its checksum is wrong")
-    return SvarDamagedError(
-        what,
-        where=str(path),
-        got=f"{size} bytes" if size else "",
-        remedy="stop the subsystem, remove the file and start again",
-    )

@@ -1,0 +1,139 @@
+"""What a value is judged by before it enters the table: FINITE, LIMIT, MIN, MAX.
+
+Tasks' commits are judged natively (guard.h) by the checks made here; values that an
+operator sets are judged here.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pbonet.config.model import Limit
+from pbonet.errors import SvarError, SvarLayoutError
+
+from .layout import values_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.config.model import Variable
+
+    from .layout import Group
+
+_TYPES = ("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
+_FINITE, _CLIP, _LIMIT = range(3)
+
+
+class Check(NamedTuple):
+    """One look at a stretch of a group before it is committed; guard.h reads it."""
+
+    type: int
+    rule: int
+    var: int
+    at: int
+    n: int
+    low: NDArray[np.uint8] | None
+    high: NDArray[np.uint8] | None
+
+
+def checks_of(variables: Sequence[Variable], group: Group) -> list[Check]:
+    """Return what is looked at before the group goes out.
+
+    First whether floats are finite, so that an infinity is an error even where a limit
+    would clip it; neighbours of one type are looked at in one go.
+    """
+    finite: list[Check] = []
+    limits: list[Check] = []
+    for index, at in zip(group.indices, group.at, strict=True):
+        variable = variables[index]
+        dtype = np.dtype(variable.dtype)
+        if dtype.kind not in "iuf":
+            continue
+        code = _TYPES.index(f"{dtype.kind}{dtype.itemsize}")
+        if dtype.kind == "f" and variable.finite:
+            _add_finite(
+                finite, Check(code, _FINITE, index, at, variable.nelem, None, None)
+            )
+        if variable.limit is not Limit.NONE and variable.min and variable.max:
+            rule = _CLIP if variable.limit is Limit.CLIP else _LIMIT
+            low, high = (limit.view(np.uint8) for limit in limits_of(variable))
+            limits.append(Check(code, rule, index, at, variable.nelem, low, high))
+    return finite + sorted(limits, key=lambda check: -check.rule)
+
+
+def _add_finite(checks: list[Check], new: Check) -> None:
+    if checks:
+        last = checks[-1]
+        width = int(_TYPES[new.type][1])
+        if last.type == new.type and last.at + last.n * width == new.at:
+            checks[-1] = last._replace(n=last.n + new.n)
+            return
+    checks.append(new)
+
+
+def blamed(variables: Sequence[Variable], index: int, element: int) -> tuple[str, int]:
+    """Return what a merged check means: it counts its elements on over neighbours."""
+    while element >= variables[index].nelem:
+        element -= variables[index].nelem
+        index += 1
+    return variables[index].name, element
+
+
+def limits_of(variable: Variable) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return MIN and MAX in the variable's type; both must be given."""
+    return (
+        values_of(variable, variable.min, where="MIN"),
+        values_of(variable, variable.max, where="MAX"),
+    )
+
+
+def typed(
+    where: str, variable: Variable, values: Sequence[float] | bytes
+) -> NDArray[Any]:
+    """Return what an operator gives in the variable's type.
+
+    Raises:
+        SvarLayoutError: There are more or fewer values than elements, or they do not
+            fit the type.
+        SvarError: A value is not finite, or outside LIMIT.
+    """
+    dtype = np.dtype(variable.dtype)
+    raw = isinstance(values, bytes)
+    expected = dtype.itemsize * variable.nelem if raw else variable.nelem
+    if len(values) != expected:
+        unit = "bytes" if raw else "values"
+        raise SvarLayoutError(
+            f"the value does not fit {variable.name}",
+            where=where,
+            expected=f"{expected} {unit}",
+            got=f"{len(values)} {unit}",
+        )
+    if isinstance(values, bytes):
+        result: NDArray[Any] = np.frombuffer(values, dtype)
+    else:
+        result = values_of(variable, values, where="the value")
+    _check_range(where, variable, result)
+    return result
+
+
+def _check_range(where: str, variable: Variable, values: NDArray[Any]) -> None:
+    finite = values.dtype.kind != "f" or bool(np.isfinite(values).all())
+    if variable.finite and not finite:
+        raise SvarError(
+            f"{variable.name} takes finite values only",
+            where=where,
+            remedy="say FINITE no in the .svar file if NaN is meant",
+        )
+    if variable.limit is not Limit.NONE and variable.min and variable.max:
+        low, high = limits_of(variable)
+        if bool(((values < low) | (values > high)).any()):
+            raise SvarError(
+                f"{variable.name} would be outside its limits",
+                where=where,
+                expected=f"{low.tolist()} to {high.tolist()} {variable.units}",
+                got=f"{values.tolist()}",
+            )
