@@ -7,9 +7,15 @@ tables of `pbonet.node.lifecycle` and knows neither processes nor shared memory.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from pbonet.errors import DeclarationError, MethodError, PortError, StateError
+from pbonet.errors import (
+    DeclarationError,
+    MethodError,
+    PortError,
+    StateError,
+    SvarError,
+)
 from pbonet.pbo import (
     Answer,
     Counted,
@@ -25,50 +31,26 @@ from pbonet.pbo import (
 from pbonet.ports import Kind
 
 from .failures import (
+    ALL_REFUSED,
     RAISED,
     Raised,
     RefusedError,
     StepFailed,
-    accept,
     bad_answer,
     contained,
     is_answer,
     method_error,
+    refused,
 )
 from .lifecycle import ANSWERED, RULES, Event, Failure, Rule, Step, rule, signal_event
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from .copies import Copies
 
-class Copies(Protocol):
-    """What carries a task's ports between the local and the global table.
 
-    Every method may raise a `PbonetError`. Those that return flags return 0 when all is
-    well; `COPY_LOST` and all commit flags are errors of the task, the others are
-    counted by whoever copies.
-    """
-
-    def copy_in_consts(self) -> object:
-        """Copy the in-consts in."""
-
-    def copy_out_consts(self) -> object:
-        """Copy the out-consts out."""
-
-    def copy_in(self) -> object:
-        """Copy the in-vars in; returns flags."""
-
-    def copy_in_on(self) -> object:
-        """Copy the in-vars and the out-vars in; returns flags."""
-
-    def claim(self) -> object:
-        """Copy the out-vars out and become their owner, in one event."""
-
-    def commit(self) -> object:
-        """Copy the out-vars out; returns flags."""
-
-    def release(self) -> object:
-        """Give up the out-vars, whose values stand."""
+_ALIVE = frozenset({State.OFF, State.ON, State.ERROR})
 
 
 class Executor:
@@ -148,6 +130,8 @@ class Executor:
 
         Raises:
             StateError: The signal is not valid in this state; nothing happened.
+            SvarOwnerError: ``on``: another task writes an out-var; nothing happened.
+            PortError: ``reinit``: a size changed; the old constants stand.
             MethodError: A method failed and was not put right; `state` says where the
                 task stands now.
         """
@@ -285,10 +269,6 @@ class Executor:
         task.state = self.state
         task.nextstate = found.to
         task.on_fail = self._ask if found.failure is Failure.ERROR else None
-        if event is Event.ON:
-            task.reset()
-            if self._counted is not None:
-                self._counted.cyclecount = 0
 
     def _steps(self, found: Rule, steps: tuple[Step, ...]) -> None:
         """Take the steps of a rule, and go to its end or where an answer sends."""
@@ -328,12 +308,15 @@ class Executor:
 
     def _recover(self, found: Rule, failed: StepFailed) -> None:
         """Do what the rule says about a failure, then raise it unless put right."""
+        if isinstance(failed.cause, RefusedError) and self.state in _ALIVE:
+            self._go(self.state)
+            raise failed.cause.error from None
         method = self._described(failed.cause, str(failed.step))
         if failed.step is Step.KILL or found.failure is Failure.GO_ON:
             self._go(found.to)
         elif found.failure is Failure.KILL:
             self._kill_after(method)
-        elif found.failure is Failure.REPORT or isinstance(failed.cause, RefusedError):
+        elif found.failure is Failure.REPORT:
             self._go(self.state)
         elif self._ask_and_obey(found, failed.cause, str(failed.step)):
             return
@@ -425,10 +408,10 @@ class Executor:
         return {
             Step.COPY_IN_CONSTS: self._copy_in_consts,
             Step.COPY_OUT_CONSTS: self._copy_out_consts,
-            Step.COPY_IN: lambda: accept(copies.copy_in()),
-            Step.COPY_IN_ON: lambda: accept(copies.copy_in_on()),
+            Step.COPY_IN: lambda: self._accept(copies.copy_in()),
+            Step.COPY_IN_ON: self._copy_in_on,
             Step.CLAIM: self._claim,
-            Step.COMMIT: lambda: accept(copies.commit()),
+            Step.COMMIT: self._commit,
             Step.RELEASE: self._release,
             Step.INIT: instance.init,
             Step.ON_METHOD: instance.on,
@@ -446,6 +429,11 @@ class Executor:
         else:
             self.instance.cycle(dt)
 
+    def _accept(self, flags: int) -> None:
+        """Raise when the flags of a copy say that it was refused."""
+        if flags & ALL_REFUSED:
+            raise refused(flags, self._copies.blamed)
+
     def _copy_in_consts(self) -> None:
         """Copy in-consts in; refuse other sizes, and put the old values back."""
         arrays = memory(self.instance).arrays
@@ -455,7 +443,7 @@ class Executor:
             for port in ports
             if port.kind is Kind.INCONST
         }
-        accept(self._copies.copy_in_consts())
+        self._accept(self._copies.copy_in_consts())
         try:
             check_sizes(self.instance, Kind.INCONST)
         except PortError as error:
@@ -464,15 +452,26 @@ class Executor:
             raise RefusedError(error) from None
 
     def _copy_out_consts(self) -> None:
+        check_sizes(self.instance, Kind.OUTCONST)
+        self._accept(self._copies.copy_out_consts(self.task.now))
+
+    def _copy_in_on(self) -> None:
+        """Copy in what `on` wants, if the task may then own its out-vars."""
         try:
-            check_sizes(self.instance, Kind.OUTCONST)
-        except PortError as error:
+            self._copies.check_claim()
+        except SvarError as error:
             raise RefusedError(error) from None
-        accept(self._copies.copy_out_consts())
+        self.task.reset()
+        if self._counted is not None:
+            self._counted.cyclecount = 0
+        self._accept(self._copies.copy_in_on())
 
     def _claim(self) -> None:
-        accept(self._copies.claim())
+        self._accept(self._copies.claim(self.task.now, self.task.cyclecount))
         self._owns = True
+
+    def _commit(self) -> None:
+        self._accept(self._copies.commit(self.task.now, self.task.cyclecount))
 
     def _release(self) -> None:
         if self._owns:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from typing import TYPE_CHECKING
 
-from pbonet.errors import MethodError, PbonetError, PortError, SvarError
+from pbonet.errors import MethodError, PbonetError, SvarError
 from pbonet.pbo import Answer, TaskFailure
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ REFUSED = {
     32: "an output is outside its limits",
     64: "the outputs belong to another task",
 }
-"""Flags of a copy that are errors of the task, and what they mean."""
+"""Flags of a copy (`pbonet.svar.Flags`) that are errors of the task, in words."""
+ALL_REFUSED = sum(REFUSED)
+ABOUT_ELEMENT = frozenset({16, 32})
 
 
 class StepFailed(Exception):  # noqa: N818 - carries a failure to the executor
@@ -35,17 +37,16 @@ class StepFailed(Exception):  # noqa: N818 - carries a failure to the executor
         self.cause = cause
 
 
-class RefusedError(PortError):
-    """A constant that is a size changed: the module is not at fault and not asked."""
+class RefusedError(Exception):
+    """Something asked for a step that cannot be; the module is not at fault.
 
-    def __init__(self, error: PortError) -> None:
-        super().__init__(
-            error.what,
-            where=error.where,
-            expected=error.expected,
-            got=error.got,
-            remedy=error.remedy,
-        )
+    Args:
+        error: What is told to whoever sent the signal.
+    """
+
+    def __init__(self, error: PbonetError) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 def contained(error: BaseException) -> Raised:
@@ -61,13 +62,18 @@ def contained(error: BaseException) -> Raised:
     return wrapped
 
 
-def accept(flags: object) -> None:
-    """Raise when a copy's flags say that it was refused."""
-    if not isinstance(flags, int) or not flags:
-        return
-    for bit, text in REFUSED.items():
-        if flags & bit:
-            raise SvarError(text, remedy="the table keeps its last values")
+def refused(flags: int, blamed: tuple[str, int]) -> SvarError:
+    """Return the error that the flags of a copy mean.
+
+    Args:
+        flags: Some of them in `REFUSED`.
+        blamed: Variable and element they are about.
+    """
+    bit, text = next(item for item in REFUSED.items() if flags & item[0])
+    variable, element = blamed
+    if bit in ABOUT_ELEMENT and variable:
+        text = f"{text}: element {element + 1} of {variable}"
+    return SvarError(text, remedy="the table keeps its last values")
 
 
 def is_answer(answer: object) -> bool:
@@ -92,6 +98,8 @@ def method_error(error: Raised, method: str, task: str) -> MethodError:
     where = f"{task}.{method}"
     if isinstance(error, TaskFailure):
         return MethodError(error.error.what, where=where, debug=_trace(error))
+    if isinstance(error, RefusedError):
+        error = error.error
     if isinstance(error, PbonetError):
         return MethodError(
             error.what if isinstance(error, MethodError) else f"{error}",
