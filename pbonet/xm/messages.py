@@ -391,6 +391,8 @@ class Event(Struct, kw_only=True):
     subsystem: str = ""
     task: str = ""
     cycle: int = 0
+    bits: int = 0
+    """Signals that a module sent, as bits of `pbonet.Signal` (section 4.4.4)."""
     text: str
 
 
@@ -482,3 +484,11 @@ class Codec:
 def failure(error: PbonetError, request_id: str = "") -> Answer:
     """Return the answer that carries `error`."""
     return Answer(id=request_id, ok=False, error=error.to_wire())
+
+
+def request_id(data: bytes) -> str:
+    """Return the id of a request that is otherwise not understood, if it has one."""
+    try:
+        return msgspec.msgpack.decode(data, type=_Version).id
+    except msgspec.MsgspecError:
+        return ""
