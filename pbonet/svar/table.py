@@ -297,24 +297,22 @@ class Table:
             SvarOwnerError: The process still runs.
         """
         arena = self._open()
-        dead = [r for r in self.registers() if owner in {r.owner, r.task} and r.held]
-        mine = {r.uid for r in dead}
-        freed = [
-            variable.name
-            for number, variable in enumerate(self._variables)
-            if (seen := self._look(number)[1])[1] and seen[4] in mine
-        ]
-        for register in dead:
+        held = [r for r in self.registers() if owner in {r.owner, r.task} and r.held]
+        before = [(v.name, self._look(i)[1]) for i, v in enumerate(self._variables)]
+        gone: set[int] = set()
+        for register in held:
             code = arena.let_go(register.index, True, True)  # noqa: FBT003
-            if code == ALIVE:
-                raise SvarOwnerError(
-                    f"the claims of {register.task} stand, its process runs",
-                    where=self.name,
-                    expected=f"process {register.pid} to have ended",
-                    remedy="turn the task off, or end the process first",
-                )
             self._check_stuck(code)
-        return freed
+            if code != ALIVE:
+                gone.add(register.uid)
+        if held and not gone:
+            raise SvarOwnerError(
+                f"the claims of {held[0].task} stand, its process runs",
+                where=self.name,
+                expected=f"process {held[0].pid} to have ended",
+                remedy="turn the task off, or end the process first",
+            )
+        return [name for name, seen in before if seen[1] and seen[4] in gone]
 
     @property
     def illegal(self) -> list[Cause]:
