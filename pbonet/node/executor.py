@@ -76,6 +76,8 @@ class Executor:
         self.instance = instance
         self.task = instance.task
         self.state = State.NOT_CREATED
+        self.failure: MethodError | None = None
+        """What a method failed with last, whatever `error` made of it."""
         self._owns = False
         self._spent = False
         self._dt = 0.0
@@ -257,14 +259,14 @@ class Executor:
 
     def _run(self, event: Event) -> State:
         found = rule(self.state, event, where=self.task.name)
-        self._enter(event, found)
+        self._enter(found)
         try:
             self._steps(found, found.steps)
         except StepFailed as failed:
             self._recover(found, failed)
         return self.state
 
-    def _enter(self, event: Event, found: Rule) -> None:
+    def _enter(self, found: Rule) -> None:
         task = self.task
         task.state = self.state
         task.nextstate = found.to
@@ -384,13 +386,14 @@ class Executor:
         """Return `error` as the error of a method, and note it in the context."""
         described = method_error(error, method, self.task.name)
         self.task.errmsg = str(described)
+        self.failure = described
         if not isinstance(error, TaskFailure | MethodError):
             self.task.errnum = 1
         return described
 
     def _call(self, event: Event, step: Step, *args: object) -> object:
         """Call `set` or `get`, which have arguments and change no state."""
-        self._enter(event, rule(self.state, event, where=self.task.name))
+        self._enter(rule(self.state, event, where=self.task.name))
         method: Callable[..., object] = getattr(self.instance, str(step))
         try:
             return method(*args)

@@ -20,6 +20,7 @@ from ._params import (
     change_param,
     decode_params,
     find_param,
+    make_params,
     param,
     params_type,
 )
@@ -63,6 +64,7 @@ __all__ = [
     "find_param",
     "interface",
     "local_text",
+    "make_params",
     "memory",
     "param",
     "params_type",

@@ -149,6 +149,24 @@ class Params(Struct, frozen=True, forbid_unknown_fields=True, metaclass=_ParamsM
             _check(type(self).__name__, about, getattr(self, name))
 
 
+P = TypeVar("P", bound=Params)
+
+
+def make_params(kind: type[P], values: Mapping[str, object]) -> P:
+    """Make parameters from plain Python values.
+
+    Raises:
+        ParameterError: A name is unknown or missing, or a value is refused.
+    """
+    for name in values:
+        if name not in kind.__declared__:
+            raise _unknown(kind, name, kind.__name__)
+    for field in structs.fields(kind):
+        if field.required and field.name not in values:
+            raise _missing(kind, kind.__declared__[field.name], {}, kind.__name__)
+    return kind(**values)
+
+
 class Line(Protocol):
     """A LOCAL line: the words behind its key, and where it stands."""
 
@@ -167,9 +185,6 @@ class HasParams(Protocol):
     """A module's class, seen from here."""
 
     __params__: ClassVar[type[Params]]
-
-
-P = TypeVar("P", bound=Params)
 
 
 def params_type(cls: type[Params | HasParams]) -> type[Params]:
