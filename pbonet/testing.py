@@ -25,6 +25,7 @@ from pbonet.errors import MethodError, PortError, did_you_mean
 from pbonet.node.executor import Executor
 from pbonet.node.lifecycle import Step
 from pbonet.pbo import (
+    METHODS,
     BoundedOutbox,
     Counted,
     Notice,
@@ -269,12 +270,7 @@ class Bench(Generic[M]):
         values = {**(values or {}), **more}
         shapes = _shapes(module, values)
         self._log: deque[str] = deque(maxlen=10_000)
-        dtypes = {
-            attr: value.dtype
-            for attr, value in values.items()
-            if isinstance(value, np.ndarray) and value.dtype.kind == "V"
-        }
-        self.table = BenchTable(ports, shapes, self._log, dtypes)
+        self.table = BenchTable(ports, shapes, self._log, _structures(values))
         self.inputs = PortValues(
             self.table, (p for p in ports if p.kind.is_input), "input"
         )
@@ -440,7 +436,7 @@ class Bench(Generic[M]):
 
     def _record_methods(self) -> None:
         """Have every method of the module note its name in the log first."""
-        for name in type(self.module).__interface__.methods:
+        for name in METHODS:
             vars(self.module)[name] = self._noting(name, getattr(self.module, name))
 
     def _noting(self, name: str, method: Any) -> Any:  # noqa: ANN401 - any signature
@@ -481,6 +477,17 @@ def _params(
     if isinstance(given, Params):
         return given
     return make_params(module.__params__, given or {})
+
+
+def _structures(values: Mapping[str, Any]) -> dict[str, np.dtype[Any]]:
+    """Return the types of the values that are structures."""
+    types: dict[str, np.dtype[Any]] = {}
+    for attr, value in values.items():
+        if isinstance(value, np.ndarray):
+            dtype: np.dtype[Any] = np.asarray(value).dtype
+            if dtype.kind == "V":
+                types[attr] = dtype
+    return types
 
 
 def _dtype(port: Port, given: Mapping[str, np.dtype[Any]]) -> np.dtype[Any]:

@@ -13,7 +13,7 @@ from ._describe import (
     render,
     source_version,
 )
-from ._object import Interface, PortBasedObject, interface
+from ._object import METHODS, Interface, PortBasedObject, interface
 from ._params import (
     Param,
     Params,
@@ -39,6 +39,7 @@ from ._task import (
 )
 
 __all__ = [
+    "METHODS",
     "Answer",
     "BoundedOutbox",
     "Counted",
