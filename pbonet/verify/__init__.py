@@ -1,1 +1,58 @@
-"""verify."""
+"""Is a configuration legal, ordered, schedulable? (Stewart 1994, 3.3.1, chapter 6).
+
+Pure functions: they take records and return records, and read no file, no clock and no
+network. `judge` says what becomes of a change; the others are what it is made of, and
+the orders and priorities that a master needs.
+"""
+
+from __future__ import annotations
+
+from .judge import (
+    ENDING,
+    Change,
+    Verdict,
+    as_error,
+    as_text,
+    check,
+    frequency,
+    job,
+    judge,
+    reconfig,
+    signal,
+    spawn,
+)
+from .order import flow_order, off_order, on_order, spawn_order, user_priorities
+from .records import Code, Configuration, Problem, Severity, Task
+from .timing import Load, criticalities, loads, traffic
+from .units import conversion, same_unit
+
+__all__ = [
+    "ENDING",
+    "Change",
+    "Code",
+    "Configuration",
+    "Load",
+    "Problem",
+    "Severity",
+    "Task",
+    "Verdict",
+    "as_error",
+    "as_text",
+    "check",
+    "conversion",
+    "criticalities",
+    "flow_order",
+    "frequency",
+    "job",
+    "judge",
+    "loads",
+    "off_order",
+    "on_order",
+    "reconfig",
+    "same_unit",
+    "signal",
+    "spawn",
+    "spawn_order",
+    "traffic",
+    "user_priorities",
+]

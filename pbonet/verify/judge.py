@@ -1,0 +1,216 @@
+"""May this change be made? Everything that is checked, and what is let pass.
+
+A job and a reconfiguration list are judged by the configuration they end in. A single
+signal is judged by what it makes worse: turning a task ON may leave inputs without a
+writer, because a loop that is built by hand does, but may not give a variable a second
+writer. Turning off, killing and stopping are never refused.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct, structs
+
+from pbonet.errors import VerificationError, did_you_mean
+
+from .order import check_initialization
+from .parts import check_task
+from .records import Code, Configuration, Problem, Severity, Task
+from .shapes import check_shapes
+from .timing import check_loads, check_traffic
+from .wiring import check_constants, check_readers, check_writers
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+ENDING = frozenset({"off", "kill", "stop"})
+"""Signals that are never refused for legality."""
+_STARTING = frozenset({"spawn", "on", "freq"})
+
+
+class Change(Struct, frozen=True, kw_only=True):
+    """What is to be done to a configuration; made by the functions below it."""
+
+    items: tuple[tuple[str, str], ...]
+    """Pairs of task and signal, in order: ``spawn on off kill freq`` and others."""
+    whole: bool
+    """A job or a list, which is judged by its end."""
+    tasks: tuple[Task, ...] = ()
+    """Tasks to be spawned, and those that get another frequency."""
+
+
+def job(tasks: Sequence[Task]) -> Change:
+    """Return the change that spawns all tasks and turns them on."""
+    names = [task.name for task in tasks]
+    items = [(name, "spawn") for name in names] + [(name, "on") for name in names]
+    return Change(items=tuple(items), whole=True, tasks=tuple(tasks))
+
+
+def reconfig(items: Iterable[tuple[str, str]], tasks: Sequence[Task] = ()) -> Change:
+    """Return the change of an ordered list; `tasks` are those that it spawns."""
+    return Change(items=tuple(items), whole=True, tasks=tuple(tasks))
+
+
+def signal(task: str, name: str) -> Change:
+    """Return the change of one signal to one task that stands."""
+    return Change(items=((task, name),), whole=False)
+
+
+def spawn(task: Task) -> Change:
+    """Return the change of spawning one task."""
+    return Change(items=((task.name, "spawn"),), whole=False, tasks=(task,))
+
+
+def frequency(task: Task) -> Change:
+    """Return the change that runs a standing task as often as `task` says."""
+    return Change(items=((task.name, "freq"),), whole=False, tasks=(task,))
+
+
+class Verdict(Struct, frozen=True, kw_only=True):
+    """What becomes of a change."""
+
+    after: Configuration
+    """The configuration that it ends in."""
+    problems: tuple[Problem, ...]
+
+    @property
+    def refused(self) -> tuple[Problem, ...]:
+        """The problems for which it is refused; empty when it may be made."""
+        return tuple(p for p in self.problems if p.severity is Severity.REFUSE)
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """The problems that are only told."""
+        return tuple(p for p in self.problems if p.severity is Severity.WARN)
+
+    def check(self) -> None:
+        """Raise if the change is refused.
+
+        Raises:
+            VerificationError: It is; the message has every reason.
+        """
+        if self.refused:
+            raise as_error(self.refused)
+
+
+def check(configuration: Configuration) -> list[Problem]:
+    """Return everything that is wrong with a configuration (section 3.3.1)."""
+    found = [p for task in configuration.tasks for p in check_task(configuration, task)]
+    for part in (
+        check_shapes,
+        check_writers,
+        check_readers,
+        check_constants,
+        check_initialization,
+        check_loads,
+        check_traffic,
+    ):
+        found += part(configuration)
+    return found
+
+
+def judge(current: Configuration, change: Change) -> Verdict:
+    """Return what becomes of `change` in the configuration as it is now."""
+    problems: list[Problem] = []
+    after = current
+    for name, sent in change.items:
+        step = _step(after, change, name, sent)
+        if step is None:
+            problems.append(_unknown(after, name, sent))
+        else:
+            after = step
+            if change.whole and sent == "on":
+                problems += _passing(after, name)
+    end = check(after)
+    final = {problem.key for problem in end}
+    problems = [problem for problem in problems if problem.key not in final] + end
+    if not {sent for _, sent in change.items} & _STARTING:
+        problems = [_told(problem) for problem in problems]
+    elif not change.whole:
+        before = {problem.key for problem in check(current)}
+        problems = [
+            _told(p) if p.key in before or p.code is Code.NO_WRITER else p
+            for p in problems
+        ]
+    return Verdict(after=after, problems=tuple(problems))
+
+
+def _told(problem: Problem) -> Problem:
+    return structs.replace(problem, severity=Severity.WARN)
+
+
+def _step(
+    now: Configuration, change: Change, name: str, sent: str
+) -> Configuration | None:
+    """Return the configuration after one signal, None if it knows no such task."""
+    given = {task.name: task for task in change.tasks}.get(name)
+    standing = {task.name: task for task in now.tasks}
+    known = name in standing
+    if given is not None and (sent == "spawn" or (sent == "freq" and known)):
+        return structs.replace(now, tasks=tuple((standing | {name: given}).values()))
+    if not known:
+        return None
+    on = now.on | {name} if sent == "on" else now.on
+    if sent in ENDING:
+        on -= {name}
+    if sent in {"kill", "stop"}:
+        del standing[name]
+    return structs.replace(now, on=on, tasks=tuple(standing.values()))
+
+
+def _passing(after: Configuration, name: str) -> list[Problem]:
+    """Return second writers that a list has in passing, when it turns `name` on."""
+    found: list[Problem] = []
+    for problem in check_writers(after):
+        if problem.code is Code.TWO_WRITERS and name in problem.tasks:
+            others = [task for task in problem.tasks if task != name]
+            found.append(
+                structs.replace(
+                    problem,
+                    severity=Severity.WARN,
+                    what=f"{problem.what} while the list is carried out",
+                    remedy=f"turn {' and '.join(others)} off before {name} is turned "
+                    "on, else the table refuses the second writer",
+                )
+            )
+    return found
+
+
+def _unknown(now: Configuration, name: str, sent: str) -> Problem:
+    names = [task.name for task in now.tasks]
+    return Problem(
+        code=Code.UNKNOWN_TASK,
+        severity=Severity.WARN if sent in ENDING else Severity.REFUSE,
+        what=f"there is no task {name} to send {sent} to",
+        where=name,
+        expected=" or ".join(names) or "a task that was spawned",
+        got=name,
+        remedy=did_you_mean(name, names) or f"spawn {name} first",
+        tasks=(name,),
+    )
+
+
+def as_text(problem: Problem) -> str:
+    """Return the whole problem on one line, as its error would say it."""
+    return str(_error(problem))
+
+
+def _error(problem: Problem) -> VerificationError:
+    return VerificationError(
+        problem.what,
+        where=problem.where,
+        expected=problem.expected,
+        got=problem.got,
+        remedy=problem.remedy,
+    )
+
+
+def as_error(problems: Sequence[Problem]) -> VerificationError:
+    """Return one error that says all problems; several as a numbered list."""
+    if len(problems) == 1:
+        return _error(problems[0])
+    lines = [f"{n}. {as_text(problem)}" for n, problem in enumerate(problems, 1)]
+    return VerificationError(
+        f"{len(problems)} faults make the configuration illegal:\n" + "\n".join(lines)
+    )

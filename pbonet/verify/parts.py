@@ -1,0 +1,194 @@
+"""One task by itself: its ports, their variables, types and units, where it runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.config.types import numpy_type
+from pbonet.errors import did_you_mean
+from pbonet.ports import Kind, Port, accepts, wanted
+
+from .records import Code, Configuration, Problem, Task
+from .units import ANY, conversion, same_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.config.model import Variable
+    from pbonet.pbo import ModuleInfo
+
+KEYWORDS = {
+    Kind.INCONST: "INCONST",
+    Kind.OUTCONST: "OUTCONST",
+    Kind.INVAR: "INVAR",
+    Kind.OUTVAR: "OUTVAR",
+}
+"""The list of the ``.rmod`` file that holds each kind of port."""
+
+
+def check_task(configuration: Configuration, task: Task) -> Iterator[Problem]:
+    """Yield what is wrong with one task, whatever the others are."""
+    yield from _rtpu(configuration, task)
+    if task.info is not None:
+        yield from _ports(task, task.info)
+        yield from _stable(task, task.info)
+    for kind, keyword in KEYWORDS.items():
+        yield from _variables(configuration.table, task, kind, keyword)
+
+
+def listed(task: Task, keyword: str) -> tuple[str, ...]:
+    """Return the ports that one list of the RMOD names."""
+    ports: tuple[str, ...] = getattr(task.rmod, keyword.lower())
+    return ports
+
+
+def _rtpu(configuration: Configuration, task: Task) -> Iterator[Problem]:
+    names = [rtpu.name for rtpu in configuration.rtpus]
+    if names and task.rtpu not in names:
+        yield Problem(
+            code=Code.UNKNOWN_RTPU,
+            what=f"task {task.name} is to run on {task.rtpu}, which the subsystem "
+            "does not have",
+            where=task.place("RTPU"),
+            expected=" or ".join(names),
+            got=task.rtpu,
+            remedy=did_you_mean(task.rtpu, names)
+            or "name a listed one, or add an RTPU line to the .sbs file",
+            tasks=(task.name,),
+        )
+
+
+def _stable(task: Task, info: ModuleInfo) -> Iterator[Problem]:
+    if task.rmod.critical and not info.critical_ok:
+        yield Problem(
+            code=Code.NO_STABLE,
+            what=f"task {task.name} is CRITICAL, but its module {info.name} has no "
+            "stable()",
+            where=task.place("CRITICAL"),
+            expected="a module that says what it does while the configuration is "
+            "illegal",
+            remedy=f"write stable(self, dt) in {info.name}, or take CRITICAL out",
+            tasks=(task.name,),
+        )
+
+
+def _ports(task: Task, info: ModuleInfo) -> Iterator[Problem]:
+    """Compare the lists of the RMOD with the ports of the class, both ways."""
+    for kind, keyword in KEYWORDS.items():
+        given, declared = listed(task, keyword), info.named(kind)
+        for port in given:
+            if port not in declared:
+                yield _surplus(task, info, keyword, port, declared)
+        for port in declared:
+            if port not in given:
+                yield Problem(
+                    code=Code.PORTS,
+                    what=f"{keyword} does not list {port}, an {kind.value} of the "
+                    f"module {info.name}",
+                    where=task.place(keyword),
+                    expected=" ".join(declared),
+                    got=" ".join(given) or "none",
+                    remedy=f"add {port} to {keyword}",
+                    tasks=(task.name,),
+                    ports=(port,),
+                )
+
+
+def _surplus(
+    task: Task, info: ModuleInfo, keyword: str, port: str, declared: tuple[str, ...]
+) -> Problem:
+    """Return the problem of a port that the class does not have there."""
+    other = [KEYWORDS[kind] for kind in Kind if port in info.named(kind)]
+    return Problem(
+        code=Code.PORTS,
+        what=f"{keyword} lists {port}, which is no such port of the module {info.name}",
+        where=task.place(keyword),
+        expected=" ".join(declared) or "none",
+        got=" ".join(listed(task, keyword)),
+        remedy=f"list it under {' and '.join(other)}"
+        if other
+        else did_you_mean(port, declared)
+        or f"take it out; 'pbonet describe {info.name}' shows the ports",
+        tasks=(task.name,),
+        ports=(port,),
+    )
+
+
+def _variables(
+    table: dict[str, Variable], task: Task, kind: Kind, keyword: str
+) -> Iterator[Problem]:
+    """Check the variables behind one list of ports."""
+    ports = {} if task.info is None else {
+        port.name: port for port in task.info.ports if port.kind is kind
+    }  # fmt: skip
+    for name in listed(task, keyword):
+        variable = table.get(task.rmod.svar_name(name))
+        if variable is None:
+            yield _unknown(table, task, keyword, name)
+        elif port := ports.get(name):
+            yield from _type(task, keyword, port, variable)
+            yield from _unit(task, keyword, port, variable)
+
+
+def _unknown(
+    table: dict[str, Variable], task: Task, keyword: str, port: str
+) -> Problem:
+    name = task.rmod.svar_name(port)
+    behind = f" for its port {port}" if name != port else ""
+    return Problem(
+        code=Code.UNKNOWN_VARIABLE,
+        what=f"task {task.name} uses the variable {name}{behind}, which the table "
+        "does not have",
+        where=task.place(keyword),
+        expected="a variable of the .svar file",
+        got=name,
+        remedy=did_you_mean(name, table)
+        or f"add {name} to the .svar file, or rename the port by SVARALIAS",
+        tasks=(task.name,),
+        ports=(port,),
+        variables=(name,),
+    )
+
+
+def _type(
+    task: Task, keyword: str, port: Port, variable: Variable
+) -> Iterator[Problem]:
+    if accepts(port, numpy_type(variable.type)):
+        return
+    yield Problem(
+        code=Code.TYPE,
+        what=f"the port {port.name} of task {task.name} cannot hold the variable "
+        f"{variable.name}",
+        where=task.place(keyword),
+        expected=wanted(port),
+        got=f"{variable.type} ({_at(variable)})",
+        remedy="correct the variable's TYPE or connect another one",
+        tasks=(task.name,),
+        ports=(port.name,),
+        variables=(variable.name,),
+    )
+
+
+def _unit(
+    task: Task, keyword: str, port: Port, variable: Variable
+) -> Iterator[Problem]:
+    if variable.units == ANY or same_unit(port.unit, variable.units):
+        return
+    factor = conversion(variable.units, port.unit)
+    yield Problem(
+        code=Code.UNIT,
+        what=f"the port {port.name} of task {task.name} and the variable "
+        f"{variable.name} have different units",
+        where=task.place(keyword),
+        expected=port.unit,
+        got=f"{variable.units} ({_at(variable)})",
+        remedy=(f"{factor}; " if factor else "")
+        + "correct UNITS, or put a module that converts in between",
+        tasks=(task.name,),
+        ports=(port.name,),
+        variables=(variable.name,),
+    )
+
+
+def _at(variable: Variable) -> str:
+    return str(variable.place or "the .svar file")

@@ -1,0 +1,161 @@
+"""What is verified, and what is found: plain records, no files and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from msgspec import Struct
+
+from pbonet.config.model import Rmod, RtpuEntry, SvarFile, Variable
+from pbonet.pbo import ModuleInfo
+
+COPY_SPEED = 1e9
+"""Bytes a second that all tasks together may move between table and local tables.
+
+A tenth of what a slow machine's memory moves, so that modules keep the rest.
+"""
+
+
+class Severity(StrEnum):
+    """What becomes of a change that has the problem."""
+
+    REFUSE = "refuse"
+    WARN = "warn"
+
+
+class Code(StrEnum):
+    """What kind of problem it is; for programs."""
+
+    TWO_WRITERS = "two-writers"
+    """Equation 1 is broken."""
+    NO_WRITER = "no-writer"
+    """Equation 2 is broken."""
+    PORTS = "ports"
+    """The RMOD and the module's class name different ports."""
+    UNKNOWN_VARIABLE = "unknown-variable"
+    TYPE = "type"
+    SHAPE = "shape"
+    UNIT = "unit"
+    CONSTANT_SIZE = "constant-size"
+    """Two tasks see two sizes behind one constant."""
+    NO_CONSTANT = "no-constant"
+    TWO_CONSTANTS = "two-constants"
+    INIT_CYCLE = "init-cycle"
+    NO_STABLE = "no-stable"
+    """A CRITICAL task's module has no `stable`."""
+    UNKNOWN_RTPU = "unknown-rtpu"
+    UNKNOWN_TASK = "unknown-task"
+    OVERLOAD = "overload"
+    NOT_GUARANTEED = "not-guaranteed"
+    """Some deadlines may be missed."""
+    RATE = "rate"
+    """A frequency is outside MINFREQ and MAXFREQ."""
+    BANDWIDTH = "bandwidth"
+    ORDER = "order"
+    """A list of signals passes through an illegal configuration."""
+
+
+class Problem(Struct, frozen=True, kw_only=True):
+    """Something that is or would be wrong with a configuration."""
+
+    code: Code
+    what: str
+    where: str = ""
+    expected: str = ""
+    got: str = ""
+    remedy: str
+    severity: Severity = Severity.REFUSE
+    tasks: tuple[str, ...] = ()
+    ports: tuple[str, ...] = ()
+    variables: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What makes two problems the same one, before and after a change."""
+        return (self.code, self.tasks, self.ports, self.variables)
+
+
+class Task(Struct, frozen=True, kw_only=True):
+    """One task of a configuration."""
+
+    rmod: Rmod
+    info: ModuleInfo | None = None
+    """Of the module's class; None when it is not known here, then it is not checked."""
+    rtpu: str
+    freq: float | None = None
+    """Hz, in place of the RMOD's."""
+    maxc: float | None = None
+    """Worst CPU seconds a cycle as measured, in place of the RMOD's."""
+    task: str = ""
+    """Its name, when that is not the RMOD's."""
+
+    @property
+    def name(self) -> str:
+        """The task's name in the subsystem."""
+        return self.task or self.rmod.name
+
+    @property
+    def hz(self) -> float | None:
+        """How often it runs; None for a server that no frequency is known of."""
+        return self.freq if self.freq is not None else self.rmod.freq
+
+    @property
+    def worst(self) -> float | None:
+        """The worst CPU seconds a cycle, None while unknown."""
+        return self.maxc if self.maxc is not None else self.rmod.maxc
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Variables it reads every cycle (X of section 3.3.1)."""
+        return tuple(map(self.rmod.svar_name, self.rmod.invar))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Variables it writes every cycle (Y of section 3.3.1)."""
+        return tuple(map(self.rmod.svar_name, self.rmod.outvar))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Constants that it reads before `init`."""
+        return tuple(map(self.rmod.svar_name, self.rmod.inconst))
+
+    @property
+    def gives(self) -> tuple[str, ...]:
+        """Constants that it writes after `init`."""
+        return tuple(map(self.rmod.svar_name, self.rmod.outconst))
+
+    def port(self, keyword: str, variable: str) -> str:
+        """Return the port of list `keyword` behind which `variable` stands."""
+        ports: tuple[str, ...] = getattr(self.rmod, keyword.lower())
+        return next(port for port in ports if self.rmod.svar_name(port) == variable)
+
+    def place(self, keyword: str) -> str:
+        """Return where the RMOD says `keyword`, or its file's name."""
+        return str(self.rmod.places.get(keyword, self.rmod.file))
+
+
+class Configuration(Struct, frozen=True, kw_only=True):
+    """A subsystem at one moment: its tasks, and which of them are ON."""
+
+    svar: SvarFile
+    tasks: tuple[Task, ...] = ()
+    """All tasks that stand, ON or not, in the order in which they were spawned."""
+    on: frozenset[str] = frozenset()
+    rtpus: tuple[RtpuEntry, ...] = ()
+    """Of the ``.sbs`` file."""
+    producers: Mapping[str, tuple[str, ...]] = {}
+    """RMODs of the library that write a variable, by variable; for remedies."""
+    limit: float = 1.0
+    """Share of a core that tasks may use, at most 1."""
+    copy_speed: float = COPY_SPEED
+
+    @property
+    def running(self) -> tuple[Task, ...]:
+        """The tasks that are ON."""
+        return tuple(task for task in self.tasks if task.name in self.on)
+
+    @property
+    def table(self) -> dict[str, Variable]:
+        """The variables by name."""
+        return {variable.name: variable for variable in self.svar.variables}

@@ -1,0 +1,107 @@
+"""Sizes: do the shapes of a task's ports fit the table, and do the tasks agree?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PortError
+from pbonet.ports import solve_shapes
+
+from .parts import KEYWORDS, listed
+from .records import Code, Configuration, Problem, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.pbo import ModuleInfo
+
+
+def check_shapes(configuration: Configuration) -> Iterator[Problem]:
+    """Yield ports whose shapes do not fit, and constants of which tasks disagree.
+
+    A name in a shape is one size in a module. If it is a constant's, it is one size in
+    the whole configuration, because all tasks read the same constant.
+    """
+    sizes: dict[str, dict[int, list[str]]] = {}
+    for task in configuration.tasks:
+        if task.info is None:
+            continue
+        solved = _solve(configuration, task, task.info)
+        if isinstance(solved, Problem):
+            yield solved
+            continue
+        for variable, size in solved.items():
+            sizes.setdefault(variable, {}).setdefault(size, []).append(task.name)
+    for variable, found in sizes.items():
+        if len(found) > 1:
+            yield _disagreement(variable, found)
+
+
+def _solve(
+    configuration: Configuration, task: Task, info: ModuleInfo
+) -> Problem | dict[str, int]:
+    """Return the sizes that constants must have, by variable; or what is wrong."""
+    table = configuration.table
+    nelem: dict[str, int] = {}
+    for port in info.ports:
+        variable = table.get(task.rmod.svar_name(port.name))
+        if variable is None or port.name not in listed(task, KEYWORDS[port.kind]):
+            return {}  # told as such by `parts`
+        nelem[port.name] = variable.nelem
+    try:
+        shapes = solve_shapes(
+            info.ports, nelem, _initial(configuration, task, info), where=task.name
+        )
+    except PortError as error:
+        return Problem(
+            code=Code.SHAPE,
+            what=error.what,
+            where=task.name,
+            expected=error.expected,
+            got=error.got,
+            remedy=error.remedy or "correct NELEM in the .svar file, or connect others",
+            tasks=(task.name,),
+        )
+    constants = {
+        name: task.rmod.svar_name(port.name)
+        for port in info.ports
+        if port.kind.is_const
+        for name in (port.attr, port.name)
+    }
+    return {
+        constants[name]: size
+        for port in info.ports
+        for name, size in zip(port.shape, shapes[port.attr], strict=True)
+        if isinstance(name, str) and name in constants
+    }
+
+
+def _initial(
+    configuration: Configuration, task: Task, info: ModuleInfo
+) -> dict[str, int]:
+    """Return sizes of constants that nobody produces, from the table's INIT lines."""
+    produced = {name for other in configuration.tasks for name in other.gives}
+    table = configuration.table
+    known: dict[str, int] = {}
+    for port in info.ports:
+        name = task.rmod.svar_name(port.name)
+        init = table[name].init
+        if port.kind.is_const and port.type == "int" and init and name not in produced:
+            known[port.name] = int(init[0])
+    return known
+
+
+def _disagreement(variable: str, found: dict[int, list[str]]) -> Problem:
+    """Return the problem of one constant that is two sizes."""
+    (size, tasks), *others = sorted(found.items(), key=lambda item: -len(item[1]))
+    return Problem(
+        code=Code.CONSTANT_SIZE,
+        what=f"the constant {variable} cannot be the size of all its users",
+        where=variable,
+        expected=f"{size} as for {' and '.join(tasks)}",
+        got=", ".join(f"{other} for {' and '.join(them)}" for other, them in others),
+        remedy="give the variables of these tasks the same NELEM, or connect one of "
+        "them to another constant by SVARALIAS",
+        tasks=tuple(name for them in found.values() for name in them),
+        variables=(variable,),
+    )

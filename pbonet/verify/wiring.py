@@ -1,0 +1,177 @@
+"""Who writes what others read: equations 1 and 2 (section 3.3.1), and constants.
+
+Both equations speak of the tasks that are ON. Constants are written once, when a task
+is spawned, so they are judged over all tasks that stand.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.config.words import MAX_NAME
+
+from .records import Code, Configuration, Problem, Severity, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+
+def check_writers(configuration: Configuration) -> Iterator[Problem]:
+    """Yield variables that two tasks write (equation 1)."""
+    writers = _by_variable(configuration.running, "OUTVAR")
+    givers = _by_variable(configuration.tasks, "OUTCONST")
+    for variable, tasks in writers.items():
+        constant = [t for t in givers.get(variable, []) if t not in tasks]
+        if len(tasks) + len(constant) > 1:
+            yield _two_writers(variable, tasks, constant)
+    for variable, tasks in givers.items():
+        if len(tasks) > 1:
+            yield _two_givers(variable, tasks)
+
+
+def _by_variable(tasks: Iterable[Task], keyword: str) -> dict[str, list[Task]]:
+    found: dict[str, list[Task]] = {}
+    for task in tasks:
+        names = task.outputs if keyword == "OUTVAR" else task.gives
+        for variable in names:
+            found.setdefault(variable, []).append(task)
+    return found
+
+
+def _two_writers(variable: str, tasks: list[Task], constant: list[Task]) -> Problem:
+    names = [task.name for task in (*tasks, *constant)]
+    places = [task.place("OUTVAR") for task in tasks]
+    places += [task.place("OUTCONST") for task in constant]
+    return Problem(
+        code=Code.TWO_WRITERS,
+        what=f"{_list(names)} all write {variable}"
+        if len(names) > 2  # noqa: PLR2004 - grammar
+        else f"{_list(names)} both write {variable}",
+        where=places[-1],
+        expected="one task that writes a variable (equation 1)",
+        got=f"{len(names)}: {', '.join(places)}",
+        remedy=_join(variable, tasks) if len(tasks) > 1 else "rename one by SVARALIAS",
+        tasks=tuple(names),
+        ports=tuple(task.port("OUTVAR", variable) for task in tasks),
+        variables=(variable,),
+    )
+
+
+def _join(variable: str, tasks: list[Task]) -> str:
+    """Return how to put a join connector behind the tasks (section 3.3)."""
+    names = intermediate(variable, len(tasks))
+    aliases = [
+        f"SVARALIAS {task.port('OUTVAR', variable)}={name} in {task.rmod.name}.rmod"
+        for task, name in zip(tasks, names, strict=True)
+    ]
+    return (
+        f"turn one off, or join them: {', '.join(aliases)}, and a join connector with "
+        f"{' '.join(names)} in and {variable} out"
+    )
+
+
+def intermediate(variable: str, count: int) -> list[str]:
+    """Return names for the variables before a join connector: ``x'``, ``x''`` ..."""
+    names: list[str] = []
+    for number in range(1, count + 1):
+        mark = "'" * number if count <= 3 else f"'{number}"  # noqa: PLR2004 - x''''
+        names.append(variable[: MAX_NAME - len(mark)] + mark)
+    return names
+
+
+def _two_givers(variable: str, tasks: list[Task]) -> Problem:
+    names = [task.name for task in tasks]
+    return Problem(
+        code=Code.TWO_CONSTANTS,
+        what=f"{_list(names)} both produce the constant {variable}",
+        where=tasks[-1].place("OUTCONST"),
+        expected="one task that produces a constant",
+        got=", ".join(task.place("OUTCONST") for task in tasks),
+        remedy="kill one of them, or give its constant another name by SVARALIAS",
+        tasks=tuple(names),
+        ports=tuple(task.port("OUTCONST", variable) for task in tasks),
+        variables=(variable,),
+    )
+
+
+def check_readers(configuration: Configuration) -> Iterator[Problem]:
+    """Yield variables that tasks read and no task writes (equation 2)."""
+    written = {name for task in configuration.running for name in task.outputs}
+    written |= {name for task in configuration.tasks for name in task.gives}
+    readers: dict[str, list[Task]] = {}
+    for task in configuration.running:
+        for variable in task.inputs:
+            if variable not in written:
+                readers.setdefault(variable, []).append(task)
+    for variable, tasks in readers.items():
+        names = [task.name for task in tasks]
+        verb = "reads" if len(names) == 1 else "read"
+        yield Problem(
+            code=Code.NO_WRITER,
+            what=f"no task that is ON writes {variable}, which {_list(names)} {verb}",
+            where=tasks[0].place("INVAR"),
+            expected="a task that writes each variable that is read (equation 2)",
+            remedy=_who_writes(configuration, variable),
+            tasks=tuple(names),
+            ports=tuple(task.port("INVAR", variable) for task in tasks),
+            variables=(variable,),
+        )
+
+
+def _who_writes(configuration: Configuration, variable: str) -> str:
+    standing = [t.name for t in configuration.tasks if variable in t.outputs]
+    if standing:
+        return f"turn {' or '.join(standing)} on"
+    return _from_library(configuration, variable)
+
+
+def _from_library(configuration: Configuration, variable: str) -> str:
+    rmods = configuration.producers.get(variable, ())
+    if rmods:
+        verb = "does" if len(rmods) == 1 else "do"
+        return f"in the library, {_list(rmods)} {verb}; add it to the configuration"
+    return f"add a task that writes {variable}, or rename the port by SVARALIAS"
+
+
+def check_constants(configuration: Configuration) -> Iterator[Problem]:
+    """Yield constants that tasks need and no task produces.
+
+    A constant with an INIT line in the ``.svar`` file has that value, which is told.
+    """
+    produced = {name for task in configuration.tasks for name in task.gives}
+    for task in configuration.tasks:
+        for variable in task.needs:
+            if variable not in produced:
+                yield _no_constant(configuration, task, variable)
+
+
+def _no_constant(configuration: Configuration, task: Task, variable: str) -> Problem:
+    known = configuration.table.get(variable)
+    if known is not None and known.init is not None:
+        return Problem(
+            code=Code.NO_CONSTANT,
+            severity=Severity.WARN,
+            what=f"no task produces the constant {variable}, which {task.name} needs; "
+            "it has the value of its INIT line",
+            where=task.place("INCONST"),
+            remedy=_from_library(configuration, variable),
+            tasks=(task.name,),
+            ports=(task.port("INCONST", variable),),
+            variables=(variable,),
+        )
+    writers = [other.name for other in configuration.tasks if variable in other.outputs]
+    return Problem(
+        code=Code.NO_CONSTANT,
+        what=f"no task produces the constant {variable}, which {task.name} needs",
+        where=task.place("INCONST"),
+        expected="a task that stands and has it as an out-const",
+        got=f"{_list(writers)} with it as an out-var" if writers else "",
+        remedy=_from_library(configuration, variable),
+        tasks=(task.name,),
+        ports=(task.port("INCONST", variable),),
+        variables=(variable,),
+    )
+
+
+def _list(names: Iterable[str]) -> str:
+    return " and ".join(names)
