@@ -216,3 +216,5 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Folders with modules, beside the library that pbonet brings."""
     grace: float = 5.0
     """Seconds that control goes on when the agent is gone."""
+    insecure: bool = False
+    """True lets the agent listen beyond this machine without protection."""

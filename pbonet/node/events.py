@@ -57,6 +57,7 @@ class EventLog:
         subsystem: str = "",
         task: str = "",
         cycle: int = 0,
+        bits: int = 0,
     ) -> Event:
         """Number, keep and publish something that happened."""
         if len(text) > LONGEST_TEXT:
@@ -71,6 +72,7 @@ class EventLog:
             subsystem=subsystem,
             task=task,
             cycle=cycle,
+            bits=bits,
             text=text,
         )
         self._next += 1

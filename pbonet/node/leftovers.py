@@ -12,16 +12,21 @@ import contextlib
 import os
 import signal
 import time
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError
-from pbonet.svar import Table
-from pbonet.xm import rundir
+from pbonet.svar import files
 
 from . import _rt, runtime
+from .tables import remove_unused
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from pbonet.xm import rundir
 
 PATIENCE = 1.5
 """Seconds that orphaned tasks have: they end themselves within one."""
@@ -79,16 +84,6 @@ def read(path: Path) -> Leftovers | None:
         return None
 
 
-def others_use(table: str, but: int) -> bool:
-    """Return whether an RTPU process of this machine other than `but` has `table`."""
-    for path in rundir.folder().glob("*/*.state"):
-        state = read(path)
-        if state is not None and state.pid != but and state.alive:
-            if table in state.tables:
-                return True
-    return False
-
-
 def clean(places: rundir.Places, patience: float = PATIENCE) -> list[str]:
     """Clean up after a killed RTPU process of that name; return what was done.
 
@@ -104,8 +99,7 @@ def clean(places: rundir.Places, patience: float = PATIENCE) -> list[str]:
     for task in state.tasks:
         done += _remove_ring(task.ring)
     for name in state.tables:
-        if not others_use(name, state.pid):
-            done += _remove_table(name)
+        done += _remove_table(name)
     done += _sweep_core(state.core)
     places.remove(places.ctl, places.state)
     return done
@@ -134,8 +128,8 @@ def _remove_ring(name: str) -> list[str]:
 
 
 def _remove_table(name: str) -> list[str]:
-    with contextlib.suppress(PbonetError, OSError):
-        Table.attach(name).destroy()
+    path = files.path_of(name)
+    if path.exists() and remove_unused(path):
         return [f"table {name} was removed"]
     return []
 

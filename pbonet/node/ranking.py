@@ -60,7 +60,7 @@ def rank(
             name=wish.name,
             period=1.0 / wish.freq if wish.freq > 0 else SLOWEST,
             maxc=wish.maxc,
-            crit=wish.rmod_crit if wish.spawn_crit is None else wish.spawn_crit,
+            crit=_fixed(wish),
         )
         for wish in wishes
     ]
@@ -78,8 +78,12 @@ def _rule(
     return muf(timings, LIMIT)
 
 
+def _fixed(wish: Wish) -> int | None:
+    """Return the criticality that somebody fixed: the master before the RMOD."""
+    told = wish.told[0] if wish.told is not None else wish.spawn_crit
+    return wish.rmod_crit if told is None else told
+
+
 def _ranked(wish: Wish, assigned: Assigned) -> Ranked:
-    if wish.told is not None:
-        crit = assigned.crit if wish.told[0] is None else wish.told[0]
-        return Ranked(crit, wish.told[1], assigned.assumed)
-    return Ranked(assigned.crit, wish.priority, assigned.assumed)
+    priority = wish.priority if wish.told is None else wish.told[1]
+    return Ranked(assigned.crit, priority, assigned.assumed)

@@ -1,4 +1,4 @@
-"""The RTPU process's side of the fork server: asks for children, hears of their ends."""
+"""The RTPU process's side of the fork server: asks for children, hears their ends."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class Spawner:
             NodeError: It did not come up.
         """
         near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        near.setblocking(False)
+        near.settimeout(0)
         arguments = [str(far.fileno()), str(os.getpid()), str(self._core)]
         self._process = subprocess.Popen(  # noqa: ASYNC220 - returns after the exec
             [sys.executable, "-P", "-m", "pbonet.node.forkserver", *arguments],
@@ -146,7 +146,7 @@ class Spawner:
         with contextlib.ExitStack() as far_ends:
             near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             far_ends.enter_context(far)
-            near.setblocking(False)
+            near.settimeout(0)
             out, out_far = os.pipe2(os.O_CLOEXEC | os.O_NONBLOCK)
             far_ends.callback(os.close, out_far)
             spec_fd = _memory_file("spec", wire.encode(spec))
@@ -255,7 +255,9 @@ class Spawner:
 def _watch_orphan(child: Child) -> None:
     """Resolve `exited` of a child whose parent is gone: nobody tells its code."""
     loop = asyncio.get_running_loop()
-    pidfd = os.pidfd_open(child.pid) if runtime.is_alive(child.pid, child.started) else -1
+    pidfd = (
+        os.pidfd_open(child.pid) if runtime.is_alive(child.pid, child.started) else -1
+    )
     if pidfd < 0:
         child.exited.set_result(-signal.SIGKILL)
         return

@@ -91,6 +91,7 @@ def rtpu_status(
     rtpu: str,
     scheduler: str,
     core: CoreStatus,
+    *,
     tasks: list[TaskStatus],
     spent_ns: int,
     illegal: list[str],

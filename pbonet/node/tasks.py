@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from pbonet.config.model import Rmod
     from pbonet.errors import PbonetError
+    from pbonet.xm.messages import TaskStatus
 
     from .spawner import Child
 
@@ -88,6 +89,8 @@ class Task:
         self.warnings = 0
         self.warning = ""
         self.error = ""
+        self.last_status: TaskStatus | None = None
+        """Its status as it ended."""
         self.stopping = False
         """True once its end is wanted, so that the end is no event."""
         self.lock = asyncio.Lock()
@@ -117,14 +120,14 @@ class Task:
         return next(iter(self._busy.values()), "")
 
     async def command(
-        self, what: str, make: Callable[[int], wire.ToTask], timeout: float
+        self, what: str, make: Callable[[int], wire.ToTask], limit: float
     ) -> wire.Done:
         """Send one message and return the answer.
 
         Args:
             what: What is asked, for messages: ``on``, ``set``.
             make: Makes the message from its number.
-            timeout: Seconds to wait for the answer.
+            limit: Seconds to wait for the answer.
 
         Raises:
             StateError: The task is still carrying out an earlier message.
@@ -143,10 +146,10 @@ class Task:
             answer = self._expect(n)
             self._busy[n] = what
             self.send(make(n))
-            return await self.wait_for(answer, what, timeout)
+            return await self.wait_for(answer, what, limit)
 
     async def wait_for(
-        self, answer: asyncio.Future[wire.Done], what: str, timeout: float
+        self, answer: asyncio.Future[wire.Done], what: str, limit: float
     ) -> wire.Done:
         """Return the answer to a message, or the reason why there is none.
 
@@ -156,10 +159,10 @@ class Task:
             PbonetError: What the task answered.
         """
         try:
-            done = await asyncio.wait_for(asyncio.shield(answer), timeout)
+            done = await asyncio.wait_for(asyncio.shield(answer), limit)
         except TimeoutError:
             raise NoAnswerError(
-                f"the task did not finish {what!r} within {timeout:g} s",
+                f"the task did not finish {what!r} within {limit:g} s",
                 where=self.name,
                 remedy="wait for it, or `kill` the task",
             ) from None

@@ -209,6 +209,8 @@ class Notice(Struct, tag="notice", kw_only=True):
     code: str
     text: str
     cycle: int = 0
+    bits: int = 0
+    """Signals that the module sent, as bits of `pbonet.Signal`."""
     state: str = ""
     error: WireError | None = None
 
@@ -231,6 +233,7 @@ class TaskSpec(Struct, kw_only=True):
     rmod_name: str
     freq: float
     crit: int
+    ring: str
     libraries: tuple[str, ...]
     forker: int
     """The fork server's process id: who must be the parent."""

@@ -25,6 +25,12 @@ def masters(domain: str, subsystem: str) -> str:
     return f"{ROOT}/{domain}/sbs/{subsystem}/master/*"
 
 
+def master_of(key: str) -> tuple[str, str]:
+    """Return subsystem and client out of a master's liveliness key."""
+    parts = key.split("/")
+    return parts[3], parts[5]
+
+
 def network(domain: str, portname: str) -> str:
     """Return the key on which a master's network interface answers (section 4.4.2)."""
     return f"{ROOT}/{domain}/net/{portname}"

@@ -1,0 +1,326 @@
+"""The agent: the network side of an RTPU (Stewart 1994, section 4.5).
+
+It registers by a liveliness token, takes requests over zenoh and hands them to its RTPU
+process, which carries them out; it publishes what happens there. It holds no state of
+its own that matters: when it is killed, control goes on for the declared grace, and an
+agent that starts within it takes over.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+import signal
+import socket
+import threading
+import time
+from typing import TYPE_CHECKING, Self
+
+import zenoh
+
+import pbonet
+from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
+from pbonet.xm import keys, rundir, session
+from pbonet.xm.messages import AgentInfo
+
+from . import leftovers, wire
+from .server import Server
+from .supervise import RtpuLink, choose_core
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from pbonet.config.model import AgentConfig
+
+log = logging.getLogger("pbonet.node")
+
+STOP_TIME = 2.0
+"""Seconds that turning everything OFF may take."""
+TOKEN_TIME = 1.0
+"""Seconds for which the token of a predecessor that was killed may linger."""
+RESTARTS = 5
+RESTART_WINDOW = 60.0
+"""An RTPU process that is lost more often than this many times in so many seconds is
+not started again."""
+
+
+class Agent:
+    """An agent and its RTPU process.
+
+    Args:
+        config: What belongs to the machine; `name` must be there.
+        backend: ``auto``, ``fifo`` or ``park``; see `pbonet.node._rt.Dispatcher`.
+    """
+
+    def __init__(self, config: AgentConfig, *, backend: str = "auto") -> None:
+        if config.name is None:
+            raise NodeError(
+                "an agent needs a name",
+                remedy='say --name NAME, or name = "NAME" in agent.toml',
+            )
+        self.config = config
+        self.places = rundir.Places(config.domain, config.name)
+        for endpoint in config.listen:
+            session.check_endpoint(endpoint, insecure=config.insecure)
+        core = choose_core(rundir.folder()) if config.core is None else config.core
+        self._rtpu_config = wire.RtpuConfig(
+            domain=config.domain,
+            name=config.name,
+            core=core,
+            libraries=tuple(os.path.abspath(p) for p in config.libraries),  # noqa: PTH100
+            grace=config.grace,
+            backend=backend,
+        )
+        self._lock: rundir.NameLock | None = None
+        self._session: zenoh.Session | None = None
+        self._server: Server | None = None
+        self._token: zenoh.LivelinessToken | None = None
+        self._link: RtpuLink | None = None
+        self._over = threading.Event()
+        self._stopping = False
+        self._restarts: list[float] = []
+        self._guard = threading.Lock()
+        self.reason = ""
+        """Why the agent has ended by itself."""
+
+    @property
+    def name(self) -> str:
+        """The RTPU's name."""
+        return self._rtpu_config.name
+
+    # -- start and end -----------------------------------------------------------------
+
+    def start(self) -> Self:
+        """Take the name, find or start the RTPU process, and answer requests.
+
+        Raises:
+            DuplicateNameError: Another agent of the domain has the name.
+            PbonetError: Something that is needed cannot be had.
+        """
+        text = f"agent {self.name}, process {os.getpid()}"
+        self._lock = rundir.NameLock(self.places.lock, text)
+        try:
+            self._open()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def _open(self) -> None:
+        # A socket that stands here was left by a killed agent: the lock is ours.
+        self.places.remove(self.places.sock)
+        self._session = session.agent(
+            self.places, listen=self.config.listen, connect=self.config.connect
+        )
+        self._refuse_duplicate()
+        self._link = RtpuLink(self.places, self._rtpu_config, self)
+        info = self._link.open()
+        self._server = Server(self._session, self.config.domain, self.name, self)
+        self._server.start()
+        self._refuse_duplicate()
+        self._token = self._session.liveliness().declare_token(
+            keys.rtpu(self.config.domain, self.name, "alive")
+        )
+        how = "took over" if self._link.taken_over else "started"
+        log.info(
+            "%s: %s RTPU process %d on core %d", self.name, how, info.pid, info.core
+        )
+
+    def _refuse_duplicate(self) -> None:
+        """Raise when an agent of that name is alive anywhere in the domain."""
+        if self._session is None:
+            return
+        key = keys.rtpu(self.config.domain, self.name, "alive")
+        deadline = time.monotonic() + TOKEN_TIME
+        while session.alive(self._session, key):
+            if time.monotonic() > deadline:
+                raise DuplicateNameError(
+                    f"domain {self.config.domain} has an agent {self.name} already",
+                    where=key,
+                    remedy="choose another name, or stop that agent",
+                )
+            time.sleep(0.05)
+
+    def stop(self, timeout: float = STOP_TIME) -> bool:
+        """Turn everything OFF in order, end the RTPU process, and give the name back.
+
+        Args:
+            timeout: Seconds for turning everything OFF.
+
+        Returns:
+            Whether everything ended by itself.
+        """
+        with self._guard:
+            self._stopping = True
+            link, self._link = self._link, None
+        in_order = link.shut_down(timeout) if link is not None else True
+        self._leave()
+        return in_order
+
+    def abandon(self) -> None:
+        """Leave the network and let the RTPU process go on for its grace."""
+        with self._guard:
+            self._stopping = True
+            link, self._link = self._link, None
+        if link is not None:
+            link.close()
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+            self._session = None
+        if self._lock is not None:
+            self.places.remove(
+                self.places.sock, self.places.sock.with_suffix(".sock.lock")
+            )
+            self._lock.release()
+            self._lock = None
+        self._over.set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the agent has ended or must end; return whether that is so."""
+        return self._over.wait(timeout)
+
+    def ask_to_end(self) -> None:
+        """Make `wait` return; may be called from a signal handler."""
+        self._over.set()
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *exc: object) -> None:
+        self.stop()
+
+    # -- what the server needs ---------------------------------------------------------
+
+    def forward(
+        self, n: int, data: bytes, masters: list[tuple[str, str]] | None
+    ) -> None:
+        """Hand a request to the RTPU process.
+
+        Raises:
+            NodeError: There is none just now.
+        """
+        link = self._link
+        if link is None:
+            raise NodeError(
+                "the RTPU process has ended and is being started again",
+                where=self.name,
+                remedy="try again in a moment",
+            )
+        link.send(wire.Forward(n, data, masters))
+
+    def info(self) -> AgentInfo:
+        """Return who this is and what it can do."""
+        link = self._link
+        info = link.info if link is not None else None
+        return AgentInfo(
+            name=self.name,
+            domain=self.config.domain,
+            host=socket.gethostname(),
+            machine=rundir.machine(),
+            core=self._rtpu_config.core,
+            cores=os.cpu_count() or 1,
+            pid=os.getpid(),
+            rtpu_pid=info.pid if info else 0,
+            backend=info.backend if info else "",
+            limits=info.limits if info else [],
+            version=pbonet.__version__,
+            python=platform.python_version(),
+            claims=info.claims if info else {},
+            libraries=list(self._rtpu_config.libraries),
+        )
+
+    # -- what the RTPU process says ----------------------------------------------------
+
+    def answered(self, n: int, data: bytes) -> None:
+        """Pass an answer on to whoever asked."""
+        if self._server is not None:
+            self._server.answer(n, data)
+
+    def published(self, data: bytes) -> None:
+        """Publish an event."""
+        if self._server is not None:
+            self._server.publish(data)
+
+    def informed(self, info: wire.RtpuInfo) -> None:
+        """Take note of changes; `info` is read where it is needed."""
+
+    def lost(self, reason: str, *, orderly: bool) -> None:
+        """Start the RTPU process again if it was killed; end with it if it ended."""
+        if self._server is not None:
+            self._server.fail_pending(f"the RTPU process ended: {reason}")
+        with self._guard:
+            if self._stopping:
+                return
+            self._link = None
+        if orderly:
+            self.reason = f"the RTPU process has ended: {reason}"
+            log.warning("%s: %s", self.name, self.reason)
+            self._over.set()
+            return
+        log.error("%s: RTPU process lost: %s", self.name, reason)
+        threading.Thread(
+            target=self._restart, args=(reason,), name="pbonet restart", daemon=True
+        ).start()
+
+    def _restart(self, reason: str) -> None:
+        now = time.monotonic()
+        self._restarts = [t for t in self._restarts if now - t < RESTART_WINDOW] + [now]
+        if len(self._restarts) > RESTARTS:
+            self._give_up(f"the RTPU process was lost {len(self._restarts)} times")
+            return
+        cleaned = leftovers.clean(self.places)
+        link = RtpuLink(self.places, self._rtpu_config, self)
+        try:
+            link.open()
+        except PbonetError as error:
+            self._give_up(f"the RTPU process does not start again: {error}")
+            return
+        with self._guard:
+            stopping = self._stopping
+            if not stopping:
+                self._link = link
+        if stopping:
+            link.shut_down(STOP_TIME)
+            return
+        link.send(
+            wire.Note(
+                int(Severity.FATAL),
+                "RTPU_DIED",
+                f"the RTPU process ended: {reason}; its tasks turned themselves off, "
+                "its claims are void",
+            )
+        )
+        for text in cleaned:
+            link.send(wire.Note(int(Severity.WARNING), "CLEANED", text))
+
+    def _give_up(self, reason: str) -> None:
+        self.reason = reason
+        log.error("%s: %s", self.name, reason)
+        self._over.set()
+
+
+def main(config: AgentConfig, *, backend: str = "auto") -> int:
+    """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
+
+    Returns:
+        The exit status: 0, or 1 when it ended by itself or something had to be forced.
+    """
+    agent = Agent(config, backend=backend)
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        log.info("%s: %s", agent.name, signal.Signals(number).name)
+        agent.ask_to_end()
+
+    for which in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(which, on_signal)
+    agent.start()
+    agent.wait()
+    in_order = agent.stop()
+    return 0 if in_order and not agent.reason else 1

@@ -1,0 +1,253 @@
+"""Sends signals to tasks, singly, in lists, and all at once (Stewart 1994, 4.5.3)."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from typing import TYPE_CHECKING
+
+from pbonet.errors import (
+    NoAnswerError,
+    PbonetError,
+    Severity,
+    StateError,
+    TaskDiedError,
+)
+from pbonet.pbo import State
+from pbonet.xm.messages import Reconfigured, Stopped
+
+from . import lifecycle, wire
+from .tasks import END_TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.xm.messages import Reconfig
+
+    from .state import Rtpu
+    from .tasks import Task
+
+OFF_SHARE = 0.6
+"""Of the time for a stop, what turning OFF may take; the rest is for ending."""
+LEAST = 0.05
+"""Seconds that each task gets for its `off`, however many there are."""
+
+
+def event_of(signal: str, where: str) -> lifecycle.Event:
+    """Return the signal that a master named.
+
+    Raises:
+        StateError: There is none of that name.
+    """
+    with contextlib.suppress(ValueError):
+        event = lifecycle.Event(signal)
+        if event in lifecycle.FROM_OUTSIDE:
+            return event
+    raise StateError(
+        f"there is no signal {signal!r}",
+        where=where,
+        expected=" or ".join(lifecycle.FROM_OUTSIDE),
+    )
+
+
+async def control(
+    rtpu: Rtpu,
+    task: Task,
+    signal: str,
+    limit: float,
+    *,
+    arg: str = "",
+    handover: bool = False,
+) -> list[str]:
+    """Send one signal and wait for the state it leads to; return warnings.
+
+    Raises:
+        StateError: It is not valid in the task's state; nothing was sent.
+        PbonetError: What the task answered, or why it did not.
+    """
+    event = event_of(signal, task.name)
+    if event is lifecycle.Event.KILL:
+        return await kill(rtpu, task, limit, arg=arg)
+    lifecycle.rule(task.state, event, where=task.name)
+    try:
+        await task.command(
+            signal,
+            lambda n: wire.Signal(n, signal, arg=arg, handover=handover),
+            limit,
+        )
+    finally:
+        _note(rtpu, task, event)
+    return []
+
+
+async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[str]:
+    """Kill a task, by force if it does not go by itself; return warnings.
+
+    Raises:
+        PbonetError: Its `off` failed, and it stands in ERROR now.
+    """
+    start = time.monotonic()
+    task.stopping = True
+    try:
+        await task.command("kill", lambda n: wire.Signal(n, "kill", arg=arg), limit)
+    except (NoAnswerError, StateError):
+        pass  # it hangs in a method: force is what is left
+    except TaskDiedError:
+        return []
+    except PbonetError:
+        if task.state is not State.NOT_CREATED:
+            task.stopping = False
+            _note(rtpu, task, lifecycle.Event.KILL)
+            raise
+    left = max(limit - (time.monotonic() - start), 0.0)
+    said_good_bye = task.state is State.NOT_CREATED
+    by_itself = await task.end(END_TIME if said_good_bye else left)
+    _note(rtpu, task, lifecycle.Event.KILL)
+    if by_itself:
+        return []
+    text = f"task {task.name} did not end within {limit:g} s and was ended by force"
+    rtpu.events.add(
+        Severity.WARNING,
+        "FORCED",
+        text,
+        subsystem=task.facts.subsystem,
+        task=task.name,
+    )
+    return [text]
+
+
+def _note(rtpu: Rtpu, task: Task, event: lifecycle.Event) -> None:
+    """Take note of what a signal has led to."""
+    if event is lifecycle.Event.ON and task.state is State.ON:
+        rtpu.turned_on += 1
+        task.on_rank = rtpu.turned_on
+        task.warnings = 0
+        task.warning = ""
+    rtpu.settle(task)
+    rtpu.events.add(
+        Severity.INFO,
+        "STATE",
+        f"{event}: {task.state}",
+        subsystem=task.facts.subsystem,
+        task=task.name,
+    )
+
+
+async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
+    """Send signals in order; the first failure ends it (section 4.4.4)."""
+    subsystem = request.subsystem
+    result = Reconfigured(done=0)
+    flag = asyncio.get_running_loop().call_later(
+        _shortest_period(rtpu, subsystem), _raise_for_reconfig, rtpu, subsystem
+    )
+    try:
+        for i, (name, signal) in enumerate(request.items):
+            task = rtpu.need(subsystem, name)
+            handover = signal == "off" and _has_heir(rtpu, task, request.items[i + 1 :])
+            await control(rtpu, task, signal, request.timeout, handover=handover)
+            result.done += 1
+            result.states[name] = task.state.value
+    except PbonetError as error:
+        result.error = error.to_wire()
+    finally:
+        flag.cancel()
+        rtpu.clear_flag(subsystem, "reconfiguration")
+    return result
+
+
+def _has_heir(rtpu: Rtpu, task: Task, rest: Sequence[tuple[str, str]]) -> bool:
+    """Return whether a task that is turned on later in the list takes an output."""
+    mine = {task.facts.rmod.svar_name(port) for port in task.facts.rmod.outvar}
+    for name, signal in rest:
+        heir = rtpu.tasks.get((task.facts.subsystem, name))
+        if heir is None or signal != "on":
+            continue
+        if mine & {heir.facts.rmod.svar_name(p) for p in heir.facts.rmod.outvar}:
+            return True
+    return False
+
+
+def _shortest_period(rtpu: Rtpu, subsystem: str) -> float:
+    running = [t.freq for t in rtpu.of(subsystem) if t.state is State.ON and t.freq]
+    return 1.0 / max(running, default=1.0)
+
+
+def _raise_for_reconfig(rtpu: Rtpu, subsystem: str) -> None:
+    opened = rtpu.tables.get(subsystem)
+    if opened is not None:
+        opened.table.raise_illegal(
+            "a reconfiguration takes longer than a cycle",
+            rtpu.raiser("reconfiguration"),
+        )
+
+
+async def stop(
+    rtpu: Rtpu, subsystems: Sequence[str], limit: float, order: Sequence[str] = ()
+) -> Stopped:
+    """Turn tasks OFF in order, kill them, and say which had to be forced.
+
+    Args:
+        rtpu: Whose tasks.
+        subsystems: Whose tasks.
+        limit: Seconds in all; a task that hangs costs the others little of it.
+        order: Tasks to turn off first; the others follow, last turned on first.
+    """
+    deadline = time.monotonic() + limit
+    rtpu.stopping |= set(subsystems)
+    try:
+        tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
+        tasks.sort(key=lambda t: _position(t, order))
+        turned_off = await _all_off(rtpu, tasks, deadline - limit * (1 - OFF_SHARE))
+        ends = await asyncio.gather(*(_end(t, deadline) for t in tasks))
+        forced = [
+            t.name for t, by_itself in zip(tasks, ends, strict=True) if not by_itself
+        ]
+        for subsystem in subsystems:
+            rtpu.forget(subsystem)
+    finally:
+        rtpu.stopping -= set(subsystems)
+    if tasks:
+        rtpu.events.add(
+            Severity.WARNING if forced else Severity.INFO,
+            "STOPPED",
+            f"{len(tasks)} tasks ended"
+            + (f", by force: {' '.join(forced)}" * bool(forced)),
+            subsystem=subsystems[0] if len(subsystems) == 1 else "",
+        )
+    return Stopped(off=turned_off, killed=forced)
+
+
+def _position(task: Task, order: Sequence[str]) -> tuple[int, int]:
+    if task.name in order:
+        return order.index(task.name), 0
+    return len(order), -task.on_rank
+
+
+async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[str]:
+    """Send off to those that are ON, one after the other; return those that obeyed."""
+    running = [task for task in tasks if task.state is State.ON]
+    obeyed: list[str] = []
+    for i, task in enumerate(running):
+        share = (deadline - time.monotonic()) / (len(running) - i)
+        with contextlib.suppress(PbonetError):
+            await control(rtpu, task, "off", max(share, LEAST))
+            obeyed.append(task.name)
+    return obeyed
+
+
+async def _end(task: Task, deadline: float) -> bool:
+    """Kill one task until `deadline`, then by force; return whether it obeyed."""
+    task.stopping = True
+    for _ in range(2):  # an `off` that fails within `kill` leaves the task in ERROR
+        left = deadline - time.monotonic()
+        with contextlib.suppress(PbonetError):
+            await task.command(
+                "kill", lambda n: wire.Signal(n, "kill"), max(left, LEAST)
+            )
+            break
+        if task.state is not State.ERROR:
+            break
+    good_bye = task.state is State.NOT_CREATED and task.spawned.done()
+    left = deadline - time.monotonic()
+    return await task.end(max(left, END_TIME if good_bye else LEAST))

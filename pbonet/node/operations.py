@@ -1,0 +1,340 @@
+"""What an RTPU does on request: the SBS server's part (Stewart 1994, section 4.5).
+
+`handle` takes a request as it came from the network and gives the packed answer; it
+never raises. A request with the same client and id is executed once, however often it
+comes: the answer is kept, here and not in the agent, so that it survives the agent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import traceback
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Any
+
+from pbonet.errors import (
+    NodeError,
+    PbonetError,
+    Severity,
+    StateError,
+    SvarFullError,
+)
+from pbonet.xm import messages as m
+
+from . import control, inspecting, params, spawning, status, wire
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from .claims import Entry
+    from .state import Rtpu
+
+KEPT_ANSWERS = 1000
+LARGEST_LIST = 900_000
+"""Bytes of events in one answer; the asker goes on from the last number it got."""
+_UNCLAIMED = m.Hello | m.Claim | m.Status | m.Display | m.Modules | m.Stop | m.Events
+_READING = m.Hello | m.Status | m.Display | m.Modules | m.Events | m.Get
+_DISK_FULL = 28
+
+Masters = list[tuple[str, str]] | None
+Result = tuple[object, list[str]]
+
+
+class Operations:
+    """Carries out requests on one RTPU.
+
+    Args:
+        rtpu: What they are carried out on.
+    """
+
+    def __init__(self, rtpu: Rtpu) -> None:
+        self._rtpu = rtpu
+        self._codec = m.Codec()
+        self._answers: OrderedDict[tuple[str, str], asyncio.Task[bytes]] = OrderedDict()
+        self._masters: Masters = None
+        self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
+            m.Claim: self._claim,
+            m.Release: self._release,
+            m.OpenTable: self._open_table,
+            m.CloseTable: self._close_table,
+            m.Spawn: self._spawn,
+            m.Control: self._control,
+            m.Reconfig: self._reconfig,
+            m.Freq: self._freq,
+            m.Get: self._get,
+            m.Set: self._set,
+            m.Rank: self._rank,
+            m.Status: self._status,
+            m.Display: self._display,
+            m.Write: self._write,
+            m.Modules: self._modules,
+            m.Stop: self._stop,
+            m.Flag: self._flag,
+            m.Events: self._events,
+        }
+
+    async def handle(self, data: bytes, masters: Masters = None) -> bytes:
+        """Return the packed answer to a packed request."""
+        try:
+            request = self._codec.request(data)
+        except PbonetError as error:
+            return self._codec.pack(m.failure(error, m.request_id(data)))
+        if isinstance(request, _READING) or not request.id:
+            return await self._carry_out(request, masters)
+        key = (request.client, request.id)
+        known = self._answers.get(key)
+        if known is None:
+            known = asyncio.create_task(self._carry_out(request, masters))
+            self._answers[key] = known
+            self._forget_old()
+        return await asyncio.shield(known)
+
+    def _forget_old(self) -> None:
+        for key in list(self._answers)[: len(self._answers) - KEPT_ANSWERS]:
+            if self._answers[key].done():
+                del self._answers[key]
+
+    async def _carry_out(self, request: m.AnyRequest, masters: Masters) -> bytes:
+        try:
+            if isinstance(request, m.Claim):
+                result, warnings = self._claim_knowing(request, masters)
+            else:
+                self._check(request)
+                result, warnings = await self._do[type(request)](request)
+            answer = m.Answer(id=request.id, ok=True, result=result, warnings=warnings)
+            data = self._codec.pack(answer)
+            self._check_size(data)
+        except PbonetError as error:
+            return self._codec.pack(m.failure(error, request.id))
+        except Exception as error:  # noqa: BLE001 - the server outlives any request
+            return self._codec.pack(m.failure(self._fault(request, error), request.id))
+        return data
+
+    def _fault(self, request: m.AnyRequest, error: Exception) -> PbonetError:
+        """Return what to answer to a failure that no error of ours describes."""
+        if isinstance(error, OSError) and error.errno == _DISK_FULL:
+            return SvarFullError(
+                "no room is left in shared memory",
+                where=self._rtpu.name,
+                got=str(error),
+                remedy="make room in /dev/shm, or give the machine more of it",
+            )
+        op = type(request).__name__
+        text = f"{op} failed inside pbonet: {type(error).__name__}: {error}"
+        self._rtpu.events.add(
+            Severity.ERROR, "INTERNAL", f"{text}\n{traceback.format_exc()}"
+        )
+        return NodeError(
+            text,
+            where=self._rtpu.name,
+            remedy="report it, with the agent's events",
+            debug=traceback.format_exc(),
+        )
+
+    def _check(self, request: m.AnyRequest) -> None:
+        """Refuse what needs a claim and has none, and what comes during a stop."""
+        if isinstance(request, _UNCLAIMED):
+            return
+        if isinstance(request, m.Freq | m.Get) and getattr(request, "hz", None) is None:
+            return
+        self._rtpu.claims.check(request)
+        if request.subsystem in self._rtpu.stopping:
+            raise StateError(
+                f"subsystem {request.subsystem} is being stopped",
+                where=self._rtpu.name,
+                remedy="wait until the stop is done",
+            )
+
+    @staticmethod
+    def _check_size(data: bytes) -> None:
+        if len(data) > m.Codec.MAX_BYTES:
+            raise NodeError(
+                "the answer is too long",
+                expected=f"at most {m.Codec.MAX_BYTES} bytes",
+                got=f"{len(data)} bytes",
+                remedy="ask for less at once, by name",
+            )
+
+    # -- claims and tables -------------------------------------------------------------
+
+    def _claim_knowing(self, request: m.Claim, masters: Masters) -> Result:
+        rtpu = self._rtpu
+        before = rtpu.claims.get(request.subsystem)
+        entry = rtpu.claims.claim(request, masters=masters, busy=rtpu.busy())
+        self._close_orphaned_tables()
+        rtpu.rank()
+        rtpu.tell_claims()
+        if before is None or before.epoch != entry.epoch:
+            rtpu.events.add(
+                Severity.INFO,
+                "CLAIM",
+                f"{entry.usage} use by master {entry.client}, epoch {entry.epoch}",
+                subsystem=entry.subsystem,
+            )
+        return self._claimed(entry), []
+
+    def _claimed(self, entry: Entry) -> m.Claimed:
+        tasks = self._rtpu.of(entry.subsystem)
+        return m.Claimed(
+            epoch=entry.epoch,
+            tasks=[task.name for task in tasks],
+            rmods={task.name: task.facts.text for task in tasks},
+        )
+
+    def _close_orphaned_tables(self) -> None:
+        """Let go of the tables of subsystems whose claim has lapsed."""
+        claimed = self._rtpu.claims.epochs()
+        for subsystem in self._rtpu.tables.subsystems():
+            if subsystem not in claimed:
+                self._rtpu.tables.close(subsystem)
+
+    async def _claim(self, request: m.Claim) -> Result:
+        return self._claim_knowing(request, None)
+
+    async def _release(self, request: m.Release) -> Result:
+        self._must_be_idle(request.subsystem, "given back")
+        self._rtpu.forget(request.subsystem)
+        self._rtpu.tables.close(request.subsystem)
+        self._rtpu.claims.release(request.subsystem)
+        self._rtpu.tell_claims()
+        self._rtpu.events.add(
+            Severity.INFO,
+            "RELEASE",
+            f"released by {request.client}",
+            subsystem=request.subsystem,
+        )
+        return None, []
+
+    def _must_be_idle(self, subsystem: str, what: str) -> None:
+        names = [task.name for task in self._rtpu.of(subsystem)]
+        if names:
+            raise StateError(
+                f"cannot be {what} while the subsystem has tasks here",
+                where=f"{self._rtpu.name}/{subsystem}",
+                got="tasks " + " ".join(names),
+                remedy="kill them first, or stop the subsystem",
+            )
+
+    async def _open_table(self, request: m.OpenTable) -> Result:
+        return self._rtpu.tables.open(request), []
+
+    async def _close_table(self, request: m.CloseTable) -> Result:
+        self._must_be_idle(request.subsystem, "closed")
+        self._rtpu.tables.close(request.subsystem)
+        return None, []
+
+    async def _display(self, request: m.Display) -> Result:
+        return self._rtpu.tables.display(request.subsystem, request.names), []
+
+    async def _write(self, request: m.Write) -> Result:
+        value = self._rtpu.tables.write(request.subsystem, request.name, request.values)
+        return value, []
+
+    async def _flag(self, request: m.Flag) -> Result:
+        table = self._rtpu.tables.need(request.subsystem).table
+        if request.up:
+            table.raise_illegal(request.cause, "master")
+        else:
+            table.clear_illegal("master", cause=request.cause)
+        return self._rtpu.tables.causes(request.subsystem), []
+
+    # -- tasks -------------------------------------------------------------------------
+
+    async def _spawn(self, request: m.Spawn) -> Result:
+        task = await spawning.spawn(self._rtpu, request)
+        notes = task.ready.notes if task.ready else []
+        return self._rtpu.status_of(task), list(notes)
+
+    async def _control(self, request: m.Control) -> Result:
+        rtpu = self._rtpu
+        tomb = rtpu.tombs.get((request.subsystem, request.task))
+        if tomb is not None and request.signal == "kill":
+            rtpu.bury(request.subsystem, request.task)
+            return tomb, []
+        task = rtpu.need(request.subsystem, request.task)
+        warnings = await control.control(
+            rtpu, task, request.signal, request.timeout, arg=request.arg
+        )
+        if request.signal == "kill":
+            return task.last_status, warnings
+        return rtpu.status_of(task), warnings
+
+    async def _reconfig(self, request: m.Reconfig) -> Result:
+        return await control.reconfigure(self._rtpu, request), []
+
+    async def _freq(self, request: m.Freq) -> Result:
+        task = self._rtpu.need(request.subsystem, request.task)
+        if request.hz is not None:
+            await params.set_freq(self._rtpu, task, request.hz)
+        return task.freq, []
+
+    async def _get(self, request: m.Get) -> Result:
+        task = self._rtpu.need(request.subsystem, request.task)
+        return await params.get(task, request.name), []
+
+    async def _set(self, request: m.Set) -> Result:
+        task = self._rtpu.need(request.subsystem, request.task)
+        return await params.set_(self._rtpu, task, request.name, request.value), []
+
+    async def _rank(self, request: m.Rank) -> Result:
+        for name in request.tasks:
+            self._rtpu.need(request.subsystem, name)
+        for name, (crit, priority) in request.tasks.items():
+            spawning.check_rank(crit, priority, name)
+            self._rtpu.told[request.subsystem, name] = (crit, priority)
+        self._rtpu.rank()
+        return None, []
+
+    async def _status(self, request: m.Status) -> Result:
+        rtpu = self._rtpu
+        found = [
+            rtpu.status_of(task)
+            for key, task in rtpu.tasks.items()
+            if request.subsystem in {"", key[0]} and request.task in {None, key[1]}
+        ]
+        found += [
+            tomb
+            for key, tomb in rtpu.tombs.items()
+            if request.subsystem in {"", key[0]} and request.task in {None, key[1]}
+        ]
+        if request.task is not None and not found:
+            rtpu.need(request.subsystem, request.task)
+        spent = sum(
+            rtpu.core.snapshot(task.facts.slot).cpu_total_ns
+            for task in rtpu.tasks.values()
+        )
+        entry = rtpu.claims.get(request.subsystem)
+        illegal = rtpu.tables.causes(request.subsystem)
+        core = rtpu.core.status()
+        scheduler = entry.scheduler if entry else ""
+        return (
+            status.rtpu_status(
+                rtpu.name,
+                scheduler,
+                core,
+                tasks=found,
+                spent_ns=spent,
+                illegal=illegal,
+            ),
+            [],
+        )
+
+    async def _stop(self, request: m.Stop) -> Result:
+        names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())
+        stopped = await control.stop(self._rtpu, names, request.timeout, request.order)
+        return stopped, []
+
+    # -- the rest ----------------------------------------------------------------------
+
+    async def _modules(self, request: m.Modules) -> Result:
+        return await inspecting.modules(self._rtpu, request.name), []
+
+    async def _events(self, request: m.Events) -> Result:
+        chosen: list[m.Event] = []
+        size = 0
+        for event in self._rtpu.events.since(request.since):
+            size += len(wire.encode(event))
+            if size > LARGEST_LIST:
+                break
+            chosen.append(event)
+        return chosen, []

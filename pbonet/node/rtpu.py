@@ -1,0 +1,227 @@
+"""The RTPU process: no network, little code, alive when its agent is not.
+
+Its main thread waits for messages from the agent, the fork server and the tasks; a
+native thread beside it, which never takes the interpreter's lock, dispatches. When the
+agent is gone for longer than the grace, everything is turned OFF in order and the
+process ends. Stewart 1994, section 4.5, calls its part the SBS server.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import faulthandler
+import os
+import signal
+import sys
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.errors import NodeError, PbonetError, Severity
+from pbonet.xm import rundir
+
+from . import control, leftovers, runtime, wire
+from .events import EventLog
+from .operations import Operations
+from .state import Rtpu
+
+if TYPE_CHECKING:
+    from pbonet.xm.messages import Event
+
+END_TIME = 2.0
+"""Seconds that turning everything OFF may take when the process ends."""
+
+
+class AgentLink:
+    """The listening socket, and the one agent that may be connected to it.
+
+    Args:
+        rtpu: What the agent's requests are about.
+        end: Called with a reason when the process must end.
+    """
+
+    def __init__(self, rtpu: Rtpu, end: asyncio.Future[str]) -> None:
+        self._rtpu = rtpu
+        self._end = end
+        self._operations = Operations(rtpu)
+        self._writer: asyncio.StreamWriter | None = None
+        self._agent_pid = 0
+        self._grace = rtpu.config.grace
+        self._grace_timer: asyncio.TimerHandle | None = None
+        self._published = 0
+        self.end_time = END_TIME
+        self._server: asyncio.Server | None = None
+        self._running: set[asyncio.Task[None]] = set()
+        self._decoder: msgspec.msgpack.Decoder[wire.FromAgent] = (
+            msgspec.msgpack.Decoder(wire.FromAgent)
+        )
+        rtpu.events.publish = self._publish
+        rtpu.claims_changed = lambda: self._send(rtpu.info())
+
+    async def listen(self, places: rundir.Places) -> None:
+        """Listen on the runtime folder's socket, and wait for an agent at most grace.
+
+        A file that stands there was left by a dead process: its lock is ours.
+        """
+        places.remove(places.ctl)
+        self._server = await asyncio.start_unix_server(self._serve, places.ctl)
+        places.ctl.chmod(0o600)
+        self._start_grace()
+
+    async def close(self, reason: str) -> None:
+        """Tell the agent that the process ends, and close."""
+        if self._server is not None:
+            self._server.close()
+        if self._writer is not None:
+            self._send(wire.Ending(reason))
+            with contextlib.suppress(OSError, TimeoutError):
+                await asyncio.wait_for(self._writer.drain(), 0.5)
+            self._writer.close()
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        try:
+            first = self._decoder.decode(await wire.read_frame(reader))
+            if not isinstance(first, wire.Attach) or self._writer is not None:
+                writer.close()
+                return
+            self._attach(first, writer)
+            while True:
+                self._take(self._decoder.decode(await wire.read_frame(reader)))
+        except (OSError, asyncio.IncompleteReadError, msgspec.MsgspecError, NodeError):
+            pass
+        finally:
+            writer.close()
+            if writer is self._writer:
+                self._detach()
+
+    def _attach(self, hello: wire.Attach, writer: asyncio.StreamWriter) -> None:
+        if self._grace_timer is not None:
+            self._grace_timer.cancel()
+            self._grace_timer = None
+        self._grace = hello.grace
+        back = self._agent_pid != 0
+        self._agent_pid = hello.agent_pid
+        self._writer = writer
+        self._send(self._rtpu.info())
+        for event in self._rtpu.events.since(self._published + 1):
+            self._publish(event)
+        if back:
+            self._rtpu.events.add(
+                Severity.INFO, "AGENT_BACK", f"agent {hello.agent_pid} took over"
+            )
+
+    def _detach(self) -> None:
+        self._writer = None
+        if self._end.done():
+            return
+        self._rtpu.events.add(
+            Severity.WARNING,
+            "AGENT_GONE",
+            f"agent {self._agent_pid} is gone; control goes on for {self._grace:g} s",
+        )
+        self._start_grace()
+
+    def _start_grace(self) -> None:
+        loop = asyncio.get_running_loop()
+        reason = f"no agent for {self._grace:g} s"
+        self._grace_timer = loop.call_later(self._grace, self._finish, reason)
+
+    def _finish(self, reason: str) -> None:
+        if not self._end.done():
+            self._end.set_result(reason)
+
+    def _take(self, message: wire.FromAgent) -> None:
+        match message:
+            case wire.Forward():
+                task = asyncio.create_task(self._answer(message))
+                self._running.add(task)
+                task.add_done_callback(self._running.discard)
+            case wire.Note():
+                self._rtpu.events.add(
+                    Severity(message.severity), message.code, message.text
+                )
+            case wire.Shutdown():
+                self.end_time = message.timeout
+                self._finish("the agent was told to end")
+            case wire.Attach():
+                self._grace = message.grace
+
+    async def _answer(self, message: wire.Forward) -> None:
+        data = await self._operations.handle(message.data, message.masters)
+        self._send(wire.Answered(message.n, data))
+
+    def _publish(self, event: Event) -> None:
+        if self._writer is not None:
+            self._published = event.n
+            self._send(wire.Published(wire.encode(event)))
+
+    def _send(self, message: msgspec.Struct) -> None:
+        if self._writer is not None and not self._writer.is_closing():
+            self._writer.write(wire.frame(message))
+
+
+async def run(config: wire.RtpuConfig) -> int:
+    """Be the RTPU process until there is a reason to end."""
+    loop = asyncio.get_running_loop()
+    end: asyncio.Future[str] = loop.create_future()
+
+    def asked(which: signal.Signals) -> None:
+        if not end.done():
+            end.set_result(f"signal {which.name}")
+
+    for which in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(which, asked, which)
+    places = rundir.Places(config.domain, config.name)
+    lock = rundir.NameLock(places.ctl.with_suffix(".ctl.lock"), f"pid {os.getpid()}")
+    try:
+        leftovers.clean(places)
+        rtpu = Rtpu(config, EventLog(config.name), places)
+        await _serve(rtpu, places, end)
+    finally:
+        lock.release()
+    return 0
+
+
+async def _serve(rtpu: Rtpu, places: rundir.Places, end: asyncio.Future[str]) -> None:
+    try:
+        await rtpu.start()
+        link = AgentLink(rtpu, end)
+        await link.listen(places)
+        _tell_ready(rtpu.config.ready_fd, wire.Ready())
+        reason = await end
+        rtpu.events.add(Severity.INFO, "ENDING", f"the RTPU process ends: {reason}")
+        await control.stop(rtpu, sorted(rtpu.busy()), link.end_time)
+        await link.close(reason)
+    finally:
+        await rtpu.close()
+        places.remove(places.ctl, places.state, places.log)
+
+
+def _tell_ready(fd: int, message: wire.Ready) -> None:
+    if fd >= 0:
+        with contextlib.suppress(OSError):
+            os.write(fd, wire.encode(message))
+            os.close(fd)
+
+
+def main(argv: list[str]) -> int:
+    """Run the RTPU process that the first argument describes, as JSON."""
+    config = msgspec.json.decode(argv[0], type=wire.RtpuConfig)
+    faulthandler.enable()
+    runtime.set_title("pbonet-rtpu")
+    os.sched_setaffinity(0, runtime.housekeeping_cores(config.core))
+    try:
+        return asyncio.run(run(config))
+    except PbonetError as error:
+        _tell_ready(config.ready_fd, wire.Ready(error=error.to_wire()))
+        print(error, file=sys.stderr)  # noqa: T201 - the log in the runtime folder
+        return 1
+
+
+__all__ = ["AgentLink", "main", "run"]
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

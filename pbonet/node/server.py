@@ -1,0 +1,184 @@
+"""An agent's part in zenoh: takes requests, gives answers, publishes events.
+
+A request is handed on at once and its query kept; the answer is given whenever it
+comes, so a slow `init` stands in nobody's way. What cannot be understood is answered
+with an error, never with silence.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Protocol
+
+import zenoh
+
+from pbonet.errors import NodeError, PbonetError, ProtocolError
+from pbonet.xm import keys, session
+from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    from pbonet.xm.messages import AgentInfo
+
+log = logging.getLogger("pbonet.node")
+
+QUEUE = 256
+"""Requests that wait to be looked at; more wait in zenoh."""
+PENDING = 2000
+"""Requests that wait for their answers; more are refused."""
+
+
+class Node(Protocol):
+    """Who carries requests out."""
+
+    def forward(
+        self, n: int, data: bytes, masters: list[tuple[str, str]] | None
+    ) -> None:
+        """Hand a request on; its answer comes through `Server.answer`."""
+
+    def info(self) -> AgentInfo:
+        """Return who this is."""
+        ...
+
+
+class Server:
+    """Answers the requests for one RTPU.
+
+    Args:
+        session: The agent's session.
+        domain: The agent's domain.
+        name: The RTPU's name.
+        node: Who carries requests out.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, domain: str, name: str, node: Node
+    ) -> None:
+        self._session = session
+        self._domain = domain
+        self._node = node
+        self._key = keys.rtpu(domain, name, "sbs")
+        self._event_key = keys.rtpu(domain, name, "event")
+        self._codec = m.Codec()
+        self._count = itertools.count(1)
+        self._pending: dict[int, tuple[zenoh.Query, str]] = {}
+        self._guard = threading.Lock()
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
+        self._queryable: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]] | None
+        self._queryable = None
+        self._publisher: zenoh.Publisher | None = None
+        self._thread = threading.Thread(
+            target=self._serve, name="pbonet server", daemon=True
+        )
+
+    def start(self) -> None:
+        """Declare the queryable and the publisher, and answer."""
+        self._publisher = self._session.declare_publisher(self._event_key)
+        self._queryable = self._session.declare_queryable(
+            self._key, zenoh.handlers.FifoChannel(QUEUE), complete=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Answer no more; requests that wait are told so."""
+        if self._queryable is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._queryable.undeclare()  # type: ignore[no-untyped-call]
+        self._thread.join(2.0)
+        self.fail_pending("the agent ends")
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def answer(self, n: int, data: bytes) -> None:
+        """Give the answer to forwarded request `n`."""
+        with self._guard:
+            query, _ = self._pending.pop(n, (None, ""))
+        if query is not None:
+            self._reply(query, data)
+
+    def publish(self, data: bytes) -> None:
+        """Publish a packed event; it is dropped rather than waited for."""
+        if self._publisher is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._publisher.put(data)  # pyright: ignore[reportUnknownMemberType]
+
+    def fail_pending(self, reason: str) -> None:
+        """Answer everything that waits with an error."""
+        with self._guard:
+            waiting = list(self._pending.values())
+            self._pending.clear()
+        for query, request_id in waiting:
+            error = NodeError(f"the request was not carried out to its end: {reason}")
+            self._reply(query, self._codec.pack(m.failure(error, request_id)))
+
+    def _serve(self) -> None:
+        queryable = self._queryable
+        while queryable is not None:
+            try:
+                query = queryable.recv()
+            except zenoh.ZError:
+                return  # undeclared, or the session was closed
+            try:
+                self._take(query)
+            except Exception:  # the server outlives any request
+                log.exception("a request could not be taken")
+                query.drop()  # type: ignore[no-untyped-call]
+
+    def _take(self, query: zenoh.Query) -> None:
+        data = query.payload.to_bytes() if query.payload is not None else b""
+        try:
+            request = self._codec.request(data)
+            if isinstance(request, m.Hello):
+                answer = m.Answer(id=request.id, ok=True, result=self._node.info())
+                self._reply(query, self._codec.pack(answer))
+                return
+            if len(self._pending) >= PENDING:
+                raise ProtocolError(
+                    "too many requests wait for their answers",
+                    expected=f"at most {PENDING}",
+                    remedy="wait for answers before asking more",
+                )
+        except PbonetError as error:
+            failed = m.failure(error, m.request_id(data))
+            self._reply(query, self._codec.pack(failed))
+            return
+        if isinstance(request, m.Claim):
+            self._pool.submit(self._claim, query, request.id, data)
+        else:
+            self._forward(query, request.id, data, None)
+
+    def _claim(self, query: zenoh.Query, request_id: str, data: bytes) -> None:
+        """Forward a claim with the list of the masters that live."""
+        masters: list[tuple[str, str]] | None
+        try:
+            tokens = session.alive(self._session, keys.masters(self._domain, "*"))
+        except zenoh.ZError:
+            masters = None
+        else:
+            masters = [keys.master_of(token) for token in tokens]
+        self._forward(query, request_id, data, masters)
+
+    def _forward(
+        self,
+        query: zenoh.Query,
+        request_id: str,
+        data: bytes,
+        masters: list[tuple[str, str]] | None,
+    ) -> None:
+        n = next(self._count)
+        with self._guard:
+            self._pending[n] = (query, request_id)
+        try:
+            self._node.forward(n, data, masters)
+        except PbonetError as error:
+            self.answer(n, self._codec.pack(m.failure(error, request_id)))
+
+    def _reply(self, query: zenoh.Query, data: bytes) -> None:
+        """Answer on our own key, and let go of the query: a kept one times out."""
+        try:
+            with query:
+                query.reply(self._key, data)  # pyright: ignore[reportUnknownMemberType]
+        except zenoh.ZError as error:
+            log.warning("an answer could not be sent: %s", error)

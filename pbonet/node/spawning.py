@@ -1,0 +1,221 @@
+"""Creates tasks (Stewart 1994, section 4.5.2)."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from pbonet.config import parse_rmod
+from pbonet.config.model import TaskType
+from pbonet.errors import (
+    NoAnswerError,
+    ParameterError,
+    PbonetError,
+    Severity,
+    StateError,
+    TaskError,
+)
+from pbonet.pbo import State
+from pbonet.sched.records import Kind
+from pbonet.xm import rundir
+
+from . import _rt, wire
+from .tasks import Facts, Ready, Task
+
+if TYPE_CHECKING:
+    from pbonet.config.model import Rmod
+    from pbonet.xm.messages import Spawn
+
+    from .state import Rtpu
+    from .tables import Opened
+
+KINDS = {TaskType.PERIODIC: Kind.PERIODIC, TaskType.SYNCHRONOUS: Kind.SYNCHRONOUS}
+FASTEST = 1e9 / _rt.MIN_PERIOD_NS
+"""Hz."""
+HIGHEST_CRIT = 62
+"""0 and 63 are reserved (section 4.5.1)."""
+HIGHEST_PRIORITY = 65535
+
+
+class Plan(NamedTuple):
+    """What a task will be."""
+
+    rmod: Rmod
+    freq: float
+    slot: int
+    opened: Opened
+
+
+async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
+    """Create a task and wait until it is OFF; nothing is left of one that fails.
+
+    Raises:
+        ConfigError: The RMOD is wrong.
+        PbonetError: What went wrong, in the task's own words where it had any.
+    """
+    key = (request.subsystem, request.task)
+    _check_free(rtpu, key)
+    opened = rtpu.tables.need_file(request.subsystem)
+    rmod = parse_rmod(request.rmod, request.rmod_name)
+    freq = check_freq(rmod, request.freq)
+    check_rank(request.crit, request.priority, request.task)
+    slot = rtpu.core.alloc(rtpu.slot_owner, "/".join(key))
+    try:
+        task = await _fork(rtpu, request, Plan(rmod, freq, slot, opened))
+    except BaseException:
+        rtpu.core.free(slot)
+        raise
+    rtpu.tombs.pop(key, None)
+    await _wait_until_off(rtpu, task, request.timeout)
+    rtpu.clear_flag(*key)
+    return task
+
+
+def _check_free(rtpu: Rtpu, key: tuple[str, str]) -> None:
+    subsystem, name = key
+    rundir.check_name("a subsystem", subsystem)
+    rundir.check_name("a task", name)
+    if key in rtpu.tasks:
+        raise StateError(
+            f"subsystem {subsystem} has a task {name} already",
+            where=rtpu.name,
+            got=f"state {rtpu.tasks[key].state}",
+            remedy="`kill` it first",
+        )
+
+
+def check_freq(rmod: Rmod, freq: float | None) -> float:
+    """Return the frequency that a task of `rmod` gets, in Hz; 0 where it has none.
+
+    Raises:
+        TaskError: The kind of task is not there yet.
+        ParameterError: The frequency cannot be had.
+    """
+    if rmod.tasktype not in KINDS:
+        raise TaskError(
+            f"tasks of type {rmod.tasktype} cannot run yet",
+            where=rmod.file,
+            expected=" or ".join(KINDS),
+        )
+    wanted = rmod.freq if freq is None else freq
+    if wanted is None:
+        return 0.0
+    if not 0.0 < wanted <= FASTEST:
+        raise ParameterError(
+            "no task can run at this frequency",
+            where=rmod.name,
+            expected=f"above 0 and at most {FASTEST:g} Hz",
+            got=f"{wanted:g} Hz",
+        )
+    return wanted
+
+
+def check_rank(crit: int | None, priority: int, name: str) -> None:
+    """Refuse a criticality or priority that the dispatcher does not have.
+
+    Raises:
+        ParameterError: It is out of its range.
+    """
+    if crit is not None and not 1 <= crit <= HIGHEST_CRIT:
+        raise ParameterError(
+            "there is no such criticality",
+            where=name,
+            expected=f"1 to {HIGHEST_CRIT}",
+            got=str(crit),
+        )
+    if not 0 <= priority <= HIGHEST_PRIORITY:
+        raise ParameterError(
+            "there is no such user priority",
+            where=name,
+            expected=f"0 to {HIGHEST_PRIORITY}",
+            got=str(priority),
+        )
+
+
+async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
+    rmod, freq, slot, opened = plan
+    key = (request.subsystem, request.task)
+    ring = f"{rtpu.config.domain}.{rtpu.name}.{request.subsystem}.{request.task}"
+    rtpu.core.configure(
+        slot,
+        period_ns=round(1e9 / freq) if freq else None,
+        kind=KINDS[rmod.tasktype],
+    )
+    spec = wire.TaskSpec(
+        domain=rtpu.config.domain,
+        rtpu=rtpu.name,
+        subsystem=request.subsystem,
+        task=request.task,
+        core=rtpu.config.core,
+        slot=slot,
+        table=opened.table.name,
+        layout=opened.table.layout,
+        rmod=request.rmod,
+        rmod_name=request.rmod_name,
+        freq=freq,
+        crit=request.crit or 0,
+        ring=ring,
+        libraries=rtpu.config.libraries,
+        forker=rtpu.spawner.pid,
+    )
+    child = await rtpu.spawner.fork("task", request.task, spec)
+    facts = Facts(
+        subsystem=request.subsystem,
+        name=request.task,
+        rmod=rmod,
+        text=request.rmod,
+        slot=slot,
+        ring=ring,
+    )
+    task = Task(
+        facts,
+        child,
+        wake=lambda: rtpu.core.request(slot),
+        tell=rtpu.told_by,
+        ended=rtpu.ended,
+    )
+    task.freq = freq
+    task.stopping = True  # until it is OFF, its end is the spawn's answer, no event
+    rtpu.core.configure(slot, pid=child.pid)
+    rtpu.tasks[key] = task
+    rtpu.spawned[key] = (request.crit, request.priority)
+    rtpu.rank()
+    rtpu.save()
+    return task
+
+
+async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
+    """Wait for the end of `init`; a task that fails, dies or hangs in it is ended."""
+    try:
+        done = await task.wait_for(task.spawned, "init", limit)
+    except PbonetError as error:
+        if isinstance(error, NoAnswerError):
+            error.what = f"`init` did not return within {limit:g} s"
+            error.remedy = "see where it stood; `timeout` of the spawn gives it longer"
+            error.debug = await task.where()
+            task.child.send_signal(signal.SIGKILL)
+        await task.end(1.0)
+        rtpu.events.add(
+            Severity.ERROR,
+            "SPAWN_FAILED",
+            _with_trace(error),
+            subsystem=task.facts.subsystem,
+            task=task.name,
+        )
+        raise
+    task.ready = msgspec.convert(done.result, Ready)
+    task.stopping = False
+    rtpu.events.add(
+        Severity.INFO,
+        "SPAWNED",
+        f"process {task.child.pid}, module {task.ready.module} {task.ready.version}, "
+        f"state {State.OFF}",
+        subsystem=task.facts.subsystem,
+        task=task.name,
+    )
+
+
+def _with_trace(error: PbonetError) -> str:
+    return f"{error}\n{error.debug}" if error.debug else str(error)

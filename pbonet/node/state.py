@@ -1,0 +1,340 @@
+"""All that an RTPU process holds: claims, tables, tasks, core table, dispatcher."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+from typing import TYPE_CHECKING
+
+import pbonet
+from pbonet.errors import (
+    PbonetError,
+    RealTimeError,
+    Severity,
+    UnknownTaskError,
+    did_you_mean,
+)
+from pbonet.pbo import State
+
+from . import _rt, leftovers, ranking, runtime, status, wire
+from .claims import Claims
+from .spawner import Spawner
+from .tables import Tables
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.xm import rundir
+    from pbonet.xm.messages import TaskStatus
+
+    from .events import EventLog
+    from .tasks import Task
+
+Key = tuple[str, str]
+"""Subsystem and task."""
+WATCH_PERIOD = 0.5
+"""Seconds between looks at what nobody reports: files that vanish, the dispatcher."""
+
+
+class Rtpu:
+    """The state of one RTPU process.
+
+    Args:
+        config: What its agent told it at its start.
+        events: Where to tell what happens.
+        places: Its files in the runtime folder.
+    """
+
+    def __init__(
+        self, config: wire.RtpuConfig, events: EventLog, places: rundir.Places
+    ) -> None:
+        self.config = config
+        self.events = events
+        self.places = places
+        self.name = config.name
+        self.slot_owner = f"{config.domain}/{config.name}"
+        self.claims = Claims(config.name, epoch=int(time.time()))
+        self.tables = Tables(config.domain, changed=self.save)
+        self.tasks: dict[Key, Task] = {}
+        self.tombs: dict[Key, TaskStatus] = {}
+        """The last status of tasks that died, until they are killed or spawned anew."""
+        self.told: dict[Key, tuple[int | None, int]] = {}
+        """Criticality and priority as the master gave them."""
+        self.spawned: dict[Key, tuple[int | None, int]] = {}
+        """The same, as they came with the spawn."""
+        self.ranks: dict[Key, ranking.Ranked] = {}
+        self.stopping: set[str] = set()
+        self.turned_on = 0
+        self.spawner = Spawner(config.core, self._forks_died)
+        self.core: _rt.CoreTable
+        self.dispatcher: _rt.Dispatcher
+        self.limits: list[str] = []
+        self._watch: asyncio.Task[None] | None = None
+        self.claims_changed: Callable[[], None] | None = None
+
+    async def start(self) -> None:
+        """Take the core, start dispatching, start the fork server.
+
+        Raises:
+            PbonetError: One of these cannot be had.
+        """
+        probe = _rt.probe()
+        self.limits = list(probe.reasons)
+        if self.config.core not in probe.cores:
+            raise RealTimeError(
+                f"core {self.config.core} cannot be used by this process",
+                where=self.name,
+                expected="one of " + " ".join(map(str, probe.cores)),
+                remedy="choose another core, or widen the process's CPU affinity",
+            )
+        if len(probe.cores) == 1:
+            self.limits.append(
+                "this process may use one core alone, so everything else that runs "
+                "disturbs the tasks"
+            )
+        try:
+            _rt.lock_memory()
+        except RealTimeError as error:
+            self.limits.append(f"memory is not locked: {error}")
+        await self.spawner.start()
+        self.core = _rt.CoreTable(self.config.core, member=True)
+        self.dispatcher = _rt.Dispatcher(self.core, self.config.backend)
+        self.dispatcher.start()
+        self.save()
+        self._watch = asyncio.create_task(self._watch_quietly(), name="watch")
+
+    async def close(self) -> None:
+        """Give everything back; tasks should have ended."""
+        if self._watch is not None:
+            self._watch.cancel()
+            await asyncio.gather(self._watch, return_exceptions=True)
+        self.tables.close_all()
+        await self.spawner.close()
+        for name in ("dispatcher", "core"):
+            held = getattr(self, name, None)
+            if isinstance(held, _rt.Dispatcher):
+                held.stop()
+            elif isinstance(held, _rt.CoreTable):
+                held.close()
+
+    def info(self) -> wire.RtpuInfo:
+        """Return who this process is."""
+        return wire.RtpuInfo(
+            pid=os.getpid(),
+            core=self.config.core,
+            version=pbonet.__version__,
+            backend=self.dispatcher.backend,
+            limits=self.limits,
+            claims=self.claims.epochs(),
+        )
+
+    def save(self) -> None:
+        """Write down what has to be cleaned away should this process be killed."""
+        state = leftovers.Leftovers(
+            pid=os.getpid(),
+            started=runtime.start_time(os.getpid()),
+            core=self.config.core,
+            epoch=self.claims.epoch,
+            tables=self.tables.names(),
+            tasks=[
+                leftovers.TaskLeft(t.child.pid, t.child.started, t.facts.ring)
+                for t in self.tasks.values()
+            ],
+        )
+        try:
+            leftovers.write(self.places.state, state)
+        except PbonetError as error:
+            self.events.add(Severity.ERROR, error.code, str(error))
+
+    def tell_claims(self) -> None:
+        """Write down and pass on that the claims have changed."""
+        self.save()
+        if self.claims_changed is not None:
+            self.claims_changed()
+
+    # -- tasks -------------------------------------------------------------------------
+
+    def of(self, subsystem: str) -> list[Task]:
+        """Return the tasks of a subsystem, in the order in which they were spawned."""
+        return [task for key, task in self.tasks.items() if key[0] == subsystem]
+
+    def busy(self) -> set[str]:
+        """Return the subsystems that have tasks here."""
+        return {subsystem for subsystem, _ in self.tasks}
+
+    def need(self, subsystem: str, name: str) -> Task:
+        """Return a task.
+
+        Raises:
+            UnknownTaskError: There is none of that name.
+        """
+        task = self.tasks.get((subsystem, name))
+        if task is not None:
+            return task
+        known = [task.name for task in self.of(subsystem)]
+        tomb = self.tombs.get((subsystem, name))
+        raise UnknownTaskError(
+            f"subsystem {subsystem} has no task {name} here",
+            where=self.name,
+            got=f"it has died: {tomb.error}" if tomb else "",
+            remedy="spawn it again" if tomb else did_you_mean(name, known),
+        )
+
+    def rank(self) -> None:
+        """Rank all tasks anew and tell the dispatcher."""
+        entries = [self.claims.get(subsystem) for subsystem in self.busy()]
+        known = [entry for entry in entries if entry is not None]
+        scheduler = known[0].scheduler if known else "MUF"
+        wishes = [self._wish(key, task) for key, task in self.tasks.items()]
+        ranked = ranking.rank(
+            scheduler,
+            wishes,
+            minfreq=min((entry.minfreq for entry in known), default=1.0),
+            maxfreq=max((entry.maxfreq for entry in known), default=1000.0),
+        )
+        self.ranks = {key: ranked["/".join(key)] for key in self.tasks}
+        for key, task in self.tasks.items():
+            rank = self.ranks[key]
+            self.core.configure(task.facts.slot, crit=rank.crit, priority=rank.priority)
+
+    def _wish(self, key: Key, task: Task) -> ranking.Wish:
+        crit, priority = self.spawned.get(key, (None, 0))
+        return ranking.Wish(
+            name="/".join(key),
+            freq=task.freq,
+            maxc=task.facts.rmod.maxc,
+            rmod_crit=task.facts.rmod.crit,
+            told=self.told.get(key),
+            spawn_crit=crit,
+            priority=priority,
+        )
+
+    def status_of(self, task: Task) -> TaskStatus:
+        """Return a task's status from shared memory."""
+        key = (task.facts.subsystem, task.name)
+        rank = self.ranks.get(key, ranking.Ranked(0, 0, assumed=True))
+        slot = self.core.snapshot(task.facts.slot)
+        return status.task_status(self.name, task, slot, rank)
+
+    # -- what happens unasked ----------------------------------------------------------
+
+    def told_by(self, task: Task, notice: wire.Notice) -> None:
+        """Take what a task reports: an event, and perhaps an error or a warning."""
+        severity = Severity(notice.severity)
+        if notice.code == "WARNING":
+            task.warnings += 1
+            task.warning = task.warning or notice.text
+        if notice.error is not None:
+            task.error = str(PbonetError.from_wire(notice.error))
+        if notice.state:
+            self.settle(task)
+        self.events.add(
+            severity,
+            notice.code,
+            notice.text,
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=notice.cycle,
+            bits=notice.bits,
+        )
+
+    def settle(self, task: Task) -> None:
+        """Bring error text and illegal-configuration flag in line with the state."""
+        if task.state is State.ERROR:
+            self.raise_flag(task, "is in ERROR")
+            return
+        task.error = ""
+        self.clear_flag(task.facts.subsystem, task.name)
+
+    def raise_flag(self, task: Task, how: str) -> None:
+        """Raise the flag for a task that others may depend on (section 3.10)."""
+        opened = self.tables.get(task.facts.subsystem)
+        if opened is not None and task.facts.rmod.outvar:
+            opened.table.raise_illegal(f"{task.name} {how}", self.raiser(task.name))
+
+    def clear_flag(self, subsystem: str, name: str) -> None:
+        """Withdraw what was raised for a task; harmless when nothing was."""
+        opened = self.tables.get(subsystem)
+        if opened is not None:
+            opened.table.clear_illegal(self.raiser(name))
+
+    def raiser(self, name: str) -> str:
+        """Return who a flag's entry belongs to."""
+        return f"{self.name}/{name}"
+
+    def ended(self, task: Task, code: int) -> None:
+        """Clean up after a task's process, however it ended."""
+        from .tasks import describe_end
+
+        key = (task.facts.subsystem, task.name)
+        was_on = self.core.snapshot(task.facts.slot).mode != 0
+        last = self.status_of(task)
+        task.last_status = last
+        self.core.died(task.facts.slot)
+        self.core.free(task.facts.slot)
+        opened = self.tables.get(task.facts.subsystem)
+        if opened is not None:
+            opened.table.reap(task.name)
+        if task.facts.ring:
+            with contextlib.suppress(PbonetError, OSError):
+                _rt.Ring.attach(task.facts.ring).destroy()
+        self.tasks.pop(key, None)
+        self.told.pop(key, None)
+        self.spawned.pop(key, None)
+        if not task.stopping:
+            text = f"the task ended by itself: {describe_end(code)}"
+            last.error, last.tid = text, 0
+            self.tombs[key] = last
+            if was_on:
+                self.raise_flag(task, "has died")
+            trace = task.child.crash_text()
+            self.events.add(
+                Severity.ERROR,
+                "TASK_DIED",
+                f"{text}\n{trace}" if trace else text,
+                subsystem=key[0],
+                task=key[1],
+                cycle=last.cycle,
+            )
+        self.rank()
+        self.save()
+
+    def bury(self, subsystem: str, name: str) -> None:
+        """Forget a task that died, and what was raised for it."""
+        self.tombs.pop((subsystem, name), None)
+        self.clear_flag(subsystem, name)
+
+    def forget(self, subsystem: str) -> None:
+        """Forget all tasks of a subsystem that died."""
+        for key in [key for key in self.tombs if key[0] == subsystem]:
+            self.bury(*key)
+
+    def _forks_died(self, code: int) -> None:
+        from .tasks import describe_end
+
+        self.events.add(
+            Severity.ERROR,
+            "FORK_SERVER_DIED",
+            f"the fork server ended: {describe_end(code)}; every task turns itself "
+            "off and ends",
+        )
+
+    async def _watch_quietly(self) -> None:
+        """Look after what nobody reports."""
+        led = True
+        while True:
+            await asyncio.sleep(WATCH_PERIOD)
+            for subsystem in self.tables.vanished():
+                self.events.add(
+                    Severity.ERROR,
+                    "TABLE_REMOVED",
+                    "the table's file was removed while in use; tasks that run go on",
+                    subsystem=subsystem,
+                )
+            if led and not self.dispatcher.running:
+                led = False
+                self.events.add(
+                    Severity.FATAL, "DISPATCHER_ENDED", "nobody releases tasks any more"
+                )

@@ -1,0 +1,264 @@
+"""The state variable tables that an RTPU has open, one per subsystem (section 4.5.1).
+
+On each machine a subsystem has one table. The RTPU process of the keeper makes it and
+removes it; others on that machine attach. When the keeper is gone, whoever lets go last
+removes the file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.config import parse_svar
+from pbonet.errors import (
+    SvarError,
+    SvarExistsError,
+    SvarLayoutError,
+    SvarMissingError,
+)
+from pbonet.svar import Table
+from pbonet.xm import rundir
+from pbonet.xm.messages import TableInfo, VarValue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from pbonet.config.model import SvarFile
+    from pbonet.xm.messages import OpenTable
+
+
+class Opened(Struct):
+    """A table and what it was made from."""
+
+    table: Table
+    file: SvarFile
+    keep: bool
+    missed: bool = False
+    """True once its file was found to be gone."""
+
+
+class Tables:
+    """The open tables of one RTPU process.
+
+    Args:
+        domain: Part of every table's name, so that domains do not meet.
+        changed: Called when a table was opened or let go.
+    """
+
+    def __init__(self, domain: str, *, changed: Callable[[], None]) -> None:
+        self._domain = domain
+        self._changed = changed
+        self._open: dict[str, Opened] = {}
+
+    def names(self) -> list[str]:
+        """Return the names of the open tables, as their files bear them."""
+        return [opened.table.name for opened in self._open.values()]
+
+    def subsystems(self) -> list[str]:
+        """Return the subsystems whose tables are open."""
+        return list(self._open)
+
+    def get(self, subsystem: str) -> Opened | None:
+        """Return the subsystem's table if it is open."""
+        return self._open.get(subsystem)
+
+    def need(self, subsystem: str) -> Opened:
+        """Return the subsystem's table.
+
+        Raises:
+            SvarMissingError: It is not open.
+        """
+        opened = self._open.get(subsystem)
+        if opened is None:
+            raise SvarMissingError(
+                f"the table of subsystem {subsystem!r} is not open here",
+                remedy="the master opens it when it starts the subsystem",
+            )
+        return opened
+
+    def need_file(self, subsystem: str) -> Opened:
+        """Return the subsystem's table, sure that tasks can attach to it.
+
+        Raises:
+            SvarMissingError: It is not open, or its file was removed.
+        """
+        opened = self.need(subsystem)
+        if not opened.table.path.exists():
+            raise SvarMissingError(
+                "the table's file was removed while it was in use",
+                where=str(opened.table.path),
+                remedy="tasks that run go on; stop the subsystem and start it again "
+                "before spawning more",
+            )
+        return opened
+
+    def open(self, request: OpenTable) -> TableInfo:
+        """Create or attach the subsystem's table.
+
+        Raises:
+            ConfigError: The text of the file is wrong.
+            SvarError: The table cannot be made, or stands with another layout.
+        """
+        rundir.check_name("a subsystem", request.subsystem)
+        file = parse_svar(request.svar, request.svar_name)
+        layout = Table.layout_of(file.variables)
+        name = f"{self._domain}.{request.subsystem}"
+        held = self._open.get(request.subsystem)
+        if held is not None:
+            if held.table.layout != layout:
+                raise _other_layout(name, layout, held.table.layout)
+            return self._info(held)
+        table = self._create(name, file) if request.keep else self._attach(name, file)
+        opened = Opened(table, file, request.keep)
+        self._open[request.subsystem] = opened
+        self._changed()
+        return self._info(opened)
+
+    def close(self, subsystem: str) -> None:
+        """Let go of the table; the keeper removes its file."""
+        opened = self._open.pop(subsystem, None)
+        if opened is None:
+            return
+        if opened.keep:
+            opened.table.destroy()
+        else:
+            path = opened.table.path
+            opened.table.close()
+            remove_unused(path)
+        self._changed()
+
+    def close_all(self) -> None:
+        """Let go of every table; a file that others use is left to them."""
+        for opened in self._open.values():
+            path = opened.table.path
+            opened.table.close()
+            remove_unused(path)
+        self._open.clear()
+        self._changed()
+
+    def vanished(self) -> list[str]:
+        """Return the subsystems whose table's file has gone since the last call."""
+        found: list[str] = []
+        for subsystem, opened in self._open.items():
+            if not opened.missed and not opened.table.path.exists():
+                opened.missed = True
+                found.append(subsystem)
+        return found
+
+    def causes(self, subsystem: str) -> list[str]:
+        """Return why the illegal-configuration flag is up; empty while it is down."""
+        names = [subsystem] if subsystem else self.subsystems()
+        opened = [self._open[name] for name in names if name in self._open]
+        return [
+            f"{cause.cause} ({cause.raiser})"
+            for one in opened
+            for cause in one.table.illegal
+        ]
+
+    def display(self, subsystem: str, names: Sequence[str] | None) -> list[VarValue]:
+        """Return values of variables with their provenance, without owning any.
+
+        Raises:
+            UnknownVariableError: The table has no variable of that name.
+        """
+        table = self.need(subsystem).table
+        return [_value(table, name) for name in names or table.names()]
+
+    def write(self, subsystem: str, name: str, values: Sequence[float]) -> VarValue:
+        """Set a variable that no task writes.
+
+        Raises:
+            SvarOwnerError: A task writes it.
+            SvarError: This RTPU is not the keeper, or the values do not fit.
+        """
+        opened = self.need(subsystem)
+        if not opened.keep:
+            raise SvarError(
+                "this RTPU does not keep the table",
+                where=opened.table.name,
+                remedy="send it to the RTPU that MASTER names, or the first one",
+            )
+        opened.table.write(name, values)
+        return _value(opened.table, name)
+
+    def _create(self, name: str, file: SvarFile) -> Table:
+        try:
+            return Table.create(name, file.variables)
+        except SvarExistsError:
+            return self._attach(name, file)
+
+    @staticmethod
+    def _attach(name: str, file: SvarFile) -> Table:
+        try:
+            return Table.attach(name, layout=Table.layout_of(file.variables))
+        except SvarMissingError as error:
+            error.remedy = (
+                "open it on its keeper first; both RTPUs must be on one machine"
+            )
+            raise
+
+    @staticmethod
+    def _info(opened: Opened) -> TableInfo:
+        return TableInfo(
+            name=opened.table.name,
+            layout=opened.table.layout,
+            machine=rundir.machine(),
+        )
+
+
+def remove_unused(path: Path) -> bool:
+    """Remove a table's file unless somebody is attached; return whether it is gone.
+
+    Whoever is attached holds a shared lock on the file.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return True
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(fd), path.stat()):
+                path.unlink()
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(fd)
+    return True
+
+
+def _other_layout(name: str, wanted: str, got: str) -> SvarLayoutError:
+    return SvarLayoutError(
+        "a table of this name stands with another layout",
+        where=name,
+        expected=f"layout {wanted}",
+        got=f"layout {got}",
+        remedy="stop the subsystem that uses it, or give this one another name",
+    )
+
+
+def _value(table: Table, name: str) -> VarValue:
+    variable = table.variable(name)
+    value = table.read(name)
+    info = table.info(name)
+    values: list[float] | bytes = (
+        value.tobytes() if value.dtype.kind == "V" else value.tolist()
+    )
+    return VarValue(
+        name=name,
+        index=table.index(name),
+        values=values,
+        units=variable.units,
+        desc=variable.desc,
+        writer=info.writer,
+        age=None if info.age_ns is None else info.age_ns * 1e-9,
+        cycle=info.cycle,
+        seq=info.seq,
+        stale=info.stale,
+    )

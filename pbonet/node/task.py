@@ -1,0 +1,303 @@
+"""The process of one task: the module in the main thread, and no other thread.
+
+It comes out of the fork server with everything imported. Commands arrive as packets on
+its socket; while the task cycles, the RTPU process also raises a flag in the task's
+slot, on which the native loop comes back between two cycles. When the RTPU process or
+the fork server ends, so does the task: it runs `off` and `kill` within a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import os
+import select
+import signal
+import socket
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.config import parse_rmod
+from pbonet.config.library import Library
+from pbonet.errors import PbonetError, RealTimeError, Severity
+from pbonet.pbo import State, bind, decode_params
+from pbonet.svar import Table
+
+from . import _rt, runtime, wire
+from .executor import Executor
+from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
+from .taskparams import get_params, set_param
+from .taskports import check_ports, local_table
+from .tasks import DUMP_SIGNAL, Ready
+from .tasktalk import Context, SlotTime, Voice
+
+if TYPE_CHECKING:
+    from pbonet.config.model import Rmod
+
+ORPHAN_SIGNAL = signal.SIGUSR1
+
+
+def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
+    """Be the task that the specification describes; return the exit code."""
+    orphan_fd = _rt.orphan_guard(ORPHAN_SIGNAL, server)
+    faulthandler.register(DUMP_SIGNAL, crash_fd)
+    sock = socket.socket(fileno=sock_fd)
+    data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
+    os.close(spec_fd)
+    spec = msgspec.msgpack.decode(data, type=wire.TaskSpec)
+    voice = Voice(sock)
+    try:
+        host = Host(spec, voice, orphan_fd)
+        host.create()
+    except PbonetError as error:
+        voice.say(wire.Done(n=0, state=State.NOT_CREATED, error=error.to_wire()))
+        return 0
+    host.settle()
+    host.live()
+    return 0
+
+
+class Host:
+    """A task's process: makes the instance, obeys messages, cycles.
+
+    Args:
+        spec: What the task is to be.
+        voice: The socket to the RTPU process.
+        orphan_fd: Readable once the parent is gone.
+    """
+
+    def __init__(self, spec: wire.TaskSpec, voice: Voice, orphan_fd: int) -> None:
+        self.spec = spec
+        self.voice = voice
+        self._orphan_fd = orphan_fd
+        self._over = False
+        self._asked_to_end = ""
+        self._waiting_outside = False
+        self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
+        for which in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(which, self._on_signal)
+        self.core = _rt.CoreTable(spec.core, member=False)
+        self.slot = _rt.Slot(self.core, spec.slot)
+        self.decoder: msgspec.msgpack.Decoder[wire.ToTask] = msgspec.msgpack.Decoder(
+            wire.ToTask
+        )
+
+    # -- birth -------------------------------------------------------------------------
+
+    def create(self) -> None:
+        """Load the module, bind it to the table, and run its `init`.
+
+        Raises:
+            PbonetError: What is wrong with RMOD, module, table, or `init`.
+        """
+        spec = self.spec
+        self.rmod: Rmod = parse_rmod(spec.rmod, spec.rmod_name)
+        loaded = Library(spec.libraries).load(self.rmod.module)
+        self.info = loaded.info
+        check_ports(self.rmod, loaded.info)
+        params = decode_params(loaded.cls, self.rmod.local, where=self.rmod.file)
+        self.table = Table.attach(spec.table, layout=spec.layout)
+        self.local = local_table(self.table, spec.task, self.rmod)
+        self.ring = _rt.Ring.create(spec.ring)
+        self.time = SlotTime(self.slot)
+        self.context = Context(
+            spec.task,
+            rmod=self.rmod.name,
+            freq=spec.freq,
+            crit=spec.crit,
+            source=self.time,
+            outbox=self.voice,
+        )
+        self.context.on_off = lambda: self.core.request(spec.slot)
+        arrays = {
+            port.attr: self.local.array(self.rmod.svar_name(port.name))
+            for port in self.info.ports
+        }
+        instance = bind(loaded.cls, params, arrays, self.context)
+        illegal = (lambda: self.local.illegal) if self.rmod.critical else None
+        self.executor = Executor(instance, self.local, illegal=illegal)
+        self.executor.spawn()
+
+    def settle(self) -> None:
+        """Make the process fit for real time, then say that the task is OFF."""
+        notes: list[str] = []
+        try:
+            _rt.lock_memory()
+            _rt.populate_pages()
+        except RealTimeError as error:
+            notes.append(f"memory is not locked: {error}")
+        _rt.prefault_stack()
+        _rt.set_timer_slack()
+        _rt.pin(self.spec.core)
+        runtime.settle_memory()
+        self.slot.command_level()
+        ready = Ready(
+            module=self.info.name,
+            version=self.info.version,
+            critical_ok=self.info.critical_ok,
+            notes=notes,
+        )
+        self._answer(0, ready)
+
+    # -- life --------------------------------------------------------------------------
+
+    def live(self) -> None:
+        """Obey messages and cycle until the task is killed or orphaned."""
+        while not self._over:
+            if self._asked_to_end or _rt.orphaned():
+                self.end(self._asked_to_end or "the RTPU process is gone")
+            elif self.executor.state is State.ON:
+                self._cycle()
+            else:
+                self._wait()
+        self._close()
+
+    def _wait(self) -> None:
+        sock = self.voice.sock
+        files = [sock.fileno(), self._orphan_fd, self._wake_read]
+        ready, _, _ = select.select(files, [], [])
+        if self._wake_read in ready:
+            os.read(self._wake_read, 512)
+        if sock.fileno() in ready:
+            self._take()
+
+    def _cycle(self) -> None:
+        """Cycle until a message waits or something fails."""
+        instance = self.executor.instance
+        synchronous = self.rmod.tasktype == "synchronous"
+        self.time.cycling = True
+        try:
+            reason = self.slot.run(
+                instance.cycle,
+                self.local,
+                stable=instance.stable if self.rmod.critical else None,
+                sync=self._sync if synchronous else None,
+                ring=self.ring,
+                leave=ALL_REFUSED,
+            )
+            self.time.cycling = False
+            if reason == _rt.FLAGS:
+                self._fault(refused(self.slot.flags, self.local.blamed))
+        except RAISED as error:
+            self.time.cycling = False
+            self._fault(contained(error))
+        if self.context.off_requested and self.executor.state is State.ON:
+            self._obey("off")
+        self._take()
+
+    def _sync(self) -> None:
+        self._waiting_outside = True
+        self.executor.instance.sync()
+        self._waiting_outside = False
+
+    def _fault(self, error: Raised) -> None:
+        """Have the executor deal with what a cycle raised, and report it."""
+        method = "sync" if self._waiting_outside else "cycle"
+        self._waiting_outside = False
+        try:
+            self.executor.fault(error, method)
+        except PbonetError as second:
+            error = second
+        if self.executor.state is not State.ON:
+            self.slot.disarm()
+        self.voice.report(error, self.executor, self.time.cyclecount)
+
+    def _obey(self, signal: str) -> None:
+        """Carry out a signal that nobody waits for; report how it went."""
+        failed: PbonetError | None = None
+        try:
+            self.executor.signal(signal)
+        except PbonetError as error:
+            failed = error
+        self._after_signal()
+        self.voice.notice(
+            Severity.ERROR if failed else Severity.INFO,
+            "METHOD" if failed else "STATE",
+            str(failed or f"{signal}: {self.executor.state}"),
+            cycle=self.time.cyclecount,
+            state=self.executor.state,
+            error=failed,
+        )
+
+    def _take(self) -> None:
+        """Obey all messages that wait."""
+        while not self._over:
+            data = self.voice.hear()
+            if data is None:
+                return
+            if not data:
+                self.end("the RTPU process is gone")
+                return
+            message = self.decoder.decode(data)
+            try:
+                result = self._do(message)
+            except PbonetError as error:
+                self._after_signal()
+                self._answer(message.n, None, error)
+            else:
+                self._answer(message.n, result)
+
+    def _do(self, message: wire.ToTask) -> object:
+        match message:
+            case wire.Signal():
+                self._signal(message)
+                return None
+            case wire.SetParam():
+                return set_param(self.executor, self.info, message.name, message.value)
+            case wire.GetParam():
+                return get_params(self.executor, self.info, message.name)
+            case wire.SetFreq():
+                self.context.freq = message.hz
+                return message.hz
+
+    def _signal(self, message: wire.Signal) -> None:
+        if message.signal == "on":
+            self.time.turned_on()
+        self.executor.signal(message.signal, message.arg, handover=message.handover)
+        self._after_signal()
+
+    def _after_signal(self) -> None:
+        """Bring the slot in line with the state."""
+        state = self.executor.state
+        if state is not State.ON:
+            self.slot.disarm()
+            gc.collect()
+            gc.freeze()
+        if state is State.NOT_CREATED:
+            self._over = True
+
+    def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
+        wired = error.to_wire() if error else None
+        state = self.executor.state.value
+        self.voice.say(wire.Done(n=n, state=state, result=result, error=wired))
+
+    # -- death -------------------------------------------------------------------------
+
+    def end(self, reason: str) -> None:
+        """Run `off` and `kill` for whatever reason nobody sent them."""
+        self.voice.notice(
+            Severity.WARNING,
+            "ENDING",
+            f"the task ends: {reason}",
+            cycle=self.time.cyclecount,
+        )
+        for _ in range(2):  # an `off` that fails within `kill` leads to ERROR
+            if self.executor.state is not State.NOT_CREATED:
+                self._obey("kill")
+        self._over = True
+
+    def _close(self) -> None:
+        self.slot.disarm()
+        with contextlib.suppress(PbonetError, OSError):
+            self.local.close()
+        if _rt.orphaned():
+            with contextlib.suppress(PbonetError, OSError):
+                self.ring.destroy()
+                self.core.free(self.spec.slot)
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self._asked_to_end = signal.Signals(number).name
+        self.core.request(self.spec.slot)

@@ -1,0 +1,69 @@
+"""Whether an RMOD names the ports that its module has, and which variables they are."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PortError, did_you_mean
+from pbonet.ports import Kind
+
+if TYPE_CHECKING:
+    from pbonet.config.model import Rmod
+    from pbonet.pbo import ModuleInfo
+    from pbonet.svar import LocalTable, Table
+
+
+def listed(rmod: Rmod) -> dict[Kind, tuple[str, ...]]:
+    """Return the ports that an RMOD lists, by kind."""
+    return {
+        Kind.INCONST: rmod.inconst,
+        Kind.OUTCONST: rmod.outconst,
+        Kind.INVAR: rmod.invar,
+        Kind.OUTVAR: rmod.outvar,
+    }
+
+
+def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
+    """Return the local table of this process, with the variables behind the ports.
+
+    Raises:
+        SvarError: A variable is not there, or there is no room.
+    """
+    return table.local(
+        task,
+        os.getpid(),
+        inconst=[rmod.svar_name(port) for port in rmod.inconst],
+        outconst=[rmod.svar_name(port) for port in rmod.outconst],
+        invar=[rmod.svar_name(port) for port in rmod.invar],
+        outvar=[rmod.svar_name(port) for port in rmod.outvar],
+    )
+
+
+def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
+    """Refuse an RMOD that lists other ports than its module declares.
+
+    Raises:
+        PortError: A port is missing on one side, or is of another kind.
+    """
+    for kind, names in listed(rmod).items():
+        declared = info.named(kind)
+        for name in names:
+            if name not in declared:
+                raise PortError(
+                    f"module {info.name} has no {kind} {name}",
+                    where=rmod.file,
+                    expected=" ".join(declared) or "none",
+                    got=name,
+                    remedy=did_you_mean(name, declared)
+                    or f"take it out of the .rmod file, or declare it in {info.file}",
+                )
+        for name in declared:
+            if name not in names:
+                raise PortError(
+                    f"the .rmod file does not list {kind} {name}",
+                    where=rmod.file,
+                    expected=" ".join(declared),
+                    got=" ".join(names) or "none",
+                    remedy=f"module {info.name} declares it: add it to the file",
+                )

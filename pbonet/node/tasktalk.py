@@ -1,0 +1,176 @@
+"""How a task speaks: to the RTPU process, and to its module about time."""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import TYPE_CHECKING
+
+from pbonet.errors import MethodError, PbonetError, Severity
+from pbonet.pbo import Notice, Signal, TaskContext
+
+from . import wire
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ._rt import Slot
+    from .executor import Executor
+    from .failures import Raised
+
+_NAMED = Signal.OFF | Signal.FINISH | Signal.ERROR | Signal.WARNING | Signal.SHUTDOWN
+
+
+class Voice:
+    """The task's end of its socket.
+
+    Answers wait until the RTPU process takes them; what a module says within a cycle
+    never waits: it is dropped when there is no room, counted, and told later.
+
+    Args:
+        sock: Sequenced packets to the RTPU process.
+    """
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.sock = sock
+        self._dropped = 0
+
+    def hear(self) -> bytes | None:
+        """Return the next packet, b"" when the other end is closed, None for none."""
+        try:
+            return self.sock.recv(2 * wire.LARGEST_PACKET, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+        except OSError:
+            return b""
+
+    def say(self, done: wire.Done) -> None:
+        """Answer a message; a too long one is answered with an error."""
+        data = wire.encode(done)
+        if len(data) > wire.LARGEST_PACKET:
+            error = PbonetError(
+                "the task's answer is too long",
+                expected=f"at most {wire.LARGEST_PACKET} bytes",
+                got=f"{len(data)} bytes",
+            )
+            data = wire.encode(
+                wire.Done(n=done.n, state=done.state, error=error.to_wire())
+            )
+        try:
+            self.sock.send(data)
+        except OSError:
+            return  # the RTPU process is gone; the orphan guard says so
+
+    def put(self, notice: Notice) -> None:
+        """Take a module's signal or warning, within a cycle."""
+        warned = notice.bits & Signal.WARNING
+        self._post(
+            wire.Notice(
+                severity=int(_severity(notice.bits)),
+                code="WARNING" if warned else "SIGNAL",
+                text=notice.text if warned else _signal_text(notice),
+                cycle=notice.cycle,
+                bits=notice.bits,
+            )
+        )
+
+    def notice(
+        self,
+        severity: Severity,
+        code: str,
+        text: str,
+        *,
+        cycle: int = 0,
+        state: str = "",
+        error: PbonetError | None = None,
+    ) -> None:
+        """Tell that something happened unasked."""
+        self._post(
+            wire.Notice(
+                severity=int(severity),
+                code=code,
+                text=text,
+                cycle=cycle,
+                state=state,
+                error=error.to_wire() if error else None,
+            )
+        )
+
+    def report(self, error: Raised, executor: Executor, cycle: int) -> None:
+        """Tell what a cycle raised and what became of it."""
+        if isinstance(error, PbonetError):
+            told = error
+        else:
+            told = MethodError(executor.task.errmsg or str(error))
+        text = f"{executor.task.errmsg or error}: {executor.state}"
+        self.notice(
+            Severity.ERROR,
+            "METHOD",
+            text,
+            cycle=cycle,
+            state=executor.state,
+            error=told,
+        )
+
+    def _post(self, notice: wire.Notice) -> None:
+        if self._dropped:
+            notice.text = (
+                f"[{self._dropped} notices lost before this one] {notice.text}"
+            )
+        try:
+            self.sock.send(wire.encode(notice), socket.MSG_DONTWAIT)
+        except OSError:
+            self._dropped += 1
+        else:
+            self._dropped = 0
+
+
+def _severity(bits: int) -> Severity:
+    if bits & (Signal.ERROR | Signal.SHUTDOWN):
+        return Severity.ERROR
+    return Severity.WARNING if bits & Signal.WARNING else Severity.INFO
+
+
+def _signal_text(notice: Notice) -> str:
+    names = [one.name or "" for one in Signal if notice.bits & one]
+    users = [
+        f"user {i - len(Signal)}"
+        for i in range(len(Signal), 32)
+        if notice.bits >> i & 1
+    ]
+    return ": ".join(filter(None, [" ".join(names + users), notice.text]))
+
+
+class SlotTime:
+    """Time and cycle count as the slot has them; see `pbonet.pbo.TimeSource`."""
+
+    def __init__(self, slot: Slot) -> None:
+        self._slot = slot
+        self._base = slot.cycles
+        self.cycling = False
+
+    def turned_on(self) -> None:
+        """Count cycles from here."""
+        self._base = self._slot.cycles
+
+    @property
+    def now(self) -> int:
+        """The release of the present cycle, or the clock's time between cycles."""
+        return self._slot.release_ns if self.cycling else time.monotonic_ns()
+
+    @property
+    def cyclecount(self) -> int:
+        """Cycles executed since the task was turned on."""
+        return self._slot.cycles - self._base
+
+
+class Context(TaskContext):
+    """``self.task`` in a task's process: asking for OFF wakes the runtime."""
+
+    on_off: Callable[[], None] | None = None
+
+    def signal(self, signal: Signal | int, text: str = "") -> None:
+        """Send `signal` to the master; see `TaskContext.signal`."""
+        super().signal(signal, text)
+        if self.off_requested and self.on_off is not None:
+            self.on_off()
