@@ -1,0 +1,124 @@
+"""The C headers as Cython sees them; what is atomic is reached through functions only."""
+
+from libc.stdint cimport int32_t, int64_t, uint16_t, uint32_t, uint64_t
+
+
+cdef extern from "layout.h" nogil:
+    enum:
+        RT_SLOTS, RT_MEMBERS, RT_NAME, RT_TRACE, RT_BINS, RT_VERSION
+        RT_COMMAND_LEVEL, RT_DISPATCHER_LEVEL
+        RT_OFF, RT_ON, RT_COMMAND
+        RT_PERIODIC, RT_SYNCHRONOUS
+        RT_NONE, RT_FIFO, RT_PARK
+        RT_ASK_COMMAND, RT_ASK_ORPHAN
+    const int64_t RT_MIN_PERIOD_NS
+    struct rt_event:
+        int64_t a, b
+        uint32_t arg
+        uint16_t slot, kind
+    struct rt_config:
+        char *rtpu
+        char *task
+    struct rt_slot:
+        rt_config config
+    struct rt_table:
+        rt_slot *slots
+
+cdef extern from "sys.h" nogil:
+    int64_t rt_now()
+    uint64_t rt_thread_cpu()
+    int rt_pin(int tid, int core)
+
+cdef extern from "table.h" nogil:
+    enum:
+        RT_NO_TABLE, RT_FOREIGN, RT_BAD_VERSION, RT_DAMAGED, RT_MEMBERS_FULL
+    struct rt_map:
+        rt_table *table
+        int fd, member
+    struct rt_settings:
+        int32_t pid, crit, priority, kind
+        int64_t period_ns, deadline_ns
+    int rt_attach(rt_map *map, const char *path, int core, int member)
+    void rt_detach(rt_map *map, const char *path)
+    void rt_unmap(rt_map *map)
+    int rt_alloc(rt_table *t, int member, const char *rtpu, const char *task)
+    void rt_free(rt_table *t, int i)
+    void rt_configure(rt_table *t, int i, const rt_settings *s)
+    void rt_died(rt_table *t, int i)
+    void rt_kick(rt_table *t)
+
+cdef extern from "dispatch.h" nogil:
+    int64_t rt_turn(rt_table *t, int64_t now, int park, int lead)
+    void rt_turn_end(rt_table *t)
+
+cdef extern from "loop.h" nogil:
+    struct rt_loop:
+        rt_table *table
+        int backend, running
+    int rt_start(rt_loop *loop)
+    void rt_stop(rt_loop *loop)
+    int rt_leading(const rt_loop *loop)
+    int rt_try_fifo()
+
+cdef extern from "slot.h" nogil:
+    enum:
+        RT_RELEASED, RT_WAIT_COMMAND, RT_WAIT_ORPHAN, RT_WAIT_SIGNAL
+    struct rt_task:
+        rt_table *table
+        rt_slot *slot
+        int64_t rel_ns
+    struct rt_cost:
+        int64_t start_ns, called_ns, returned_ns, end_ns
+        uint64_t cpu_ns
+        int failed, stable, torn, stale, lost
+    void rt_arm(rt_task *task)
+    int rt_leave(rt_task *task, int mode)
+    int rt_command_level(const rt_task *task)
+    int rt_wait(rt_task *task, int served)
+    void rt_begin(rt_task *task)
+    void rt_end(rt_task *task)
+    int64_t rt_step(const rt_task *task)
+    void rt_account(rt_task *task, const rt_cost *cost)
+    void rt_request(rt_slot *slot, uint32_t ask)
+    uint64_t rt_faults()
+    void rt_count_faults(rt_slot *slot, uint64_t n)
+
+cdef extern from "view.h" nogil:
+    struct rt_view:
+        int life, dead, pid, kind, crit, priority, mode, level
+        int64_t period_ns, deadline_ns, release_ns
+        uint64_t dispatcher_missed, errors
+        uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost
+        uint64_t on_cycles, on_missed, on_cpu_ns, on_faults
+        uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns
+        uint64_t copy_in_ns, copy_out_ns, jitter_max_ns
+        uint64_t *jitter
+        uint64_t *cpu
+    struct rt_core_view:
+        int backend, leader_pid, leader_tid
+        int64_t since_ns, late_max_ns
+        uint64_t turns, releases, level_changes, errors, takeovers
+        int *members
+        int *lives
+    void rt_snapshot(const rt_slot *slot, rt_view *v)
+    void rt_core_snapshot(const rt_table *t, rt_core_view *v)
+    uint64_t rt_copy_trace(const rt_table *t, uint64_t since, rt_event *to,
+                           uint64_t *first, uint64_t *end)
+    uint32_t rt_life(const rt_table *t, int i)
+    int rt_mode_of(const rt_slot *slot)
+    int rt_kind_of(const rt_slot *slot)
+    uint64_t rt_cycles(const rt_slot *slot)
+    uint64_t rt_missed(const rt_slot *slot)
+    int64_t rt_period(const rt_slot *slot)
+    int rt_pending(const rt_slot *slot)
+    int rt_leader(const rt_table *t)
+    void rt_play(rt_table *t, rt_slot *slot, int mode, int begun, int done)
+
+cdef extern from "guard.h" nogil:
+    int rt_guard_slot(rt_slot *slot)
+    int rt_guard_orphan(int signal, int parent)
+    int rt_is_orphan()
+    int rt_lock_memory()
+    int rt_prefault_stack(size_t size)
+    int rt_populate(size_t at, size_t size)
+    void rt_timer_slack(unsigned long ns)

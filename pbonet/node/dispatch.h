@@ -1,0 +1,302 @@
+/* The dispatcher's turn: a pure function over the core table.
+ *
+ * The twin of pbonet/sched/dispatch.py, which explains the rules. A turn takes in what
+ * tasks and RTPU processes wrote since the last one, decides, and leaves both in the
+ * trace, inputs first. It makes no call into the kernel: `loop.h` acts on the decisions.
+ *
+ * A leader may be killed at any instruction. So each slot's state is replaced whole,
+ * through a journal: a standby that finds it valid finishes the replacement.
+ */
+#ifndef PBONET_DISPATCH_H
+#define PBONET_DISPATCH_H
+
+#include "layout.h"
+#include "muf.h"
+
+#include <string.h>
+
+static inline void rt_emit(struct rt_table *t, int kind, int slot, uint32_t arg,
+                           int64_t a, int64_t b)
+{
+    t->trace[t->trace_next++ & (RT_TRACE - 1)] = (struct rt_event){
+        .a = a, .b = b, .arg = arg, .slot = (uint16_t)slot, .kind = (uint16_t)kind};
+}
+
+/* Replace a slot's state so that a kill at any point leaves the old or the new one. */
+static inline void rt_commit(struct rt_table *t, int i, const struct rt_state *next)
+{
+    t->journal = *next;
+    t->journal_slot = (uint32_t)i;
+    /* SYNC POINT: rt_recover looks at the journal only where this is 1. */
+    atomic_store_explicit(&t->journal_valid, 1, memory_order_release);
+    atomic_signal_fence(memory_order_seq_cst);
+    t->slots[i].state = *next;
+    atomic_store_explicit(&t->journal_valid, 0, memory_order_release);
+}
+
+static inline void rt_disarm(struct rt_state *s)
+{
+    s->armed = s->ready = s->granted = s->begun = s->parked = 0;
+    s->level = 0;
+    s->next_ns = 0;
+}
+
+/* Take over a changed configuration; one half written is left for its writer's kick. */
+static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
+{
+    /* SYNC POINT: pairs with the two writes of `gen` around a change in table.h. */
+    uint32_t gen = atomic_load_explicit(&c->gen, memory_order_acquire);
+    if (gen == s->gen || (gen & 1))
+        return 0;
+    int32_t pid = atomic_load_explicit(&c->pid, memory_order_relaxed);
+    int32_t kind = atomic_load_explicit(&c->kind, memory_order_relaxed);
+    int32_t crit = atomic_load_explicit(&c->crit, memory_order_relaxed);
+    int32_t priority = atomic_load_explicit(&c->priority, memory_order_relaxed);
+    int64_t period = atomic_load_explicit(&c->period_ns, memory_order_relaxed);
+    int64_t deadline = atomic_load_explicit(&c->deadline_ns, memory_order_relaxed);
+    atomic_thread_fence(memory_order_acquire);
+    if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
+        return 0;
+    s->gen = gen;
+    s->pid = pid;
+    s->kind = kind;
+    s->crit = crit;
+    s->priority = priority;
+    s->period = period;
+    s->deadline = deadline;
+    return 1;
+}
+
+static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
+                                 uint32_t word, int64_t now)
+{
+    uint32_t changed = word ^ s->word;
+    uint32_t mode = word & 3;
+    s->word = word;
+    rt_emit(t, RT_MODE, i, word, 0, 0);
+    if ((changed >> 2 & 0x7fff) || mode == RT_OFF)
+        rt_disarm(s);
+    if (changed >> 17 || mode != RT_ON)
+        s->level = 0;
+    if (mode == RT_OFF || s->armed || s->dead)
+        return;
+    s->armed = 1;
+    if (s->kind == RT_PERIODIC) {
+        s->next_ns = (now + RT_LEAD_NS + s->period - 1) / s->period * s->period;
+    } else {                    /* timed from outside: ready for good */
+        s->ready = 1;
+        s->rel_ns = now;
+        s->dl_ns = RT_NEVER;
+        rt_emit(t, RT_RELEASE, i, 0, now, RT_NEVER);
+    }
+}
+
+/* Whether slot i has anything to take in; most have not, most of the time. */
+static inline int rt_news(const struct rt_slot *slot)
+{
+    const struct rt_state *s = &slot->state;
+    const struct rt_config *c = &slot->config;
+    return atomic_load_explicit(&c->life, memory_order_relaxed) != s->life ||
+           atomic_load_explicit(&c->gen, memory_order_relaxed) != s->gen ||
+           atomic_load_explicit(&slot->post.word, memory_order_relaxed) != s->word ||
+           s->granted ||
+           atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
+}
+
+/* Take in what happened to slot i; emits inputs. */
+static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64_t now)
+{
+    struct rt_slot *slot = &t->slots[i];
+    uint32_t life = atomic_load_explicit(&slot->config.life, memory_order_acquire);
+    if (life != s->life) {
+        memset(s, 0, sizeof *s);
+        s->life = life;
+        rt_emit(t, RT_LIFE, i, life, 0, 0);
+    }
+    if (!(life & 1))
+        return;
+    if (rt_latch_config(&slot->config, s))
+        rt_emit(t, RT_CONFIG, i,
+                (uint32_t)s->crit | (uint32_t)s->priority << 8 | (uint32_t)s->kind << 24,
+                s->period, s->deadline);
+    if (!s->dead && atomic_load(&slot->config.dead) == life) {
+        rt_emit(t, RT_DEAD, i, 0, 0, 0);
+        s->dead = 1;
+        rt_disarm(s);
+    }
+    /* SYNC POINT: pairs with the stores in slot.h. The word is loaded first: what the
+     * task did after its cycle is never seen without the cycle's end. */
+    uint32_t word = atomic_load_explicit(&slot->post.word, memory_order_acquire);
+    if (s->granted &&
+        atomic_load_explicit(&slot->post.done, memory_order_acquire) == s->seq) {
+        rt_emit(t, RT_DONE, i, 0, 0, 0);
+        s->ready = s->granted = s->begun = s->parked = 0;
+    } else if (s->granted && !s->begun && atomic_load(&slot->post.begun) == s->seq) {
+        rt_emit(t, RT_BEGUN, i, 0, 0, 0);
+        s->begun = 1;
+    }
+    if (word != s->word && s->gen)
+        rt_latch_mode(t, i, s, word, now);
+}
+
+/* Grant the newest release that is due and count the others as missed. */
+static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int64_t now)
+{
+    int64_t release = s->next_ns, last = now / s->period * s->period;
+    uint64_t missed = 0;
+    if (last > release) {
+        missed = (uint64_t)(last / s->period - release / s->period);
+        release = last;
+    }
+    missed += s->ready;
+    s->dl_ns = release + (s->deadline ? s->deadline : s->period);
+    if (!s->begun) {
+        s->rel_ns = release;
+        if (s->granted) {       /* told, but not begun: it runs as the new one */
+            atomic_store_explicit(&t->slots[i].grant.rel_ns, s->rel_ns,
+                                  memory_order_relaxed);
+            atomic_store_explicit(&t->slots[i].grant.dl_ns, s->dl_ns,
+                                  memory_order_relaxed);
+        }
+    }
+    s->ready = 1;
+    s->missed += missed;
+    s->next_ns = (release / s->period + 1) * s->period;
+    rt_emit(t, RT_RELEASE, i, 0, release, s->dl_ns);
+    if (missed)
+        rt_emit(t, RT_MISS, i, (uint32_t)missed, 0, 0);
+}
+
+/* Tell the task of its release; whoever acts on the trace wakes it. */
+static inline void rt_publish(struct rt_slot *slot)
+{
+    struct rt_grant *g = &slot->grant;
+    atomic_store_explicit(&g->rel_ns, slot->state.rel_ns, memory_order_relaxed);
+    atomic_store_explicit(&g->dl_ns, slot->state.dl_ns, memory_order_relaxed);
+    atomic_store_explicit(&g->parked, slot->state.parked, memory_order_relaxed);
+    /* SYNC POINT: rt_slot_wait loads `seq` with acquire before it reads the times. */
+    atomic_store_explicit(&g->seq, slot->state.seq, memory_order_release);
+    atomic_fetch_add(&g->bell, 1);
+}
+
+static inline void rt_let_run(struct rt_table *t, int i)
+{
+    struct rt_state s = t->slots[i].state;
+    if (!s.granted) {
+        s.granted = 1;
+        s.seq++;
+        rt_commit(t, i, &s);
+        rt_publish(&t->slots[i]);
+        rt_emit(t, RT_WAKE, i, s.seq, 0, 0);
+    } else if (s.parked) {
+        s.parked = 0;
+        rt_commit(t, i, &s);
+        atomic_store(&t->slots[i].grant.parked, 0);
+        rt_emit(t, RT_RESUME, i, 0, 0, 0);
+    }
+}
+
+static inline void rt_hold(struct rt_table *t, int i)
+{
+    struct rt_state s = t->slots[i].state;
+    if (s.granted && !s.parked) {
+        s.parked = 1;
+        rt_commit(t, i, &s);
+        atomic_store(&t->slots[i].grant.parked, 1);
+        rt_emit(t, RT_PARKED, i, 0, 0, 0);
+    }
+}
+
+/* Rank the ready tasks: levels first, then wake-ups, both in order of urgency. */
+static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, int park)
+{
+    muf_sort(ready, n);
+    muf_assign(ready, n, MUF_LOW, MUF_HIGH);
+    for (int k = 0; k < n; k++) {
+        struct rt_state *s = &t->slots[ready[k].slot].state;
+        if (s->level != ready[k].level) {
+            s->level = ready[k].level;      /* one word: needs no journal */
+            rt_emit(t, RT_LEVEL, ready[k].slot, (uint32_t)s->level, 0, 0);
+        }
+    }
+    uint32_t waiting = 0;
+    int top = 1;
+    for (int k = 0; k < n; k++) {
+        int i = ready[k].slot;
+        if (park && t->slots[i].state.kind == RT_PERIODIC && !top) {
+            rt_hold(t, i);
+            waiting++;
+        } else {
+            if (t->slots[i].state.kind == RT_PERIODIC)
+                top = 0;
+            rt_let_run(t, i);
+        }
+    }
+    atomic_store(&t->waiting, waiting);
+}
+
+/* Take one turn; returns the next event's instant, 0 for none.
+ *
+ * `lead` marks the first turn of a new leader, which knows no task's level. The records
+ * of the turn are trace[trace_end .. trace_next) until rt_turn_end.
+ */
+static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lead)
+{
+    struct muf_item ready[RT_SLOTS];
+    int n = 0, high = (int)atomic_load_explicit(&t->high, memory_order_acquire);
+    int64_t due = 0;
+    uint64_t head = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
+    t->trace_next = head;
+    rt_emit(t, RT_TURN, 0, (uint32_t)park, now, 0);
+    if (lead)
+        rt_emit(t, RT_LEAD, 0, 0, atomic_load(&t->leader_pid), 0);
+    for (int i = 0; i < high; i++) {
+        if (!lead && !rt_news(&t->slots[i]))
+            continue;
+        struct rt_state s = t->slots[i].state;
+        if (lead)
+            s.level = 0;
+        rt_latch(t, i, &s, now);
+        rt_commit(t, i, &s);
+    }
+    for (int i = 0; i < high; i++) {
+        struct rt_state *s = &t->slots[i].state;
+        if (s->armed && s->next_ns && s->next_ns <= now) {
+            struct rt_state next = *s;
+            rt_release(t, i, &next, now);
+            rt_commit(t, i, &next);
+        }
+        /* Place of deadlines and budgets: they follow the releases and precede the
+         * ranking, which they may change through a slot's criticality. */
+        if (s->armed && s->next_ns && (!due || s->next_ns < due))
+            due = s->next_ns;
+        if (s->ready && (s->word & 3) == RT_ON)
+            ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
+                                           .crit = s->crit, .priority = s->priority,
+                                           .level = s->level, .slot = i};
+    }
+    rt_rank(t, ready, n, park);
+    t->trace[head & (RT_TRACE - 1)].b = due;
+    return due;
+}
+
+/* Make the turn's records part of the trace that others read. */
+static inline void rt_turn_end(struct rt_table *t)
+{
+    /* SYNC POINT: CoreTable.trace loads `trace_end` with acquire. */
+    atomic_store_explicit(&t->trace_end, t->trace_next, memory_order_release);
+}
+
+/* Finish what a dead leader had begun; the first turn with `lead` follows. */
+static inline void rt_recover(struct rt_table *t)
+{
+    uint32_t i = t->journal_slot;
+    if (atomic_load_explicit(&t->journal_valid, memory_order_acquire) && i < RT_SLOTS)
+        t->slots[i].state = t->journal;
+    atomic_store(&t->journal_valid, 0);
+    for (i = 0; i < atomic_load(&t->high); i++)
+        if (t->slots[i].state.life & 1)
+            rt_publish(&t->slots[i]);
+}
+
+#endif

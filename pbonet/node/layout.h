@@ -1,0 +1,147 @@
+/* The core table: all that a dispatcher knows, in memory shared per user and core.
+ *
+ * Who writes what (each field has one writer at a time):
+ *   config  the RTPU process that owns the slot, under the edit lock, fenced by `gen`
+ *   post    the task
+ *   grant   the leading dispatcher; `bell` and `ask` by anybody, atomically
+ *   state   the leading dispatcher alone; a standby reads it when it takes over
+ *   stats   the task, fenced by `seq` for readers
+ * Nobody waits for another one here, except for the edit lock among RTPU processes.
+ */
+#ifndef PBONET_LAYOUT_H
+#define PBONET_LAYOUT_H
+
+#ifndef _GNU_SOURCE
+#define _GNU_SOURCE
+#define RT_PREFIX (offsetof(struct rt_table, leader))
+
+#endif
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stddef.h>
+#include <stdint.h>
+
+enum {
+    RT_SLOTS = 128,
+    RT_MEMBERS = 32,
+    RT_NAME = 64,
+    RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
+    RT_TURN_MAX = 10 * RT_SLOTS + 2,
+    RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
+    RT_VERSION = 1,
+    RT_COMMAND_LEVEL = 3,
+    RT_DISPATCHER_LEVEL = 95,
+};
+#define RT_MAGIC UINT64_C(0x31656e6f63626f70)
+#define RT_MIN_PERIOD_NS INT64_C(100000)
+#define RT_LEAD_NS INT64_C(100000)
+#define RT_NEVER INT64_MAX
+
+enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2 };
+enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1 };
+enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
+enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2 };
+
+/* One record of the trace; pbonet/sched/dispatch.py says what the kinds mean. */
+struct rt_event {
+    int64_t a, b;
+    uint32_t arg;
+    uint16_t slot;
+    uint16_t kind;
+};
+enum rt_event_kind {
+    RT_TURN = 1, RT_LIFE, RT_CONFIG, RT_DEAD, RT_MODE, RT_DONE, RT_BEGUN, RT_LEAD,
+    RT_RELEASE = 16, RT_MISS, RT_LEVEL, RT_WAKE, RT_PARKED, RT_RESUME,
+};
+
+struct rt_config {
+    _Atomic uint32_t gen;    /* odd while being written */
+    _Atomic uint32_t life;   /* odd while allocated; rises with every alloc and free */
+    _Atomic uint32_t dead;   /* the life whose task is known to have died */
+    _Atomic int32_t pid;
+    _Atomic int32_t kind, crit, priority;
+    _Atomic int32_t member;
+    _Atomic int64_t period_ns, deadline_ns;
+    _Atomic int64_t minc_ns, maxc_ns;   /* for budgets: kept at 0 until they exist */
+    _Atomic int32_t handler_crit;       /* likewise */
+    char rtpu[RT_NAME], task[RT_NAME];
+};
+
+struct rt_post {
+    _Alignas(64) _Atomic uint32_t word; /* mode | arming count << 2 | returns << 17 */
+    _Atomic uint32_t begun;             /* number of the last grant begun ... */
+    _Atomic uint32_t done;              /* ... and ended */
+};
+
+struct rt_grant {
+    _Alignas(64) _Atomic uint32_t bell; /* futex: changes whenever the task must look */
+    _Atomic uint32_t seq;               /* number of the last grant */
+    _Atomic uint32_t ask;               /* rt_ask bits */
+    _Atomic uint32_t parked;            /* futex: not 0 while the task is held */
+    _Atomic int64_t rel_ns, dl_ns;      /* of the last grant */
+};
+
+struct rt_state {
+    _Alignas(64) int64_t period, deadline, next_ns, rel_ns, dl_ns;
+    uint64_t missed;
+    uint32_t gen, life, word, seq;
+    int32_t pid, crit, priority, kind, level;
+    uint8_t dead, armed, ready, granted, begun, parked;
+};
+
+struct rt_stats {
+    _Alignas(64) _Atomic uint32_t seq;  /* odd while being written */
+    _Atomic uint64_t on_ns, last_rel_ns; /* last_rel_ns: 0 until a cycle has run */
+    _Atomic uint64_t cycles, late, failed, stable, torn, stale, faults, ring_lost;
+    _Atomic uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
+    _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
+    _Atomic uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
+    _Atomic uint64_t jitter[RT_BINS], cpu[RT_BINS];
+};
+
+struct rt_slot {
+    _Alignas(64) struct rt_config config;
+    struct rt_post post;
+    struct rt_grant grant;
+    struct rt_state state;
+    _Atomic uint64_t errors;            /* dispatcher: calls that the kernel refused */
+    struct rt_stats stats;
+};
+
+struct rt_member {
+    _Atomic int32_t pid;                /* 0: free */
+    uint64_t start;                     /* start time of the process, tells reuse */
+};
+
+struct rt_table {
+    uint64_t magic;                     /* written last by the creator */
+    uint32_t version, size;
+    int32_t core;
+    uint32_t trace_size;
+    struct rt_member members[RT_MEMBERS];   /* up to here the same in every version */
+    pthread_mutex_t leader;             /* robust; held for life by who leads */
+    pthread_mutex_t edit;               /* robust; members, lives and configs */
+
+    _Alignas(64) _Atomic uint32_t mailbox;  /* futex: changes when there is news */
+    _Atomic uint32_t waiting;           /* park: somebody waits for a cycle to end */
+    _Atomic uint32_t high;              /* slots ever used: the bound of every scan */
+    _Atomic int32_t backend;            /* rt_backend of the leader */
+    _Atomic int32_t leader_pid, leader_tid;
+    _Atomic int64_t since_ns;
+    _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
+    _Atomic int64_t late_max_ns;
+    int64_t due_ns;                     /* what the last turn sleeps for */
+
+    uint32_t journal_slot;              /* a state that is being replaced ... */
+    _Atomic uint32_t journal_valid;
+    struct rt_state journal;            /* ... and by what */
+
+    _Alignas(64) _Atomic uint64_t trace_end;  /* records of complete turns */
+    uint64_t trace_next;                /* ... and of the one under way */
+    struct rt_event trace[RT_TRACE];
+    struct rt_slot slots[RT_SLOTS];
+};
+
+#define RT_PREFIX (offsetof(struct rt_table, leader))
+
+#endif

@@ -1,0 +1,251 @@
+/* The dispatcher's thread: lead or stand by, sleep, take a turn, act on it.
+ *
+ * The thread belongs to no interpreter. Leadership is a robust mutex held for life: when
+ * the leader's process dies, the kernel hands it to a standby, which finds everything it
+ * needs in the table. Under `fifo` the thread stands above its tasks on their own core,
+ * so whatever it does is atomic to them; under `park` it stands beside them.
+ */
+#ifndef PBONET_LOOP_H
+#define PBONET_LOOP_H
+
+#include "dispatch.h"
+#include "table.h"
+
+#include <sys/prctl.h>
+
+struct rt_loop {
+    struct rt_table *table;
+    pthread_t thread;
+    int backend;                /* RT_FIFO or RT_PARK */
+    _Atomic int stop, leading;
+    int running;
+};
+
+static inline void rt_refused(struct rt_table *t, int i, int error)
+{
+    struct rt_slot *slot = &t->slots[i];
+    atomic_fetch_add(&slot->errors, 1);
+    atomic_fetch_add(&t->errors, 1);
+    if (error == ESRCH)         /* gone before its parent told us */
+        atomic_store(&slot->config.dead, slot->state.life);
+}
+
+static inline void rt_signal_park(struct rt_table *t, int i)
+{
+    pid_t pid = t->slots[i].state.pid;
+    if (pid > 0 && syscall(SYS_tgkill, pid, pid, RT_PARK_SIGNAL))
+        rt_refused(t, i, errno);
+}
+
+/* Do what one record says. */
+static inline void rt_act(struct rt_table *t, const struct rt_event *e, int backend)
+{
+    struct rt_slot *slot = &t->slots[e->slot];
+    switch (e->kind) {
+    case RT_LEVEL:
+        if (backend == RT_FIFO && slot->state.pid > 0) {
+            int error = rt_set_level(slot->state.pid, (int)e->arg);
+            atomic_fetch_add_explicit(&t->level_changes, 1, memory_order_relaxed);
+            if (error)
+                rt_refused(t, e->slot, error);
+        }
+        break;
+    case RT_WAKE:
+        rt_futex_wake(&slot->grant.bell);
+        break;
+    case RT_PARKED:
+        rt_signal_park(t, e->slot);
+        break;
+    case RT_RESUME:
+        rt_futex_wake(&slot->grant.parked);
+        break;
+    case RT_RELEASE:
+        atomic_fetch_add_explicit(&t->releases, 1, memory_order_relaxed);
+        break;
+    default:
+        break;
+    }
+}
+
+/* Whether the task that holds others up ended its cycle while the turn was taken. */
+static inline int rt_top_done(struct rt_table *t)
+{
+    if (!atomic_load(&t->waiting))
+        return 0;
+    for (uint32_t i = 0; i < atomic_load(&t->high); i++) {
+        struct rt_state *s = &t->slots[i].state;
+        if (s->granted && !s->parked && atomic_load(&t->slots[i].post.done) == s->seq)
+            return 1;
+    }
+    return 0;
+}
+
+/* One turn with its acts; returns when to wake up (0: on news only). */
+static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
+{
+    int64_t now = rt_now(), due = t->due_ns;
+    if (due && now - due > atomic_load_explicit(&t->late_max_ns, memory_order_relaxed))
+        atomic_store_explicit(&t->late_max_ns, now - due, memory_order_relaxed);
+    due = rt_turn(t, now, backend == RT_PARK, lead);
+    t->due_ns = due;
+    uint64_t from = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
+    rt_turn_end(t);
+    for (; from < t->trace_next; from++)
+        rt_act(t, &t->trace[from & (RT_TRACE - 1)], backend);
+    atomic_fetch_add_explicit(&t->turns, 1, memory_order_relaxed);
+    return due;
+}
+
+/* Wake every task: what a dead leader had decided may not have been acted on. */
+static inline void rt_wake_all(struct rt_table *t)
+{
+    for (uint32_t i = 0; i < atomic_load(&t->high); i++) {
+        if (!(t->slots[i].state.life & 1))
+            continue;
+        rt_futex_wake(&t->slots[i].grant.bell);
+        if (t->slots[i].state.parked)
+            rt_signal_park(t, (int)i);
+        else
+            rt_futex_wake(&t->slots[i].grant.parked);
+    }
+}
+
+static inline void rt_lead(struct rt_loop *loop)
+{
+    struct rt_table *t = loop->table;
+    int lead = 1;
+    rt_recover(t);
+    rt_wake_all(t);
+    t->due_ns = 0;
+    while (!atomic_load(&loop->stop)) {
+        /* SYNC POINT: rt_kick adds to the mailbox after its news; whatever comes after
+         * this load changes the word that the sleep compares. */
+        uint32_t mail = atomic_load(&t->mailbox);
+        int64_t due = rt_once(t, loop->backend, lead);
+        lead = 0;
+        if (!rt_top_done(t) && !atomic_load(&loop->stop))
+            rt_futex_wait(&t->mailbox, mail, due);
+    }
+    for (uint32_t i = 0; i < RT_SLOTS; i++) {   /* nobody stays held without us */
+        t->slots[i].state.parked = 0;
+        atomic_store(&t->slots[i].grant.parked, 0);
+        rt_futex_wake(&t->slots[i].grant.parked);
+    }
+}
+
+/* Become the leader; 0 when told to stop instead. Looks up ten times a second. */
+static inline int rt_stand_by(struct rt_loop *loop, int *died)
+{
+    struct rt_table *t = loop->table;
+    while (!atomic_load(&loop->stop)) {
+        struct timespec until = rt_timespec(rt_now() + 100000000);
+        int error = pthread_mutex_clocklock(&t->leader, CLOCK_MONOTONIC, &until);
+        if (error == EOWNERDEAD)
+            pthread_mutex_consistent(&t->leader);
+        *died = error == EOWNERDEAD;
+        if (error == 0 || error == EOWNERDEAD)
+            return 1;
+    }
+    return 0;
+}
+
+static inline void *rt_thread(void *arg)
+{
+    struct rt_loop *loop = arg;
+    struct rt_table *t = loop->table;
+    int died = 0;
+    prctl(PR_SET_TIMERSLACK, 1L);
+    if (!rt_stand_by(loop, &died))
+        return NULL;
+    if (died)
+        atomic_fetch_add(&t->takeovers, 1);
+    atomic_store(&t->backend, loop->backend);
+    atomic_store(&t->since_ns, rt_now());
+    atomic_store(&t->leader_tid, (int32_t)syscall(SYS_gettid));
+    atomic_store(&t->leader_pid, getpid());
+    atomic_store(&loop->leading, 1);
+    rt_lead(loop);
+    atomic_store(&loop->leading, 0);
+    atomic_store(&t->leader_pid, 0);
+    atomic_store(&t->leader_tid, 0);
+    atomic_store(&t->backend, RT_NONE);
+    pthread_mutex_unlock(&t->leader);
+    return NULL;
+}
+
+/* The core for the thread: its tasks' own under `fifo`, else any other one. */
+static inline void rt_choose_core(int backend, int core, cpu_set_t *set)
+{
+    cpu_set_t own;
+    CPU_ZERO(set);
+    CPU_SET((size_t)core, set);
+    if (backend == RT_FIFO || sched_getaffinity(0, sizeof own, &own))
+        return;
+    CPU_CLR((size_t)core, &own);
+    if (CPU_COUNT(&own))
+        *set = own;
+}
+
+/* Start the thread; an errno value when the kernel refuses. */
+static inline int rt_start(struct rt_loop *loop)
+{
+    pthread_attr_t attr;
+    struct sched_param param = {
+        .sched_priority = loop->backend == RT_FIFO ? RT_DISPATCHER_LEVEL : 0};
+    cpu_set_t set;
+    sigset_t all, old;
+    rt_choose_core(loop->backend, loop->table->core, &set);
+    pthread_attr_init(&attr);
+    pthread_attr_setstacksize(&attr, 1 << 18);
+    pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED);
+    pthread_attr_setschedpolicy(&attr, loop->backend == RT_FIFO ? SCHED_FIFO : SCHED_OTHER);
+    pthread_attr_setschedparam(&attr, &param);
+    pthread_attr_setaffinity_np(&attr, sizeof set, &set);
+    atomic_store(&loop->stop, 0);
+    sigfillset(&all);           /* signals are for the interpreter's threads */
+    pthread_sigmask(SIG_SETMASK, &all, &old);
+    int error = pthread_create(&loop->thread, &attr, rt_thread, loop);
+    pthread_sigmask(SIG_SETMASK, &old, NULL);
+    pthread_attr_destroy(&attr);
+    loop->running = !error;
+    return error;
+}
+
+static inline void rt_stop(struct rt_loop *loop)
+{
+    if (!loop->running)
+        return;
+    atomic_store(&loop->stop, 1);
+    rt_kick(loop->table);
+    pthread_join(loop->thread, NULL);
+    loop->running = 0;
+}
+
+static inline int rt_leading(const struct rt_loop *loop)
+{
+    return atomic_load(&loop->leading);
+}
+
+static inline void *rt_nothing(void *arg)
+{
+    return arg;
+}
+
+/* Whether the kernel gives a thread the dispatcher's level: 0, or why not. */
+static inline int rt_try_fifo(void)
+{
+    pthread_attr_t attr;
+    pthread_t thread;
+    struct sched_param param = {.sched_priority = RT_DISPATCHER_LEVEL};
+    pthread_attr_init(&attr);
+    pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED);
+    pthread_attr_setschedpolicy(&attr, SCHED_FIFO);
+    pthread_attr_setschedparam(&attr, &param);
+    int error = pthread_create(&thread, &attr, rt_nothing, NULL);
+    pthread_attr_destroy(&attr);
+    if (!error)
+        pthread_join(thread, NULL);
+    return error;
+}
+
+#endif

@@ -1,0 +1,252 @@
+/* The task's end of its slot: arm, wait for a release, hold still when told, account.
+ *
+ * Nothing here allocates, logs or takes a lock. The task writes `post` and `stats`, the
+ * dispatcher `grant`; see layout.h.
+ */
+#ifndef PBONET_SLOT_H
+#define PBONET_SLOT_H
+
+#include "layout.h"
+#include "sys.h"
+#include "table.h"
+
+#include <sys/resource.h>
+
+enum rt_wait { RT_RELEASED = 0, RT_WAIT_COMMAND = 1, RT_WAIT_ORPHAN = 2, RT_WAIT_SIGNAL = 3 };
+
+struct rt_task {
+    struct rt_table *table;
+    struct rt_slot *slot;
+    int synchronous;            /* timed from outside: one grant lasts until OFF */
+    uint32_t seq;               /* of the release that is being run */
+    int64_t rel_ns, dl_ns;
+};
+
+static inline void rt_add(_Atomic uint64_t *to, uint64_t n)
+{
+    atomic_store_explicit(to, atomic_load_explicit(to, memory_order_relaxed) + n,
+                          memory_order_relaxed);
+}
+
+static inline void rt_put(_Atomic uint64_t *to, uint64_t n)
+{
+    atomic_store_explicit(to, n, memory_order_relaxed);
+}
+
+static inline uint64_t rt_get(const _Atomic uint64_t *from)
+{
+    return atomic_load_explicit(from, memory_order_relaxed);
+}
+
+/* The log-linear bin of a time: 16 below 1 us, then 16 an octave. */
+static inline int rt_bin(int64_t ns)
+{
+    uint64_t v = ns < 0 ? 0 : (uint64_t)ns;
+    if (v >= UINT64_C(33554432000))
+        return RT_BINS - 1;
+    v = v * 16 / 1000;
+    if (v < 16)
+        return (int)v;
+    int octave = 59 - __builtin_clzll(v);
+    return 16 * octave + (int)(v >> octave);
+}
+
+static inline uint64_t rt_faults(void)
+{
+    struct rusage use;
+    return getrusage(RUSAGE_THREAD, &use) ? 0 : (uint64_t)use.ru_minflt;
+}
+
+/* Readers of the stats look at `seq` before and after; see rt_snapshot. */
+static inline void rt_stats_begin(struct rt_stats *s)
+{
+    atomic_store_explicit(&s->seq, s->seq + 1, memory_order_relaxed);
+    atomic_thread_fence(memory_order_release);
+}
+
+static inline void rt_stats_end(struct rt_stats *s)
+{
+    atomic_store_explicit(&s->seq, s->seq + 1, memory_order_release);
+}
+
+/* Ask for releases: a new arming after OFF, else on with the old one. */
+static inline void rt_arm(struct rt_task *task)
+{
+    struct rt_slot *slot = task->slot;
+    struct rt_stats *s = &slot->stats;
+    uint32_t word = atomic_load(&slot->post.word);
+    task->synchronous = atomic_load(&slot->config.kind) == RT_SYNCHRONOUS;
+    if ((word & 3) == RT_ON)
+        return;
+    if ((word & 3) == RT_OFF) {
+        uint32_t seq = atomic_load(&slot->grant.seq);   /* of an earlier life: stale */
+        atomic_store(&slot->post.begun, seq);
+        atomic_store(&slot->post.done, seq);
+        rt_stats_begin(s);
+        rt_put(&s->on_ns, (uint64_t)rt_now());
+        rt_put(&s->on_cycles, rt_get(&s->cycles));
+        rt_put(&s->on_missed, slot->state.missed + rt_get(&s->failed));
+        rt_put(&s->on_cpu_ns, rt_get(&s->cpu_total_ns));
+        rt_put(&s->on_faults, rt_get(&s->faults));
+        rt_put(&s->cpu_min_ns, 0);
+        rt_put(&s->cpu_max_ns, 0);
+        rt_put(&s->last_rel_ns, 0);
+        rt_stats_end(s);
+        word = (word & ~UINT32_C(0x1ffff)) | (((word >> 2) + 1) & 0x7fff) << 2;
+    } else {
+        word += UINT32_C(1) << 17;
+    }
+    /* SYNC POINT: rt_latch loads the word with acquire. */
+    atomic_store(&slot->post.word, (word & ~UINT32_C(3)) | RT_ON);
+    rt_kick(task->table);
+}
+
+/* Go to the level of commands, below every cycle; an errno value when refused. */
+static inline int rt_command_level(const struct rt_task *task)
+{
+    if (atomic_load(&task->table->backend) != RT_FIFO)
+        return 0;
+    return rt_set_level(0, RT_COMMAND_LEVEL);
+}
+
+/* Leave the cycles for a command, or for good; the level goes first to nobody. */
+static inline int rt_leave(struct rt_task *task, int mode)
+{
+    struct rt_slot *slot = task->slot;
+    uint32_t word = atomic_load(&slot->post.word);
+    if ((word & 3) == (uint32_t)mode || (word & 3) == RT_OFF)
+        return 0;
+    atomic_store(&slot->post.word, (word & ~UINT32_C(3)) | (uint32_t)mode);
+    int error = rt_command_level(task);
+    if (mode == RT_OFF)
+        rt_kick(task->table);
+    return error;
+}
+
+/* Wait for a release, a command, or the parent's end. `served`: a cycle has run since
+ * the last command, so a waiting command goes first now. Comes back on signals too. */
+static inline int rt_wait(struct rt_task *task, int served)
+{
+    struct rt_grant *g = &task->slot->grant;
+    for (;;) {
+        /* SYNC POINT: everybody rings the bell after changing what is looked at here. */
+        uint32_t bell = atomic_load(&g->bell);
+        uint32_t ask = atomic_load(&g->ask);
+        if (ask & RT_ASK_ORPHAN)
+            return RT_WAIT_ORPHAN;
+        uint32_t seq = atomic_load_explicit(&g->seq, memory_order_acquire);
+        int due = seq != atomic_load_explicit(&task->slot->post.done, memory_order_relaxed);
+        if ((ask & RT_ASK_COMMAND) && (served || !due)) {
+            atomic_fetch_and(&g->ask, ~(uint32_t)RT_ASK_COMMAND);
+            return RT_WAIT_COMMAND;
+        }
+        if (due) {
+            task->seq = seq;
+            return RT_RELEASED;
+        }
+        if (rt_futex_wait(&g->bell, bell, 0) == EINTR)
+            return RT_WAIT_SIGNAL;
+    }
+}
+
+/* Stand still while the dispatcher holds the task; async-signal-safe. */
+static inline void rt_hold_still(struct rt_slot *slot)
+{
+    while (atomic_load(&slot->grant.parked))
+        rt_futex_wait(&slot->grant.parked, 1, 0);
+}
+
+/* Begin the cycle that was granted; a synchronous one begins when its event is there. */
+static inline void rt_begin(struct rt_task *task)
+{
+    struct rt_slot *slot = task->slot;
+    if (task->synchronous) {
+        task->rel_ns = rt_now();
+        task->dl_ns = RT_NEVER;
+        return;
+    }
+    atomic_store(&slot->post.begun, task->seq);
+    rt_hold_still(slot);
+    task->rel_ns = atomic_load_explicit(&slot->grant.rel_ns, memory_order_relaxed);
+    task->dl_ns = atomic_load_explicit(&slot->grant.dl_ns, memory_order_relaxed);
+}
+
+/* End it; under `park` the dispatcher wants to know at once when others wait. */
+static inline void rt_end(struct rt_task *task)
+{
+    if (task->synchronous)
+        return;
+    /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
+     * others wait, or the dispatcher sees that the cycle has ended. */
+    atomic_store(&task->slot->post.done, task->seq);
+    if (atomic_load(&task->table->waiting))
+        rt_kick(task->table);
+}
+
+/* Tell the task that a command waits for it. */
+static inline void rt_request(struct rt_slot *slot, uint32_t ask)
+{
+    atomic_fetch_or(&slot->grant.ask, ask);
+    atomic_fetch_add(&slot->grant.bell, 1);
+    rt_futex_wake(&slot->grant.bell);
+}
+
+/* Nanoseconds that the cycle advances by: since the release of the last executed one. */
+static inline int64_t rt_step(const struct rt_task *task)
+{
+    const struct rt_slot *slot = task->slot;
+    int64_t last = (int64_t)rt_get(&slot->stats.last_rel_ns);
+    if (last)
+        return task->rel_ns - last;
+    if (task->synchronous)
+        return task->rel_ns - (int64_t)rt_get(&slot->stats.on_ns);
+    return atomic_load(&slot->config.period_ns);
+}
+
+/* What one cycle cost; times of CLOCK_MONOTONIC, cpu of the thread. */
+struct rt_cost {
+    int64_t start_ns, called_ns, returned_ns, end_ns;
+    uint64_t cpu_ns;
+    int failed, stable, torn, stale, lost;
+};
+
+static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
+{
+    struct rt_stats *s = &task->slot->stats;
+    uint64_t jitter = cost->called_ns > task->rel_ns
+                          ? (uint64_t)(cost->called_ns - task->rel_ns) : 0;
+    int first = rt_get(&s->last_rel_ns) == 0;
+    rt_stats_begin(s);
+    rt_add(cost->failed ? &s->failed : &s->cycles, 1);
+    rt_add(&s->late, cost->end_ns > task->dl_ns);
+    rt_add(&s->stable, (uint64_t)cost->stable);
+    rt_add(&s->torn, (uint64_t)cost->torn);
+    rt_add(&s->stale, (uint64_t)cost->stale);
+    rt_add(&s->ring_lost, (uint64_t)cost->lost);
+    rt_add(&s->cpu_total_ns, cost->cpu_ns);
+    rt_put(&s->cpu_last_ns, cost->cpu_ns);
+    if (!first) {               /* the first cycle after `on` is left out: 6.7.1 */
+        if (cost->cpu_ns > rt_get(&s->cpu_max_ns))
+            rt_put(&s->cpu_max_ns, cost->cpu_ns);
+        if (cost->cpu_ns < rt_get(&s->cpu_min_ns) || !rt_get(&s->cpu_min_ns))
+            rt_put(&s->cpu_min_ns, cost->cpu_ns);
+        rt_add(&s->cpu[rt_bin((int64_t)cost->cpu_ns)], 1);
+    }
+    rt_add(&s->copy_in_ns, (uint64_t)(cost->called_ns - cost->start_ns));
+    rt_add(&s->copy_out_ns, (uint64_t)(cost->end_ns - cost->returned_ns));
+    rt_add(&s->jitter[rt_bin((int64_t)jitter)], 1);
+    if (jitter > rt_get(&s->jitter_max_ns))
+        rt_put(&s->jitter_max_ns, jitter);
+    if (!cost->failed)
+        rt_put(&s->last_rel_ns, (uint64_t)task->rel_ns);
+    rt_stats_end(s);
+}
+
+static inline void rt_count_faults(struct rt_slot *slot, uint64_t n)
+{
+    rt_stats_begin(&slot->stats);
+    rt_add(&slot->stats.faults, n);
+    rt_stats_end(&slot->stats);
+}
+
+#endif

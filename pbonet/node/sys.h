@@ -1,0 +1,77 @@
+/* The few kernel calls that the real-time side makes: futexes, clocks, levels. */
+#ifndef PBONET_SYS_H
+#define PBONET_SYS_H
+
+#ifndef _GNU_SOURCE
+#define _GNU_SOURCE
+#endif
+#include <errno.h>
+#include <limits.h>
+#include <linux/futex.h>
+#include <sched.h>
+#include <signal.h>
+#include <stdatomic.h>
+#include <stdint.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+
+#define RT_PARK_SIGNAL (SIGRTMIN + 2)
+
+static inline int64_t rt_clock(clockid_t clock)
+{
+    struct timespec at;
+    clock_gettime(clock, &at);
+    return (int64_t)at.tv_sec * 1000000000 + at.tv_nsec;
+}
+
+static inline int64_t rt_now(void)
+{
+    return rt_clock(CLOCK_MONOTONIC);
+}
+
+static inline uint64_t rt_thread_cpu(void)
+{
+    return (uint64_t)rt_clock(CLOCK_THREAD_CPUTIME_ID);
+}
+
+static inline struct timespec rt_timespec(int64_t ns)
+{
+    return (struct timespec){.tv_sec = ns / 1000000000, .tv_nsec = ns % 1000000000};
+}
+
+/* Sleep while *word == value, until CLOCK_MONOTONIC `until` (0: for ever). */
+static inline int rt_futex_wait(_Atomic uint32_t *word, uint32_t value, int64_t until)
+{
+    struct timespec at = rt_timespec(until);
+    if (syscall(SYS_futex, (uint32_t *)word, FUTEX_WAIT_BITSET, value,
+                until ? &at : NULL, NULL, FUTEX_BITSET_MATCH_ANY) == 0)
+        return 0;
+    return errno;
+}
+
+static inline void rt_futex_wake(_Atomic uint32_t *word)
+{
+    syscall(SYS_futex, (uint32_t *)word, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
+}
+
+/* Give a process's main thread (0: the caller) a SCHED_FIFO level; its children and
+ * later threads start without one. */
+static inline int rt_set_level(pid_t pid, int level)
+{
+    struct sched_param param = {.sched_priority = level};
+    return sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) ? errno : 0;
+}
+
+/* Pin a thread (0: the caller) to a core. */
+static inline int rt_pin(pid_t tid, int core)
+{
+    cpu_set_t set;
+    if (core < 0 || core >= CPU_SETSIZE)
+        return EINVAL;
+    CPU_ZERO(&set);
+    CPU_SET((size_t)core, &set);
+    return sched_setaffinity(tid, sizeof set, &set) ? errno : 0;
+}
+
+#endif

@@ -1,0 +1,394 @@
+/* The core table's file: making, finding, and leaving it; slots and their configuration.
+ *
+ * The file lives as long as an RTPU process is attached. Attaching and leaving happen
+ * under flock, which the kernel drops with its holder. A member is a process id together
+ * with its start time, so that a killed member is known as gone: a table whose members
+ * are all gone is stale; its file is unlinked and a new one made, and tasks that still
+ * have the old one mapped disturb nobody.
+ */
+#ifndef PBONET_TABLE_H
+#define PBONET_TABLE_H
+
+#include "layout.h"
+#include "sys.h"
+
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+
+/* What rt_attach answers beside errno values. */
+enum { RT_NO_TABLE = -1, RT_FOREIGN = -2, RT_BAD_VERSION = -3, RT_DAMAGED = -4,
+       RT_MEMBERS_FULL = -5 };
+
+struct rt_map {
+    struct rt_table *table;
+    int fd, member;             /* member: index, -1 for a mere user */
+    pid_t pid;
+};
+
+/* When a process started, in clock ticks since boot; 0 when it is gone or a zombie. */
+static inline uint64_t rt_start_time(pid_t pid)
+{
+    char path[32], text[512], *at;
+    snprintf(path, sizeof path, "/proc/%d/stat", (int)pid);
+    int fd = open(path, O_RDONLY | O_CLOEXEC);
+    if (fd < 0)
+        return 0;
+    ssize_t n = read(fd, text, sizeof text - 1);
+    close(fd);
+    if (n <= 0)
+        return 0;
+    text[n] = 0;
+    at = strrchr(text, ')');    /* the name may hold anything */
+    if (!at || at[1] != ' ' || at[2] == 'Z' || at[2] == 'X')
+        return 0;
+    for (int field = 2; field < 22 && at; field++)
+        at = strchr(at + 1, ' ');
+    return at ? strtoull(at, NULL, 10) : 0;
+}
+
+static inline int rt_member_lives(const struct rt_member *m)
+{
+    int32_t pid = atomic_load(&m->pid);
+    return pid && rt_start_time(pid) == m->start;
+}
+
+static inline void rt_kick(struct rt_table *t)
+{
+    atomic_fetch_add(&t->mailbox, 1);
+    rt_futex_wake(&t->mailbox);
+}
+
+static inline int rt_init_mutex(pthread_mutex_t *mutex)
+{
+    pthread_mutexattr_t attr;
+    pthread_mutexattr_init(&attr);
+    pthread_mutexattr_setpshared(&attr, PTHREAD_PROCESS_SHARED);
+    pthread_mutexattr_setrobust(&attr, PTHREAD_MUTEX_ROBUST);
+    int error = pthread_mutex_init(mutex, &attr);
+    pthread_mutexattr_destroy(&attr);
+    return error;
+}
+
+/* All that the edit lock guards is valid at every step, so a dead holder is no harm. */
+static inline void rt_edit_lock(struct rt_table *t)
+{
+    if (pthread_mutex_lock(&t->edit) == EOWNERDEAD)
+        pthread_mutex_consistent(&t->edit);
+}
+
+static inline int rt_any_member(const struct rt_table *t)
+{
+    for (int i = 0; i < RT_MEMBERS; i++)
+        if (rt_member_lives(&t->members[i]))
+            return 1;
+    return 0;
+}
+
+/* Whether any slot still names the member. */
+static inline int rt_member_used(const struct rt_table *t, int member)
+{
+    for (int i = 0; i < RT_SLOTS; i++)
+        if ((atomic_load(&t->slots[i].config.life) & 1) &&
+            atomic_load(&t->slots[i].config.member) == member)
+            return 1;
+    return 0;
+}
+
+static inline void rt_free(struct rt_table *t, int i)
+{
+    struct rt_config *c = &t->slots[i].config;
+    uint32_t life = atomic_load(&c->life);
+    if (life & 1)
+        atomic_compare_exchange_strong(&c->life, &life, life + 1);
+}
+
+/* Free the slots whose RTPU process and task are both gone; under the edit lock. */
+static inline void rt_reap(struct rt_table *t)
+{
+    for (int i = 0; i < RT_SLOTS; i++) {
+        struct rt_config *c = &t->slots[i].config;
+        if (!(atomic_load(&c->life) & 1))
+            continue;
+        int member = atomic_load(&c->member);
+        if (member >= 0 && member < RT_MEMBERS && rt_member_lives(&t->members[member]))
+            continue;
+        int32_t pid = atomic_load(&c->pid);
+        if (!pid || rt_start_time(pid) == 0)
+            rt_free(t, i);
+    }
+}
+
+static inline int rt_join(struct rt_table *t)
+{
+    rt_edit_lock(t);
+    rt_reap(t);
+    int member = RT_MEMBERS_FULL;
+    for (int i = 0; i < RT_MEMBERS && member < 0; i++)
+        if (!rt_member_lives(&t->members[i]) && !rt_member_used(t, i))
+            member = i;
+    if (member >= 0) {
+        t->members[member].start = rt_start_time(getpid());
+        atomic_store(&t->members[member].pid, getpid());
+    }
+    pthread_mutex_unlock(&t->edit);
+    return member;
+}
+
+static inline int rt_init(struct rt_table *t, int core)
+{
+    int error = rt_init_mutex(&t->leader);
+    if (!error)
+        error = rt_init_mutex(&t->edit);
+    t->version = RT_VERSION;
+    t->size = sizeof *t;
+    t->core = core;
+    t->trace_size = RT_TRACE;
+    atomic_thread_fence(memory_order_release);
+    t->magic = RT_MAGIC;
+    return error;
+}
+
+/* Whether an open file is ours alone: regular, our user's, nobody else's to touch. */
+static inline int rt_is_ours(const struct stat *s)
+{
+    return S_ISREG(s->st_mode) && s->st_uid == geteuid() && !(s->st_mode & 077);
+}
+
+static inline int rt_same_file(int fd, const char *path)
+{
+    struct stat a, b;
+    return !fstat(fd, &a) && !stat(path, &b) && a.st_ino == b.st_ino &&
+           a.st_dev == b.st_dev;
+}
+
+static inline int rt_map_file(struct rt_map *map)
+{
+    void *at = mmap(NULL, sizeof(struct rt_table), PROT_READ | PROT_WRITE, MAP_SHARED,
+                    map->fd, 0);
+    if (at == MAP_FAILED)
+        return errno;
+    map->table = at;
+    return 0;
+}
+
+static inline int rt_check(const struct rt_table *t, const struct stat *s)
+{
+    if (t->magic != RT_MAGIC)
+        return RT_DAMAGED;
+    if (t->version != RT_VERSION || t->size != sizeof *t || t->trace_size != RT_TRACE)
+        return RT_BAD_VERSION;
+    return (uint64_t)s->st_size < sizeof *t ? RT_DAMAGED : 0;
+}
+
+/* With the lock held: map the file, or make it if it is new. EAGAIN: unlinked as stale. */
+static inline int rt_open_locked(struct rt_map *map, const char *path, int core)
+{
+    struct stat s;
+    if (!rt_same_file(map->fd, path) || fstat(map->fd, &s))
+        return EAGAIN;
+    int fresh = s.st_size == 0, error;
+    if (fresh && (error = posix_fallocate(map->fd, 0, sizeof(struct rt_table)))) {
+        unlink(path);
+        return error;
+    }
+    if (!fresh && (uint64_t)s.st_size < RT_PREFIX) {
+        unlink(path);
+        return EAGAIN;
+    }
+    if ((error = rt_map_file(map)))
+        return error;
+    if (fresh)
+        error = rt_init(map->table, core);
+    else
+        error = rt_check(map->table, &s);
+    if (error == RT_DAMAGED || (!fresh && !rt_any_member(map->table))) {
+        unlink(path);           /* stale: its makers are gone */
+        return EAGAIN;
+    }
+    if (error)
+        return error;
+    madvise(map->table, sizeof(struct rt_table), 23 /* MADV_POPULATE_WRITE */);
+    map->member = rt_join(map->table);
+    return map->member < 0 ? map->member : 0;
+}
+
+static inline void rt_unmap(struct rt_map *map)
+{
+    if (map->table)
+        munmap(map->table, sizeof(struct rt_table));
+    map->table = NULL;
+    if (map->fd >= 0)
+        close(map->fd);         /* drops the flock too */
+    map->fd = -1;
+}
+
+static inline int rt_attach_member(struct rt_map *map, const char *path, int core)
+{
+    for (int tries = 0; tries < 100; tries++) {
+        struct stat s;
+        map->fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_CREAT, 0600);
+        if (map->fd < 0)
+            return errno == EACCES || errno == ELOOP ? RT_FOREIGN : errno;
+        int error = fstat(map->fd, &s) ? errno : rt_is_ours(&s) ? 0 : RT_FOREIGN;
+        if (!error && flock(map->fd, LOCK_EX))
+            error = errno;
+        if (!error)
+            error = rt_open_locked(map, path, core);
+        if (!error) {
+            flock(map->fd, LOCK_UN);
+            return 0;
+        }
+        rt_unmap(map);
+        if (error != EAGAIN && error != EINTR)
+            return error;
+    }
+    return EAGAIN;
+}
+
+static inline int rt_attach_user(struct rt_map *map, const char *path)
+{
+    struct stat s;
+    map->fd = open(path, O_RDWR | O_CLOEXEC | O_NOFOLLOW);
+    if (map->fd < 0)
+        return errno == ENOENT ? RT_NO_TABLE
+               : errno == EACCES || errno == ELOOP ? RT_FOREIGN : errno;
+    int error = fstat(map->fd, &s) ? errno : rt_is_ours(&s) ? 0 : RT_FOREIGN;
+    if (!error && (uint64_t)s.st_size < sizeof(struct rt_table))
+        error = RT_DAMAGED;
+    if (!error)
+        error = rt_map_file(map);
+    if (!error)
+        error = rt_check(map->table, &s);
+    if (error)
+        rt_unmap(map);
+    return error;
+}
+
+/* Attach; 0, an errno value, or one of the negative answers above. */
+static inline int rt_attach(struct rt_map *map, const char *path, int core, int member)
+{
+    *map = (struct rt_map){.fd = -1, .member = -1, .pid = getpid()};
+    return member ? rt_attach_member(map, path, core) : rt_attach_user(map, path);
+}
+
+/* Leave; the last living member removes the file. */
+static inline void rt_detach(struct rt_map *map, const char *path)
+{
+    if (map->table && map->member >= 0 && map->pid == getpid()) {
+        while (flock(map->fd, LOCK_EX) && errno == EINTR)
+            ;
+        atomic_store(&map->table->members[map->member].pid, 0);
+        if (!rt_any_member(map->table) && rt_same_file(map->fd, path))
+            unlink(path);
+    }
+    rt_unmap(map);
+}
+
+/* Change a configuration: everything between the two is taken over in one turn.
+ *
+ * SYNC POINT: pairs with rt_latch_config. A writer killed in between leaves `gen` odd;
+ * the slot then keeps what the dispatcher knows until somebody configures it again. */
+static inline uint32_t rt_config_begin(struct rt_config *c)
+{
+    uint32_t gen = atomic_load_explicit(&c->gen, memory_order_relaxed) | 1;
+    atomic_store_explicit(&c->gen, gen, memory_order_relaxed);
+    atomic_thread_fence(memory_order_release);
+    return gen;
+}
+
+static inline void rt_config_end(struct rt_config *c, uint32_t gen)
+{
+    atomic_store_explicit(&c->gen, gen + 1, memory_order_release);
+}
+
+static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
+                            const char *task)
+{
+    struct rt_config *c = &slot->config;
+    uint32_t gen = rt_config_begin(c);
+    atomic_store(&c->pid, 0);
+    atomic_store(&c->kind, RT_PERIODIC);
+    atomic_store(&c->crit, 0);
+    atomic_store(&c->priority, 0);
+    atomic_store(&c->member, member);
+    atomic_store(&c->period_ns, INT64_C(1000000000));
+    atomic_store(&c->deadline_ns, 0);
+    memset(c->rtpu, 0, RT_NAME);
+    memset(c->task, 0, RT_NAME);
+    memcpy(c->rtpu, rtpu, strnlen(rtpu, RT_NAME - 1));
+    memcpy(c->task, task, strnlen(task, RT_NAME - 1));
+    memset(&slot->post, 0, sizeof slot->post);
+    memset(&slot->grant, 0, sizeof slot->grant);
+    memset(&slot->stats, 0, sizeof slot->stats);
+    atomic_store(&slot->errors, 0);
+    rt_config_end(c, gen);
+}
+
+/* Take a free slot, best one that the dispatcher has let go of; -1: none. */
+static inline int rt_alloc(struct rt_table *t, int member, const char *rtpu,
+                           const char *task)
+{
+    int found = -1;
+    rt_edit_lock(t);
+    rt_reap(t);
+    for (int i = RT_SLOTS - 1; i >= 0; i--) {
+        uint32_t life = atomic_load(&t->slots[i].config.life);
+        if (!(life & 1) && (found < 0 || t->slots[i].state.life == life))
+            found = i;
+    }
+    if (found >= 0) {
+        struct rt_slot *slot = &t->slots[found];
+        rt_reset(slot, member, rtpu, task);
+        atomic_fetch_add(&slot->config.life, 1);
+        if (atomic_load(&t->high) <= (uint32_t)found)
+            atomic_store(&t->high, (uint32_t)found + 1);
+    }
+    pthread_mutex_unlock(&t->edit);
+    return found;
+}
+
+/* New settings of a slot; -1 leaves a value as it is. */
+struct rt_settings {
+    int32_t pid, crit, priority, kind;
+    int64_t period_ns, deadline_ns;
+};
+
+static inline void rt_set32(_Atomic int32_t *to, int32_t value)
+{
+    if (value >= 0)
+        atomic_store_explicit(to, value, memory_order_relaxed);
+}
+
+static inline void rt_set64(_Atomic int64_t *to, int64_t value)
+{
+    if (value >= 0)
+        atomic_store_explicit(to, value, memory_order_relaxed);
+}
+
+static inline void rt_configure(struct rt_table *t, int i, const struct rt_settings *s)
+{
+    struct rt_config *c = &t->slots[i].config;
+    rt_edit_lock(t);
+    uint32_t gen = rt_config_begin(c);
+    rt_set32(&c->pid, s->pid);
+    rt_set32(&c->crit, s->crit);
+    rt_set32(&c->priority, s->priority);
+    rt_set32(&c->kind, s->kind);
+    rt_set64(&c->period_ns, s->period_ns);
+    rt_set64(&c->deadline_ns, s->deadline_ns);
+    rt_config_end(c, gen);
+    pthread_mutex_unlock(&t->edit);
+}
+
+static inline void rt_died(struct rt_table *t, int i)
+{
+    struct rt_config *c = &t->slots[i].config;
+    atomic_store(&c->dead, atomic_load(&c->life));
+}
+
+#endif

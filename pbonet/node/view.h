@@ -1,0 +1,178 @@
+/* Reading a slot from outside, without touching its task: plain copies of what it says. */
+#ifndef PBONET_VIEW_H
+#define PBONET_VIEW_H
+
+#include "slot.h"
+#include "dispatch.h"
+
+struct rt_view {
+    int life, dead, pid, kind, crit, priority, mode, level;
+    int64_t period_ns, deadline_ns, release_ns;
+    uint64_t dispatcher_missed, errors;
+    uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost;
+    uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
+    uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
+    uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
+    uint64_t jitter[RT_BINS], cpu[RT_BINS];
+};
+
+static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
+{
+    v->on_ns = rt_get(&s->on_ns);
+    v->cycles = rt_get(&s->cycles);
+    v->late = rt_get(&s->late);
+    v->failed = rt_get(&s->failed);
+    v->stable = rt_get(&s->stable);
+    v->torn = rt_get(&s->torn);
+    v->stale = rt_get(&s->stale);
+    v->faults = rt_get(&s->faults);
+    v->ring_lost = rt_get(&s->ring_lost);
+    v->on_cycles = rt_get(&s->on_cycles);
+    v->on_missed = rt_get(&s->on_missed);
+    v->on_cpu_ns = rt_get(&s->on_cpu_ns);
+    v->on_faults = rt_get(&s->on_faults);
+    v->cpu_total_ns = rt_get(&s->cpu_total_ns);
+    v->cpu_last_ns = rt_get(&s->cpu_last_ns);
+    v->cpu_min_ns = rt_get(&s->cpu_min_ns);
+    v->cpu_max_ns = rt_get(&s->cpu_max_ns);
+    v->copy_in_ns = rt_get(&s->copy_in_ns);
+    v->copy_out_ns = rt_get(&s->copy_out_ns);
+    v->jitter_max_ns = rt_get(&s->jitter_max_ns);
+    for (int k = 0; k < RT_BINS; k++) {
+        v->jitter[k] = rt_get(&s->jitter[k]);
+        v->cpu[k] = rt_get(&s->cpu[k]);
+    }
+}
+
+/* Copy a slot. The stats are one consistent set unless the task stands still amid its
+ * bookkeeping (preempted by others, or killed there); then each number is whole. */
+static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
+{
+    const struct rt_config *c = &slot->config;
+    for (int tries = 0; tries < 100; tries++) {
+        /* SYNC POINT: pairs with rt_stats_begin and rt_stats_end. */
+        uint32_t seq = atomic_load_explicit(&slot->stats.seq, memory_order_acquire);
+        rt_read_stats(&slot->stats, v);
+        atomic_thread_fence(memory_order_acquire);
+        if (!(seq & 1) &&
+            atomic_load_explicit(&slot->stats.seq, memory_order_relaxed) == seq)
+            break;
+    }
+    v->life = (int)atomic_load(&c->life);
+    v->dead = atomic_load(&c->dead) == (uint32_t)v->life;
+    v->pid = atomic_load(&c->pid);
+    v->kind = atomic_load(&c->kind);
+    v->crit = atomic_load(&c->crit);
+    v->priority = atomic_load(&c->priority);
+    v->period_ns = atomic_load(&c->period_ns);
+    v->deadline_ns = atomic_load(&c->deadline_ns);
+    v->mode = (int)(atomic_load(&slot->post.word) & 3);
+    v->level = *(const volatile int32_t *)&slot->state.level;
+    v->dispatcher_missed = *(const volatile uint64_t *)&slot->state.missed;
+    v->release_ns = atomic_load(&slot->grant.rel_ns);
+    v->errors = atomic_load(&slot->errors);
+}
+
+struct rt_core_view {
+    int backend, leader_pid, leader_tid;
+    int64_t since_ns, late_max_ns;
+    uint64_t turns, releases, level_changes, errors, takeovers;
+    int members[RT_MEMBERS], lives[RT_MEMBERS];
+};
+
+static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_view *v)
+{
+    v->backend = atomic_load(&t->backend);
+    v->leader_pid = atomic_load(&t->leader_pid);
+    v->leader_tid = atomic_load(&t->leader_tid);
+    v->since_ns = atomic_load(&t->since_ns);
+    v->late_max_ns = atomic_load(&t->late_max_ns);
+    v->turns = atomic_load(&t->turns);
+    v->releases = atomic_load(&t->releases);
+    v->level_changes = atomic_load(&t->level_changes);
+    v->errors = atomic_load(&t->errors);
+    v->takeovers = atomic_load(&t->takeovers);
+    for (int i = 0; i < RT_MEMBERS; i++) {
+        v->members[i] = atomic_load(&t->members[i].pid);
+        v->lives[i] = rt_member_lives(&t->members[i]);
+    }
+}
+
+/* Copy the trace's records from number `since` on; `*first` is the first one had. */
+static inline uint64_t rt_copy_trace(const struct rt_table *t, uint64_t since,
+                                     struct rt_event *to, uint64_t *first, uint64_t *end)
+{
+    /* SYNC POINT: pairs with rt_turn_end. */
+    *end = atomic_load_explicit(&t->trace_end, memory_order_acquire);
+    uint64_t bound = RT_TRACE - RT_TURN_MAX;
+    uint64_t from = since > *end ? *end : since;
+    if (*end - from > bound)
+        from = *end - bound;
+    for (uint64_t k = from; k < *end; k++)
+        to[k - from] = t->trace[k & (RT_TRACE - 1)];
+    /* What the dispatcher may have overwritten meanwhile is dropped; it is at most a
+     * turn ahead of what it has published. */
+    atomic_thread_fence(memory_order_acquire);
+    uint64_t now = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
+    uint64_t safe = now > bound ? now - bound : 0;
+    *first = from > safe ? from : safe > *end ? *end : safe;
+    memmove(to, to + (*first - from), (*end - *first) * sizeof *to);
+    return *end - *first;
+}
+
+static inline uint32_t rt_life(const struct rt_table *t, int i)
+{
+    return atomic_load(&t->slots[i].config.life);
+}
+
+static inline int rt_mode_of(const struct rt_slot *slot)
+{
+    return (int)(atomic_load(&slot->post.word) & 3);
+}
+
+static inline int rt_kind_of(const struct rt_slot *slot)
+{
+    return atomic_load(&slot->config.kind);
+}
+
+static inline uint64_t rt_cycles(const struct rt_slot *slot)
+{
+    return rt_get(&slot->stats.cycles);
+}
+
+static inline uint64_t rt_missed(const struct rt_slot *slot)
+{
+    return *(const volatile uint64_t *)&slot->state.missed + rt_get(&slot->stats.failed);
+}
+
+static inline int64_t rt_period(const struct rt_slot *slot)
+{
+    return atomic_load(&slot->config.period_ns);
+}
+
+static inline int rt_pending(const struct rt_slot *slot)
+{
+    return (atomic_load(&slot->grant.ask) & RT_ASK_COMMAND) != 0;
+}
+
+static inline int rt_leader(const struct rt_table *t)
+{
+    return atomic_load(&t->leader_pid);
+}
+
+/* Play a task's part in virtual time: a mode, and the begin and end of its cycle. */
+static inline void rt_play(struct rt_table *t, struct rt_slot *slot, int mode, int begun,
+                           int done)
+{
+    struct rt_task task = {.table = t, .slot = slot};
+    if (begun || done)
+        atomic_store(&slot->post.begun, atomic_load(&slot->grant.seq));
+    if (done)
+        atomic_store(&slot->post.done, atomic_load(&slot->grant.seq));
+    if (mode == RT_ON)
+        rt_arm(&task);
+    else if (mode >= 0)
+        rt_leave(&task, mode);
+}
+
+#endif
