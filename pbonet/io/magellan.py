@@ -185,12 +185,14 @@ class Ball:
         return self.motion
 
     def restart(self) -> None:
-        """Forget what the ball sent while nobody polled it."""
+        """Forget what the ball sent while nobody polled it, and set it up again."""
         if self._line.is_open:
             try:
                 self._line.discard_input()
             except DeviceError as error:
                 self.fault = error
+            else:
+                self._unsent = SET_UP
         self._decoder = Decoder()
         self.motion, self.keys = AT_REST, Keys(0)
 
