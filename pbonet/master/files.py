@@ -7,6 +7,7 @@ then in the library.
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,16 +58,21 @@ class Files:
         if self.job is not None:
             self._look_in(Path(self.job.file).parent)
 
-    def read_job(self, path: str | Path) -> JobFile:
+    def read_job(self, path: str | Path | None = None) -> JobFile:
         """Return a job of this subsystem; its RMODs are looked for beside it first.
 
         Args:
             path: The file; a name without a folder is looked for beside the ``.sbs``
-                too, and ``.job`` may be left out.
+                too, and ``.job`` may be left out. None means the job that the
+                subsystem was opened with.
 
         Raises:
-            ConfigError: It is missing, wrong, or of another subsystem.
+            ConfigError: It is missing, wrong, of another subsystem, or not named.
         """
+        if path is None:
+            if self.job is None:
+                raise self._no_job()
+            return self.job
         job = read_job(self._job_path(Path(path)))
         folder = Path(job.file).parent
         if (folder / job.sbs).resolve() != self.path.resolve():
@@ -99,9 +105,28 @@ class Files:
         }
         return sorted(beside | set(self.library.rmods()))
 
+    def producers(self) -> dict[str, tuple[str, ...]]:
+        """Return, by variable, the RMODs that write it; for remedies in refusals."""
+        found: dict[str, list[str]] = {}
+        for name in self.rmods():
+            with contextlib.suppress(ConfigError):  # it is told when somebody wants it
+                record = self.rmod(name).record
+                for port in (*record.outvar, *record.outconst):
+                    found.setdefault(record.svar_name(port), []).append(name)
+        return {variable: tuple(names) for variable, names in found.items()}
+
     def jobs(self) -> list[str]:
         """Return the jobs that stand beside the ``.sbs``, sorted."""
         return sorted(path.stem for path in self.path.parent.glob("*.job"))
+
+    def _no_job(self) -> ConfigError:
+        jobs = ", ".join(self.jobs())
+        return ConfigError(
+            "no job is named",
+            where=self.sbs.subsystem,
+            expected="the name of a .job file",
+            remedy=f"there are: {jobs}" if jobs else f"write one beside {self.path}",
+        )
 
     def _look_in(self, folder: Path) -> None:
         """Make `folder` the first in which RMODs are looked for."""

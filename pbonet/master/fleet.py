@@ -112,8 +112,7 @@ class Fleet:
         results, errors = self.client.call_all(claims, m.Claimed)
         self.epochs = {name: claimed.epoch for name, claimed in results.items()}
         if errors:
-            self._give_back(results)
-            self.drop()
+            self.give_back(results)
             rpc.raise_all(
                 f"{len(errors)} of {len(claims)} RTPUs of the subsystem "
                 f"{self.sbs.subsystem} cannot be had",
@@ -162,6 +161,15 @@ class Fleet:
         self.drop()
         return errors
 
+    def give_back(self, claims: dict[str, m.Claimed]) -> None:
+        """Undo a claim in vain; RTPUs with tasks of the subsystem stay as they were."""
+        free = [name for name, claimed in claims.items() if not claimed.tasks]
+        if free:
+            _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
+            for error in errors:
+                log.warning("cannot give back: %s", error)
+        self.drop()
+
     def drop(self) -> None:
         """Stop being a master without telling the agents; claims stand open to others.
 
@@ -170,7 +178,7 @@ class Fleet:
         self.epochs = {}
         if self._token is not None:
             with contextlib.suppress(zenoh.ZError):
-                self._token.undeclare()  # pyright: ignore[reportUnknownMemberType]
+                self._token.undeclare()  # type: ignore[no-untyped-call]
             self._token = None
 
     def masters(self) -> list[str]:
@@ -207,12 +215,3 @@ class Fleet:
             raise UnreachableError(
                 "the connection to the agents is closed", got=str(error)
             ) from None
-
-    def _give_back(self, claims: dict[str, m.Claimed]) -> None:
-        """Release what a claim in vain got, unless the subsystem has tasks there."""
-        free = [name for name, claimed in claims.items() if not claimed.tasks]
-        if not free:
-            return
-        _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
-        for error in errors:
-            log.warning("cannot give back: %s", error)

@@ -178,6 +178,11 @@ class Client:
                 errors.append(error)
         return results, errors
 
+    def close(self) -> None:
+        """Close the session; a call that waits ends with an error."""
+        if not self.session.is_closed():
+            self.session.close()  # type: ignore[no-untyped-call]
+
     def _alive(self, rtpu: str) -> str:
         return keys.rtpu(self.domain, rtpu, "alive")
 

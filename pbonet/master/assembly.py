@@ -1,0 +1,154 @@
+"""Assembling a whole job in two phases, and undoing it when a step fails.
+
+First every task is spawned, in the order that constants demand (Stewart 1994, section
+3.5), until all are OFF; then they are turned ON: sensors, computation, and at last the
+CRITICAL tasks, which drive hardware and so find their inputs flowing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet import verify
+from pbonet.errors import PbonetError, SeveralError, StateError
+from pbonet.pbo import State
+from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    import threading
+
+    from pbonet.config.model import JobFile
+    from pbonet.master.crew import Crew
+    from pbonet.master.picture import Member
+
+
+def plan(crew: Crew, job: JobFile) -> list[Member]:
+    """Return the job's tasks as they would be spawned.
+
+    Raises:
+        PbonetError: RMODs, RTPUs or modules are missing or wrong; all are named.
+    """
+    members: list[Member] = []
+    errors: list[PbonetError] = []
+    for task in job.tasks:
+        try:
+            member = crew.plan(crew.files.rmod(task.rmod), task.rtpu, task.freq)
+        except PbonetError as error:
+            error.where = error.where or str(task.place or job.file)
+            errors.append(error)
+            continue
+        members.append(member)
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise SeveralError(f"the job {job.name} cannot be assembled", errors)
+    return members
+
+
+def check(crew: Crew, job: JobFile) -> list[str]:
+    """Judge the subsystem as it would stand with the job; return warnings.
+
+    Raises:
+        VerificationError: It would be illegal.
+    """
+    wanted = [member.task for member in plan(crew, job)]
+    return crew.verdict(verify.job(wanted))
+
+
+def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStatus]:
+    """Assemble a job; return the status of its tasks.
+
+    Args:
+        crew: The subsystem.
+        job: What to assemble.
+        stopped: When it is set, the assembly gives up and is undone.
+
+    Raises:
+        VerificationError: It would be illegal; nothing was done.
+        PbonetError: A step failed; what was done was undone.
+    """
+    wanted = plan(crew, job)
+    tasks = [member.task for member in wanted]
+    crew.judge(verify.job(tasks))
+    by_name = {member.name: member for member in wanted}
+    done = _Done(crew)
+    try:
+        for name in verify.spawn_order(tasks):
+            _go_on(stopped)
+            if not _stands(crew, by_name[name]):
+                done.spawn(by_name[name])
+        crew.rank()
+        for name in verify.on_order(tasks):
+            _go_on(stopped)
+            if not crew.picture.find(name).is_on:
+                done.turn_on(name)
+    except BaseException as error:
+        left = done.undo()
+        if left and isinstance(error, PbonetError):
+            raise SeveralError(
+                f"the job {job.name} did not start, and not all could be undone",
+                [error, *left],
+                remedy="'stop' ends what is left",
+            ) from error
+        raise
+    statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
+    return [status for status in statuses if status.task in by_name]
+
+
+class _Done:
+    """What a start has done so far, and how it is undone."""
+
+    def __init__(self, crew: Crew) -> None:
+        self._crew = crew
+        self._spawned: list[str] = []
+        self._on: list[str] = []
+
+    def spawn(self, member: Member) -> None:
+        freq = member.freq if member.freq != member.rmod.freq else None
+        self._crew.create(member, freq)
+        self._spawned.append(member.name)
+
+    def turn_on(self, name: str) -> None:
+        self._crew.control(name, "on", "")
+        self._on.append(name)
+
+    def undo(self) -> list[PbonetError]:
+        """Turn off and kill, the last first; return what could not be done."""
+        errors: list[PbonetError] = []
+        steps = [(name, "off") for name in reversed(self._on)]
+        steps += [(name, "kill") for name in reversed(self._spawned)]
+        for name, signal in steps:
+            try:
+                self._crew.refresh()
+                member = self._crew.picture.get(name)
+                if member is not None and (signal == "kill" or member.is_on):
+                    self._crew.control(name, signal, "")
+            except PbonetError as error:
+                errors.append(error)
+        return errors
+
+
+def _stands(crew: Crew, member: Member) -> bool:
+    """Tell whether the task is there already, made from the same RMOD on its RTPU.
+
+    Raises:
+        StateError: A task of that name is there, but another one, or in ERROR.
+    """
+    old = crew.picture.get(member.name)
+    if old is None:
+        return False
+    same = (old.source.text, old.rtpu) == (member.source.text, member.rtpu)
+    if same and old.state is not State.ERROR:
+        return True
+    raise StateError(
+        f"the task {old.name} stands in the way",
+        where=f"{old.rtpu}/{old.name}",
+        expected=f"none, or one of the same RMOD on {member.rtpu} without error",
+        got=f"state {old.state}, " + ("the same RMOD" if same else "another RMOD"),
+        remedy=f"'kill {old.name}' removes it",
+    )
+
+
+def _go_on(stopped: threading.Event) -> None:
+    if stopped.is_set():
+        raise StateError("the start was given up because a stop came in between")

@@ -1,0 +1,302 @@
+"""The command table: every command once, for every interface (Stewart 1994, 4.4.1).
+
+The prompt, scripts, one-shot verbs and the network interface are all made from this
+table: a command's name, its arguments, its help, and what it calls on `Subsystem`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from pbonet.errors import NodeError, did_you_mean
+from pbonet.master import actions
+
+if TYPE_CHECKING:
+    from pbonet.master.desk import Desk
+
+    Given = dict[str, Any]
+
+
+class Kind(StrEnum):
+    """What an argument stands for; completion offers what there is of it."""
+
+    TASK = "task"
+    RMOD = "rmod"
+    RTPU = "rtpu"
+    VARIABLE = "variable"
+    MODULE = "module"
+    JOB = "job"
+    FIELD = "field"
+    COMMAND = "command"
+    PARAM = "parameter"
+    ITEM = "task:signal"
+    WORD = "word"
+    NUMBER = "number"
+    COUNT = "count"
+
+
+class Use(StrEnum):
+    """How often an argument is given, and how."""
+
+    ONE = "one"
+    MAYBE = "maybe"
+    """One or none."""
+    SOME = "some"
+    """One or more: all words that are left."""
+    ANY = "any"
+    """All words that are left, if any."""
+    NAMED = "named"
+    """None or one, by name: ``name=value`` at the prompt, ``--name value`` else."""
+
+
+class Arg(Struct, frozen=True):
+    """One argument of a command."""
+
+    name: str
+    kind: Kind
+    doc: str
+    use: Use = Use.ONE
+
+    @property
+    def need(self) -> bool:
+        """Whether it must be there."""
+        return self.use in {Use.ONE, Use.SOME}
+
+    @property
+    def many(self) -> bool:
+        """Whether it takes all words that are left."""
+        return self.use in {Use.SOME, Use.ANY}
+
+    @property
+    def option(self) -> bool:
+        """Whether it is given by name."""
+        return self.use is Use.NAMED
+
+
+class Scope(StrEnum):
+    """Where a command makes sense."""
+
+    EVERYWHERE = "everywhere"
+    SESSION = "session"
+    """Only where one interface gives several commands: prompt, script, network."""
+    PROMPT = "prompt"
+    """Only where control can be handed to another interface."""
+
+
+class Command(Struct, frozen=True):
+    """One command."""
+
+    name: str
+    help: str
+    run: Callable[[Desk, Given], Any]
+    """Does it and returns what there is to show, as plain data."""
+    args: tuple[Arg, ...] = ()
+    changes: bool = False
+    """It needs a master that holds the claim."""
+    scope: Scope = Scope.EVERYWHERE
+
+    @property
+    def usage(self) -> str:
+        """The command line in short, such as ``spawn RMOD [RTPU] [HZ]``."""
+        words = [self.name]
+        for arg in self.args:
+            word = f"{arg.name}={arg.kind}" if arg.option else arg.name.upper()
+            word += " ..." if arg.many else ""
+            words.append(word if arg.need else f"[{word}]")
+        return " ".join(words)
+
+
+_TASK: Final = Arg(
+    "task", Kind.TASK, "the task; the last one used if left out", Use.MAYBE
+)
+_TASKS: Final = Arg(
+    "task", Kind.TASK, "the tasks; the last one used if left out", Use.ANY
+)
+_TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
+
+COMMANDS: Final = (
+    Command(
+        "check",
+        "Judge a job, or the tasks as they stand, without changing anything.",
+        actions.check,
+        (Arg("job", Kind.JOB, "the job", Use.MAYBE),),
+    ),
+    Command(
+        "clear",
+        "Send clear to tasks in ERROR.",
+        actions.signal("clear"),
+        (_TASKS, _TEXT),
+        changes=True,
+    ),
+    Command(
+        "display",
+        "Show variables of the table with unit, age and writer.",
+        actions.display,
+        (
+            Arg("variable", Kind.VARIABLE, "names; * and ? match", Use.ANY),
+            Arg("task", Kind.TASK, "those of its ports", Use.NAMED),
+            Arg("writer", Kind.TASK, "those it writes now", Use.NAMED),
+        ),
+    ),
+    Command(
+        "events",
+        "Show what happened lately.",
+        actions.events,
+        (
+            Arg("last", Kind.COUNT, "how many", Use.MAYBE),
+            Arg("since", Kind.COUNT, "number of the first", Use.NAMED),
+            Arg("task", Kind.TASK, "of one task", Use.NAMED),
+        ),
+    ),
+    Command(
+        "freq",
+        "Show or set a task's frequency.",
+        actions.freq,
+        (_TASK, Arg("hz", Kind.NUMBER, "new, Hz", Use.MAYBE)),
+        changes=True,
+    ),
+    Command(
+        "get",
+        "Show the parameters of a task's module.",
+        actions.get,
+        (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
+    ),
+    Command(
+        "help",
+        "Show the commands, or one of them.",
+        actions.help_,
+        (Arg("command", Kind.COMMAND, "which", Use.MAYBE),),
+        scope=Scope.SESSION,
+    ),
+    Command(
+        "kill",
+        "Destroy tasks.",
+        actions.signal("kill"),
+        (_TASKS, _TEXT),
+        changes=True,
+    ),
+    Command(
+        "module",
+        "List modules and RMODs, or show one module.",
+        actions.module,
+        (Arg("module", Kind.MODULE, "which", Use.MAYBE),),
+    ),
+    Command(
+        "network",
+        "Hand control to a program on the network until it ends.",
+        actions.network,
+        (Arg("portname", Kind.WORD, "the name under which it finds us"),),
+        scope=Scope.PROMPT,
+    ),
+    Command(
+        "off",
+        "Send off to tasks.",
+        actions.signal("off"),
+        (_TASKS, _TEXT),
+        changes=True,
+    ),
+    Command(
+        "on",
+        "Send on to tasks.",
+        actions.signal("on"),
+        (_TASKS, _TEXT),
+        changes=True,
+    ),
+    Command(
+        "quit",
+        "End this interface; the next one of the master goes on.",
+        actions.quit_,
+        scope=Scope.SESSION,
+    ),
+    Command(
+        "reconfig",
+        "Send several signals in order, judged by their end.",
+        actions.reconfig,
+        (Arg("item", Kind.ITEM, "such as pid:off", Use.SOME),),
+        changes=True,
+    ),
+    Command(
+        "reinit",
+        "Read the constants again and run reinit.",
+        actions.signal("reinit"),
+        (_TASKS, _TEXT),
+        changes=True,
+    ),
+    Command(
+        "set",
+        "Show or change parameters of a task's module.",
+        actions.set_,
+        (
+            _TASK,
+            Arg("param", Kind.PARAM, "which; all if left out", Use.MAYBE),
+            Arg("value", Kind.WORD, "its new value", Use.ANY),
+        ),
+        changes=True,
+    ),
+    Command(
+        "spawn",
+        "Create a task from an RMOD; it is OFF then.",
+        actions.spawn,
+        (
+            Arg("rmod", Kind.RMOD, "the RMOD"),
+            Arg("rtpu", Kind.RTPU, "where; as the RMOD says if left out", Use.MAYBE),
+            Arg("hz", Kind.NUMBER, "frequency in place of the RMOD's", Use.MAYBE),
+        ),
+        changes=True,
+    ),
+    Command(
+        "start",
+        "Assemble a job: verify, spawn, turn on.",
+        actions.start,
+        (Arg("job", Kind.JOB, "the job", Use.MAYBE),),
+        changes=True,
+    ),
+    Command(
+        "status",
+        "Show the status of tasks, since the last status.",
+        actions.status,
+        (
+            Arg("task", Kind.TASK, "which; all if left out", Use.ANY),
+            Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
+        ),
+    ),
+    Command(
+        "status set",
+        "Choose the columns of status: names, 'all' or 'default'.",
+        actions.status_set,
+        (Arg("field", Kind.FIELD, "columns; shows them if left out", Use.ANY),),
+        scope=Scope.SESSION,
+    ),
+    Command("stop", "Turn everything OFF and end it, now.", actions.stop),
+    Command(
+        "write",
+        "Set a variable that no task writes.",
+        actions.write,
+        (
+            Arg("variable", Kind.VARIABLE, "its name"),
+            Arg("value", Kind.NUMBER, "its elements", Use.SOME),
+        ),
+        changes=True,
+    ),
+)
+
+BY_NAME: Final = {command.name: command for command in COMMANDS}
+
+
+def find(name: str) -> Command:
+    """Return a command.
+
+    Raises:
+        NodeError: There is none of that name.
+    """
+    command = BY_NAME.get(name)
+    if command is None:
+        raise NodeError(
+            f"there is no command {name}",
+            remedy=did_you_mean(name, BY_NAME) or "see 'help'",
+        )
+    return command

@@ -1,0 +1,431 @@
+"""The tasks of an open subsystem, and the steps that commands are made of.
+
+Everything that changes a task goes through here and keeps the picture true, so that the
+next judgement rests on what is, not on what was asked for.
+"""
+
+from __future__ import annotations
+
+import logging
+from types import NoneType
+from typing import TYPE_CHECKING
+
+from pbonet import verify
+from pbonet.config import parse_rmod
+from pbonet.errors import PbonetError, ReconfigError, StateError
+from pbonet.master import modules
+from pbonet.master.files import RmodSource
+from pbonet.master.picture import Member, Picture
+from pbonet.pbo import State
+from pbonet.xm import messages as m
+from pbonet.xm import rpc
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from pbonet.master.files import Files
+    from pbonet.master.fleet import Fleet
+    from pbonet.pbo import ModuleInfo
+
+CONTROL_TIME = 5.0
+SPAWN_TIME = 10.0
+STOP_TIME = 2.0
+SIGNALS = {
+    "on": State.ON,
+    "off": State.OFF,
+    "kill": State.NOT_CREATED,
+    "clear": State.OFF,
+    "reinit": None,
+}
+"""What may be sent to a task, and the state that it leads to; None: as before."""
+
+UTILIZATION = 0.95
+"""Share of a core that may be planned; above it the kernel throttles all (6.2.3)."""
+UNFED = "equation 2: an input of a task that is ON has no writer"
+"""The cause under which a master raises the illegal-configuration flag (3.10)."""
+
+log = logging.getLogger("pbonet.master")
+
+
+class Crew:
+    """The tasks of a subsystem and the RTPUs they stand on.
+
+    Args:
+        files: The subsystem's files.
+        fleet: Its RTPUs.
+        warned: Called with each warning.
+    """
+
+    def __init__(
+        self, files: Files, fleet: Fleet, warned: Callable[[str], None]
+    ) -> None:
+        self.files = files
+        self.fleet = fleet
+        self.warned = warned
+        self.picture = Picture()
+        self._infos: dict[tuple[str, str], ModuleInfo] = {}
+        self._flag_up = False
+
+    # -- the picture ------------------------------------------------------------------
+
+    def take(self, *, take_over: bool) -> None:
+        """Claim the RTPUs, open the table, and take in the tasks that stand there.
+
+        The table is opened on its keeper first; the others attach or mirror it.
+
+        Raises:
+            ClaimError: An RTPU belongs to another subsystem or another master.
+            SvarError: The table cannot be opened; the claims were given back.
+            SeveralError: Several RTPUs cannot be had.
+        """
+        claims = self.fleet.claim(take_over=take_over)
+        try:
+            for rtpu in self.fleet.keeper_first:
+                request = m.OpenTable(
+                    svar=self.files.table_text,
+                    svar_name=self.files.table.file,
+                    keep=rtpu == self.files.sbs.keeper,
+                )
+                self.fleet.call(rtpu, request, m.TableInfo)
+        except PbonetError:
+            self.fleet.give_back(claims)
+            raise
+        for rtpu, claimed in claims.items():
+            for task in claimed.tasks:
+                source = self._source(task, claimed.rmods.get(task))
+                freq = source.record.freq or 0.0
+                self.picture.add(Member(source=source, rtpu=rtpu, freq=freq))
+
+    def refresh(self) -> list[m.RtpuStatus]:
+        """Ask the RTPUs how the tasks stand now; return their status.
+
+        Raises:
+            SeveralError: Several agents do not answer; of one, its own error.
+        """
+        results, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus)
+        rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
+        statuses = [results[name] for name in self.fleet.names]
+        there = [task for rtpu in statuses for task in rtpu.tasks]
+        for status in there:
+            self.note(status)
+        for gone in set(self.picture.names) - {status.task for status in there}:
+            self.picture.remove(gone)
+        self._flag_up = any(
+            UNFED in cause for rtpu in statuses for cause in rtpu.illegal
+        )
+        return statuses
+
+    def note(self, status: m.TaskStatus) -> None:
+        """Take a task's status into the picture."""
+        member = self.picture.get(status.task)
+        if member is None:
+            try:
+                source = self._source(status.rmod, None)
+            except PbonetError as error:  # spawned from elsewhere; it is only watched
+                log.debug("task %s: %s", status.task, error)
+                return
+            member = Member(source=source, rtpu=status.rtpu, freq=status.ref_f)
+            self.picture.add(member)
+        member.rtpu, member.freq = status.rtpu, status.ref_f
+        self._move(status.task, State(status.state))
+
+    def locate(self, task: str) -> str:
+        """Return the RTPU of a task, asking the agents when it is not known.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        member = self.picture.get(task)
+        if member is None:
+            self.refresh()
+            member = self.picture.find(task)
+        return member.rtpu
+
+    def _source(self, task: str, text: str | None) -> RmodSource:
+        """Return the RMOD of a task: as it was spawned, else as its file says."""
+        if text:
+            return RmodSource(parse_rmod(text, f"{task}.rmod"), text)
+        return self.files.rmod(task)
+
+    def _move(self, task: str, state: State) -> None:
+        member = self.picture.get(task)
+        if member is not None and state is State.NOT_CREATED:
+            self.picture.remove(task)
+        elif member is not None:
+            member.state = state
+
+    # -- judging ----------------------------------------------------------------------
+
+    def info(self, rtpu: str, module: str) -> ModuleInfo:
+        """Return a module's description as the RTPU's library has it.
+
+        Raises:
+            ModuleLoadError: The library has no such module, or it does not load.
+        """
+        if (rtpu, module) not in self._infos:
+            self._infos[rtpu, module] = modules.on(self.fleet, rtpu, module)
+        return self._infos[rtpu, module]
+
+    def plan(self, source: RmodSource, rtpu: str | None, freq: float | None) -> Member:
+        """Return the task that an RMOD would become.
+
+        Raises:
+            NodeError: The subsystem has no such RTPU.
+            ModuleLoadError: The agent there has no such module, or it does not load.
+        """
+        where = rtpu or source.record.rtpu or self.fleet.names[0]
+        self.fleet.entry(where)
+        return Member(
+            source=source,
+            rtpu=where,
+            freq=freq or source.record.freq or 0.0,
+            info=self.info(where, source.record.module),
+        )
+
+    def must_be_new(self, member: Member) -> None:
+        """Refuse to spawn a task twice.
+
+        Raises:
+            StateError: The subsystem has a task of this name.
+        """
+        old = self.picture.get(member.name)
+        if old is not None:
+            raise StateError(
+                f"there is a task {old.name} already",
+                where=f"{old.rtpu}/{old.name}",
+                got=f"state {old.state}",
+                remedy=f"'on {old.name}' turns it on, 'kill {old.name}' removes it",
+            )
+
+    def judge(self, change: verify.Change) -> None:
+        """Refuse a change that would be illegal; tell what else is to be said of it.
+
+        Raises:
+            VerificationError: It would be illegal.
+        """
+        self.tell(self.verdict(change))
+
+    def verdict(self, change: verify.Change | None = None) -> list[str]:
+        """Return the warnings for a change, or for the tasks as they stand.
+
+        Raises:
+            VerificationError: It would be, or is, illegal.
+        """
+        self.with_infos(self.picture)
+        problems = self._problems(change, producers=False)
+        if any(p.severity is verify.Severity.REFUSE for p in problems):
+            problems = self._problems(change, producers=True)
+            raise verify.as_error([
+                p for p in problems if p.severity is verify.Severity.REFUSE
+            ])
+        return list(map(verify.as_text, problems))
+
+    def _problems(
+        self, change: verify.Change | None, *, producers: bool
+    ) -> Sequence[verify.Problem]:
+        now = self.configuration(producers=producers)
+        return verify.judge(now, change).problems if change else verify.check(now)
+
+    def configuration(self, *, producers: bool = False) -> verify.Configuration:
+        """Return the subsystem as it stands; with `producers`, what a remedy needs."""
+        return verify.Configuration(
+            svar=self.files.table,
+            tasks=tuple(member.task for member in self.picture),
+            on=frozenset(member.name for member in self.picture if member.is_on),
+            rtpus=self.files.sbs.rtpus,
+            producers=self.files.producers() if producers else {},
+            limit=UTILIZATION,
+        )
+
+    def with_infos(self, members: Iterable[Member]) -> None:
+        """Get the description of each task's module, where it is not known yet."""
+        for member in members:
+            if member.info is None:
+                member.info = self.info(member.rtpu, member.rmod.module)
+
+    def tell(self, warnings: Iterable[str]) -> None:
+        """Hand on warnings."""
+        for text in warnings:
+            self.warned(text)
+
+    # -- changing ---------------------------------------------------------------------
+
+    def create(self, member: Member, freq: float | None) -> m.TaskStatus:
+        """Spawn one task and take it into the picture.
+
+        Raises:
+            PbonetError: It could not be created; nothing of it stays.
+        """
+        priorities = self.priorities([*self.picture, member])
+        request = m.Spawn(
+            task=member.name,
+            rmod=member.source.text,
+            rmod_name=member.name,
+            freq=freq,
+            crit=member.rmod.crit,
+            priority=priorities[member.name],
+            timeout=SPAWN_TIME,
+        )
+        status = self.fleet.call(
+            member.rtpu, request, m.TaskStatus, timeout=SPAWN_TIME + 1.0
+        )
+        self.picture.add(member)
+        self.note(status)
+        return status
+
+    def control(self, task: str, signal: str, arg: str) -> m.TaskStatus:
+        """Send one signal.
+
+        Raises:
+            PbonetError: It was refused, or a method of the module failed.
+        """
+        member = self.picture.find(task)
+        request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
+        status = self.fleet.call(
+            member.rtpu, request, m.TaskStatus, timeout=CONTROL_TIME
+        )
+        self.note(status)
+        return status
+
+    def send(self, items: Sequence[tuple[str, str]]) -> dict[str, str]:
+        """Send signals in order, in as few messages as the order allows.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            ReconfigError: An item failed; the rest was not sent.
+        """
+        states: dict[str, str] = {}
+        done = 0
+        for rtpu, part in self._runs(items):
+            request = m.Reconfig(items=part, timeout=CONTROL_TIME)
+            try:
+                answer = self.fleet.call(
+                    rtpu, request, m.Reconfigured, timeout=CONTROL_TIME * len(part)
+                )
+            except PbonetError as error:
+                raise _stuck(items, done, error) from error
+            for task, state in answer.states.items():
+                self._move(task, State(state))
+            states |= answer.states
+            done += answer.done
+            if answer.error is not None:
+                cause = PbonetError.from_wire(answer.error)
+                raise _stuck(items, done, cause) from cause
+        return states
+
+    def _runs(
+        self, items: Sequence[tuple[str, str]]
+    ) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+        """Yield the items cut wherever the next is for another RTPU."""
+        part: list[tuple[str, str]] = []
+        where = ""
+        for task, signal in items:
+            rtpu = self.picture.find(task).rtpu
+            if part and rtpu != where:
+                yield where, part
+                part = []
+            where = rtpu
+            part.append((task, signal))
+        if part:
+            yield where, part
+
+    def settle(self) -> None:
+        """After a change: tell priorities, raise or clear the flag of equation 2.
+
+        What goes wrong here is a warning: the change has its own outcome.
+        """
+        try:
+            unfed = any(
+                problem.code is verify.Code.NO_WRITER
+                for problem in verify.check(self.configuration())
+            )
+            if unfed != self._flag_up:
+                request = m.Flag(cause=UNFED, up=unfed)
+                self.fleet.call(self.files.sbs.keeper, request, list[str])
+                self._flag_up = unfed
+            self.rank()
+        except PbonetError as error:
+            self.warned(f"after the change: {error}")
+
+    @staticmethod
+    def priorities(members: Iterable[Member]) -> dict[str, int]:
+        """Return the user priorities that follow from the data flow (6.2.4)."""
+        return verify.user_priorities([member.task for member in members])
+
+    def rank(self) -> None:
+        """Tell the RTPUs the user priorities; criticalities are their own rule's."""
+        priorities = self.priorities(self.picture)
+        ranks: dict[str, dict[str, tuple[int | None, int]]] = {}
+        for member in self.picture:
+            rank = (member.rmod.crit, priorities[member.name])
+            ranks.setdefault(member.rtpu, {})[member.name] = rank
+        _, errors = self.fleet.each(
+            lambda rtpu: m.Rank(tasks=ranks[rtpu]), NoneType, rtpus=ranks
+        )
+        self.tell(map(str, errors))
+
+    # -- ending -----------------------------------------------------------------------
+
+    def leave(self) -> list[PbonetError]:
+        """Close the table, its keeper last, and give the RTPUs back."""
+        errors: list[PbonetError] = []
+        for rtpu in reversed(self.fleet.keeper_first):
+            try:
+                self.fleet.call(rtpu, m.CloseTable(), NoneType)
+            except PbonetError as error:
+                errors.append(error)
+        return errors or self.fleet.release()
+
+    def order_of_off(self) -> list[str]:
+        """Return the order in which the tasks are turned off."""
+        stated = self.files.job.off_order if self.files.job else ()
+        return verify.off_order([member.task for member in self.picture], stated)
+
+    def off(self) -> None:
+        """Turn OFF task by task in order; what refuses is left to `stop`."""
+        for name in self.order_of_off():
+            member = self.picture.get(name)
+            if member is None or not member.is_on:
+                continue
+            try:
+                self.send([(name, "off")])
+            except PbonetError as error:
+                log.debug("off %s: %s", name, error)
+
+    def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
+        """Stop every RTPU at once; return what it did and what went wrong."""
+        order = self.order_of_off()
+        results, errors = self.fleet.each(
+            lambda _: m.Stop(timeout=STOP_TIME, order=order),
+            m.Stopped,
+            timeout=STOP_TIME + rpc.ANSWER_TIME,
+        )
+        stopped = m.Stopped(off=[], killed=[])
+        for result in results.values():
+            stopped.off += result.off
+            stopped.killed += result.killed
+        for member in list(self.picture):
+            if member.rtpu in results:
+                self.picture.remove(member.name)
+        return stopped, errors
+
+
+def _stuck(
+    items: Sequence[tuple[str, str]], done: int, error: PbonetError
+) -> ReconfigError:
+    """Return the error that says which item failed and what was not sent."""
+    task, signal = items[done]
+    rest = [f"{signal} {task}" for task, signal in items[done + 1 :]]
+    stuck = ReconfigError(
+        f"item {done + 1} of {len(items)}, {signal} {task}: {error.what}",
+        where=error.where,
+        expected=error.expected,
+        got=error.got,
+        remedy=error.remedy or ("not sent: " + ", ".join(rest) if rest else ""),
+        debug=error.debug,
+    )
+    stuck.done = done
+    stuck.rest = tuple(items[done:])
+    return stuck

@@ -1,0 +1,272 @@
+"""One interface to a subsystem: it takes command lines or maps, and gives replies.
+
+Each interface has a desk of its own: its default RMOD, its columns of `status`, and
+what it has seen (Stewart 1994, section 4.4.1). Nothing here prints or reads.
+"""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
+
+from pbonet.errors import ClaimError, StateError, did_you_mean
+from pbonet.master import profile
+from pbonet.master.actions import no_task
+from pbonet.master.commands import BY_NAME, Arg, Command, Kind, Scope, find
+from pbonet.master.words import is_sequence, sequence
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from pbonet.master.subsystem import Subsystem
+
+
+class Reply(Struct, frozen=True, kw_only=True):
+    """What a command gave."""
+
+    command: str
+    data: dict[str, Any]
+    warnings: list[str] = []
+
+
+class Desk:
+    """The state of one interface.
+
+    Args:
+        subsystem: What it steers.
+        hand_over: Called with a port name to let a program on the network steer; None
+            where this interface cannot do that.
+    """
+
+    def __init__(
+        self,
+        subsystem: Subsystem,
+        *,
+        hand_over: Callable[[str], None] | None = None,
+    ) -> None:
+        self.subsystem = subsystem
+        self.hand_over = hand_over
+        self.default = ""
+        """The task that the last command was for."""
+        self.shown: tuple[str, ...] = profile.DEFAULT
+        self.baselines = profile.Baselines()
+        self.ended = False
+        """Set by `quit`."""
+
+    @property
+    def prompt(self) -> str:
+        """The prompt of section 4.4.1: subsystem and default RMOD."""
+        return f"SBS {self.subsystem.name}<{self.default}> "
+
+    # -- tasks ------------------------------------------------------------------------
+
+    def point_at(self, task: str) -> None:
+        """Make `task` the default of the next command."""
+        self.default = task
+
+    def task(self, named: str | None, meant: str | None = None) -> str:
+        """Return the task a command is for, and make it the default.
+
+        Args:
+            named: The task that was named.
+            meant: A word that may have been meant as one, for the error.
+
+        Raises:
+            UnknownTaskError: None was named, and there is no default.
+        """
+        task = named or self.default
+        if not task:
+            raise no_task(meant or "", self.subsystem.picture.names)
+        self.default = task
+        return task
+
+    def tasks(self, named: list[str]) -> list[str]:
+        """Return the tasks a command is for; the default when none is named.
+
+        Raises:
+            UnknownTaskError: None was named, and there is no default.
+        """
+        tasks = list(dict.fromkeys(named)) or [self.task(None)]
+        self.default = tasks[-1]
+        return tasks
+
+    # -- commands ---------------------------------------------------------------------
+
+    def execute(self, line: str) -> Reply | None:
+        """Carry out one command line; None for a blank line or a comment.
+
+        Raises:
+            PbonetError: The line is wrong, or the command failed.
+        """
+        try:
+            words = shlex.split(line, comments=True)
+        except ValueError as error:
+            raise StateError(
+                "the line is not understood", got=str(error), remedy="close the quotes"
+            ) from None
+        if not words:
+            return None
+        command, words = split_name(words)
+        return self._run(command, bind(command, words, self._knows))
+
+    def call(self, name: str, args: Mapping[str, object]) -> Reply:
+        """Carry out a command whose arguments come by name.
+
+        Raises:
+            PbonetError: An argument is wrong, or the command failed.
+        """
+        command = find(name)
+        return self._run(command, convert(command, args))
+
+    def _knows(self, task: str) -> bool:
+        return task in self.subsystem.picture
+
+    def _run(self, command: Command, given: dict[str, Any]) -> Reply:
+        if command.scope is Scope.PROMPT and self.hand_over is None:
+            raise StateError(f"{command.name} makes no sense here")
+        if command.changes and self.subsystem.watch and _would_change(command, given):
+            raise ClaimError(
+                f"{command.name} changes the subsystem, which is open for watching only"
+            )
+        warnings: list[str] = []
+        before = self.subsystem.warned
+        self.subsystem.warned = warnings.append
+        try:
+            data = command.run(self, given)
+        finally:
+            self.subsystem.warned = before
+        return Reply(command=command.name, data=data, warnings=warnings)
+
+
+def _would_change(command: Command, given: dict[str, Any]) -> bool:
+    """Tell whether a command that can also show will change something."""
+    if command.name == "freq":
+        return given.get("hz") is not None
+    if command.name == "set":
+        return bool(given.get("value"))
+    return True
+
+
+def split_name(words: list[str]) -> tuple[Command, list[str]]:
+    """Return the command that the first word or two name, and the other words.
+
+    Raises:
+        NodeError: There is no such command.
+    """
+    both = " ".join(words[:2])
+    if both in BY_NAME:
+        return BY_NAME[both], words[2:]
+    return find(words[0]), words[1:]
+
+
+def bind(
+    command: Command, words: list[str], knows: Callable[[str], bool]
+) -> dict[str, Any]:
+    """Return a command's arguments out of the words of its line.
+
+    A task that may be left out is there when the word names one, or when there would
+    be words too many otherwise.
+
+    Args:
+        command: The command.
+        words: The words behind its name.
+        knows: Tells whether the subsystem has a task of a name.
+
+    Raises:
+        StateError: Words are missing, too many, or wrong.
+    """
+    given: dict[str, Any] = {}
+    options = {arg.name: arg for arg in command.args if arg.option}
+    places = [arg for arg in command.args if not arg.option]
+    plain: list[str] = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if equals and name in options:
+            given[name] = _value(command, options[name], value)
+        else:
+            plain.append(word)
+    while places:
+        arg = places.pop(0)
+        if arg.many:
+            given[arg.name] = [_value(command, arg, word) for word in plain]
+            plain = []
+        elif plain and not _left_out(arg, plain, places, knows):
+            given[arg.name] = _value(command, arg, plain.pop(0))
+    if plain:
+        raise _usage(command, f"one word too many: {plain[0]}")
+    _must_be_complete(command, given)
+    return given
+
+
+def _left_out(
+    arg: Arg, words: list[str], rest: list[Arg], knows: Callable[[str], bool]
+) -> bool:
+    """Tell whether the next word is not meant for an optional task."""
+    if arg.kind is not Kind.TASK or arg.need or not rest:
+        return False
+    room = any(one.many for one in rest) or len(words) <= len(rest)
+    return room and not knows(words[0])
+
+
+def convert(command: Command, args: Mapping[str, object]) -> dict[str, Any]:
+    """Return a command's arguments out of a map, as a message has it.
+
+    Raises:
+        StateError: An argument is unknown, missing, or of the wrong type.
+    """
+    known = {arg.name: arg for arg in command.args}
+    given: dict[str, Any] = {}
+    for name, value in args.items():
+        arg = known.get(name)
+        if arg is None:
+            raise StateError(
+                f"{command.name} has no argument {name}",
+                expected=command.usage,
+                remedy=did_you_mean(name, known),
+            )
+        if value is None:
+            continue
+        found = [_value(command, arg, _word(one)) for one in sequence(value)]
+        if not arg.many and len(found) != 1:
+            raise _usage(command, f"{name} is one value")
+        given[name] = found if arg.many else found[0]
+    _must_be_complete(command, given)
+    return given
+
+
+def _word(value: object) -> str:
+    """Return a value of a message as the word it would be on a command line."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if is_sequence(value):
+        return ":".join(map(str, value))
+    return str(value)
+
+
+def _must_be_complete(command: Command, given: dict[str, Any]) -> None:
+    for arg in command.args:
+        if arg.need and not given.get(arg.name):
+            raise _usage(command, f"{arg.name.upper()} is missing")
+
+
+def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by its kind
+    """Return what a word stands for."""
+    try:
+        if arg.kind is Kind.NUMBER:
+            return float(word)
+        if arg.kind is Kind.COUNT:
+            return int(word)
+    except ValueError:
+        raise _usage(command, f"{arg.name.upper()} is no number: {word}") from None
+    if arg.kind is Kind.ITEM:
+        task, colon, signal = word.partition(":")
+        if not colon or not task or not signal:
+            raise _usage(command, f"no item: {word}")
+        return (task, signal)
+    return word
+
+
+def _usage(command: Command, what: str) -> StateError:
+    return StateError(f"{command.name}: {what}", expected=command.usage)

@@ -1,0 +1,53 @@
+"""What the agents' libraries hold: module descriptions, asked for over the network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import ModuleLoadError
+from pbonet.pbo import ModuleInfo
+from pbonet.xm import messages as m
+from pbonet.xm import rpc
+
+if TYPE_CHECKING:
+    from pbonet.master.fleet import Fleet
+
+_LOAD_TIME = 10.0
+"""Seconds in which an agent imports and describes the modules of its libraries."""
+
+
+def on(fleet: Fleet, rtpu: str, module: str) -> ModuleInfo:
+    """Return the description of a module as an RTPU's library has it.
+
+    Raises:
+        ModuleLoadError: The library has no such module, or it does not load.
+    """
+    request = m.Modules(name=module)
+    found = fleet.call(rtpu, request, list[ModuleInfo], timeout=_LOAD_TIME)
+    if not found:
+        raise ModuleLoadError(
+            f"the library has no module {module}",
+            where=rtpu,
+            remedy="see 'module', or name its folder in agent.toml",
+        )
+    return found[0]
+
+
+def of(fleet: Fleet, name: str | None = None) -> list[ModuleInfo]:
+    """Return the modules of all libraries of a subsystem, each version once.
+
+    Raises:
+        ModuleLoadError: No library has a module `name`, or it does not load.
+        SeveralError: Several agents do not answer; of one, its own error.
+    """
+    results, errors = fleet.each(
+        lambda _: m.Modules(name=name), list[ModuleInfo], timeout=_LOAD_TIME
+    )
+    if not results or (errors and name is None):
+        rpc.raise_all(f"{len(errors)} RTPUs do not describe their modules", errors)
+    found = {(i.name, i.version): i for infos in results.values() for i in infos}
+    if name is not None and not found:
+        raise ModuleLoadError(
+            f"no library has a module {name}", remedy="see 'module' for what there is"
+        )
+    return [found[key] for key in sorted(found)]

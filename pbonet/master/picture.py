@@ -1,0 +1,106 @@
+"""What a master knows of its subsystem's tasks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.errors import UnknownTaskError, did_you_mean
+from pbonet.master.files import RmodSource
+from pbonet.pbo import ModuleInfo, State
+from pbonet.verify import Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pbonet.config.model import Rmod
+
+
+class Member(Struct, kw_only=True):
+    """A task of the subsystem, standing or planned."""
+
+    source: RmodSource
+    rtpu: str
+    freq: float
+    """Hz; 0 where the task has no rate of its own."""
+    state: State = State.NOT_CREATED
+    info: ModuleInfo | None = None
+    """Of its module; None while no agent was asked."""
+
+    @property
+    def name(self) -> str:
+        """The task's name: that of its RMOD."""
+        return self.source.record.name
+
+    @property
+    def rmod(self) -> Rmod:
+        """What its RMOD says."""
+        return self.source.record
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it writes its variables."""
+        return self.state is State.ON
+
+    @property
+    def task(self) -> Task:
+        """The task as verification looks at it."""
+        return Task(
+            rmod=self.rmod, info=self.info, rtpu=self.rtpu, freq=self.freq or None
+        )
+
+    @property
+    def variables(self) -> set[str]:
+        """The variables behind all its ports."""
+        task = self.task
+        return {*task.inputs, *task.outputs, *task.needs, *task.gives}
+
+
+class Picture:
+    """The tasks of a subsystem in the order in which they were spawned."""
+
+    def __init__(self) -> None:
+        self._members: dict[str, Member] = {}
+
+    def __iter__(self) -> Iterator[Member]:
+        return iter(self._members.values())
+
+    def __contains__(self, task: str) -> bool:
+        return task in self._members
+
+    def __len__(self) -> int:
+        return len(self._members)
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the tasks."""
+        return list(self._members)
+
+    def get(self, task: str) -> Member | None:
+        """Return a task, or None."""
+        return self._members.get(task)
+
+    def find(self, task: str) -> Member:
+        """Return a task.
+
+        Raises:
+            UnknownTaskError: There is none of that name.
+        """
+        member = self._members.get(task)
+        if member is None:
+            there = ", ".join(self._members) or "none"
+            raise UnknownTaskError(
+                f"the subsystem has no task {task}",
+                got=f"tasks: {there}",
+                remedy=did_you_mean(task, self._members) or f"'spawn {task}' makes it",
+            )
+        return member
+
+    def add(self, member: Member) -> None:
+        """Add a task, or put it in the place of one of the same name."""
+        self._members[member.name] = member
+
+    def remove(self, task: str) -> None:
+        """Forget a task; harmless when there is none."""
+        self._members.pop(task, None)

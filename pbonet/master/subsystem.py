@@ -1,0 +1,483 @@
+"""The autonomous interface: a subsystem as a program steers it (Stewart 1994, 4.4.4).
+
+The other interfaces (prompt, script, network, one-shot verbs) call these methods and
+nothing else, so whatever can be done in one can be done in all.
+
+::
+
+    with Subsystem("arm.sbs") as arm:
+        arm.spawn("jtball")
+        arm.control("jtball", "on")
+
+Leaving the block stops the subsystem (`sbsFinish`); `detach` leaves it running.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Self
+
+from msgspec import structs
+
+from pbonet import verify
+from pbonet.config.library import Library
+from pbonet.errors import (
+    NodeError,
+    StateError,
+    UnknownVariableError,
+    did_you_mean,
+)
+from pbonet.master import assembly, modules
+from pbonet.master.crew import CONTROL_TIME, Crew
+from pbonet.master.files import Files
+from pbonet.master.fleet import Fleet, client_name
+from pbonet.master.words import check_signal, local_words, log_warning
+from pbonet.xm import messages as m
+from pbonet.xm import rpc, session
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+    from pbonet.config.model import SbsFile
+    from pbonet.master.picture import Picture
+    from pbonet.pbo import ModuleInfo
+
+
+class Subsystem:
+    """A subsystem of tasks on one or more RTPUs, steered by this master.
+
+    Args:
+        path: Its ``.sbs`` file, or a ``.job`` file that names it.
+        domain: The domain of its RTPUs.
+        connect: Endpoints of agents on other machines.
+        libraries: Folders with RMODs and modules beside pbonet's own library.
+        kind: What the master is, as the first part of its client name.
+        watch: Look only: claim nothing, change nothing.
+        take_over: Replace a master that lives.
+        warned: Called with each warning, one sentence.
+
+    Raises:
+        ConfigError: A file is missing or wrong.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        domain: str = "default",
+        connect: Sequence[str] = (),
+        libraries: Sequence[str | Path] = (),
+        kind: str = "master",
+        watch: bool = False,
+        take_over: bool = False,
+        warned: Callable[[str], None] = log_warning,
+    ) -> None:
+        self.files = Files(path, Library(libraries))
+        self.domain = domain
+        self.warned = warned
+        self.stopped = threading.Event()
+        """Set by `stop`; an assembly that is under way then gives up."""
+        self.watch = watch
+        self._connect = connect
+        self._kind = kind
+        self._take_over = take_over
+        self._crew: Crew | None = None
+        self._busy = threading.RLock()
+
+    # -- opening and closing ----------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        return self.open()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._crew is None:
+            return
+        if self.watch:
+            self.detach()
+        else:
+            self.finish()
+
+    @property
+    def name(self) -> str:
+        """The subsystem's name."""
+        return self.files.sbs.subsystem
+
+    @property
+    def sbs(self) -> SbsFile:
+        """What its ``.sbs`` file says."""
+        return self.files.sbs
+
+    @property
+    def crew(self) -> Crew:
+        """Its tasks and RTPUs, and the steps that commands are made of.
+
+        Raises:
+            NodeError: The subsystem is not open.
+        """
+        if self._crew is None:
+            raise NodeError(
+                "the subsystem is not open",
+                where=self.name,
+                remedy="open it, or use it as 'with Subsystem(...) as name:'",
+            )
+        return self._crew
+
+    @property
+    def fleet(self) -> Fleet:
+        """Its RTPUs."""
+        return self.crew.fleet
+
+    @property
+    def picture(self) -> Picture:
+        """Its tasks as they stood at the last look."""
+        return self.crew.picture
+
+    def open(self) -> Self:
+        """Connect, claim the RTPUs, open the table, and learn what stands already.
+
+        Raises:
+            UnreachableError: No agent, or not every agent, can be reached.
+            ClaimError: An RTPU belongs to another subsystem or another master.
+            SeveralError: Several RTPUs cannot be had.
+            SvarError: The table cannot be opened.
+        """
+        opened = session.client(self.domain, connect=self._connect)
+        client = rpc.Client(
+            opened,
+            self.domain,
+            client_name(self._kind),
+            warned=lambda rtpu, text: self._warn(f"{rtpu}: {text}"),
+        )
+        fleet = Fleet(client, self.files.sbs)
+        crew = Crew(self.files, fleet, self._warn)
+        try:
+            if not self.watch:
+                crew.take(take_over=self._take_over)
+            crew.refresh()
+        except BaseException:
+            fleet.drop()
+            client.close()
+            raise
+        self._crew = crew
+        return self
+
+    def detach(self) -> None:
+        """Leave: the tasks go on, and the next master finds them as they are."""
+        if self._crew is not None:
+            fleet = self._crew.fleet
+            self._crew = None
+            fleet.drop()
+            fleet.client.close()
+
+    def finish(self) -> None:
+        """Turn OFF in order, end every task, give everything back (`sbsFinish`).
+
+        Raises:
+            SeveralError: Parts of it could not be done, the rest was; of one part, its
+                own error.
+        """
+        self.stopped.set()
+        try:
+            self.crew.off()
+            _, errors = self.crew.stop()
+            errors += self.crew.leave()
+        finally:
+            self.detach()
+        rpc.raise_all(f"the end of subsystem {self.name} left something behind", errors)
+
+    # -- tasks ------------------------------------------------------------------------
+
+    def spawn(
+        self, rmod: str, rtpu: str | None = None, freq: float | None = None
+    ) -> m.TaskStatus:
+        """Create a task from an RMOD; when this returns it is OFF (section 4.5.2).
+
+        Args:
+            rmod: The RMOD's name; it is also the task's.
+            rtpu: Where; by default where the RMOD says, else the first RTPU.
+            freq: Hz; by default what the RMOD says.
+
+        Raises:
+            ConfigError: There is no such RMOD, or its file is wrong.
+            StateError: The subsystem has a task of this name.
+            VerificationError: It does not fit the table or its module.
+            PbonetError: The module does not load, or its `init` failed.
+        """
+        with self._changing() as crew:
+            member = crew.plan(self.files.rmod(rmod), rtpu, freq)
+            crew.must_be_new(member)
+            crew.judge(verify.spawn(member.task))
+            status = crew.create(member, freq)
+            crew.settle()
+            return status
+
+    def control(self, task: str, signal: str, arg: str = "") -> m.TaskStatus:
+        """Send ``on off kill clear reinit`` to a task (section 4.5.3).
+
+        An ``on`` is verified first: it may not make two tasks write one variable. It
+        may leave inputs without a producer, for a loop is built task by task; then it
+        warns, and the illegal-configuration flag is up until the loop is closed. The
+        other signals are never refused for legality.
+
+        Args:
+            task: The task.
+            signal: What to send.
+            arg: Text for the module, as its ``self.task.arg``.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: The signal is not valid in the task's state.
+            VerificationError: ``on`` would make the configuration illegal.
+            PbonetError: A method of the module failed.
+        """
+        check_signal(signal)
+        with self._changing() as crew:
+            crew.picture.find(task)
+            if signal == "on":
+                crew.judge(verify.signal(task, signal))
+            try:
+                return crew.control(task, signal, arg)
+            finally:
+                crew.settle()
+
+    def reconfig(self, items: Sequence[tuple[str, str]]) -> dict[str, str]:
+        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
+
+        Args:
+            items: Pairs of task and signal.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            UnknownTaskError: There is no such task; nothing was sent.
+            VerificationError: The end would be illegal; nothing was sent.
+            ReconfigError: An item failed; it says which, and what was not sent.
+        """
+        for _, signal in items:
+            check_signal(signal)
+        with self._changing() as crew:
+            for task, _ in items:
+                crew.picture.find(task)
+            if any(signal == "on" for _, signal in items):
+                crew.judge(verify.reconfig(items))
+            try:
+                return crew.send(items)
+            finally:
+                crew.settle()
+
+    def freq(self, task: str, hz: float | None = None) -> float:
+        """Return a task's frequency in Hz; with `hz`, set it first.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            ClaimError: It is to be set, and the subsystem is open for watching only.
+            VerificationError: The RTPU could not bear the new rate.
+        """
+        if hz is None:
+            rtpu = self.crew.locate(task)
+            return self.fleet.call(rtpu, m.Freq(task=task), float)
+        with self._changing() as crew:
+            member = crew.picture.find(task)
+            crew.judge(verify.frequency(structs.replace(member.task, freq=hz)))
+            request = m.Freq(task=task, hz=hz)
+            member.freq = self.fleet.call(member.rtpu, request, float)
+            crew.settle()
+            return member.freq
+
+    def get(self, task: str, name: str | None = None) -> list[m.ParamValue]:
+        """Return the parameters of a task's module, or the one named.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            ParameterError: It has no such parameter.
+        """
+        request = m.Get(task=task, name=name)
+        return self.fleet.call(self.crew.locate(task), request, list[m.ParamValue])
+
+    def set(self, task: str, name: str, value: object) -> list[m.ParamValue]:
+        """Change a parameter of a task between two cycles, within its bounds.
+
+        Args:
+            task: The task.
+            name: The parameter.
+            value: A number, a word, or several of them, as in a LOCAL line.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            ParameterError: No such parameter, or a value that it does not take.
+        """
+        with self._changing() as crew:
+            rtpu = crew.picture.find(task).rtpu
+            request = m.Set(task=task, name=name, value=local_words(value))
+            return self.fleet.call(
+                rtpu, request, list[m.ParamValue], timeout=CONTROL_TIME
+            )
+
+    # -- looking ----------------------------------------------------------------------
+
+    def status(self, task: str) -> m.TaskStatus:
+        """Return a task's status; its counters run from when it was turned on.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        for status in self.status_all():
+            if status.task == task:
+                return status
+        self.picture.find(task)
+        raise StateError("the task went away while it was looked for", where=task)
+
+    def status_all(self) -> list[m.TaskStatus]:
+        """Return the status of every task of the subsystem."""
+        return [task for rtpu in self.rtpu_status() for task in rtpu.tasks]
+
+    def rtpu_status(self) -> list[m.RtpuStatus]:
+        """Return the status of every RTPU and of the subsystem's tasks there.
+
+        Raises:
+            SeveralError: Several agents do not answer; of one, its own error.
+        """
+        return self.crew.refresh()
+
+    def display(self, names: Iterable[str] | None = None) -> list[m.VarValue]:
+        """Return values of variables with their age, writer and unit.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+        """
+        wanted = None if names is None else list(names)
+        for name in wanted or ():
+            self._must_be_variable(name)
+        return self.fleet.call(
+            self.sbs.keeper, m.Display(names=wanted), list[m.VarValue]
+        )
+
+    def write(self, name: str, values: Iterable[float]) -> m.VarValue:
+        """Set a variable that no task writes.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+            SvarOwnerError: A task writes it.
+        """
+        with self._changing():
+            self._must_be_variable(name)
+            request = m.Write(name=name, values=[float(value) for value in values])
+            return self.fleet.call(self.sbs.keeper, request, m.VarValue)
+
+    def modules(self, name: str | None = None) -> list[ModuleInfo]:
+        """Return what is known about the modules in the agents' libraries.
+
+        Raises:
+            ModuleLoadError: No library has a module `name`, or it does not load.
+        """
+        return modules.of(self.fleet, name)
+
+    def events(self, since: int = 0) -> list[m.Event]:
+        """Return the last events of the RTPUs that concern the subsystem.
+
+        Args:
+            since: Number of the first event wanted of each RTPU.
+        """
+        request = m.Events
+        results, errors = self.fleet.each(lambda _: request(since=since), list[m.Event])
+        rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
+        found = [event for events in results.values() for event in events]
+        mine = [event for event in found if event.subsystem in {"", self.name}]
+        return sorted(mine, key=lambda event: (event.wall, event.n))
+
+    # -- the whole --------------------------------------------------------------------
+
+    def start(self, job: str | Path | None = None) -> list[m.TaskStatus]:
+        """Assemble a job: verify, spawn until all are OFF, then turn ON.
+
+        A start that fails is rolled back: what it turned on goes off, what it spawned
+        is killed.
+
+        Args:
+            job: The ``.job`` file or its name; None where the subsystem was opened with
+                one.
+
+        Raises:
+            VerificationError: It would be illegal; nothing was done.
+            PbonetError: A step failed; it was rolled back.
+        """
+        with self._changing() as crew:
+            self.stopped.clear()
+            try:
+                return assembly.start(crew, self.files.read_job(job), self.stopped)
+            finally:
+                crew.settle()
+
+    def check(self, job: str | Path | None = None) -> list[str]:
+        """Judge a job, or the tasks as they stand, without changing anything.
+
+        Returns:
+            Warnings.
+
+        Raises:
+            VerificationError: It would be, or is, illegal.
+        """
+        with self._busy:
+            self.crew.refresh()
+            if job is not None or self.files.job is not None:
+                return assembly.check(self.crew, self.files.read_job(job))
+            return self.crew.verdict()
+
+    def stop(self) -> m.Stopped:
+        """Turn everything OFF and end it, now, on all RTPUs at once.
+
+        Always accepted: it needs no verification, no claim, and no other command to be
+        finished.
+
+        Raises:
+            PbonetError: An RTPU did not answer; the others were stopped.
+        """
+        self.stopped.set()
+        stopped, errors = self.crew.stop()
+        rpc.raise_all(f"{len(errors)} RTPUs did not confirm the stop", errors)
+        return stopped
+
+    def _warn(self, text: str) -> None:
+        """Hand a warning to whoever listens now."""
+        self.warned(text)
+
+    def _changing(self) -> _Changing:
+        return _Changing(self.crew, self._busy)
+
+    def _must_be_variable(self, name: str) -> None:
+        known = [variable.name for variable in self.files.table.variables]
+        if name not in known:
+            raise UnknownVariableError(
+                f"the table has no variable {name}",
+                where=self.files.table.file,
+                remedy=did_you_mean(name, known) or "'display' shows them all",
+            )
+
+
+class _Changing:
+    """One command at a time, by a master that holds the claim, on a fresh picture."""
+
+    def __init__(self, crew: Crew, busy: threading.RLock) -> None:
+        self._crew = crew
+        self._busy = busy
+
+    def __enter__(self) -> Crew:
+        self._crew.fleet.must_be_claimed()
+        self._busy.acquire()
+        try:
+            self._crew.refresh()
+        except BaseException:
+            self._busy.release()
+            raise
+        return self._crew
+
+    def __exit__(self, *_: object) -> None:
+        self._busy.release()
