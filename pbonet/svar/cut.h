@@ -105,6 +105,7 @@ static inline void pb_copy_pieces(struct pb_plan *p, uint8_t *to) {
         const struct pb_source *s = p->sources + piece->source;
         pb_copy(to + piece->to, pb_slot(s->slots, s->stride, s->seq) + piece->from,
                 piece->bytes);
+        PBONET_STEP(21);
     }
     for (uint32_t i = 0; i < p->n_ages; i++) {
         const struct pb_source *s = p->sources + p->ages[i].source;
@@ -121,8 +122,10 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
         /* SYNC POINT C2, partner R2 in pb_write_end on the generation. */
         uint64_t generation = pb_read_begin(&t->live->generation);
         if (generation != p->generation && !pb_replan(t, p, generation)) continue;
-        for (uint32_t i = 0; i < p->n_sources; i++)
+        for (uint32_t i = 0; i < p->n_sources; i++) {
             p->sources[i].seq = pb_read_begin(&p->sources[i].reg->head);
+            PBONET_STEP(20);
+        }
         pb_copy_pieces(p, to);
         /* SYNC POINT C3, partner R1: all second looks come after all copies, and all first
          * looks (acquire) came before them. */

@@ -51,6 +51,7 @@ static inline int pb_clear(const struct pb_table *t, const struct pb_cause *whic
         if (!(up >> i & 1) || strncmp(c->raiser, which->raiser, PB_NAME)) continue;
         if (*which->machine && strncmp(c->machine, which->machine, PB_NAME)) continue;
         if (*which->cause && strncmp(c->cause, which->cause, PB_TEXT)) continue;
+        /* SYNC POINT F3, partner F1: what was put right is seen by who sees the flag down. */
         atomic_fetch_and_explicit(&t->live->illegal, ~(UINT64_C(1) << i), memory_order_release);
         count++;
     }

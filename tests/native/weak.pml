@@ -70,22 +70,21 @@ inline issue(cpu, at, what, last) {
 #define store(cpu, at, what) issue(cpu, at, what, fenced[cpu])
 #define store_release(cpu, at, what) issue(cpu, at, what, before[cpu])
 
-/* What a writer itself loads: its own newest store, or that of an earlier lock holder. */
+/* What a writer itself loads: its own newest store, or that of an earlier lock holder.
+ * To be used inside d_step. */
 inline load(cpu, at, to) {
-    d_step {
-        to = mem[at];
-        i_ = 0;
-        do
-        :: i_ < pool[POOL_OF(cpu)].n ->
-            if
-            :: pool[POOL_OF(cpu)].loc[i_] == (at) -> to = pool[POOL_OF(cpu)].val[i_]
-            :: else
-            fi;
-            i_++
-        :: else -> break
-        od;
-        i_ = 0
-    }
+    to = mem[at];
+    i_ = 0;
+    do
+    :: i_ < pool[POOL_OF(cpu)].n ->
+        if
+        :: pool[POOL_OF(cpu)].loc[i_] == (at) -> to = pool[POOL_OF(cpu)].val[i_]
+        :: else
+        fi;
+        i_++
+    :: else -> break
+    od;
+    i_ = 0
 }
 
 inline perform(p, i) {
