@@ -483,10 +483,9 @@ def _structures(values: Mapping[str, Any]) -> dict[str, np.dtype[Any]]:
     """Return the types of the values that are structures."""
     types: dict[str, np.dtype[Any]] = {}
     for attr, value in values.items():
-        if isinstance(value, np.ndarray):
-            dtype: np.dtype[Any] = np.asarray(value).dtype
-            if dtype.kind == "V":
-                types[attr] = dtype
+        array = np.asanyarray(value)
+        if array.dtype.kind == "V":
+            types[attr] = array.dtype
     return types
 
 
