@@ -154,9 +154,10 @@ class Agent:
         with self._guard:
             self._stopping = True
             link, self._link = self._link, None
-        in_order = link.shut_down(timeout) if link is not None else True
-        self._leave()
-        return in_order
+        try:
+            return link.shut_down(timeout) if link is not None else True
+        finally:
+            self._leave()
 
     def abandon(self) -> None:
         """Leave the network and let the RTPU process go on for its grace."""

@@ -21,6 +21,7 @@ from pbonet.errors import NodeError, PbonetError
 from pbonet.svar import files
 
 from . import _rt, runtime
+from ._ring import Ring
 from .tables import remove_unused
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _end_tasks(state: Leftovers, patience: float) -> list[str]:
 def _remove_ring(name: str) -> list[str]:
     with contextlib.suppress(PbonetError, OSError):
         if name:
-            _rt.Ring.attach(name).destroy()
+            Ring.attach(name).destroy()
             return [f"ring {name} was removed"]
     return []
 

@@ -327,7 +327,7 @@ class Operations:
     # -- the rest ----------------------------------------------------------------------
 
     async def _modules(self, request: m.Modules) -> Result:
-        return await inspecting.modules(self._rtpu, request.name), []
+        return await inspecting.modules(self._rtpu, request.name)
 
     async def _events(self, request: m.Events) -> Result:
         chosen: list[m.Event] = []

@@ -212,7 +212,6 @@ def main(argv: list[str]) -> int:
     config = msgspec.json.decode(argv[0], type=wire.RtpuConfig)
     faulthandler.enable()
     runtime.set_title("pbonet-rtpu")
-    os.sched_setaffinity(0, runtime.housekeeping_cores(config.core))
     try:
         return asyncio.run(run(config))
     except PbonetError as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import queue
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Protocol
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-QUEUE = 256
-"""Requests that wait to be looked at; more wait in zenoh."""
 PENDING = 2000
 """Requests that wait for their answers; more are refused."""
 
@@ -67,8 +66,8 @@ class Server:
         self._pending: dict[int, tuple[zenoh.Query, str]] = {}
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
-        self._queryable: zenoh.Queryable[zenoh.handlers.Handler[zenoh.Query]] | None
-        self._queryable = None
+        self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
+        self._queryable: zenoh.Queryable[None] | None = None
         self._publisher: zenoh.Publisher | None = None
         self._thread = threading.Thread(
             target=self._serve, name="pbonet server", daemon=True
@@ -78,7 +77,7 @@ class Server:
         """Declare the queryable and the publisher, and answer."""
         self._publisher = self._session.declare_publisher(self._event_key)
         self._queryable = self._session.declare_queryable(
-            self._key, zenoh.handlers.FifoChannel(QUEUE), complete=True
+            self._key, zenoh.handlers.Callback(self._arrived.put), complete=True
         )
         self._thread.start()
 
@@ -87,7 +86,9 @@ class Server:
         if self._queryable is not None:
             with contextlib.suppress(zenoh.ZError):
                 self._queryable.undeclare()  # type: ignore[no-untyped-call]
-        self._thread.join(2.0)
+        self._arrived.put(None)
+        if self._thread.is_alive():
+            self._thread.join()
         self.fail_pending("the agent ends")
         self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -114,12 +115,7 @@ class Server:
             self._reply(query, self._codec.pack(m.failure(error, request_id)))
 
     def _serve(self) -> None:
-        queryable = self._queryable
-        while queryable is not None:
-            try:
-                query = queryable.recv()
-            except zenoh.ZError:
-                return  # undeclared, or the session was closed
+        while (query := self._arrived.get()) is not None:
             try:
                 self._take(query)
             except Exception:  # the server outlives any request

@@ -137,7 +137,7 @@ def check_rank(crit: int | None, priority: int, name: str) -> None:
 async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
     rmod, freq, slot, opened = plan
     key = (request.subsystem, request.task)
-    ring = f"{rtpu.config.domain}.{rtpu.name}.{request.subsystem}.{request.task}"
+    ring = f"{rtpu.config.domain}.{request.subsystem}.{request.task}"
     rtpu.core.configure(
         slot,
         period_ns=round(1e9 / freq) if freq else None,

@@ -19,6 +19,7 @@ from pbonet.errors import (
 from pbonet.pbo import State
 
 from . import _rt, leftovers, ranking, runtime, status, wire
+from ._ring import Ring
 from .claims import Claims
 from .spawner import Spawner
 from .tables import Tables
@@ -94,6 +95,7 @@ class Rtpu:
                 "this process may use one core alone, so everything else that runs "
                 "disturbs the tasks"
             )
+        os.sched_setaffinity(0, runtime.housekeeping_cores(self.config.core))
         try:
             _rt.lock_memory()
         except RealTimeError as error:
@@ -279,7 +281,7 @@ class Rtpu:
             opened.table.reap(task.name)
         if task.facts.ring:
             with contextlib.suppress(PbonetError, OSError):
-                _rt.Ring.attach(task.facts.ring).destroy()
+                Ring.attach(task.facts.ring).destroy()
         self.tasks.pop(key, None)
         self.told.pop(key, None)
         self.spawned.pop(key, None)

@@ -77,7 +77,7 @@ class RtpuLink:
             wire.FromRtpu
         )
         self.taken_over = False
-        self.info: wire.RtpuInfo
+        self.info: wire.RtpuInfo | None = None
 
     def open(self) -> wire.RtpuInfo:
         """Take over the RTPU process that runs, or start one.
@@ -95,14 +95,15 @@ class RtpuLink:
                 raise NodeError("the RTPU process does not answer", where=self._log())
         else:
             cleaned = []
-        self.info = self._attach(self._sock)
+        info = self._attach(self._sock)
+        self.info = info
         self._thread = threading.Thread(
             target=self._read, args=(self._sock,), name="pbonet rtpu link", daemon=True
         )
         self._thread.start()
         for text in cleaned:
             self.send(wire.Note(30, "CLEANED", text))
-        return self.info
+        return info
 
     def send(self, message: msgspec.Struct) -> None:
         """Send a message.
@@ -149,6 +150,8 @@ class RtpuLink:
 
     def _wait_for_end(self, timeout: float) -> bool:
         """Wait for the process's end; kill it when it takes longer."""
+        if self.info is None:
+            return True
         try:
             pidfd = os.pidfd_open(self.info.pid)
         except ProcessLookupError:

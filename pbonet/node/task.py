@@ -26,6 +26,7 @@ from pbonet.pbo import State, bind, decode_params
 from pbonet.svar import Table
 
 from . import _rt, runtime, wire
+from ._ring import Ring
 from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
 from .taskparams import get_params, set_param
@@ -101,7 +102,7 @@ class Host:
         params = decode_params(loaded.cls, self.rmod.local, where=self.rmod.file)
         self.table = Table.attach(spec.table, layout=spec.layout)
         self.local = local_table(self.table, spec.task, self.rmod)
-        self.ring = _rt.Ring.create(spec.ring)
+        self.ring = Ring.create(spec.ring)
         self.time = SlotTime(self.slot)
         self.context = Context(
             spec.task,

@@ -228,7 +228,13 @@ class Task:
         self._read_output()
         self._lines.close()
         self.state = State.NOT_CREATED
-        self._ended(self, code)
+        try:
+            self._ended(self, code)
+        finally:
+            self._bury(code)
+
+    def _bury(self, code: int) -> None:
+        """Tell whoever waits that the task is gone, and close its files."""
         for answer in self._waiting.values():
             if not answer.done():
                 answer.set_exception(self.death(code))
