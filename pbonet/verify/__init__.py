@@ -25,6 +25,7 @@ from .order import flow_order, off_order, on_order, spawn_order, user_priorities
 from .records import Code, Configuration, Problem, Severity, Task
 from .timing import Load, criticalities, loads, traffic
 from .units import conversion, same_unit
+from .wiring import producers
 
 __all__ = [
     "ENDING",
@@ -48,6 +49,7 @@ __all__ = [
     "loads",
     "off_order",
     "on_order",
+    "producers",
     "reconfig",
     "same_unit",
     "signal",

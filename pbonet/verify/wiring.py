@@ -15,6 +15,17 @@ from .records import Code, Configuration, Problem, Severity, Task
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from pbonet.config.model import Rmod
+
+
+def producers(rmods: Iterable[Rmod]) -> dict[str, tuple[str, ...]]:
+    """Return which of these RMODs write a variable or constant, by variable."""
+    found: dict[str, list[str]] = {}
+    for rmod in rmods:
+        for port in (*rmod.outvar, *rmod.outconst):
+            found.setdefault(rmod.svar_name(port), []).append(rmod.name)
+    return {variable: tuple(names) for variable, names in found.items()}
+
 
 def check_writers(configuration: Configuration) -> Iterator[Problem]:
     """Yield variables that two tasks write (equation 1)."""

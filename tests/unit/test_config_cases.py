@@ -1,7 +1,7 @@
 """Every case file beside what must come of it: the whole message, or the meaning.
 
 A file `invalid-*.svar` stands beside `invalid-*.svar.txt`, a file `valid-*.svar` beside
-`valid-*.svar.json`. A file that is no text is kept as hexadecimal digits in `*.hex`.
+`valid-*.svar.json`; `local-*.rmod` is refused only by its module. A file that is no text is kept as hexadecimal digits in `*.hex`.
 """
 
 import json
@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from pbonet import config
+from pbonet.config.library import Library
 from pbonet.config.write import meaning
-from pbonet.errors import ConfigError
+from pbonet.errors import ConfigError, ParameterError
+from pbonet.pbo import decode_params
 
 CASES = Path(__file__).parent / "config"
 PARSE = {
@@ -40,7 +42,7 @@ def content(name: str) -> tuple[bytes, str]:
 
 def test_every_expectation_has_its_case() -> None:
     expectations = {path.stem for path in CASES.iterdir() if path.suffix == ".txt"}
-    assert expectations == set(cases("invalid"))
+    assert expectations == {*cases("invalid"), *cases("local")}
     expectations = {path.stem for path in CASES.iterdir() if path.suffix == ".json"}
     assert expectations == set(cases("valid"))
 
@@ -53,6 +55,16 @@ def test_a_faulty_file_is_refused_with_its_own_message(name: str) -> None:
     assert str(caught.value) == (CASES / f"{name}.txt").read_text().rstrip("\n")
     assert caught.value.where.startswith(f"{file}:")
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize("name", cases("local"))
+def test_local_values_that_the_module_does_not_take(name: str) -> None:
+    """The file is in order; what LOCAL says is refused when the module is known."""
+    record = config.parse_rmod((CASES / name).read_text(), name)
+    cls = Library().load(record.module).cls
+    with pytest.raises(ParameterError) as caught:
+        decode_params(cls, record.local, where=record.file)
+    assert str(caught.value) == (CASES / f"{name}.txt").read_text().rstrip("\n")
 
 
 @pytest.mark.parametrize("name", cases("valid"))

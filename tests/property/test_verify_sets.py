@@ -1,0 +1,109 @@
+"""Verification against the set equations, and orders against their promise."""
+
+import sys
+from itertools import combinations
+from pathlib import Path
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pbonet import verify
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
+
+from verify_parts import configuration, task
+
+VARIABLES = ["A", "B", "C", "D", "E"]
+subsets = st.lists(st.sampled_from(VARIABLES), unique=True, max_size=3).map(" ".join)
+
+
+@st.composite
+def tasks(draw: st.DrawFn, constants: bool = False) -> list[verify.Task]:
+    first, second = ("inconst", "outconst") if constants else ("invar", "outvar")
+    return [
+        task(
+            f"t{number}",
+            critical=draw(st.booleans()),
+            freq=draw(st.sampled_from([10.0, 100.0])),
+            **{first: draw(subsets), second: draw(subsets)},
+        )
+        for number in range(draw(st.integers(0, 6)))
+    ]
+
+
+@given(tasks(), st.sets(st.integers(0, 5)))
+def test_equations_1_and_2(chosen: list[verify.Task], numbers: set[int]) -> None:
+    on = {f"t{n}" for n in numbers}
+    running = [t for t in chosen if t.name in on]
+    disjoint = all(
+        not set(a.outputs) & set(b.outputs) for a, b in combinations(running, 2)
+    )
+    read = {name for t in running for name in t.inputs}
+    written = {name for t in running for name in t.outputs}
+    codes = {p.code.value for p in verify.check(configuration(*chosen, on=on))}
+    assert ("two-writers" not in codes) == disjoint
+    assert ("no-writer" not in codes) == (read <= written)
+    assert codes <= {"two-writers", "no-writer"}
+
+
+@given(tasks(constants=True))
+def test_spawning_order_or_a_circle(chosen: list[verify.Task]) -> None:
+    config = configuration(*chosen, on=set())
+    circle = [p for p in verify.check(config) if p.code == "init-cycle"]
+    if circle:
+        names = circle[0].got.split(" --")
+        assert names[0] == circle[0].tasks[0]
+        assert circle[0].got.endswith(f"> {names[0]}")
+        return
+    order = verify.spawn_order(chosen)
+    assert sorted(order) == sorted(t.name for t in chosen)
+    for giver in chosen:
+        for user in chosen:
+            if set(giver.gives) & set(user.needs):
+                assert order.index(giver.name) < order.index(user.name)
+
+
+@given(tasks())
+def test_the_flow_order_breaks_no_more_than_circles(chosen: list[verify.Task]) -> None:
+    order = verify.flow_order(chosen)
+    assert sorted(order) == sorted(t.name for t in chosen)
+    feeds = {
+        a.name: {b.name for b in chosen if a != b and set(a.outputs) & set(b.inputs)}
+        for a in chosen
+    }
+
+    def reaches(start: str, goal: str) -> bool:
+        seen, todo = {start}, [start]
+        while todo:
+            for name in feeds[todo.pop()] - seen:
+                seen.add(name)
+                todo.append(name)
+        return goal in seen
+
+    for producer, consumers in feeds.items():
+        for consumer in consumers:
+            if not reaches(consumer, producer):
+                assert order.index(producer) < order.index(consumer)
+    ranks = verify.user_priorities(chosen)
+    assert sorted(ranks.values()) == list(range(1, len(chosen) + 1))
+    assert sorted(order, key=lambda name: -ranks[name]) == order
+
+
+@given(tasks())
+def test_off_is_the_reverse_of_on(chosen: list[verify.Task]) -> None:
+    order = verify.on_order(chosen)
+    assert verify.off_order(chosen) == order[::-1]
+    critical = [t.name for t in chosen if t.rmod.critical]
+    assert set(order[len(order) - len(critical) :]) == set(critical)
+
+
+@given(tasks(), st.data())
+def test_ending_is_never_refused(chosen: list[verify.Task], data) -> None:
+    names = [t.name for t in chosen] + ["nobody"]
+    items = data.draw(
+        st.lists(
+            st.tuples(st.sampled_from(names), st.sampled_from(sorted(verify.ENDING)))
+        )
+    )
+    verdict = verify.judge(configuration(*chosen), verify.reconfig(items))
+    assert verdict.refused == ()

@@ -1,0 +1,83 @@
+"""Orders of turning on and off, and user priorities from the data flow (6.2.4)."""
+
+from verify_parts import task
+
+from pbonet import verify
+
+
+def puma() -> list[verify.Task]:
+    """Joint teleoperation of the thesis's Figure 6.10."""
+    return [
+        task(
+            "puma_pidg",
+            outconst="NDOF",
+            invar="Q_REF Q^_REF T_GRAV",
+            outvar="Q_MEZ Q^_MEZ",
+            critical=True,
+            freq=500,
+        ),
+        task("grav_comp", inconst="NDOF", invar="Q_MEZ", outvar="T_GRAV", freq=250),
+        task("diff", inconst="NDOF", invar="Q_REF", outvar="Q^_REF"),
+        task("jtball", inconst="NDOF", outvar="Q_REF", freq=50),
+    ]
+
+
+def test_the_loop_is_opened_in_front_of_the_critical_task() -> None:
+    assert verify.flow_order(puma()) == ["jtball", "diff", "puma_pidg", "grav_comp"]
+    assert verify.user_priorities(puma()) == {
+        "jtball": 4,
+        "diff": 3,
+        "puma_pidg": 2,
+        "grav_comp": 1,
+    }
+
+
+def test_the_producer_has_the_higher_priority_as_in_figure_6_3() -> None:
+    tasks = [task("b", invar="X", outvar="Y"), task("a", outvar="X")]
+    priorities = verify.user_priorities(tasks)
+    assert priorities["a"] > priorities["b"]
+
+
+def test_without_critical_tasks_the_fastest_comes_first_then_the_name() -> None:
+    loop = [
+        task("b", invar="X", outvar="Y", freq=100),
+        task("a", invar="Z", outvar="X", freq=100),
+        task("c", invar="Y", outvar="Z", freq=200),
+    ]
+    assert verify.flow_order(loop) == ["c", "a", "b"]
+    assert verify.flow_order(loop[:2][::-1]) == ["a", "b"]
+    even = [task(t.name, invar="X", outvar="X", freq=1) for t in loop]
+    assert verify.flow_order(even) == ["a", "b", "c"]
+
+
+def test_two_loops_through_one_task_are_both_opened() -> None:
+    tasks = [
+        task("left", invar="Q", outvar="L"),
+        task("right", invar="Q", outvar="R"),
+        task("arm", invar="L R", outvar="Q", critical=True),
+    ]
+    assert verify.flow_order(tasks) == ["arm", "left", "right"]
+
+
+def test_sensors_are_turned_on_first_and_critical_tasks_last() -> None:
+    assert verify.on_order(puma()) == ["jtball", "diff", "grav_comp", "puma_pidg"]
+
+
+def test_a_critical_sensor_is_last_too() -> None:
+    tasks = [task("arm", outvar="Q", critical=True), task("log", invar="Q")]
+    assert verify.on_order(tasks) == ["log", "arm"]
+
+
+def test_turning_off_is_the_reverse_unless_a_job_says() -> None:
+    assert verify.off_order(puma()) == ["puma_pidg", "grav_comp", "diff", "jtball"]
+    assert verify.off_order(puma(), ("jtball", "diff", "not_on")) == [
+        "jtball",
+        "diff",
+        "puma_pidg",
+        "grav_comp",
+    ]
+
+
+def test_nothing_is_ordered_as_nothing() -> None:
+    assert verify.spawn_order([]) == verify.on_order([]) == verify.off_order([]) == []
+    assert verify.user_priorities([]) == {}

@@ -1,0 +1,221 @@
+"""Criticalities, utilization, and traffic of the table (equations 6 to 9)."""
+
+import pytest
+from verify_parts import configuration, rtpu, task, texts
+
+from pbonet import verify
+from pbonet.config.model import TaskType, Variable
+
+
+def figure_6_1(scheduler: str, **fourth) -> verify.Configuration:
+    """The four tasks of Figure 6.1: 33, 40, 25 and 27 percent."""
+    rows = [("t1", 6, 2), ("t2", 10, 4), ("t3", 12, 3), ("t4", 15, 4)]
+    tasks = [
+        task(
+            name,
+            freq=1000 / period,
+            maxc=cost / 1000,
+            **(fourth if name == "t4" else {}),
+        )
+        for name, period, cost in rows
+    ]
+    return configuration(*tasks, rtpus=[rtpu(scheduler=scheduler, maxfreq=1000.0)])
+
+
+def crits(config: verify.Configuration) -> dict[str, int]:
+    (entry,) = config.rtpus
+    found = verify.criticalities(config.tasks, entry, limit=config.limit)
+    return {name: assigned.crit for name, assigned in found.items()}
+
+
+def test_muf_splits_at_the_critical_set() -> None:
+    config = figure_6_1("MUF")
+    assert crits(config) == {"t1": 5, "t2": 5, "t3": 5, "t4": 3}
+    (load,) = verify.loads(config)
+    assert load.critical_set == ("t1", "t2", "t3")
+    assert load.outside == ("t4",)
+    assert load.utilization == pytest.approx(2 / 6 + 4 / 10 + 3 / 12 + 4 / 15)
+    (problem,) = verify.check(config)
+    assert problem.severity == "warn"
+    assert verify.as_text(problem) == (
+        "arm0: on RTPU arm0 t4 may miss deadlines (expected a utilization of at most "
+        "100.0% under MUF, got 125.0%); lower a frequency, or move a task to another "
+        "RTPU"
+    )
+
+
+def test_a_critical_task_must_be_in_the_critical_set() -> None:
+    config = figure_6_1("MUF", critical=True)
+    assert texts(config) == [
+        "arm0: RTPU arm0 is too busy for the CRITICAL t4 (expected CRITICAL tasks "
+        "within the critical set, the shortest periods whose utilization is at most "
+        "100.0%, got 125.0%); raise the frequency of t4 above that of others, lower "
+        "another task's, or move one to another RTPU"
+    ]
+
+
+def test_a_soft_task_may_miss() -> None:
+    assert texts(figure_6_1("MUF", softness=0.3)) == []
+
+
+def test_edf_has_one_criticality_and_keeps_nothing_in_an_overload() -> None:
+    config = figure_6_1("EDF")
+    assert len(set(crits(config).values())) == 1
+    (load,) = verify.loads(config)
+    assert load.critical_set == ()
+    assert texts(config) == [
+        "arm0: RTPU arm0 is asked for more than it has (expected a utilization of at "
+        "most 100.0%, got 125.0%); lower a frequency, or move a task to another RTPU"
+    ]
+    fewer = configuration(*config.tasks[:3], rtpus=config.rtpus)
+    assert texts(fewer) == []
+    assert verify.loads(fewer)[0].critical_set == ("t1", "t2", "t3")
+
+
+def test_rm_goes_by_the_bound_of_equation_9() -> None:
+    config = figure_6_1("RM")
+    assert "is asked for more than it has" in texts(config)[0]
+    three = configuration(*config.tasks[:3], rtpus=config.rtpus)
+    (load,) = verify.loads(three)
+    assert load.bound == pytest.approx(3 * (2 ** (1 / 3) - 1))
+    assert load.critical_set == ("t1", "t2")
+    assert texts(three) == [
+        "arm0: on RTPU arm0 t3 may miss deadlines (expected a utilization of at most "
+        "78.0% under RM, got 98.3%); lower a frequency, or move a task to another RTPU"
+    ]
+    two = configuration(*config.tasks[:2], rtpus=config.rtpus)
+    assert verify.loads(two)[0].bound == pytest.approx(0.828, abs=1e-3)
+    assert texts(two) == []
+
+
+def test_rm_gives_the_faster_task_the_higher_criticality() -> None:
+    entry = rtpu(scheduler="RM", minfreq=10.0, maxfreq=100.0)
+    tasks = [task(f"hz{hz}", freq=hz) for hz in (5, 10, 25, 27, 100, 400)]
+    found = crits(configuration(*tasks, rtpus=[entry]))
+    assert found["hz5"] == found["hz10"] == 1
+    assert found["hz100"] == found["hz400"] == 62
+    assert 1 < found["hz25"] < found["hz27"] < 62
+
+
+def test_how_coarse_the_scale_of_section_4_5_1_is() -> None:
+    """Over four decades 62 values stand 16 percent apart: 25 and 30 Hz are neighbours.
+
+    (The thesis gives the two as an example of equal criticality, for a scheduler whose
+    number of values it leaves open; that takes 50 values or fewer.)
+    """
+    entry = rtpu(scheduler="RM", minfreq=0.1, maxfreq=1000.0)
+    tasks = [task(f"hz{hz}", freq=hz) for hz in (25, 27, 30)]
+    found = crits(configuration(*tasks, rtpus=[entry]))
+    assert found["hz25"] == found["hz27"]
+    assert found["hz30"] - found["hz25"] == 1
+
+
+def test_rm_warns_of_rates_beyond_its_scale() -> None:
+    entry = rtpu(scheduler="RM", minfreq=10.0, maxfreq=100.0)
+    config = configuration(task("a", freq=5), task("b", freq=400), rtpus=[entry])
+    assert texts(config) == [
+        "a: task a runs at 5 Hz, beyond MINFREQ of RTPU arm0, and gets the criticality "
+        "of that (expected 10 to 100 Hz, got 5 Hz); correct MINFREQ in the .sbs file, "
+        "or the task's frequency",
+        "b: task b runs at 400 Hz, beyond MAXFREQ of RTPU arm0, and gets the "
+        "criticality of that (expected 10 to 100 Hz, got 400 Hz); correct MAXFREQ in "
+        "the .sbs file, or the task's frequency",
+    ]
+    assert {problem.severity for problem in verify.check(config)} == {"warn"}
+
+
+def test_an_unknown_maxc_makes_muf_assume() -> None:
+    tasks = [task("a", freq=500, maxc=0.001), task("b", freq=100), task("c", freq=50)]
+    config = configuration(*tasks, rtpus=[rtpu()])
+    found = verify.criticalities(config.tasks, config.rtpus[0])
+    assert [found[name].assumed for name in "abc"] == [False, True, True]
+    assert {found[name].crit for name in "abc"} == {5}
+    assert verify.loads(config)[0].unknown == ("b", "c")
+    assert texts(config) == []
+
+
+def test_what_is_known_may_be_too_much_already() -> None:
+    tasks = [task("a", freq=500, maxc=0.003), task("b", freq=100)]
+    for scheduler in ("EDF", "RM"):
+        config = configuration(*tasks, rtpus=[rtpu(scheduler=scheduler)])
+        (problem,) = verify.check(config)
+        assert problem.severity == "refuse"
+        assert problem.got == "at least 150.0%"
+
+
+def test_measured_times_and_other_frequencies_count() -> None:
+    one = task("a", freq=500, maxc=0.003)
+    one = verify.Task(rmod=one.rmod, rtpu="arm0", freq=100.0, maxc=0.001)
+    (load,) = verify.loads(configuration(one, rtpus=[rtpu()]))
+    assert load.utilization == pytest.approx(0.1)
+
+
+def test_the_limit_keeps_room_on_the_core() -> None:
+    config = configuration(
+        task("a", freq=1000, maxc=0.00097), rtpus=[rtpu(scheduler="EDF")], limit=0.95
+    )
+    (problem,) = verify.check(config)
+    assert problem.expected == "a utilization of at most 95.0%"
+    assert problem.got == "97.0%"
+
+
+def test_each_rtpu_has_its_own_load_and_off_tasks_none() -> None:
+    tasks = [
+        task("a", freq=100, maxc=0.006),
+        task("b", freq=100, maxc=0.006, rtpu="arm1"),
+        task("c", freq=100, maxc=0.006),
+    ]
+    rtpus = [rtpu("arm0"), rtpu("arm1")]
+    first, second = verify.loads(configuration(*tasks, on={"a", "b"}, rtpus=rtpus))
+    assert (first.rtpu, first.utilization) == ("arm0", pytest.approx(0.6))
+    assert (second.rtpu, second.utilization) == ("arm1", pytest.approx(0.6))
+
+
+def test_a_fixed_criticality_is_kept() -> None:
+    tasks = [task("a", crit=17), task("b")]
+    assert crits(configuration(*tasks, rtpus=[rtpu()])) == {"a": 17, "b": 5}
+
+
+def test_servers_take_from_what_the_critical_set_may_use() -> None:
+    tasks = [
+        task("a", freq=100, maxc=0.006),
+        task("b", freq=50, maxc=0.006),
+        task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE),
+        task("idle", freq=None, tasktype=TaskType.BACKGROUND),
+    ]
+    config = configuration(*tasks, rtpus=[rtpu()])
+    assert crits(config) == {"a": 5, "b": 3, "s": 6, "idle": 1}
+    (load,) = verify.loads(config)
+    assert load.utilization == pytest.approx(0.6 + 0.3 + 0.2)
+    without = configuration(*tasks[:2], tasks[3], rtpus=[rtpu()])
+    assert crits(without) == {"a": 5, "b": 5, "idle": 1}
+
+
+@pytest.mark.parametrize(("scheduler", "crit"), [("MUF", 6), ("EDF", 5), ("RM", 62)])
+def test_a_server_without_a_rate(scheduler: str, crit: int) -> None:
+    server = task("s", freq=None, tasktype=TaskType.SPORADIC)
+    assert crits(configuration(server, rtpus=[rtpu(scheduler=scheduler)])) == {
+        "s": crit
+    }
+
+
+def test_the_traffic_of_equations_6_and_7() -> None:
+    tasks = (
+        task("pid", invar="Q QD", outvar="T", freq=500, info=None),
+        task("arm", invar="T", outvar="Q QD", freq=1000, info=None),
+        task("idle", invar="Q", freq=None, info=None, tasktype=TaskType.BACKGROUND),
+    )
+    table = [Variable(name=name, type="double", nelem=6) for name in ("Q", "QD", "T")]
+    config = configuration(*tasks, variables=table)
+    assert verify.traffic(config) == {
+        "pid": 3 * 48 * 500,
+        "arm": 3 * 48 * 1000,
+        "idle": 0,
+    }
+    assert texts(config) == []
+    config = configuration(*tasks, variables=table, copy_speed=200e3)
+    assert texts(config) == [
+        "arm: the tasks move more data than the table is allowed to (expected at most "
+        "0.2 MB/s (equation 7), got 0.216 MB/s, of which arm 0.144 MB/s); lower the "
+        "frequency of arm, or combine it with the tasks it talks to"
+    ]

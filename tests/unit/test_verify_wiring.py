@@ -1,0 +1,190 @@
+"""Equations 1 and 2, constants and their order (Stewart 1994, 3.3.1 and 3.5)."""
+
+import pytest
+from verify_parts import configuration, task, texts
+
+from pbonet import verify
+from pbonet.errors import VerificationError
+
+
+def test_the_pid_joint_control_of_figure_3_7_is_legal() -> None:
+    tasks = (
+        task("traj", outvar="Q_REF Q^_REF"),
+        task("pid", invar="Q_REF Q^_REF Q_MEZ Q^_MEZ", outvar="T_REF"),
+        task("robot", invar="T_REF", outvar="Q_MEZ Q^_MEZ"),
+    )
+    assert verify.check(configuration(*tasks)) == []
+
+
+def test_two_writers_and_how_to_join_them() -> None:
+    tasks = (
+        task("pid", outvar="TAU", alias={"TAU": "T_REF"}),
+        task("grav", outvar="T_REF"),
+        task("arm", invar="T_REF"),
+    )
+    (problem,) = verify.check(configuration(*tasks))
+    assert verify.as_text(problem) == (
+        "grav.rmod: pid and grav both write T_REF (expected one task that writes a "
+        "variable (equation 1), got 2: pid.rmod, grav.rmod); turn one off, or join "
+        "them: SVARALIAS TAU=T_REF' in pid.rmod, SVARALIAS T_REF=T_REF'' in grav.rmod, "
+        "and a join connector with T_REF' T_REF'' in and T_REF out"
+    )
+    assert problem.code == "two-writers"
+    assert problem.tasks == ("pid", "grav")
+    assert problem.ports == ("TAU", "T_REF")
+    assert problem.variables == ("T_REF",)
+
+
+def test_the_remedy_for_two_writers_is_one() -> None:
+    tasks = (
+        task("pid", outvar="TAU", alias={"TAU": "T_REF'"}),
+        task("grav", outvar="T_REF", alias={"T_REF": "T_REF''"}),
+        task(
+            "join", invar="A B", outvar="T_REF", alias={"A": "T_REF'", "B": "T_REF''"}
+        ),
+        task("arm", invar="T_REF"),
+    )
+    assert verify.check(configuration(*tasks)) == []
+
+
+def test_names_before_a_join_connector_fit_a_table() -> None:
+    tasks = [task(f"t{n}", outvar="LONGEST_POSSIBLE"[:15]) for n in range(5)]
+    (problem,) = verify.check(configuration(*tasks))
+    names = problem.remedy.split("join connector with ")[1].split(" in and")[0].split()
+    assert len(set(names)) == 5
+    assert all(len(name) == 15 for name in names)
+
+
+def test_an_off_task_writes_nothing() -> None:
+    tasks = (task("a", outvar="X"), task("b", outvar="X"))
+    assert verify.check(configuration(*tasks, on={"a"})) == []
+
+
+def test_a_constant_is_no_variable_for_another_task() -> None:
+    tasks = (task("a", outconst="X"), task("b", outvar="X"))
+    (problem,) = verify.check(configuration(*tasks))
+    assert verify.as_text(problem) == (
+        "a.rmod: b and a both write X (expected one task that writes a variable "
+        "(equation 1), got 2: b.rmod, a.rmod); rename one by SVARALIAS"
+    )
+
+
+def test_one_output_feeds_many() -> None:
+    tasks = (task("a", outvar="X"), task("b", invar="X"), task("c", invar="X"))
+    assert verify.check(configuration(*tasks)) == []
+
+
+def test_an_input_without_writer_names_the_library() -> None:
+    tasks = (task("arm", invar="T_GRAV"), task("log", invar="G", alias={"G": "T_GRAV"}))
+    config = configuration(*tasks, producers={"T_GRAV": ("grav_comp",)})
+    (problem,) = verify.check(config)
+    assert verify.as_text(problem) == (
+        "arm.rmod: no task that is ON writes T_GRAV, which arm and log read (expected "
+        "a task that writes each variable that is read (equation 2)); in the library, "
+        "grav_comp does; add it to the configuration"
+    )
+    assert problem.ports == ("T_GRAV", "G")
+
+
+def test_an_input_without_writer_that_stands_but_is_off() -> None:
+    tasks = (task("arm", invar="X"), task("a", outvar="X"), task("b", outvar="X"))
+    (problem,) = verify.check(configuration(*tasks, on={"arm"}))
+    assert problem.remedy == "turn a or b on"
+
+
+def test_an_input_that_nobody_has() -> None:
+    (problem,) = verify.check(configuration(task("arm", invar="X")))
+    assert problem.remedy == "add a task that writes X, or rename the port by SVARALIAS"
+
+
+def test_a_variable_may_be_read_from_a_constant() -> None:
+    tasks = (task("a", outconst="X"), task("b", invar="X"))
+    assert verify.check(configuration(*tasks)) == []
+
+
+def test_a_missing_constant() -> None:
+    config = configuration(
+        task("grav", inconst="DH", outvar="T"), producers={"DH": ("puma", "scara")}
+    )
+    (problem,) = verify.check(config)
+    assert verify.as_text(problem) == (
+        "grav.rmod: no task produces the constant DH, which grav needs (expected a "
+        "task that stands and has it as an out-const); in the library, puma and scara "
+        "do; add it to the configuration"
+    )
+
+
+def test_a_constant_that_is_written_as_a_variable() -> None:
+    (problem,) = verify.check(
+        configuration(task("grav", inconst="DH"), task("arm", outvar="DH"))
+    )
+    assert problem.got == "arm with it as an out-var"
+
+
+def test_a_constant_of_the_table_is_told() -> None:
+    config = configuration(task("grav", inconst="DH"), init={"DH": (6,)})
+    (problem,) = verify.check(config)
+    assert problem.severity == "warn"
+    assert verify.as_text(problem) == (
+        "grav.rmod: no task produces the constant DH, which grav needs; it has the "
+        "value of its INIT line; add a task that writes DH, or rename the port by "
+        "SVARALIAS"
+    )
+
+
+def test_two_producers_of_a_constant_even_when_off() -> None:
+    tasks = (task("puma", outconst="DH"), task("scara", outconst="DH"))
+    (problem,) = verify.check(configuration(*tasks, on=set()))
+    assert verify.as_text(problem) == (
+        "scara.rmod: puma and scara both produce the constant DH (expected one task "
+        "that produces a constant, got puma.rmod, scara.rmod); kill one of them, or "
+        "give its constant another name by SVARALIAS"
+    )
+
+
+def test_constants_order_the_spawning() -> None:
+    tasks = [
+        task("grav", inconst="NDOF DH", outvar="T"),
+        task("log"),
+        task("tool", inconst="NDOF", outconst="DH"),
+        task("puma", outconst="NDOF"),
+    ]
+    assert verify.spawn_order(tasks) == ["log", "puma", "tool", "grav"]
+
+
+def test_a_circle_of_constants_is_drawn() -> None:
+    tasks = (
+        task("a", inconst="C", outconst="A"),
+        task("b", inconst="A", outconst="B1 B2"),
+        task("c", inconst="B1 B2", outconst="C"),
+        task("d", inconst="C"),
+    )
+    (problem,) = verify.check(configuration(*tasks, on=set()))
+    assert verify.as_text(problem) == (
+        "a.rmod: the tasks wait for each other's constants (expected constants that "
+        "flow from task to task without a circle, got a --A--> b --B1, B2--> c --C--> "
+        "a); let one of them have its constant from LOCAL or from another task"
+    )
+    with pytest.raises(VerificationError) as caught:
+        verify.spawn_order(tasks)
+    assert str(caught.value) == (
+        "a: the tasks wait for each other's constants (got a --A--> b --B1, B2--> c "
+        "--C--> a); let one of them have its constant from LOCAL or from another task"
+    )
+
+
+def test_a_task_that_waits_for_itself() -> None:
+    (problem,) = verify.check(configuration(task("a", inconst="C", outconst="C")))
+    assert problem.what == "task a waits for its own constant"
+    assert problem.got == "a --C--> a"
+
+
+def test_several_faults_are_one_error() -> None:
+    tasks = (task("a", outvar="X"), task("b", outvar="X", invar="Y"))
+    problems = verify.check(configuration(*tasks))
+    error = verify.as_error(problems)
+    first, second = texts(configuration(*tasks))
+    assert str(error) == (
+        f"2 faults make the configuration illegal:\n1. {first}\n2. {second}"
+    )
+    assert str(verify.as_error(problems[:1])) == first

@@ -1,0 +1,99 @@
+"""Tasks and configurations for the tests of `pbonet.verify`, in a few words."""
+
+from collections.abc import Collection, Mapping
+
+from pbonet import verify
+from pbonet.config.model import Rmod, RtpuEntry, Scheduler, SvarFile, TaskType, Variable
+from pbonet.pbo import ModuleInfo
+from pbonet.ports import Kind, Port, parse_shape
+
+LISTS = {
+    "inconst": Kind.INCONST,
+    "outconst": Kind.OUTCONST,
+    "invar": Kind.INVAR,
+    "outvar": Kind.OUTVAR,
+}
+
+
+def module(*ports: Port, critical_ok: bool = True) -> ModuleInfo:
+    return ModuleInfo(
+        name="mod",
+        cls="Mod",
+        doc="",
+        version="",
+        file="",
+        ports=ports,
+        params=(),
+        methods=("cycle",),
+        critical_ok=critical_ok,
+    )
+
+
+def port(kind: str, name: str, shape: str = "1", unit: str = "none", **more) -> Port:
+    kind_of_value = "float" if shape == "1" else "float64[]"
+    more = {"attr": name.lower(), "type": kind_of_value, **more}
+    return Port(
+        name=name, kind=LISTS[kind], shape=parse_shape(shape), unit=unit, doc="", **more
+    )
+
+
+def task(
+    name: str,
+    *,
+    alias: Mapping[str, str] | None = None,
+    info: ModuleInfo | None | bool = True,
+    rtpu: str = "arm0",
+    freq: float | None = 100.0,
+    tasktype: TaskType = TaskType.PERIODIC,
+    **rest,
+) -> verify.Task:
+    """Return a task; `invar` and so on are texts, and its class has just these ports."""
+    lists = {key: tuple(str(rest.pop(key, "")).split()) for key in LISTS}
+    if info is True:
+        info = module(*(port(key, p) for key, ports in lists.items() for p in ports))
+    rmod = Rmod(
+        name=name,
+        file=f"{name}.rmod",
+        module="mod",
+        aliases=dict(alias or {}),
+        freq=freq,
+        tasktype=tasktype,
+        **lists,
+        **rest,
+    )
+    return verify.Task(rmod=rmod, info=info or None, rtpu=rtpu)
+
+
+def configuration(
+    *tasks: verify.Task,
+    on: Collection[str] | None = None,
+    variables: Collection[Variable] = (),
+    init: Mapping[str, tuple[float, ...]] | None = None,
+    rtpus: Collection[RtpuEntry] = (),
+    **rest,
+) -> verify.Configuration:
+    """Return a configuration whose table has every variable that a task uses."""
+    given = {variable.name: variable for variable in variables}
+    names = [
+        name
+        for one in tasks
+        for name in (*one.inputs, *one.outputs, *one.needs, *one.gives)
+    ]
+    table = {
+        name: Variable(name=name, type="double", init=(init or {}).get(name))
+        for name in names
+    } | given
+    svar = SvarFile(file="a.svar", defines={}, variables=tuple(table.values()))
+    if on is None:
+        on = {one.name for one in tasks}
+    return verify.Configuration(
+        svar=svar, tasks=tuple(tasks), on=frozenset(on), rtpus=tuple(rtpus), **rest
+    )
+
+
+def rtpu(name: str = "arm0", scheduler: str = "MUF", **rest) -> RtpuEntry:
+    return RtpuEntry(name=name, scheduler=Scheduler(scheduler), **rest)
+
+
+def texts(config: verify.Configuration) -> list[str]:
+    return [verify.as_text(problem) for problem in verify.check(config)]
