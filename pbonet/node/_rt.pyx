@@ -9,7 +9,7 @@ from cpython.exc cimport PyErr_CheckSignals
 from libc.errno cimport EACCES, ENOSPC, EPERM
 from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
 from libc.stdlib cimport free, malloc
-from libc.string cimport memset
+from libc.string cimport memset, strdup
 
 from pbonet.errors import NodeError, RealTimeError
 from pbonet.node._ring import Record
@@ -70,6 +70,7 @@ cdef _refuse(int error, str path):
 cdef class CoreTable:
     cdef rt_map map
     cdef rt_table *t
+    cdef char *file
     cdef readonly int core
     cdef readonly str path
     cdef readonly bint member
@@ -78,24 +79,23 @@ cdef class CoreTable:
         self.core = core
         self.member = member
         self.path = _path(f"core{core}")
-        cdef bytes path = os.fsencode(self.path)
-        cdef const char *text = path
         cdef int error
+        self.file = strdup(os.fsencode(self.path))
         with nogil:
-            error = rt_attach(&self.map, text, core, member)
+            error = rt_attach(&self.map, self.file, core, member)
         if error:
             _refuse(error, self.path)
         self.t = self.map.table
 
     def close(self) -> None:
-        cdef bytes path = os.fsencode(self.path)
         if self.t is not NULL:
             self.t = NULL
-            rt_detach(&self.map, path)
+            rt_detach(&self.map, self.file)
 
     def __dealloc__(self):
         if self.t is not NULL:
-            rt_unmap(&self.map)     # leaving is `close`; an end without it looks like a crash
+            rt_detach(&self.map, self.file)
+        free(self.file)
 
     cdef rt_table *open(self) except NULL:
         if self.t is NULL:
