@@ -4,15 +4,16 @@
  *
  * FILE is a table with the variables of svar_rig.h. A step lies between any two words that
  * are copied to shared memory, and around every publishing store and the lock. Ends with 0
- * when the change has fewer steps. */
+ * when the change has fewer steps. A negative STEP stops there instead of dying. */
 #define _GNU_SOURCE 1
 #include <signal.h>
 #include <stdlib.h>
 
-static long steps_left = -1; /* negative: not counting */
+static long steps_left; /* 0: not counting */
+static int deed = SIGKILL;
 
 static void step(void) {
-    if (steps_left > 0 && --steps_left == 0) raise(SIGKILL);
+    if (steps_left && --steps_left == 0) raise(deed);
 }
 
 #define PBONET_STEP(n) step()
@@ -43,9 +44,10 @@ int main(int argc, char **argv) {
     const char *what;
     if (argc != 6) return 2;
     const int writer = atoi(argv[3]);
-    const long step = atol(argv[4]);
+    const long step = labs(atol(argv[4]));
     const uint64_t counter = strtoull(argv[5], NULL, 10);
     what = argv[2];
+    if (*argv[4] == '-') deed = SIGSTOP;
     t = attach(argv[1]);
     l = rig_local(&t, writer);
     struct pb_outputs *o = l->outputs + PB_GROUP_VARS;
