@@ -36,9 +36,7 @@ class GravComp(PortBasedObject[Links]):
     """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
-    dh: A[
-        Matrix, InConst("DH", "ndof,4", "mixed", "rows of theta, d, a, alpha")
-    ]
+    dh: A[Matrix, InConst("DH", "ndof,4", "mixed", "rows of theta, d, a, alpha")]
     q: A[Vector, InVar("Q_MEZ", "ndof", "rad", "measured joint position")]
     t_grav: A[Vector, OutVar("T_GRAV", "ndof", "N*m", "torque that balances gravity")]
 
