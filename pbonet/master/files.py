@@ -75,12 +75,13 @@ class Files:
             return self.job
         job = read_job(self._job_path(Path(path)))
         folder = Path(job.file).parent
-        if (folder / job.sbs).resolve() != self.path.resolve():
+        named = (folder / job.sbs).resolve()
+        if named != self.path.resolve():
             raise ConfigError(
                 "the job is of another subsystem",
                 where=job.file,
-                expected=f"SBS {self.path.name}, as this master steers",
-                got=f"SBS {job.sbs}",
+                expected=f"SBS {self.path.resolve()}, which this master steers",
+                got=f"SBS {named}",
                 remedy="start it with its own subsystem",
             )
         self._look_in(folder)

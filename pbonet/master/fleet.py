@@ -146,9 +146,8 @@ class Fleet:
         timeout: float = rpc.ANSWER_TIME,
     ) -> tuple[dict[str, T], list[PbonetError]]:
         """Send a request to each RTPU at once; return results and errors."""
-        requests = {
-            rtpu: self._signed(rtpu, make(rtpu)) for rtpu in rtpus or self.entries
-        }
+        wanted = self.entries if rtpus is None else rtpus
+        requests = {rtpu: self._signed(rtpu, make(rtpu)) for rtpu in wanted}
         return self.client.call_all(requests, result, timeout=timeout)
 
     def release(self) -> list[PbonetError]:

@@ -43,6 +43,8 @@ def of(fleet: Fleet, name: str | None = None) -> list[ModuleInfo]:
     results, errors = fleet.each(
         lambda _: m.Modules(name=name), list[ModuleInfo], timeout=_LOAD_TIME
     )
+    if not results and len({error.what for error in errors}) == 1:
+        raise errors[0]  # the same everywhere
     if not results or (errors and name is None):
         rpc.raise_all(f"{len(errors)} RTPUs do not describe their modules", errors)
     found = {(i.name, i.version): i for infos in results.values() for i in infos}

@@ -54,3 +54,12 @@ def agents(world):
     yield fakes
     for fake in fakes.values():
         fake.close()
+
+
+@pytest.fixture
+def puma(tmp_path):
+    """A copy of the PUMA example's files, to be changed at will."""
+    example = Path(__file__).parents[2] / "examples" / "puma"
+    for name in ("puma.sbs", "puma.svar", "puma.job"):
+        shutil.copy(example / name, tmp_path / name)
+    return tmp_path / "puma.sbs"

@@ -10,10 +10,10 @@ import threading
 import time
 from dataclasses import dataclass, field
 
-import msgspec
 import zenoh
 
 from pbonet.config import parse_rmod, parse_svar
+from pbonet.config.library import Library
 from pbonet.errors import (
     ClaimError,
     NodeError,
@@ -23,6 +23,7 @@ from pbonet.errors import (
     UnknownTaskError,
     UnknownVariableError,
 )
+from pbonet.pbo import ModuleInfo
 from pbonet.xm import keys, rundir, session
 from pbonet.xm import messages as m
 
@@ -70,7 +71,7 @@ class World:
 
     domain: str
     values: dict[str, dict[str, list[float]]] = field(default_factory=dict)
-    modules: dict[str, dict] = field(default_factory=dict)
+    library: Library = field(default_factory=Library)
     log: list[tuple[str, str]] = field(default_factory=list)
     """Pairs of RTPU and what it did, in order."""
 
@@ -234,7 +235,7 @@ class FakeAgent:
             request.rmod,
             request.rmod_name,
             request.freq or rmod.freq or 0.0,
-            request.crit or 0,
+            request.crit or 5,
             request.priority,
             params={name: " ".join(line.words) for name, line in rmod.local.items()},
         )
@@ -255,6 +256,8 @@ class FakeAgent:
                 f"the signal {signal} is not valid in the state {task.state}",
                 where=f"{self.name}/{name}",
             )
+        if (signal, name) in self.fail:
+            raise self.fail[signal, name]
         task.state = state
         if signal == "on":
             task.since = time.monotonic()
@@ -270,8 +273,6 @@ class FakeAgent:
         states: dict[str, str] = {}
         for done, (name, signal) in enumerate(request.items):
             try:
-                if ("reconfig", name) in self.fail:
-                    raise self.fail["reconfig", name]
                 states[name] = self.move(name, signal).state
             except PbonetError as error:
                 return m.Reconfigured(done=done, states=states, error=error.to_wire())
@@ -300,7 +301,7 @@ class FakeAgent:
 
     def do_rank(self, request: m.Rank) -> None:
         for name, (crit, priority) in request.tasks.items():
-            self.task(name).crit = crit
+            self.task(name).crit = 5 if crit is None else crit
             self.task(name).priority = priority
 
     def do_status(self, request: m.Status) -> m.RtpuStatus:
@@ -358,13 +359,10 @@ class FakeAgent:
             m.Display(subsystem=request.subsystem, names=[request.name])
         )[0]
 
-    def do_modules(self, request: m.Modules) -> list[dict]:
-        found = self.world.modules
-        if request.name is None:
-            return list(found.values())
-        if request.name not in found:
-            raise NodeError("there is no such module", where=request.name)
-        return [found[request.name]]
+    def do_modules(self, request: m.Modules) -> list[ModuleInfo]:
+        library = self.world.library
+        names = library.modules() if request.name is None else [request.name]
+        return [library.load(name).info for name in names]
 
     def do_stop(self, request: m.Stop) -> m.Stopped:
         names = [n for n in request.order if n in self.tasks]
@@ -385,8 +383,3 @@ class FakeAgent:
 
     def do_events(self, _: m.Events) -> list[m.Event]:
         return []
-
-
-def to_builtins(info: object) -> dict:
-    """Return a module's description as it travels."""
-    return msgspec.to_builtins(info)

@@ -1,0 +1,453 @@
+"""Writes the frame of a new module from a list of ports (Stewart 1994, section 3.7).
+
+Pure: names and ports in, texts out. The command line (``pbonet new module``) does the
+reading and writing of files.
+"""
+
+from __future__ import annotations
+
+import keyword
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.config import write_rmod
+from pbonet.config.model import Rmod, TaskType
+from pbonet.config.types import element_type
+from pbonet.errors import ConfigError, did_you_mean
+from pbonet.pbo import METHODS
+from pbonet.ports import Kind, parse_shape
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from pbonet.config.model import SvarFile, Variable
+
+_CLASSES = {
+    Kind.INCONST: "InConst",
+    Kind.OUTCONST: "OutConst",
+    Kind.INVAR: "InVar",
+    Kind.OUTVAR: "OutVar",
+}
+_RESERVED = frozenset({*METHODS, "params", "task", "name", "freq", "clock", "critical"})
+_WIDTH = 88
+
+
+class NewPort(Struct, frozen=True, kw_only=True):
+    """One port of a module that is to be written."""
+
+    name: str
+    kind: Kind
+    shape: str
+    unit: str
+    type: str = "double"
+    """As a ``.svar`` file has it."""
+    doc: str = ""
+
+    @property
+    def attr(self) -> str:
+        """The attribute: lower case, a ``^`` (a derivative) becomes ``d``."""
+        head, hat, tail = self.name.partition("^")
+        word = f"{head}d{tail}" if hat else head
+        word = "".join(c if c.isalnum() or c == "_" else "_" for c in word.lower())
+        word = word.lstrip("_") or "port"
+        if keyword.iskeyword(word) or word in _RESERVED:
+            word += "_"
+        return word
+
+
+def read_port(text: str, kind: Kind, svar: SvarFile | None = None) -> NewPort:
+    """Return the port that ``NAME[:SHAPE[:UNIT[:TYPE]]]`` means.
+
+    What is left out comes from the ``.svar`` file; without one, the unit must be there.
+
+    Args:
+        text: Such as ``Q_MEZ``, ``Q_MEZ:ndof:rad`` or ``NDOF:1:none:int``.
+        kind: What the port is.
+        svar: Variables by name.
+
+    Raises:
+        ConfigError: Something is missing or cannot be.
+    """
+    name, *words = text.split(":")
+    variable = _variable(name, svar)
+    given = dict(zip(("shape", "unit", "type"), words, strict=False))
+    if len(words) > len(("shape", "unit", "type")):
+        raise ConfigError(
+            "a port has at most four parts",
+            where=text,
+            expected="NAME:SHAPE:UNIT:TYPE",
+        )
+    if variable is None and not given.get("unit"):
+        raise ConfigError(
+            f"the unit of port {name} is not known",
+            where=text,
+            expected=f"{name}:SHAPE:UNIT, such as {name}:6:rad",
+            remedy="write it (none for a pure number), or name a .svar file",
+        )
+    port = NewPort(
+        name=name,
+        kind=kind,
+        shape=given.get("shape") or (str(variable.nelem) if variable else "1"),
+        unit=given.get("unit") or (variable.units if variable else "none"),
+        type=given.get("type") or (variable.type if variable else "double"),
+        doc=variable.desc if variable else "",
+    )
+    _check(port, text)
+    return port
+
+
+def _variable(name: str, svar: SvarFile | None) -> Variable | None:
+    if svar is None:
+        return None
+    known = {variable.name: variable for variable in svar.variables}
+    if name not in known:
+        raise ConfigError(
+            f"there is no variable {name}",
+            where=svar.file,
+            remedy=did_you_mean(name, known) or "define it there first",
+        )
+    return known[name]
+
+
+def _check(port: NewPort, text: str) -> None:
+    try:
+        parse_shape(port.shape)
+    except ValueError as error:
+        raise ConfigError(f"the shape {error}", where=text) from None
+    if element_type(port.type) is None:
+        raise ConfigError(
+            f"there is no type {port.type}",
+            where=text,
+            expected="double, int, bool ...",
+        )
+
+
+def scaffold(
+    name: str,
+    ports: Sequence[NewPort],
+    *,
+    desc: str = "",
+    freq: float = 100.0,
+    svar: SvarFile | None = None,
+) -> dict[str, str]:
+    """Return the files of a new module, by their names in the library's folder.
+
+    Args:
+        name: The module's name: letters, digits and underscores.
+        ports: Its ports.
+        desc: What it does, in one line.
+        freq: Its default frequency in Hz.
+        svar: Where sizes are named by a constant: a number of elements that equals the
+            first value of an integer constant port is written as that constant.
+
+    Returns:
+        The module, its RMOD, and its test.
+
+    Raises:
+        ConfigError: The name or the ports cannot be a module's.
+    """
+    _check_name(name)
+    ports = _named_sizes(ports, svar)
+    _check_ports(ports)
+    desc = desc.strip().rstrip(".") or f"Module {name}"
+    return {
+        f"{name}.py": _module_text(name, ports, desc),
+        f"{name}.rmod": _rmod_text(name, ports, desc, freq),
+        f"tests/test_{name}.py": _test_text(name, ports),
+    }
+
+
+def class_name(name: str) -> str:
+    """Return the class of module `name`: ``joint_pid`` gives ``JointPid``."""
+    return "".join(word[:1].upper() + word[1:] for word in name.split("_"))
+
+
+def _check_name(name: str) -> None:
+    plain = name.isidentifier() and name.isascii() and name == name.lower()
+    if not plain or name.startswith("_") or keyword.iskeyword(name):
+        raise ConfigError(
+            "the name cannot be a module's",
+            where=name,
+            expected="lower-case letters, digits and underscores, a letter first",
+        )
+
+
+def _check_ports(ports: Sequence[NewPort]) -> None:
+    seen: dict[str, str] = {}
+    for port in ports:
+        other = seen.setdefault(port.attr, port.name)
+        if other != port.name or [one.name for one in ports].count(port.name) > 1:
+            raise ConfigError(
+                f"ports {other} and {port.name} are one attribute, {port.attr}"
+                if other != port.name
+                else f"port {port.name} is named twice",
+                where=port.name,
+                remedy="leave one out, and write it by hand under another attribute",
+            )
+
+
+def _named_sizes(ports: Sequence[NewPort], svar: SvarFile | None) -> list[NewPort]:
+    """Name the sizes that are the first value of an integer constant port."""
+    import msgspec
+
+    if svar is None:
+        return list(ports)
+    first = {v.name: int(v.init[0]) for v in svar.variables if v.init and v.nelem == 1}
+    names = {
+        str(first[port.name]): port.attr
+        for port in ports
+        if port.kind.is_const and _scalar(port) == "int" and port.name in first
+    }
+    return [
+        msgspec.structs.replace(port, shape=names.get(port.shape, port.shape))
+        for port in ports
+    ]
+
+
+def _scalar(port: NewPort) -> str:
+    """Return ``float``, ``int`` or ``bool`` for a scalar port, else an empty string."""
+    element = element_type(port.type)
+    if parse_shape(port.shape) or element is None or element.is_struct:
+        return ""
+    if element.is_bool:
+        return "bool"
+    return "float" if element.is_float else "int"
+
+
+def _annotation(port: NewPort) -> str:
+    """Return the Python type of a port."""
+    import numpy as np
+
+    scalar = _scalar(port)
+    if scalar:
+        return scalar
+    element = element_type(port.type)
+    dtype = np.dtype(element.dtype if element else "f8")
+    if dtype == np.dtype("f8"):
+        return "Matrix" if len(parse_shape(port.shape)) > 1 else "Vector"
+    kind = {"V": "void", "b": "bool_"}.get(dtype.kind, dtype.name)
+    return f"NDArray[np.{kind}]"
+
+
+def _declaration(port: NewPort) -> list[str]:
+    """Return the lines that declare a port."""
+    shape = port.shape
+    if port.type.startswith("struct") and not parse_shape(shape):
+        shape = "n"  # one structure is an array of one
+    words = [port.name, shape, port.unit, port.doc or _doc(port)]
+    quoted = ", ".join(_quoted(word) for word in words)
+    line = f"    {port.attr}: A[{_annotation(port)}, {_CLASSES[port.kind]}({quoted})]"
+    if len(line) <= _WIDTH:
+        return [line]
+    middle = f"        {_annotation(port)}, {_CLASSES[port.kind]}({quoted})"
+    if len(middle) <= _WIDTH:
+        return [f"    {port.attr}: A[", middle, "    ]"]
+    inner = f"            {quoted}"
+    body = [inner] if len(inner) <= _WIDTH else _one_a_line(words)
+    return [
+        f"    {port.attr}: A[",
+        f"        {_annotation(port)},",
+        f"        {_CLASSES[port.kind]}(",
+        *body,
+        "        ),",
+        "    ]",
+    ]
+
+
+def _one_a_line(words: Iterable[str]) -> list[str]:
+    return [f"            {_quoted(word[: _WIDTH - 16])}," for word in words]
+
+
+def _quoted(word: str) -> str:
+    text = word.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{text}"'
+
+
+def _doc(port: NewPort) -> str:
+    kind = {"in": "input", "out": "output"}[port.kind.split("-")[0]]
+    return f"{'constant ' if port.kind.is_const else ''}{kind} {port.name}"
+
+
+def _module_text(name: str, ports: Sequence[NewPort], desc: str) -> str:
+    outvars = [port for port in ports if port.kind is Kind.OUTVAR]
+    outconsts = [port for port in ports if port.kind is Kind.OUTCONST]
+    lines = [f'"""{_sentence(desc, 4)}"""', "", *_imports(ports), "", ""]
+    lines += [f"class {class_name(name)}(PortBasedObject):"]
+    lines += [f'    """{_sentence(desc, 8)}"""', ""]
+    for kind in Kind:
+        for port in ports:
+            if port.kind is kind:
+                lines += _declaration(port)
+    if ports:
+        lines.append("")
+    if outconsts:
+        lines += [
+            "    def init(self) -> None:",
+            '        """Set the constants that this module produces."""',
+            *(line for port in outconsts for line in _first_value(port, ports)),
+            "",
+        ]
+    lines += [
+        "    def on(self) -> None:",
+        '        """Start from what the ports hold: outputs as the last writer left them."""',
+        "",
+        "    def cycle(self, dt: float) -> None:",
+        '        """Compute the outputs from the inputs, dt seconds after the last cycle.',
+        "",
+        *(f"        {line}" for line in _law_help(outvars)),
+        '        """',
+        "",
+    ]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _sentence(desc: str, indent: int) -> str:
+    """Return `desc` as a docstring's first line, not longer than a line may be."""
+    room = _WIDTH - indent - len('""".')
+    text = desc.replace("\\", "/").replace('"', "'")
+    return (text if len(text) <= room else text[: room - 3].rstrip() + "..") + "."
+
+
+def _imports(ports: Sequence[NewPort]) -> list[str]:
+    types = {_annotation(port) for port in ports}
+    arrays = sorted(kind for kind in types if kind.startswith("NDArray"))
+    names = {"PortBasedObject", *(types & {"Vector", "Matrix"})}
+    names |= {_CLASSES[port.kind] for port in ports}
+    lines = ["from typing import Annotated as A", ""] if ports else []
+    if arrays:
+        lines += ["import numpy as np", "from numpy.typing import NDArray", ""]
+    line = f"from pbonet import {', '.join(sorted(names))}"
+    return [*lines, line]
+
+
+def _first_value(port: NewPort, ports: Sequence[NewPort]) -> list[str]:
+    """Return the line of `init` that sets one constant."""
+    sizes = [p for p in ports if port.attr in parse_shape(p.shape)]
+    if sizes:
+        axis = parse_shape(sizes[0].shape).index(port.attr)
+        return [f"        self.{port.attr} = self.{sizes[0].attr}.shape[{axis}]"]
+    value = {"float": "0.0", "int": "0", "bool": "False"}.get(_scalar(port))
+    if value:
+        return [f"        self.{port.attr} = {value}"]
+    if port.type.startswith("struct"):
+        return [f'        self.{port.attr}[:] = b""']
+    return [f"        self.{port.attr}[:] = 0"]
+
+
+def _law_help(outvars: Sequence[NewPort]) -> list[str]:
+    """Return what the docstring of `cycle` says until there is a law."""
+    if not outvars:
+        return ["Every input is a new value here; read-only."]
+    port = outvars[0]
+    write = f"self.{port.attr} = ..." if _scalar(port) else f"self.{port.attr}[:] = ..."
+    return [f"Write `{write}`; an output keeps its value until then."]
+
+
+def _rmod_text(name: str, ports: Sequence[NewPort], desc: str, freq: float) -> str:
+    def named(kind: Kind) -> tuple[str, ...]:
+        return tuple(port.name for port in ports if port.kind is kind)
+
+    return write_rmod(
+        Rmod(
+            name=name,
+            file=f"{name}.rmod",
+            module=name,
+            desc=desc,
+            inconst=named(Kind.INCONST),
+            outconst=named(Kind.OUTCONST),
+            invar=named(Kind.INVAR),
+            outvar=named(Kind.OUTVAR),
+            tasktype=TaskType.PERIODIC,
+            freq=freq,
+        )
+    )
+
+
+_TEST = '''"""The module {name} on a bench: inputs in, outputs out, in virtual time."""
+
+from pathlib import Path
+
+{numpy}from pbonet.config import read_rmod
+from pbonet.config.library import Library
+from pbonet.pbo import State
+from pbonet.testing import Bench
+
+FOLDER = Path(__file__).parents[1]
+MODULE = Library([FOLDER]).load("{name}")
+{values}
+
+def test_the_rmod_lists_the_ports_of_the_class() -> None:
+    rmod = read_rmod(FOLDER / "{name}.rmod")
+    listed = {{*rmod.inconst, *rmod.outconst, *rmod.invar, *rmod.outvar}}
+    assert listed == {{port.name for port in MODULE.info.ports}}
+
+
+def test_it_lives_a_whole_life() -> None:
+    bench = Bench(MODULE.cls{given})
+    assert bench.on() is State.ON
+    assert bench.step(n=10) is State.ON
+    assert bench.off() is State.OFF
+    assert bench.kill() is State.NOT_CREATED
+{bumpless}'''
+
+_BUMPLESS = """
+
+def test_it_starts_where_the_last_writer_stopped() -> None:
+    bench = Bench(MODULE.cls{given})
+    bench.outputs.{attr} = {value}
+    bench.on()
+    assert {check}
+"""
+
+
+def _test_text(name: str, ports: Sequence[NewPort]) -> str:
+    values = _bench_values(ports)
+    text = "".join(f"    {_quoted(word)}: {value},\n" for word, value in values.items())
+    given = ", VALUES" if values else ""
+    first = next((port for port in ports if _can_be_compared(port)), None)
+    bumpless = ""
+    if first is not None:
+        scalar = bool(_scalar(first))
+        check = f"bench.outputs.{first.attr} == {_ONE[first.type == 'bool']}"
+        bumpless = _BUMPLESS.format(
+            given=given,
+            attr=first.attr,
+            value=_ONE[first.type == "bool"],
+            check=check if scalar else f"({check}).all()",
+        )
+    return _TEST.format(
+        name=name,
+        numpy="import numpy as np\n\n" if "np." in text else "",
+        values=f"VALUES = {{\n{text}}}\n" if values else "",
+        given=given,
+        bumpless=bumpless,
+    )
+
+
+_ONE = {False: "1", True: "True"}
+
+
+def _can_be_compared(port: NewPort) -> bool:
+    return port.kind is Kind.OUTVAR and not port.type.startswith("struct")
+
+
+def _bench_values(ports: Sequence[NewPort]) -> Mapping[str, str]:
+    """Return what a bench must be told: sizes, in-consts, structures."""
+    values: dict[str, str] = {}
+    for port in ports:
+        shape = parse_shape(port.shape)
+        for dim in shape:
+            if isinstance(dim, str):
+                values[dim] = "6"
+        if port.type.startswith("struct"):
+            element = element_type(port.type)
+            size = element.size if element else 1
+            count = (
+                f"({', '.join('6' if isinstance(d, str) else str(d) for d in shape)},)"
+            )
+            values[port.attr] = f'np.zeros({count if shape else "1"}, "V{size}")'
+    for port in ports:
+        if port.kind is Kind.INCONST and port.attr not in values:
+            values[port.attr] = _ONE[_scalar(port) == "bool"]
+    return values

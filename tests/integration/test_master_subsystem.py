@@ -1,0 +1,433 @@
+"""A master against agents without tasks: claims, verification, orders, roll-back."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from pbonet.errors import (
+    ClaimError,
+    ConfigError,
+    MethodError,
+    ModuleLoadError,
+    NodeError,
+    ReconfigError,
+    SeveralError,
+    StateError,
+    UnknownTaskError,
+    UnknownVariableError,
+    UnreachableError,
+    VerificationError,
+)
+from pbonet.master.crew import UNFED
+from pbonet.master.subsystem import Subsystem
+
+ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
+
+
+@pytest.fixture
+def arm(world, agents, puma):
+    """An open subsystem with both RTPUs; its warnings are in ``arm.heard``."""
+    agents("arm0", "arm1")
+    subsystem = Subsystem(puma, domain=world.domain)
+    subsystem.heard = []
+    subsystem.warned = subsystem.heard.append
+    subsystem.open()
+    yield subsystem
+    subsystem.detach()
+
+
+@pytest.fixture
+def robot(arm):
+    """The same with the robot's task OFF, which gives the constants."""
+    arm.spawn("puma_pidg", "arm0")
+    return arm
+
+
+def other(arm, world, **kwargs):
+    return Subsystem(arm.files.path, domain=world.domain, **kwargs)
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+# -- opening -------------------------------------------------------------------------
+
+
+def test_keeper_opens_the_table_before_the_others(arm, world):
+    assert arm.sbs.keeper == "arm0"
+    assert world.log == [
+        ("arm0", "open_table keep=True"),
+        ("arm1", "open_table keep=False"),
+    ]
+
+
+def test_agent_that_is_missing_is_named_and_nothing_stays_claimed(world, agents, puma):
+    agents("arm0")
+    start = time.monotonic()
+    with pytest.raises(UnreachableError, match=r"^arm1: no agent of this name"):
+        Subsystem(puma, domain=world.domain).open()
+    assert time.monotonic() - start < 2.0  # the promise of the issue
+    assert agents["arm0"].claims == {}
+
+
+def test_no_agent_at_all_is_said_at_once(world, puma):
+    with pytest.raises(UnreachableError, match="no agent of domain"):
+        Subsystem(puma, domain=world.domain).open()
+
+
+def test_all_rtpus_that_cannot_be_had_come_as_one_tree(world, agents, puma):
+    agents("leg")
+    with pytest.raises(SeveralError) as caught:
+        Subsystem(puma, domain=world.domain).open()
+    lines = str(caught.value).splitlines()
+    assert lines[0] == "2 of 2 RTPUs of the subsystem puma cannot be had"
+    assert lines[1].startswith("|-- arm0: no agent of this name can be reached")
+    assert lines[2].startswith("`-- arm1: no agent of this name can be reached")
+
+
+def test_second_master_is_refused_while_the_first_lives(arm, world):
+    with pytest.raises(SeveralError) as caught:
+        other(arm, world).open()
+    assert all(isinstance(error, ClaimError) for error in caught.value.errors)
+    assert arm.fleet.client.name in str(caught.value)
+
+
+def test_master_that_takes_over_locks_the_former_out(robot, world):
+    robot.spawn("jttrace", "arm1")
+    with other(robot, world, take_over=True) as successor:
+        assert [member.name for member in successor.picture] == ["puma_pidg", "jttrace"]
+        with pytest.raises(ClaimError, match="another master has taken over"):
+            robot.control("jttrace", "on")
+        successor.control("jttrace", "on")
+        successor.detach()
+
+
+def test_master_that_comes_after_finds_the_tasks_running(arm, world):
+    arm.start("puma")
+    arm.detach()
+    with other(arm, world) as successor:
+        assert states(successor) == ON
+        assert successor.picture.find("grav_comp").rmod.module == "grav_comp"
+        assert successor.picture.find("grav_comp").rtpu == "arm1"
+
+
+def test_exclusive_rtpu_is_refused_to_another_subsystem(arm, world, tmp_path):
+    text = arm.files.path.read_text()
+    (tmp_path / "leg.sbs").write_text(text.replace("puma\n", "leg\n", 1))
+    with pytest.raises(SeveralError, match="belongs to another subsystem"):
+        Subsystem(tmp_path / "leg.sbs", domain=world.domain).open()
+
+
+def test_watcher_needs_no_claim_and_may_not_change(robot, world):
+    robot.spawn("jttrace", "arm1")
+    with other(robot, world, watch=True) as watcher:
+        assert states(watcher) == {"puma_pidg": "OFF", "jttrace": "OFF"}
+        with pytest.raises(ClaimError, match="open for watching only"):
+            watcher.control("jttrace", "on")
+    assert states(robot) == {"puma_pidg": "OFF", "jttrace": "OFF"}
+
+
+def test_table_that_cannot_be_opened_gives_the_claims_back(world, agents, puma):
+    agents("arm0", "arm1")
+    agents["arm1"].fail["open_table", ""] = NodeError("no room", where="arm1")
+    with pytest.raises(NodeError, match="no room"):
+        Subsystem(puma, domain=world.domain).open()
+    assert agents["arm0"].claims == agents["arm1"].claims == {}
+
+
+def test_closed_subsystem_says_how_to_open_it(puma):
+    with pytest.raises(NodeError, match="the subsystem is not open"):
+        Subsystem(puma).status_all()
+
+
+# -- spawn ---------------------------------------------------------------------------
+
+
+def test_spawned_task_is_off_where_it_was_put(robot, agents):
+    status = robot.spawn("jttrace", "arm1", 25.0)
+    assert (status.state, status.rtpu, status.ref_f) == ("OFF", "arm1", 25.0)
+    assert list(agents["arm1"].tasks) == ["jttrace"]
+    assert "MODULE" in agents["arm1"].tasks["jttrace"].text
+
+
+def test_unknown_rmod_names_the_nearest(arm):
+    with pytest.raises(ConfigError) as caught:
+        arm.spawn("jtrace")
+    assert caught.value.what == "there is no RMOD jtrace"
+    assert caught.value.remedy == "did you mean jttrace?"
+
+
+def test_unknown_rtpu_names_the_nearest(arm):
+    with pytest.raises(NodeError, match="has no RTPU arm3") as caught:
+        arm.spawn("jttrace", "arm3")
+    assert caught.value.remedy.startswith("did you mean arm")
+
+
+def test_unknown_module_is_found_by_asking_the_agent(arm, puma):
+    (puma.parent / "mine.rmod").write_text(
+        "MODULE no_such\nDESC of nobody\nINCONST none\nOUTCONST none\nINVAR none\n"
+        "OUTVAR Q_REF\nTASKTYPE periodic\nFREQ 10\nEOF\n"
+    )
+    with pytest.raises(ModuleLoadError, match="the library has no module no_such"):
+        arm.spawn("mine")
+
+
+def test_rmod_beside_the_sbs_file_wins_over_the_library(robot, puma, agents):
+    library = robot.files.library.find_rmod("qrdiff").read_text()
+    beside = library.replace("FREQ", "#\nFREQ").replace("100", "77")
+    (puma.parent / "qrdiff.rmod").write_text(beside)
+    assert robot.spawn("qrdiff", "arm1").ref_f == robot.files.rmod("qrdiff").record.freq
+    assert agents["arm1"].tasks["qrdiff"].text == beside
+
+
+def test_task_is_not_spawned_twice(robot):
+    robot.spawn("jttrace")
+    with pytest.raises(StateError, match="there is a task jttrace already"):
+        robot.spawn("jttrace")
+
+
+def test_constants_must_have_their_producer_first(arm):
+    with pytest.raises(VerificationError) as caught:
+        arm.spawn("grav_comp")
+    assert "NDOF" in str(caught.value)
+    assert "puma_pidg" in str(caught.value)
+
+
+def test_rank_follows_the_data_flow(arm, agents):
+    arm.start("puma")
+    tasks = agents["arm0"].tasks | agents["arm1"].tasks
+    priority = {name: task.priority for name, task in tasks.items()}
+    assert sorted(priority.values()) == [1, 2, 3, 4]
+    assert priority["jttrace"] > priority["qrdiff"] > 0
+    assert priority["puma_pidg"] > priority["grav_comp"]
+
+
+# -- signals -------------------------------------------------------------------------
+
+
+def test_loop_is_built_by_hand_with_a_warning_and_the_flag(robot, agents):
+    robot.spawn("grav_comp", "arm1")
+    robot.heard.clear()
+    robot.control("grav_comp", "on")
+    assert any("Q_MEZ" in text for text in robot.heard)
+    assert agents["arm0"].flags == [UNFED]
+    robot.control("grav_comp", "off")
+    assert agents["arm0"].flags == []
+    for name in ("qrdiff", "jttrace"):
+        robot.spawn(name, "arm1")
+    for name in ("jttrace", "qrdiff", "grav_comp", "puma_pidg"):
+        robot.control(name, "on")
+    assert agents["arm0"].flags == []
+
+
+def test_off_and_kill_are_never_refused_and_raise_the_flag(arm, agents):
+    arm.start("puma")
+    arm.control("grav_comp", "off")
+    assert agents["arm0"].flags == [UNFED]
+    arm.control("grav_comp", "kill")
+    assert "grav_comp" not in states(arm)
+    assert arm.stop().off != []
+
+
+def test_second_writer_is_refused_naming_both_and_a_remedy(robot, puma):
+    text = robot.files.library.find_rmod("jttrace").read_text()
+    (puma.parent / "second.rmod").write_text(text)
+    robot.spawn("jttrace", "arm1")
+    robot.spawn("second", "arm1")
+    robot.control("jttrace", "on")
+    with pytest.raises(VerificationError) as caught:
+        robot.control("second", "on")
+    message = str(caught.value)
+    assert "Q_REF" in message
+    assert "jttrace" in message
+    assert "second" in message
+    assert caught.value.remedy
+    assert states(robot)["second"] == "OFF"
+
+
+def test_signal_that_is_invalid_in_the_state_comes_back(robot):
+    robot.spawn("jttrace", "arm1")
+    with pytest.raises(StateError, match="clear is not valid in the state OFF"):
+        robot.control("jttrace", "clear")
+
+
+def test_unknown_task_and_signal_name_the_nearest(robot):
+    robot.spawn("jttrace", "arm1")
+    with pytest.raises(UnknownTaskError) as caught:
+        robot.control("jttrac", "on")
+    assert caught.value.remedy == "did you mean jttrace?"
+    with pytest.raises(StateError, match="there is no signal onn"):
+        robot.control("jttrace", "onn")
+
+
+def test_reconfiguration_is_judged_by_its_end(arm, agents, puma):
+    text = arm.files.library.find_rmod("jttrace").read_text()
+    (puma.parent / "second.rmod").write_text(text)
+    arm.start("puma")
+    arm.spawn("second", "arm1")
+    arm.reconfig([("jttrace", "off"), ("second", "on")])
+    assert states(arm)["second"] == "ON"
+    assert agents["arm0"].flags == []
+    with pytest.raises(VerificationError):
+        arm.reconfig([("jttrace", "on")])
+
+
+def test_reconfiguration_that_fails_says_what_was_done(arm, agents):
+    arm.start("puma")
+    agents["arm1"].fail["off", "qrdiff"] = MethodError("off raised", where="x")
+    with pytest.raises(ReconfigError) as caught:
+        arm.reconfig([("puma_pidg", "off"), ("qrdiff", "off"), ("jttrace", "off")])
+    assert caught.value.done == 1
+    assert caught.value.rest == (("qrdiff", "off"), ("jttrace", "off"))
+    assert isinstance(caught.value.__cause__, MethodError)
+    assert str(caught.value) == (
+        "arm1/x: item 2 of 3, off qrdiff: off raised; not sent: off jttrace"
+    ) or "item 2 of 3, off qrdiff: off raised" in str(caught.value)
+    assert states(arm)["puma_pidg"] == "OFF"
+
+
+# -- the whole -----------------------------------------------------------------------
+
+
+def test_start_spawns_in_the_order_of_constants_then_turns_on(arm, world):
+    statuses = arm.start("puma")
+    assert {status.task: status.state for status in statuses} == ON
+    steps = [text for _, text in world.log if text.split()[0] in {"spawn", "on"}]
+    assert steps.index("spawn puma_pidg") < steps.index("spawn grav_comp")
+    assert steps.index("spawn puma_pidg") < steps.index("spawn qrdiff")
+    assert steps[4] == "on jttrace"
+    assert steps[-1] == "on puma_pidg"  # CRITICAL, so last
+
+
+def test_start_is_rolled_back_when_a_task_does_not_turn_on(arm, agents, world):
+    agents["arm0"].fail["on", "puma_pidg"] = MethodError("no arm", where="x")
+    with pytest.raises(MethodError, match="no arm"):
+        arm.start("puma")
+    assert states(arm) == {}
+    offs = [text for _, text in world.log if text.startswith("off ")]
+    assert offs == ["off grav_comp", "off qrdiff", "off jttrace"]
+
+
+def test_start_that_is_illegal_does_nothing(arm, puma, world):
+    job = puma.parent / "puma.job"
+    job.write_text(job.read_text().replace("TASK  grav_comp  arm1\n", ""))
+    job.write_text(job.read_text().replace(" puma_pidg grav_comp\n", " puma_pidg\n"))
+    with pytest.raises(VerificationError) as caught:
+        arm.start("puma")
+    assert "T_GRAV" in str(caught.value)
+    assert "grav_comp" in str(caught.value)  # the library has who writes it
+    assert not any(text.startswith("spawn") for _, text in world.log)
+    with pytest.raises(VerificationError):
+        arm.check("puma")
+
+
+def test_start_is_repeatable(arm):
+    arm.start("puma")
+    assert {status.task for status in arm.start("puma")} == set(ON)
+
+
+def test_job_of_another_subsystem_is_refused(arm, tmp_path, puma):
+    (tmp_path / "other").mkdir()
+    job = tmp_path / "other" / "x.job"
+    job.write_text((puma.parent / "puma.job").read_text())
+    with pytest.raises(ConfigError, match="the job is of another subsystem"):
+        arm.start(job)
+
+
+def test_finish_turns_off_as_the_job_states_and_leaves_nothing(world, agents, puma):
+    agents("arm0", "arm1")
+    with Subsystem(puma.with_suffix(".job"), domain=world.domain) as arm:
+        arm.start()
+        world.log.clear()
+    offs = [text for _, text in world.log if text.startswith("off ")]
+    assert offs == ["off jttrace", "off qrdiff", "off puma_pidg", "off grav_comp"]
+    assert [text for _, text in world.log[-4:]] == [
+        "close_table",
+        "close_table",
+        "release",
+        "release",
+    ]
+    assert world.log[-3][0] == "arm0"  # the keeper closes last
+    assert agents["arm0"].tasks == agents["arm1"].tasks == {}
+    assert agents["arm0"].claims == agents["arm1"].claims == {}
+
+
+def test_stop_reaches_the_others_when_one_agent_is_gone(arm, agents):
+    arm.start("puma")
+    agents["arm1"].close()
+    with pytest.raises(UnreachableError, match="arm1"):
+        arm.stop()
+    assert agents["arm0"].tasks == {}
+
+
+def test_stop_ends_a_start_that_is_under_way(arm, agents):
+    import threading
+
+    agents["arm1"].slow["spawn"] = 0.3
+    failed = []
+
+    def start():
+        try:
+            arm.start("puma")
+        except StateError as error:
+            failed.append(error.what)
+
+    thread = threading.Thread(target=start)
+    thread.start()
+    deadline = time.monotonic() + 10
+    while not agents["arm0"].tasks and time.monotonic() < deadline:
+        time.sleep(0.005)
+    arm.stop()
+    thread.join(20)
+    assert failed == ["the start was given up because a stop came in between"]
+    assert agents["arm0"].tasks == agents["arm1"].tasks == {}
+
+
+# -- parameters, rates, variables ------------------------------------------------------
+
+
+def test_parameters_are_shown_and_set(robot):
+    assert "KP" in {param.name for param in robot.get("puma_pidg")}
+    assert robot.set("puma_pidg", "KD", [1.0, 2])[0].value == "1.0 2"
+    assert [param.value for param in robot.get("puma_pidg", "KD")] == ["1.0 2"]
+
+
+def test_rate_is_read_set_and_refused_beyond_the_core(arm, puma):
+    text = arm.files.library.find_rmod("puma_pidg").read_text()
+    heavy = text.replace("\nLOCAL", "\nMAXC 0.001\n\nLOCAL")
+    (puma.parent / "heavy.rmod").write_text(heavy)
+    arm.spawn("heavy", "arm0", 400.0)
+    assert arm.freq("heavy") == 400.0
+    assert arm.freq("heavy", 500.0) == 500.0
+    arm.control("heavy", "on")
+    with pytest.raises(VerificationError, match="arm0") as caught:
+        arm.freq("heavy", 999.0)
+    assert caught.value.remedy
+    assert arm.freq("heavy") == 500.0
+
+
+def test_variables_are_shown_and_written(arm):
+    assert arm.write("T_GRAV", [1, 2, 3, 4, 5, 6]).values == [1, 2, 3, 4, 5, 6]
+    assert [value.name for value in arm.display(["T_GRAV", "NDOF"])]
+    with pytest.raises(UnknownVariableError) as caught:
+        arm.display(["T_GRAF"])
+    assert caught.value.remedy == "did you mean T_GRAV?"
+
+
+def test_status_of_a_task_and_of_none(robot):
+    robot.spawn("jttrace", "arm1")
+    assert robot.status("jttrace").rtpu == "arm1"
+    with pytest.raises(UnknownTaskError):
+        robot.status("pid")
+
+
+def test_modules_of_all_rtpus_are_told_once(arm):
+    names = [info.name for info in arm.modules()]
+    assert "puma_pidg" in names
+    assert len(names) == len(set(names))
+    assert arm.modules("diff")[0].ports
+    with pytest.raises(ModuleLoadError):
+        arm.modules("no_such")
