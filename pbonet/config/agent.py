@@ -58,7 +58,7 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
             raise fault(
                 f"unknown key {quote(key)}",
                 place,
-                expected=" or ".join(known),
+                expected="a key that docs/files.md lists",
                 remedy=nearest(key, known) or "remove it",
             )
         try:

@@ -1,7 +1,8 @@
 """Every case file beside what must come of it: the whole message, or the meaning.
 
 A file `invalid-*.svar` stands beside `invalid-*.svar.txt`, a file `valid-*.svar` beside
-`valid-*.svar.json`; `local-*.rmod` is refused only by its module. A file that is no text is kept as hexadecimal digits in `*.hex`.
+`valid-*.svar.json`; `local-*.rmod` is refused only by its module.
+A file that is no text is kept as hexadecimal digits in `*.hex`.
 """
 
 import json
