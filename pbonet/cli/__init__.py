@@ -1,1 +1,77 @@
-"""cli."""
+"""The command line: one verb a file, no logic.
+
+Errors of pbonet end a verb with status 1 and a message of four parts, wrong usage with
+status 2, an interrupt with status 130. ``--json`` gives data, also of an error;
+``--debug`` adds the stack to a message.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+import typer
+
+from pbonet.cli import options
+from pbonet.errors import PbonetError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+VERBS = (
+    *("run", "sbs", "check", "describe", "new", "agent", "doctor"),
+    *("start", "stop", "spawn", "on", "off", "kill", "clear", "reinit", "reconfig"),
+    *("status", "display", "write", "get", "set", "freq", "module", "events"),
+)
+"""The verbs in the order of the help; each stands in a file of its name."""
+
+_NAMES = {"set": "set_verb"}
+_INTERRUPTED = 130
+
+
+def build() -> typer.Typer:
+    """Return the application with all verbs."""
+    app = typer.Typer(
+        name="pbonet",
+        help="Assemble a robot's control software from ready modules, and change it "
+        "while it runs.",
+        no_args_is_help=True,
+        add_completion=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(options.version)
+    for verb in VERBS:
+        import_module(f"pbonet.cli.{_NAMES.get(verb, verb)}").register(app)
+    return app
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with its status."""
+    try:
+        build()(args=argv, standalone_mode=True)
+    except PbonetError as error:
+        _tell(error)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.stderr.write("pbonet: interrupted\n")
+        sys.exit(_INTERRUPTED)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _tell(error: PbonetError) -> None:
+    """Show an error: as data with ``--json``, with its stack with ``--debug``."""
+    if options.chosen.json:
+        print(json.dumps({"error": error.to_wire()}))
+    else:
+        sys.stderr.write(f"pbonet: {error}\n")
+    if options.chosen.debug:
+        sys.stderr.write(error.debug and f"{error.debug.rstrip()}\n")
+        sys.stderr.write("".join(traceback.format_exception(error)))

@@ -1,0 +1,84 @@
+"""``pbonet agent``: be the agent of one RTPU until told to end."""
+
+from __future__ import annotations
+
+import enum
+import logging
+import signal
+from pathlib import Path
+from typing import Annotated as A
+
+import typer
+from msgspec import structs
+
+from pbonet.cli import options
+
+
+class Backend(enum.StrEnum):
+    """How tasks are scheduled."""
+
+    AUTO = "auto"
+    FIFO = "fifo"
+    PARK = "park"
+
+
+def agent(
+    name: A[str | None, typer.Option(help="The RTPU's name.")] = None,
+    core: A[int | None, typer.Option(help="The core it owns.", min=0)] = None,
+    config: A[Path | None, typer.Option(help="An agent.toml.")] = None,
+    domain: A[str | None, typer.Option(help="The domain.", metavar="NAME")] = None,
+    listen: A[
+        list[str] | None, typer.Option(help="Listen there.", metavar="ENDPOINT")
+    ] = None,
+    connect: A[
+        list[str] | None, typer.Option(help="Connect there.", metavar="ENDPOINT")
+    ] = None,
+    library: A[
+        list[Path] | None, typer.Option(help="A folder of modules.", metavar="FOLDER")
+    ] = None,
+    grace: A[
+        float | None,
+        typer.Option(help="Seconds that control goes on without the agent.", min=0),
+    ] = None,
+    insecure: A[
+        bool, typer.Option("--insecure", help="Listen beyond this machine.")
+    ] = False,
+    backend: A[Backend, typer.Option(help="Scheduling.")] = Backend.AUTO,
+    with_parent: A[
+        int, typer.Option(help="End with this parent process.", metavar="PID")
+    ] = 0,
+    verbose: A[bool, typer.Option("--verbose", "-v", help="Say what happens.")] = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Be the agent of one RTPU: register, take commands, run tasks."""
+    from pbonet.config import read_agent
+    from pbonet.config.model import AgentConfig
+    from pbonet.node import agent as node
+    from pbonet.node import runtime
+
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="%(asctime)s %(levelname)s %(name)s: %(message)s",
+    )
+    if with_parent and not runtime.set_parent_death_signal(
+        signal.SIGTERM, with_parent
+    ):
+        raise typer.Exit(0)
+    told = {
+        "name": name,
+        "core": core,
+        "domain": domain,
+        "listen": listen,
+        "connect": connect,
+        "libraries": library and list(map(str, library)),
+        "grace": grace,
+        "insecure": insecure or None,
+    }
+    begin = read_agent(config) if config else AgentConfig()
+    given = {key: value for key, value in told.items() if value is not None}
+    raise typer.Exit(node.main(structs.replace(begin, **given), backend=backend.value))
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb."""
+    app.command()(agent)

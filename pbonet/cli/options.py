@@ -1,0 +1,87 @@
+"""Options that many verbs have, declared once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated as A
+
+import typer
+
+
+class Chosen:
+    """What the error handler must know of the command line."""
+
+    def __init__(self) -> None:
+        self.json = False
+        self.debug = False
+
+
+chosen = Chosen()
+
+
+def _json(value: bool) -> bool:
+    chosen.json = chosen.json or value
+    return value
+
+
+def _debug(value: bool) -> bool:
+    chosen.debug = chosen.debug or value
+    return value
+
+
+def _version(value: bool) -> None:
+    if value:
+        import pbonet
+
+        typer.echo(f"pbonet {pbonet.__version__}")
+        raise typer.Exit
+
+
+File = A[Path, typer.Argument(help="The .sbs file, or a .job file that names it.")]
+Json = A[
+    bool, typer.Option("--json", help="Give data.", callback=_json, is_eager=True)
+]
+Debug = A[
+    bool,
+    typer.Option(
+        "--debug",
+        help="Add the stack to an error's message.",
+        callback=_debug,
+        is_eager=True,
+    ),
+]
+Domain = A[
+    str,
+    typer.Option(
+        help="The domain of the RTPUs.", envvar="PBONET_DOMAIN", metavar="NAME"
+    ),
+]
+Connect = A[
+    list[str] | None,
+    typer.Option(
+        help="An agent on another machine, such as tcp/10.0.0.2:7447.",
+        envvar="PBONET_CONNECT",
+        metavar="ENDPOINT",
+    ),
+]
+Library = A[
+    list[Path] | None,
+    typer.Option(
+        help="A folder with RMODs and modules of your own.",
+        envvar="PBONET_LIBRARY",
+        metavar="FOLDER",
+    ),
+]
+TakeOver = A[
+    bool, typer.Option("--take-over", help="Replace a master that is still there.")
+]
+Version = A[
+    bool,
+    typer.Option(
+        "--version", help="Show the version.", callback=_version, is_eager=True
+    ),
+]
+
+
+def version(version: Version = False) -> None:  # noqa: ARG001 - acts when it is read
+    """Assemble a robot's control software from ready modules, change it as it runs."""
