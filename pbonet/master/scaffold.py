@@ -9,17 +9,18 @@ from __future__ import annotations
 import keyword
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from pbonet.config import write_rmod
 from pbonet.config.model import Rmod, TaskType
 from pbonet.config.types import element_type
 from pbonet.errors import ConfigError, did_you_mean
 from pbonet.pbo import METHODS
-from pbonet.ports import Kind, parse_shape
+from pbonet.ports import Kind, parse_shape, shape_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from pbonet.config.model import SvarFile, Variable
 
@@ -130,6 +131,7 @@ def scaffold(
     desc: str = "",
     freq: float = 100.0,
     svar: SvarFile | None = None,
+    own_tree: bool = False,
 ) -> dict[str, str]:
     """Return the files of a new module, by their names in the library's folder.
 
@@ -140,6 +142,8 @@ def scaffold(
         freq: Its default frequency in Hz.
         svar: Where sizes are named by a constant: a number of elements that equals the
             first value of an integer constant port is written as that constant.
+        own_tree: Whether the files go into a project that has pbonet's own source,
+            where a blank line separates its imports from numpy's; see `in_own_tree`.
 
     Returns:
         The module, its RMOD, and its test.
@@ -148,14 +152,22 @@ def scaffold(
         ConfigError: The name or the ports cannot be a module's.
     """
     _check_name(name)
-    ports = _named_sizes(ports, svar)
     _check_ports(ports)
+    ports = _named_sizes(ports, svar)
     desc = desc.strip().rstrip(".") or f"Module {name}"
     return {
-        f"{name}.py": _module_text(name, ports, desc),
+        f"{name}.py": _module_text(name, ports, desc, apart=own_tree),
         f"{name}.rmod": _rmod_text(name, ports, desc, freq),
-        f"tests/test_{name}.py": _test_text(name, ports),
+        f"tests/test_{name}.py": _test_text(name, ports, apart=own_tree),
     }
+
+
+def in_own_tree(folder: Path) -> bool:
+    """Tell whether `folder` belongs to a project that has pbonet's source in it."""
+    for parent in (folder.absolute(), *folder.absolute().parents):
+        if (parent / "pyproject.toml").is_file():
+            return (parent / "pbonet").is_dir() or (parent / "src/pbonet").is_dir()
+    return False
 
 
 def class_name(name: str) -> str:
@@ -188,21 +200,34 @@ def _check_ports(ports: Sequence[NewPort]) -> None:
 
 
 def _named_sizes(ports: Sequence[NewPort], svar: SvarFile | None) -> list[NewPort]:
-    """Name the sizes that are the first value of an integer constant port."""
-    import msgspec
-
-    if svar is None:
-        return list(ports)
-    first = {v.name: int(v.init[0]) for v in svar.variables if v.init and v.nelem == 1}
-    names = {
-        str(first[port.name]): port.attr
-        for port in ports
-        if port.kind.is_const and _scalar(port) == "int" and port.name in first
+    """Write sizes as constants: by attribute, and where the first value is the same."""
+    first = {
+        variable.name: int(variable.init[0])
+        for variable in (svar.variables if svar else ())
+        if variable.init and variable.nelem == 1
     }
+    names: dict[str, str] = {}
+    for port in ports:
+        if port.kind.is_const and _scalar(port) == "int":
+            names[port.name] = port.attr
+            if port.name in first:
+                names.setdefault(str(first[port.name]), port.attr)
     return [
-        msgspec.structs.replace(port, shape=names.get(port.shape, port.shape))
+        structs.replace(port, shape=_named(port, names) or f"{_ALONE}{port.attr}")
         for port in ports
     ]
+
+
+_ALONE = "n_"
+"""Begins the size of a single structure, which is an array of one."""
+
+
+def _named(port: NewPort, names: Mapping[str, str]) -> str:
+    """Return a port's shape with constants by attribute; empty for one structure."""
+    dims = parse_shape(port.shape)
+    if not dims:
+        return "" if port.type.startswith("struct") else "1"
+    return shape_text(tuple(names.get(str(dim), dim) for dim in dims))
 
 
 def _scalar(port: NewPort) -> str:
@@ -232,10 +257,7 @@ def _annotation(port: NewPort) -> str:
 
 def _declaration(port: NewPort) -> list[str]:
     """Return the lines that declare a port."""
-    shape = port.shape
-    if port.type.startswith("struct") and not parse_shape(shape):
-        shape = "n"  # one structure is an array of one
-    words = [port.name, shape, port.unit, port.doc or _doc(port)]
+    words = [port.name, port.shape, port.unit, port.doc or _doc(port)]
     quoted = ", ".join(_quoted(word) for word in words)
     line = f"    {port.attr}: A[{_annotation(port)}, {_CLASSES[port.kind]}({quoted})]"
     if len(line) <= _WIDTH:
@@ -269,10 +291,10 @@ def _doc(port: NewPort) -> str:
     return f"{'constant ' if port.kind.is_const else ''}{kind} {port.name}"
 
 
-def _module_text(name: str, ports: Sequence[NewPort], desc: str) -> str:
+def _module_text(name: str, ports: Sequence[NewPort], desc: str, *, apart: bool) -> str:
     outvars = [port for port in ports if port.kind is Kind.OUTVAR]
     outconsts = [port for port in ports if port.kind is Kind.OUTCONST]
-    lines = [f'"""{_sentence(desc, 4)}"""', "", *_imports(ports), "", ""]
+    lines = [f'"""{_sentence(desc, 4)}"""', "", *_imports(ports, apart=apart), "", ""]
     lines += [f"class {class_name(name)}(PortBasedObject):"]
     lines += [f'    """{_sentence(desc, 8)}"""', ""]
     for kind in Kind:
@@ -290,10 +312,10 @@ def _module_text(name: str, ports: Sequence[NewPort], desc: str) -> str:
         ]
     lines += [
         "    def on(self) -> None:",
-        '        """Start from what the ports hold: outputs as the last writer left them."""',
+        '        """Start from what the ports hold, as the last writer left it."""',
         "",
         "    def cycle(self, dt: float) -> None:",
-        '        """Compute the outputs from the inputs, dt seconds after the last cycle.',
+        '        """Compute the outputs, dt seconds after the last cycle.',
         "",
         *(f"        {line}" for line in _law_help(outvars)),
         '        """',
@@ -309,14 +331,15 @@ def _sentence(desc: str, indent: int) -> str:
     return (text if len(text) <= room else text[: room - 3].rstrip() + "..") + "."
 
 
-def _imports(ports: Sequence[NewPort]) -> list[str]:
+def _imports(ports: Sequence[NewPort], *, apart: bool) -> list[str]:
     types = {_annotation(port) for port in ports}
     arrays = sorted(kind for kind in types if kind.startswith("NDArray"))
     names = {"PortBasedObject", *(types & {"Vector", "Matrix"})}
     names |= {_CLASSES[port.kind] for port in ports}
     lines = ["from typing import Annotated as A", ""] if ports else []
     if arrays:
-        lines += ["import numpy as np", "from numpy.typing import NDArray", ""]
+        lines += ["import numpy as np", "from numpy.typing import NDArray"]
+        lines += [""] if apart else []
     line = f"from pbonet import {', '.join(sorted(names))}"
     return [*lines, line]
 
@@ -394,38 +417,33 @@ def test_it_lives_a_whole_life() -> None:
 _BUMPLESS = """
 
 def test_it_starts_where_the_last_writer_stopped() -> None:
-    bench = Bench(MODULE.cls{given})
-    bench.outputs.{attr} = {value}
+    bench = Bench(MODULE.cls{given}, {attr}={value})
     bench.on()
     assert {check}
 """
 
 
-def _test_text(name: str, ports: Sequence[NewPort]) -> str:
+def _test_text(name: str, ports: Sequence[NewPort], *, apart: bool) -> str:
     values = _bench_values(ports)
     text = "".join(f"    {_quoted(word)}: {value},\n" for word, value in values.items())
     given = ", VALUES" if values else ""
     first = next((port for port in ports if _can_be_compared(port)), None)
-    bumpless = ""
-    if first is not None:
-        scalar = bool(_scalar(first))
-        check = f"bench.outputs.{first.attr} == {_ONE[first.type == 'bool']}"
-        bumpless = _BUMPLESS.format(
-            given=given,
-            attr=first.attr,
-            value=_ONE[first.type == "bool"],
-            check=check if scalar else f"({check}).all()",
-        )
+    numpy = "import numpy as np\n" + ("\n" if apart else "")
     return _TEST.format(
         name=name,
-        numpy="import numpy as np\n\n" if "np." in text else "",
+        numpy=numpy if "np." in text else "",
         values=f"VALUES = {{\n{text}}}\n" if values else "",
         given=given,
-        bumpless=bumpless,
+        bumpless=_bumpless(first, given) if first else "",
     )
 
 
-_ONE = {False: "1", True: "True"}
+def _bumpless(port: NewPort, given: str) -> str:
+    value = _one(port)
+    output = f"bench.outputs.{port.attr}"
+    checks = {"": f"({output} == 1).all()", "bool": f"{output} is True"}
+    check = checks.get(_scalar(port), f"{output} == 1")
+    return _BUMPLESS.format(given=given, attr=port.attr, value=value, check=check)
 
 
 def _can_be_compared(port: NewPort) -> bool:
@@ -436,18 +454,24 @@ def _bench_values(ports: Sequence[NewPort]) -> Mapping[str, str]:
     """Return what a bench must be told: sizes, in-consts, structures."""
     values: dict[str, str] = {}
     for port in ports:
-        shape = parse_shape(port.shape)
-        for dim in shape:
-            if isinstance(dim, str):
-                values[dim] = "6"
-        if port.type.startswith("struct"):
-            element = element_type(port.type)
-            size = element.size if element else 1
-            count = (
-                f"({', '.join('6' if isinstance(d, str) else str(d) for d in shape)},)"
-            )
-            values[port.attr] = f'np.zeros({count if shape else "1"}, "V{size}")'
+        dims = parse_shape(port.shape)
+        sizes = [_size(dim) for dim in dims]
+        values |= {dim: _size(dim) for dim in dims if isinstance(dim, str)}
+        element = element_type(port.type)
+        if element and element.is_struct:
+            values[port.attr] = f'np.zeros(({", ".join(sizes)},), "{element.dtype}")'
     for port in ports:
         if port.kind is Kind.INCONST and port.attr not in values:
-            values[port.attr] = _ONE[_scalar(port) == "bool"]
+            values[port.attr] = _one(port)
     return values
+
+
+def _one(port: NewPort) -> str:
+    return "True" if port.type == "bool" else "1"
+
+
+def _size(dim: int | str) -> str:
+    """Return the size that a bench gives to a dimension."""
+    if isinstance(dim, str):
+        return "1" if dim.startswith(_ALONE) else "6"
+    return str(dim)

@@ -133,7 +133,7 @@ _SCALARS: dict[object, tuple[str, str]] = {
 _KINDS = dict(_SCALARS.values())
 _ELEMENTS = "biufV"
 """Numpy kinds that a table can hold."""
-_NAME = re.compile(r"[!-~]+")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_^'.]*")
 
 
 def accepts(port: Port, dtype: str) -> bool:
@@ -219,13 +219,13 @@ def _check_words(body: Declaring, attr: str, declared: Declared) -> None:
                 else "",
             )
     name = declared.name
-    plain = _NAME.fullmatch(name) and "#" not in name and "=" not in name
-    if not plain or len(name) > NAME_LENGTH or name.lower() == "none":
+    fits = _NAME.fullmatch(name) and len(name) <= NAME_LENGTH
+    if not fits or name.lower() == "none":
         raise body.error(
             attr,
             "the port's name cannot stand in an .rmod file",
-            expected=f"1 to {NAME_LENGTH} printable characters without blanks, # "
-            "and =, and not the word none",
+            expected="a letter or _, then letters, digits and any of _ ^ ' ., "
+            f"at most {NAME_LENGTH} in all",
             got=f'"{name}" ({len(name)} characters)',
         )
 
