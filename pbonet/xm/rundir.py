@@ -21,7 +21,7 @@ from pathlib import Path
 
 from pbonet.errors import DuplicateNameError, NodeError
 
-NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,31}")
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
 """Bytes that Linux takes for the path of a Unix socket."""
 _FLOCK = struct.Struct("hhqqi4x")
@@ -36,7 +36,7 @@ def check_name(what: str, name: str) -> str:
     if not NAME.fullmatch(name):
         raise NodeError(
             f"this is no name for {what}",
-            expected="1 to 32 letters, digits, '_', '-' and '.', no '-' or '.' first",
+            expected="1 to 31 letters, digits, '_', '-' and '.', no '-' or '.' first",
             got=repr(name[:40]),
         )
     return name

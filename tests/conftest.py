@@ -1,0 +1,55 @@
+"""Isolation for every test, and a kit of real agents for those that want them.
+
+Each test has a shared-memory folder of its own, and none may leave anything in it, nor
+a process that was started within it. What checks that is not asked for by name: it is
+there for all tests.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import tempfile
+from pathlib import Path
+
+import pytest
+from watching import clean_folder
+
+SHM = Path("/dev/shm")  # noqa: S108 - where shared memory is
+
+
+@pytest.fixture(autouse=True)
+def shared_memory(monkeypatch):
+    """A shared-memory folder for this test alone, which must be empty behind it."""
+    base = SHM if os.access(SHM, os.W_OK) else Path(tempfile.gettempdir())
+    folder = base / f"pbonet-test-{secrets.token_hex(4)}"
+    folder.mkdir(mode=0o700)
+    before = folder.stat().st_mtime_ns
+    monkeypatch.setenv("PBONET_SHM_DIR", str(folder))
+    yield folder
+    if folder.stat().st_mtime_ns == before:
+        folder.rmdir()
+    else:
+        clean_folder(folder, "PBONET_SHM_DIR")
+
+
+@pytest.fixture
+def nodes(monkeypatch, tmp_path):
+    """Real agents in a domain of their own; see `nodekit.Nodes`."""
+    from nodekit import Nodes
+
+    folder = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
+    monkeypatch.setenv("PBONET_RUN_DIR", str(folder))
+    kit = Nodes(folder, tmp_path)
+    try:
+        yield kit
+    finally:
+        kit.close()
+    kit.check_folder()
+
+
+@pytest.fixture
+def arm(nodes):
+    """One agent, arm0, claimed by subsystem arm, its table open."""
+    nodes.agent("arm0")
+    return nodes.master("arm0", "arm")

@@ -1,0 +1,367 @@
+"""The agent as masters see it: claims, names, requests good and bad, events."""
+
+import os
+import sys
+from pathlib import Path
+
+import msgpack
+import msgspec
+import pytest
+from nodekit import CORE, Master, rmod, svar
+from watching import free_port, wait_for
+
+from pbonet.errors import (
+    ClaimError,
+    ConfigError,
+    DuplicateNameError,
+    ModuleLoadError,
+    NodeError,
+    ParameterError,
+    RealTimeError,
+    StateError,
+    SvarError,
+    SvarLayoutError,
+    SvarMissingError,
+    SvarOwnerError,
+    UnknownTaskError,
+    UnknownVariableError,
+)
+from pbonet.node.agent import Agent
+from pbonet.xm import keys, rundir, session
+from pbonet.xm import messages as m
+
+
+def raw(nodes, rtpu, payload):
+    """Send bytes and return the one answer, decoded by msgpack alone."""
+    replies = list(
+        nodes.session.get(
+            keys.rtpu(nodes.domain, rtpu, "sbs"), payload=payload, timeout=5.0
+        )
+    )
+    assert len(replies) == 1
+    assert str(replies[0].ok.key_expr) == keys.rtpu(nodes.domain, rtpu, "sbs")
+    return msgpack.unpackb(replies[0].ok.payload.to_bytes())
+
+
+def test_hello_says_who_and_where(nodes):
+    nodes.agent("arm0")
+    info = nodes.client().call("arm0", m.Hello(), m.AgentInfo)
+    assert (info.name, info.domain, info.core) == ("arm0", nodes.domain, CORE)
+    assert info.pid == os.getpid() != info.rtpu_pid
+    assert info.machine == rundir.machine()
+    assert info.backend in {"fifo", "park"}
+    assert info.python == sys.version.split()[0]
+    assert info.claims == {}
+
+
+def test_no_zenoh_in_the_processes_that_control(nodes):
+    nodes.agent("arm0")
+    master = nodes.master("arm0", "arm")
+    task = master.spawn("a", "counts").tid
+    for pid in (nodes.state("arm0").pid, nodes.fork_server("arm0"), task):
+        assert "zenoh" not in Path(f"/proc/{pid}/maps").read_text()
+
+
+# -- names ---
+
+
+def test_second_agent_of_one_name_on_the_machine_is_refused(nodes):
+    nodes.agent("arm0")
+    with pytest.raises(DuplicateNameError) as caught:
+        Agent(nodes.config("arm0")).start()
+    assert f"agent arm0, process {os.getpid()}" in str(caught.value)
+    assert nodes.client().call("arm0", m.Hello(), m.AgentInfo).name == "arm0"
+
+
+def test_second_agent_of_one_name_elsewhere_is_refused(nodes, monkeypatch):
+    """Another runtime folder stands for another machine: only a token tells."""
+    there = f"tcp/127.0.0.1:{free_port()}"
+    nodes.agent("arm0", listen=(there,))
+    other = nodes.folder / "other"
+    other.mkdir(mode=0o700)
+    monkeypatch.setenv("PBONET_RUN_DIR", str(other))
+    twin = Agent(nodes.config("arm0", connect=(there,)))
+    with pytest.raises(DuplicateNameError, match="has an agent arm0 already"):
+        twin.start()
+    monkeypatch.setenv("PBONET_RUN_DIR", str(nodes.folder))
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a*", "-a", "x" * 32, "a b"])
+def test_names_that_cannot_be_keys_are_refused(nodes, name):
+    with pytest.raises(NodeError, match="no name for an RTPU"):
+        Agent(nodes.config(name))
+
+
+def test_listening_beyond_the_machine_needs_insecure(nodes):
+    with pytest.raises(NodeError, match="beyond this machine is not protected"):
+        Agent(nodes.config("arm0", listen=("tcp/0.0.0.0:0",)))
+    with pytest.raises(NodeError, match="this is no endpoint"):
+        Agent(nodes.config("arm0", listen=("carrier-pigeon/1",)))
+    Agent(nodes.config("arm0", listen=("tcp/0.0.0.0:0",), insecure=True))
+
+
+def test_core_that_does_not_exist(nodes):
+    with pytest.raises(RealTimeError, match="core 4000 cannot be used"):
+        Agent(nodes.config("arm0", core=4000)).start()
+
+
+# -- requests that are none ---
+
+
+@pytest.mark.parametrize(
+    ("payload", "text"),
+    [
+        (b"", "not msgpack"),
+        (b"\xc1\xc1\xc1", "not msgpack"),
+        (b"{}", "not msgpack"),
+        (msgpack.packb([1, 2]), "not msgpack"),
+        (msgpack.packb({"v": 1, "id": "7"}), "not understood"),
+        (msgpack.packb({"v": 1, "id": "7", "op": "dance"}), "not understood"),
+        (msgpack.packb({"v": 1, "id": "7", "op": "spawn"}), "not understood"),
+        (msgpack.packb({"v": 1, "id": "7", "op": "status", "task": 3}), "understood"),
+        (msgpack.packb({"v": 2, "id": "7", "op": "hello"}), "another protocol version"),
+        (b"\x00" * ((1 << 20) + 1), "too long"),
+    ],
+)
+def test_malformed_requests_are_answered(nodes, payload, text):
+    nodes.agent("arm0")
+    answer = raw(nodes, "arm0", payload)
+    assert answer["ok"] is False
+    assert answer["error"]["code"] == "PROTOCOL"
+    assert text in answer["error"]["what"]
+    good = raw(nodes, "arm0", msgpack.packb({"v": 1, "id": "8", "op": "hello"}))
+    assert good["ok"] is True
+    assert good["id"] == "8"
+
+
+def test_both_versions_are_named(nodes):
+    nodes.agent("arm0")
+    request = {"v": 99, "id": "7", "op": "hello"}
+    answer = raw(nodes, "arm0", msgpack.packb(request))
+    assert answer["id"] == "7"
+    assert answer["error"]["expected"] == "version 1"
+    assert answer["error"]["got"] == "version 99"
+
+
+def test_unknown_fields_are_ignored(nodes):
+    nodes.agent("arm0")
+    request = {"v": 1, "id": "7", "op": "hello", "colour": "blue"}
+    assert raw(nodes, "arm0", msgpack.packb(request))["ok"] is True
+
+
+def test_repeated_request_is_executed_once(arm, nodes):
+    request = m.Spawn(
+        id="once", client="me", subsystem="arm", epoch=arm.epoch, task="a",
+        rmod=rmod("counts"), rmod_name="a.rmod",
+    )  # fmt: skip
+    payload = m.Codec().pack(request)
+    first, second = (raw(nodes, "arm0", payload) for _ in range(2))
+    assert first["ok"] is True
+    assert first == second
+    assert len(arm.events("SPAWNED")) == 1
+
+
+# -- claims ---
+
+
+def test_commands_need_a_claim(nodes):
+    nodes.agent("arm0")
+    client = nodes.client()
+    request = m.OpenTable(subsystem="arm", svar=svar(), svar_name="t.svar", keep=True)
+    with pytest.raises(ClaimError, match="has not claimed the RTPU"):
+        client.call("arm0", request, object)
+    for harmless in (m.Status(), m.Events(), m.Stop()):
+        client.call("arm0", harmless, object)
+
+
+@pytest.mark.usefixtures("arm")
+def test_exclusive_use_is_honoured(nodes):
+    with pytest.raises(ClaimError, match="subsystem arm uses the RTPU"):
+        Master(nodes, "arm0", "leg")
+    with pytest.raises(ClaimError, match="exclusive use by arm"):
+        Master(nodes, "arm0", "leg", usage="shared")
+
+
+def test_shared_use_takes_both_sides(nodes):
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", usage="shared")
+    leg = nodes.master("arm0", "leg", usage="shared")
+    arm.spawn("same", "counts")
+    leg.spawn("same", "counts")
+    arm.on("same")
+    assert arm.status("same").state == "ON"
+    assert leg.status("same").state == "OFF"
+    with pytest.raises(ClaimError, match="has one scheduler"):
+        Master(nodes, "arm0", "eye", usage="shared", scheduler="EDF")
+    arm.stop()
+    assert leg.status("same").state == "OFF"
+
+
+def test_second_master_needs_take_over(arm, nodes):
+    with pytest.raises(ClaimError, match="has a master already"):
+        Master(nodes, "arm0", "arm")
+    arm.spawn("a", "counts")
+    arm.on("a")
+    before = arm.status("a").cycle
+    new = Master(nodes, "arm0", "arm", take_over=True)
+    assert new.epoch > arm.epoch
+    assert new.claimed.tasks == ["a"]
+    assert new.claimed.rmods == {"a": rmod("counts")}
+    error = arm.refused(ClaimError, arm.off, "a")
+    assert f"epoch {new.epoch}" in error.expected
+    assert new.status("a").cycle >= before
+    assert new.off("a").state == "OFF"
+
+
+def test_master_that_is_gone_is_replaced(arm, nodes):
+    arm.spawn("a", "counts")
+    arm.token.undeclare()
+    key = keys.masters(nodes.domain, "arm")
+    wait_for(lambda: not session.alive(nodes.session, key), "the token's end")
+    assert Master(nodes, "arm0", "arm").claimed.tasks == ["a"]
+
+
+def test_claim_of_a_dead_master_without_tasks_lapses(arm, nodes, shared_memory):
+    arm.token.undeclare()
+    key = keys.masters(nodes.domain, "arm")
+    wait_for(lambda: not session.alive(nodes.session, key), "the token's end")
+    leg = nodes.master("arm0", "leg")
+    info = leg.client.call("arm0", m.Hello(), m.AgentInfo)
+    assert info.claims == {"leg": leg.epoch}
+    tables = [path.name for path in shared_memory.glob("*.svar")]
+    assert len(tables) == 1
+    assert ".leg." in tables[0]
+
+
+def test_release_is_refused_while_there_are_tasks(arm):
+    arm.spawn("a", "counts")
+    error = arm.refused(StateError, arm.ask, m.Release())
+    assert "tasks a" in error.got
+    arm.kill("a")
+    arm.ask(m.Release())
+    arm.refused(ClaimError, arm.ask, m.CloseTable())
+
+
+def test_claim_checks_what_it_is_told(nodes):
+    nodes.agent("arm0")
+    for field in ({"usage": "mine"}, {"scheduler": "FIFO"}, {"minfreq": 0.0}):
+        with pytest.raises(ClaimError):
+            Master(nodes, "arm0", "arm", **field)
+
+
+# -- tables ---
+
+
+def test_table_of_another_layout_is_refused(arm):
+    error = arm.refused(SvarLayoutError, arm.open_table, svar(3))
+    assert "another layout" in error.what
+    arm.open_table()  # the same again is no fault
+
+
+def test_wrong_table_names_the_place(arm):
+    arm.ask(m.CloseTable())
+    error = arm.refused(ConfigError, arm.open_table, "AME X\nEOF\n")
+    assert error.where.endswith("t.svar:1:1")
+
+
+def test_table_that_is_not_here(nodes):
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", table=False)
+    arm.refused(SvarMissingError, arm.spawn, "a", "counts")
+    arm.refused(SvarMissingError, arm.open_table, keep=False)
+    arm.refused(SvarMissingError, arm.value, "X")
+
+
+def test_close_table_needs_its_tasks_gone(arm, shared_memory):
+    arm.spawn("a", "counts")
+    arm.refused(StateError, arm.ask, m.CloseTable())
+    arm.kill("a")
+    arm.ask(m.CloseTable())
+    assert not list(shared_memory.glob("*.svar"))
+
+
+def test_display_and_write(arm):
+    value = arm.value("X")
+    assert (value.values, value.writer, value.age) == ([1.0, 2.0], None, None)
+    arm.ask(m.Write(name="X", values=[3.0, 4.0]))
+    value = arm.value("X")
+    assert value.values == [3.0, 4.0]
+    assert value.age is not None
+    error = arm.refused(UnknownVariableError, arm.value, "XX")
+    assert "did you mean X?" in error.remedy
+    arm.spawn("a", "counts", out="Y1")
+    arm.on("a")
+    arm.refused(SvarOwnerError, arm.ask, m.Write(name="Y1", values=[0.0, 0.0]))
+    assert arm.value("Y1").writer == "a"
+
+
+def test_two_rtpus_share_the_table(nodes, shared_memory):
+    nodes.agent("arm0")
+    nodes.agent("arm1", core=min(os.sched_getaffinity(0)))
+    nodes.wait_agent("arm1")
+    keeper = nodes.master("arm0", "arm")
+    other = nodes.master("arm1", "arm", table=False)
+    other.open_table(keep=False)
+    other.spawn("a", "counts", out="Y1")
+    other.on("a")
+    other.wait_cycles("a", 5)
+    assert keeper.value("Y1").values[0] > 0
+    error = other.refused(SvarError, other.ask, m.Write(name="X", values=[0, 0]))
+    assert "does not keep the table" in str(error)
+    assert len(list(shared_memory.glob("*.svar"))) == 1
+
+
+# -- the rest ---
+
+
+def test_flag_of_the_master(arm):
+    up = arm.ask(m.Flag(cause="equation 2", up=True))
+    assert up == ["equation 2 (master)"]
+    assert arm.rtpu_status().illegal == up
+    assert arm.ask(m.Flag(cause="equation 2", up=False)) == []
+
+
+def test_modules_are_described_in_a_process_of_their_own(arm):
+    info = arm.ask(m.Modules(name="counts"), list[dict])[0]
+    assert info["name"] == "counts"
+    assert info["params"][0]["name"] == "diary"
+    error = arm.refused(ModuleLoadError, arm.ask, m.Modules(name="dies_on_import"))
+    assert "ended the process: exit code 5" in str(error)
+    error = arm.refused(ModuleLoadError, arm.ask, m.Modules(name="count"))
+    assert "did you mean counts?" in str(error)
+
+
+def test_events_are_numbered_kept_and_published(arm, nodes):
+    heard = []
+    nodes.session.declare_subscriber(
+        keys.rtpu(nodes.domain, "arm0", "event"),
+        lambda sample: heard.append(
+            msgspec.msgpack.decode(sample.payload.to_bytes(), type=m.Event)
+        ),
+    )
+    arm.spawn("a", "counts")
+    arm.on("a")
+    wait_for(lambda: [e for e in heard if e.code == "STATE"], "the published event")
+    kept = arm.events()
+    assert [event.n for event in kept] == list(range(1, len(kept) + 1))
+    assert all(event in kept for event in heard)
+    later = arm.ask(m.Events(since=kept[-1].n), list[m.Event])
+    assert later == [kept[-1]]
+
+
+def test_unknown_task_names_the_nearest(arm):
+    arm.spawn("elbow", "counts")
+    for do in (arm.on, arm.off, arm.kill, arm.status):
+        error = arm.refused(UnknownTaskError, do, "elbo")
+        assert error.remedy == "did you mean elbow?"
+
+
+def test_rank_checks_its_range(arm):
+    arm.spawn("a", "counts")
+    arm.ask(m.Rank(tasks={"a": (40, 3)}))
+    status = arm.status("a")
+    assert (status.crit, status.priority) == (40, 3)
+    arm.ask(m.Rank(tasks={"a": (None, 4)}))
+    assert (arm.status("a").crit, arm.status("a").priority) == (5, 4)
+    for wrong in ((63, 0), (0, 0), (5, -1), (5, 70000)):
+        arm.refused(ParameterError, arm.ask, m.Rank(tasks={"a": wrong}))

@@ -1,0 +1,20 @@
+"""Raises in `init`."""
+
+from typing import Annotated as A
+
+from pbonet import OutVar, PortBasedObject, Vector
+
+
+class Raises(PortBasedObject):
+    """Fails in `init`, after ten cycles if it gets that far."""
+
+    y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+    def init(self) -> None:
+        raise RuntimeError("init does not work")
+
+    def cycle(self, dt: float) -> None:
+        self.y[0] += 1.0
+
+    def kill(self) -> None:
+        print("kill after init")

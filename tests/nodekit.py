@@ -1,0 +1,313 @@
+"""Real agents, RTPU processes and tasks for integration tests.
+
+`Nodes` starts agents, within the test's process or as processes of their own, and makes
+masters: each claims one RTPU, opens the table and sends requests under its claim.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import msgspec
+import pytest
+from watching import clean_folder, processes_of, wait_for
+
+from pbonet.config.model import AgentConfig
+from pbonet.errors import PbonetError
+from pbonet.node import leftovers
+from pbonet.node.agent import Agent
+from pbonet.xm import keys, rundir, session
+from pbonet.xm import messages as m
+from pbonet.xm.rpc import Client
+
+MISBEHAVING = Path(__file__).with_name("misbehaving")
+CORE = max(os.sched_getaffinity(0))
+AGENT = """
+import json, sys
+from pbonet.config.model import AgentConfig
+from pbonet.node.agent import main
+import msgspec
+sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
+"""
+SVAR = """
+NAME N
+TYPE int
+DESC number of elements
+UNITS none
+NELEM 1
+INIT 2
+
+NAME X
+TYPE double
+DESC an input that nobody writes
+UNITS none
+NELEM 2
+INIT 1 2
+"""
+VARIABLE = """
+NAME {name}
+TYPE double
+DESC a task's output
+UNITS none
+NELEM {nelem}
+"""
+OUTPUTS = 8
+
+
+def svar(outputs=OUTPUTS):
+    """Return a table's text: N, X, and outputs Y0, Y1, ... of two elements each."""
+    return (
+        SVAR
+        + "".join(VARIABLE.format(name=f"Y{i}", nelem=2) for i in range(outputs))
+        + "\nEOF\n"
+    )
+
+
+def rmod(module, out="Y0", freq=200.0, *, local=None, invar="", critical=False):
+    """Return the text of an RMOD for one of the modules in `misbehaving`.
+
+    Args:
+        module: Its name.
+        out: The variable that its output Y stands for.
+        freq: Hz.
+        local: Parameters by name.
+        invar: The variable that its input Z stands for; empty for none.
+        critical: Whether it is marked CRITICAL.
+    """
+    lines = [f"MODULE {module}", f"DESC {module}"]
+    lines += [f"SVARALIAS Z={invar}"] if invar else []
+    lines += [f"SVARALIAS Y={out}"] if out else []
+    lines += ["INCONST none", "OUTCONST none"]
+    lines += [f"INVAR {'Z' if invar else 'none'}", f"OUTVAR {'Y' if out else 'none'}"]
+    lines += ["TASKTYPE periodic", f"FREQ {freq:g}"]
+    lines += ["CRITICAL yes"] if critical else []
+    if local:
+        lines += ["LOCAL", *(f"{key} {value}" for key, value in local.items())]
+    return "\n".join([*lines, "EOF", ""])
+
+
+class Master:
+    """A master of one subsystem on one RTPU.
+
+    Args:
+        nodes: The kit.
+        rtpu: The RTPU's name.
+        subsystem: Its name.
+        token: Whether it shows a liveliness token.
+        claim: More fields of the claim.
+    """
+
+    def __init__(self, nodes, rtpu, subsystem, *, token=True, **claim):
+        self.nodes, self.rtpu, self.subsystem = nodes, rtpu, subsystem
+        self.name = f"m{secrets.token_hex(3)}"
+        self.client = Client(nodes.session, nodes.domain, self.name)
+        self.token = None
+        self.epoch = 0
+        if token:
+            key = keys.master(nodes.domain, subsystem, self.name)
+            self.token = nodes.session.liveliness().declare_token(key)
+        self.claimed = self.ask(m.Claim(**claim), m.Claimed)
+        self.epoch = self.claimed.epoch
+
+    def ask(self, request, result=object, *, limit=5.0, rtpu=None):
+        """Send a request and return its result."""
+        request.subsystem, request.epoch = self.subsystem, self.epoch
+        return self.client.call(rtpu or self.rtpu, request, result, timeout=limit)
+
+    def open_table(self, text=None, *, keep=True):
+        text = svar() if text is None else text
+        return self.ask(m.OpenTable(svar=text, svar_name="t.svar", keep=keep))
+
+    def spawn(self, task, module, limit=10.0, **settings):
+        """Spawn one of the modules in `misbehaving`; return its status."""
+        keep = {k: settings.pop(k) for k in ("crit", "priority") if k in settings}
+        text = settings.pop("text", None) or rmod(module, **settings)
+        request = m.Spawn(
+            task=task, rmod=text, rmod_name=f"{task}.rmod", timeout=limit, **keep
+        )
+        return self.ask(request, m.TaskStatus, limit=limit + 2)
+
+    def control(self, task, name, limit=5.0, **more):
+        request = m.Control(task=task, signal=name, timeout=limit, **more)
+        return self.ask(request, m.TaskStatus, limit=limit + 2)
+
+    def on(self, task, **more):
+        return self.control(task, "on", **more)
+
+    def off(self, task, **more):
+        return self.control(task, "off", **more)
+
+    def kill(self, task, **more):
+        return self.control(task, "kill", **more)
+
+    def status(self, task=None):
+        """Return the status of one task, or of all by name."""
+        got = self.ask(m.Status(task=task), m.RtpuStatus)
+        by_name = {one.task: one for one in got.tasks}
+        return by_name if task is None else by_name[task]
+
+    def rtpu_status(self):
+        return self.ask(m.Status(), m.RtpuStatus)
+
+    def value(self, name):
+        return self.ask(m.Display(names=[name]), list[m.VarValue])[0]
+
+    def stop(self, limit=2.0, order=()):
+        request = m.Stop(timeout=limit, order=list(order))
+        return self.ask(request, m.Stopped, limit=limit + 2)
+
+    def events(self, code=None, task=None):
+        """Return the events so far, of one code and task if told."""
+        got = self.ask(m.Events(), list[m.Event])
+        return [
+            event
+            for event in got
+            if code in {None, event.code} and task in {None, event.task}
+        ]
+
+    def wait_event(self, code, task=None):
+        """Return the first event of that code, waiting for it."""
+        return wait_for(lambda: self.events(code, task), f"event {code}")[0]
+
+    def wait_cycles(self, task, count):
+        """Wait until a task that is ON has done so many more cycles."""
+        first = self.status(task).cycle
+        return wait_for(
+            lambda: (now := self.status(task)).cycle >= first + count and now,
+            f"{count} cycles of {task}",
+        )
+
+    def refused(self, kind, do, *args, **more):
+        """Return the error of the class `kind` that `do` must raise."""
+        with pytest.raises(kind) as caught:
+            do(*args, **more)
+        assert caught.type is kind, f"{caught.type.__name__}: {caught.value}"
+        return caught.value
+
+
+class Nodes:
+    """Agents of one domain in a runtime folder of their own.
+
+    Args:
+        folder: The runtime folder.
+        tmp_path: Where modules that a test writes may stand.
+    """
+
+    def __init__(self, folder, tmp_path):
+        self.folder = folder
+        self.library = tmp_path / "library"
+        self.library.mkdir()
+        self.domain = f"t{secrets.token_hex(3)}"
+        self.agents: dict[str, Agent] = {}
+        self.processes: dict[str, subprocess.Popen] = {}
+        self._session = None
+
+    def config(self, name, **more):
+        more = {"core": CORE, "grace": 3.0, **more}
+        libraries = (str(MISBEHAVING), str(self.library), *more.pop("libraries", ()))
+        return AgentConfig(name=name, domain=self.domain, libraries=libraries, **more)
+
+    def agent(self, name, *, backend="auto", **more):
+        """Start an agent within this process."""
+        agent = Agent(self.config(name, **more), backend=backend).start()
+        self.agents[name] = agent
+        return agent
+
+    def agent_process(self, name, **more):
+        """Start an agent as a process of its own and wait until it answers."""
+        config = msgspec.json.encode(self.config(name, **more)).decode()
+        process = subprocess.Popen([sys.executable, "-c", AGENT, config])
+        self.processes[name] = process
+        self.wait_agent(name, process)
+        return process
+
+    def wait_agent(self, name, process=None):
+        """Wait until an agent's token is there."""
+
+        def there():
+            assert process is None or process.poll() is None, "the agent has ended"
+            try:
+                return name in session.rtpus(self.session, self.domain)
+            except PbonetError:
+                return False
+
+        wait_for(there, f"agent {name}", 30.0)
+
+    @property
+    def session(self):
+        """A client's session, opened when it is first asked for."""
+        if self._session is None:
+            self._session = session.client(self.domain)
+        return self._session
+
+    def forget_session(self):
+        """Close the session, as its agent is gone."""
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    def master(self, rtpu, subsystem, *, table=True, **more):
+        """Return a master that has claimed the RTPU, with its table open."""
+        master = Master(self, rtpu, subsystem, **more)
+        if table:
+            master.open_table()
+        return master
+
+    def client(self):
+        return Client(self.session, self.domain, f"c{secrets.token_hex(3)}")
+
+    def state(self, name):
+        """Return what an RTPU process has written down about itself."""
+        return leftovers.read(rundir.Places(self.domain, name).state)
+
+    def fork_server(self, name):
+        """Return the process id of an RTPU's fork server."""
+        rtpu = self.state(name).pid
+        children = Path(f"/proc/{rtpu}/task/{rtpu}/children").read_text().split()
+        assert len(children) == 1
+        return int(children[0])
+
+    def write_module(self, name, text):
+        """Write a module into the test's own library."""
+        path = self.library / f"{name}.py"
+        path.write_text(textwrap.dedent(text))
+        return path
+
+    def close(self):
+        """End everything that was started, in order where that still works."""
+        self.forget_session()
+        for agent in self.agents.values():
+            agent.stop()
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGTERM)
+        for process in self.processes.values():
+            process.wait(30.0)
+
+    def check_folder(self):
+        """Fail when processes or files are left."""
+        clean_folder(self.folder, "PBONET_RUN_DIR")
+
+
+def alive(pid):
+    """Tell whether a process runs and is no zombie."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] not in {"Z", "X"}
+
+
+def wait_gone(pids, limit=10.0):
+    wait_for(lambda: not any(map(alive, pids)), f"the end of {pids}", limit)
+
+
+__all__ = ["Master", "Nodes", "alive", "json", "processes_of", "shutil", "wait_gone"]
