@@ -60,7 +60,8 @@ enum { PB_FREE, PB_HELD, PB_LEFT }; /* PB_LEFT: its holder has gone, its values 
 /* A register's description. `head` has a line of its own: every commit writes it. */
 struct pb_reg {
     _Alignas(PB_LINE) _Atomic uint64_t head;
-    _Alignas(PB_LINE) _Atomic uint64_t state, slots, stride, uid;
+    _Alignas(PB_LINE) _Atomic uint64_t state;
+    _Atomic uint64_t slots, stride, uid;
     uint64_t bytes, owner, pid, start, space; /* space: the process id name space */
     char task[PB_NAME];
 };

@@ -25,11 +25,11 @@ from pbonet.errors import (
     SvarMissingError,
 )
 
-from ._svar import VERSION
 from .codes import Verdict
+from .native import VERSION
 
 if TYPE_CHECKING:
-    from ._svar import Arena
+    from .native import Arena
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
 

@@ -36,7 +36,7 @@ struct pb_counts {
 
 struct pb_local {
     struct pb_table table;
-    uint8_t *data, *staging; /* staging: NULL, or as large as data: keep last inputs */
+    uint8_t *data, *staging; /* staging: NULL, or as large as data: keep last in-vars */
     struct pb_plan plans[PB_PLANS];
     struct pb_outputs outputs[PB_GROUPS];
     struct pb_counts counts;
@@ -60,20 +60,21 @@ static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
 
 /* Bring a plan's variables into the local table; returns flags. */
 static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
+    uint8_t *staging = p == l->plans + PB_PLAN_IN ? l->staging : NULL;
     enum pb_result result;
     int flags = 0;
     l->counts.copies++;
-    result = pb_cut(&l->table, p, l->staging ? l->staging : l->data, &l->counts.retries);
+    result = pb_cut(&l->table, p, staging ? staging : l->data, &l->counts.retries);
     if (result != PB_CONSISTENT) {
         flags |= PB_COPY_TORN;
         l->counts.torn++;
         if (result == PB_LOST) l->counts.lost++;
-        if (l->staging) return flags | PB_COPY_KEPT;
+        if (staging) return flags | PB_COPY_KEPT;
         if (result == PB_LOST) return flags | PB_COPY_LOST;
     }
-    if (l->staging) {
+    if (staging) {
         for (uint32_t i = 0; i < p->n_pieces; i++)
-            memcpy(l->data + p->pieces[i].to, l->staging + p->pieces[i].to, p->pieces[i].bytes);
+            memcpy(l->data + p->pieces[i].to, staging + p->pieces[i].to, p->pieces[i].bytes);
     }
     for (uint32_t i = 0; i < p->n_sources; i++) {
         l->consumed[2 * i] = p->sources[i].uid;

@@ -13,7 +13,7 @@ from pbonet.errors import (
     did_you_mean,
 )
 
-from . import _svar, files, guards, layout
+from . import files, guards, layout, native
 from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
 from .records import Counts
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 
-class LocalTable(_svar.LocalTable):
+class LocalTable(native.LocalTable):
     """Private copies of a task's variables, and the transfers to and from the table.
 
     Made by `Table.local`. `copy_in`, `copy_in_on`, `copy_in_consts` and `commit` are
@@ -48,7 +48,7 @@ class LocalTable(_svar.LocalTable):
     def make(
         cls,
         table: Table,
-        arena: _svar.Arena,
+        arena: native.Arena,
         task: str,
         pid: int,
         ports: list[list[int]],
@@ -65,7 +65,7 @@ class LocalTable(_svar.LocalTable):
                 where=f"{table.name}/{task}",
                 remedy="name it in OUTCONST or in OUTVAR",
             )
-        if _svar.process_start(pid) == 0:
+        if native.process_start(pid) == 0:
             raise SvarOwnerError(
                 f"there is no process {pid} that could write",
                 where=f"{table.name}/{task}",
@@ -222,7 +222,7 @@ class LocalTable(_svar.LocalTable):
         for which, group in enumerate(self._groups):
             if index in group.indices:
                 place = group.indices.index(index)
-                return self.write_one(which, place, now_ns or _svar.now_ns(), cycle)
+                return self.write_one(which, place, now_ns or native.now_ns(), cycle)
         raise UnknownVariableError(
             f"{self._task} does not write {name}",
             where=self._table,
@@ -248,7 +248,7 @@ class LocalTable(_svar.LocalTable):
         self.close()
 
     def _take(self, which: int, now_ns: int, cycle: int) -> int:
-        code, rival = self.take(which, now_ns or _svar.now_ns(), cycle)
+        code, rival = self.take(which, now_ns or native.now_ns(), cycle)
         self._judge(code, rival)
         return self.flags
 

@@ -20,9 +20,9 @@ from pbonet.errors import (
 
 from . import files, guards
 from . import layout as lay
-from ._svar import CAUSES, STATIC_BYTES, Arena, Blueprint, now_ns
 from .codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .local import LocalTable
+from .native import CAUSES, STATIC_BYTES, Arena, Blueprint, now_ns
 from .records import Cause, Register, VarInfo
 
 if TYPE_CHECKING:

@@ -94,7 +94,7 @@ class Steps:
         return self
 
     def __next__(self) -> int:
-        """Kill at the next step and return the counter used; stop when there is none."""
+        """Kill at the next step and return the counter; stop when there is none."""
         self.step += 1
         self.counter += 10
         done = subprocess.run(

@@ -1,0 +1,52 @@
+"""The native table, or its twin in plain Python when `PBONET_PURE=1` asks for it.
+
+A failed import of the native part is an error and not a reason to use the twin, which
+has neither its speed nor its memory ordering.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING or os.environ.get("PBONET_PURE") != "1":
+    from ._svar import (
+        CAUSES,
+        STATIC_BYTES,
+        VERSION,
+        Arena,
+        Blueprint,
+        LocalTable,
+        now_ns,
+        process_start,
+    )
+else:
+    from .pure import (
+        CAUSES,
+        STATIC_BYTES,
+        VERSION,
+        Arena,
+        Blueprint,
+        LocalTable,
+        now_ns,
+        process_start,
+    )
+
+    warnings.warn(
+        "PBONET_PURE=1: the state variable table is a test oracle in plain Python, "
+        "slow and without a lock; use it for tests only",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+__all__ = [
+    "CAUSES",
+    "STATIC_BYTES",
+    "VERSION",
+    "Arena",
+    "Blueprint",
+    "LocalTable",
+    "now_ns",
+    "process_start",
+]

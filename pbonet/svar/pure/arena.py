@@ -1,0 +1,430 @@
+"""The table's protocol in plain Python: the oracle of the native one.
+
+It works on the same file, byte for byte and step for step as the C headers do. Python
+has neither fences nor atomic words, and no lock is taken here: nothing but tests may
+use it. `PBONET_PURE=1` selects it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import platform
+import struct
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pbonet.svar.codes import ALIVE, FULL, RIVAL, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from .local import Group
+
+VERSION, CAUSES, STATIC_BYTES = 1, 64, 144
+SLOTS, LINE = 4, 64
+FREE, HELD, LEFT = range(3)
+_MAGIC = b"pbSVAR\r\n"
+_WORD = struct.Struct("<Q")
+_STATIC = struct.Struct("<8s4I2Q16s11Q")
+_MUTEX = {"x86_64": 40, "aarch64": 48}.get(platform.machine(), 40)
+_UIDS = 64 + _MUTEX
+_CAUSES = _UIDS + 8
+_CAUSE = struct.Struct("<q128s64s64s")
+_REG_BYTES, _TASK, _TASK_BYTES = 256, 136, 64
+_STATE, _SLOTS, _STRIDE, _UID, _BYTES, _OWNER, _PID, _START, _SPACE = range(64, 136, 8)
+
+
+def now_ns() -> int:
+    """Return CLOCK_MONOTONIC."""
+    return time.monotonic_ns()
+
+
+def process_start(pid: int) -> int:
+    """Return when the process started, in ticks since boot; 0 when it has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0
+    return 0 if fields[0] in "ZX" else int(fields[19])
+
+
+def _round(size: int, unit: int) -> int:
+    return -(-size // unit) * unit
+
+
+def _stride(size: int) -> int:
+    return LINE + _round(size, LINE)
+
+
+_LIVE_BYTES = _round(_CAUSES + CAUSES * _CAUSE.size, LINE)
+_ABI = _LIVE_BYTES + _MUTEX
+
+
+class Blueprint:
+    """What a table will look like (arena.h)."""
+
+    def __init__(  # noqa: PLR0917 - as the native one
+        self,
+        sizes: NDArray[Any],
+        maxages: NDArray[Any],
+        text: bytes,
+        layout: bytes,
+        mode: int,
+        spare: int,
+    ) -> None:
+        n = len(sizes)
+        self.sizes: list[int] = sizes.tolist()
+        self.maxages: list[int] = maxages.tolist()
+        self.text = text
+        stamps = sum(self.sizes)
+        keep = stamps + 16 * n
+        regs_n = 64 + 2 * n
+        variables = _round(STATIC_BYTES, LINE)
+        records = variables + 24 * n
+        live = _round(records + len(text), LINE)
+        regs = live + _LIVE_BYTES
+        directory = regs + regs_n * _REG_BYTES
+        dir_stride = _stride(16 * n)
+        arena = directory + SLOTS * dir_stride
+        slots = _stride(keep) + regs_n * _stride(LINE) + spare * _stride(stamps)
+        self.size = _round(arena + SLOTS * slots, 4096)
+        places = (variables, records, len(text), live, regs, directory, dir_stride)
+        counts = (VERSION, _ABI, n, regs_n, self.size, 0, layout)
+        self.fixed = _STATIC.pack(_MAGIC, *counts, *places, arena, keep, stamps, mode)
+
+
+class Arena:
+    """A table's file, mapped whole."""
+
+    def __init__(self, fd: int, size: int, machine: bytes) -> None:
+        self.map = memoryview(mmap.mmap(fd, size))
+        self.fileno, self.bytes, self.machine = fd, size, machine
+
+    def __del__(self) -> None:
+        if hasattr(self, "fileno"):
+            os.close(self.fileno)
+
+    def _get(self, at: int) -> int:
+        value: int = _WORD.unpack_from(self.map, at)[0]
+        return value
+
+    def _set(self, at: int, value: int) -> None:
+        _WORD.pack_into(self.map, at, value)
+
+    def format(self, plan: Blueprint, values: NDArray[Any]) -> int:
+        """Fill fresh zeroed memory."""
+        self.map[:STATIC_BYTES] = plan.fixed
+        self._read_places()
+        at = 0
+        for i, (size, maxage) in enumerate(zip(plan.sizes, plan.maxages, strict=True)):
+            where = self.vars + 24 * i
+            self.map[where : where + 24] = struct.pack("<QQq", size, at, maxage)
+            at += size
+        self.map[self.records : self.records + len(plan.text)] = plan.text
+        self._set_reg(0, _SLOTS, self.arena)
+        self._set_reg(0, _STRIDE, _stride(self.keep_bytes))
+        self._set_reg(0, _STATE, HELD)
+        self.commit(0, values[: self.keep_stamps].tobytes(), (0, 0))
+        entries = ((0, 0, self.keep_of(v)) for v in range(self.n_vars))
+        self._publish(dict(enumerate(entries)))
+        self._set(32, self._checksum())
+        return 0
+
+    def _read_places(self) -> None:
+        fields = _STATIC.unpack_from(self.map)
+        (_, self.version, _, self.n_vars, self.n_regs) = fields[:5]
+        (self.layout, self.vars, self.records, self.text_bytes, self.live) = fields[
+            7:12
+        ]
+        (self.regs, self.dir, self.dir_stride, self.arena) = fields[12:16]
+        (self.keep_bytes, self.keep_stamps, self.mode) = fields[16:]
+
+    def verify(self) -> int:
+        """Judge the file (keeper.h)."""
+        if self.bytes < STATIC_BYTES or bytes(self.map[:8]) != _MAGIC:
+            return Verdict.NO_TABLE
+        fields = _STATIC.unpack_from(self.map)
+        self.version = fields[1]
+        if fields[1:3] != (VERSION, _ABI):
+            return Verdict.OTHER_VERSION
+        if fields[5] != self.bytes:
+            return Verdict.CUT_SHORT if fields[5] > self.bytes else Verdict.DAMAGED
+        if not STATIC_BYTES <= fields[11] <= self.bytes:
+            return Verdict.DAMAGED
+        self._read_places()
+        return Verdict.SOUND if self._checksum() == fields[6] else Verdict.DAMAGED
+
+    def _checksum(self) -> int:
+        total = 0xCBF29CE484222325
+        static = bytes(self.map[:32]) + bytes(8) + bytes(self.map[40 : self.live])
+        for byte in static:
+            total = (total ^ byte) * 0x100000001B3 & 0xFFFFFFFFFFFFFFFF
+        return total
+
+    # -- registers and the directory ---------------------------------------------------
+
+    def reg(self, r: int, field: int) -> int:
+        """Return a field of a register's description; field 0 is its head."""
+        return self._get(self.regs + r * _REG_BYTES + field)
+
+    def _set_reg(self, r: int, field: int, value: int) -> None:
+        self._set(self.regs + r * _REG_BYTES + field, value)
+
+    def uid(self, r: int) -> int:
+        """Return the uid of a register."""
+        return self.reg(r, _UID)
+
+    def size_of(self, v: int) -> int:
+        """Return the bytes of a variable."""
+        return self._get(self.vars + 24 * v)
+
+    def keep_of(self, v: int) -> int:
+        """Return the place of a variable in the keeper's group."""
+        return self._get(self.vars + 24 * v + 8)
+
+    def maxage_of(self, v: int) -> int:
+        """Return the age at which a variable is stale; 0: never."""
+        return self._get(self.vars + 24 * v + 16)
+
+    def slot(self, r: int, seq: int) -> int:
+        """Return where the slot of commit `seq` begins."""
+        return self.reg(r, _SLOTS) + seq % SLOTS * self.reg(r, _STRIDE)
+
+    def commit(self, r: int, group: bytes, stamp: tuple[int, int]) -> None:
+        """Write a group (register.h)."""
+        seq = self.reg(r, 0) + 1
+        at = self.slot(r, seq)
+        self.map[at + LINE : at + LINE + len(group)] = group
+        self.map[at : at + 16] = struct.pack("<qQ", *stamp)
+        self._set_reg(r, 0, seq)
+
+    @property
+    def generation(self) -> int:
+        """Number of the present directory."""
+        return self._get(self.live)
+
+    def entry(self, v: int, generation: int = 0) -> tuple[int, int, int]:
+        """Return (register, live, place) of a variable."""
+        number = generation or self.generation
+        at = self.dir + number % SLOTS * self.dir_stride + LINE
+        reg, live, place = struct.unpack_from("<IIQ", self.map, at + 16 * v)
+        return reg, live, place
+
+    def _publish(self, changes: dict[int, tuple[int, int, int]]) -> None:
+        before = self.generation
+        old = self.dir + before % SLOTS * self.dir_stride + LINE
+        new = self.dir + (before + 1) % SLOTS * self.dir_stride + LINE
+        size = 16 * self.n_vars
+        self.map[new : new + size] = self.map[old : old + size]
+        for v, entry in changes.items():
+            struct.pack_into("<IIQ", self.map, new + 16 * v, *entry)
+        self._set(self.live, before + 1)
+
+    # -- ownership (directory.h, owner.h, keeper.h) ------------------------------------
+
+    def _alive(self, r: int) -> bool:
+        return process_start(self.reg(r, _PID)) == self.reg(r, _START)
+
+    def enter(self, size: int, who: tuple[int, int, bytes]) -> int:
+        """Take a register; `who` is (owner, pid, task)."""
+        named = {self.entry(v)[0] for v in range(self.n_vars)}
+        for r in range(1, self.n_regs):
+            state = self.reg(r, _STATE)
+            if r not in named and (
+                state == LEFT or (state == HELD and not self._alive(r))
+            ):
+                self._set_reg(r, _STATE, FREE)
+        owner, pid, task = who
+        stride = _stride(size)
+        free = [r for r in range(1, self.n_regs) if self.reg(r, _STATE) == FREE]
+        room = self._room(SLOTS * stride)
+        if not free or not room:
+            return FULL
+        uid = self._get(self.live + _UIDS) + 1
+        self._set(self.live + _UIDS, uid)
+        fields = {_SLOTS: room, _STRIDE: stride, _UID: uid, _BYTES: size, _PID: pid}
+        fields |= {_OWNER: owner or uid, _START: process_start(pid), _STATE: HELD}
+        fields[_SPACE] = Path("/proc/self/ns/pid").stat().st_ino
+        for field, value in fields.items():
+            self._set_reg(free[0], field, value)
+        at = self.regs + free[0] * _REG_BYTES + _TASK
+        self.map[at : at + _TASK_BYTES] = task[:63].ljust(_TASK_BYTES, b"\0")
+        return free[0]
+
+    def _room(self, size: int) -> int:
+        used = sorted(
+            (self.reg(r, _SLOTS), self.reg(r, _SLOTS) + SLOTS * self.reg(r, _STRIDE))
+            for r in range(self.n_regs)
+            if self.reg(r, _STATE) != FREE
+        )
+        at = self.arena
+        for start, end in used:
+            if start >= at + size:
+                break
+            at = max(at, end)
+        return at if at + size <= self.bytes else 0
+
+    def _may(self, r: int, v: int, value: bytes, *, constants: bool) -> str:
+        """Return whether a variable is taken, shared or refused."""
+        holder, live, at = self.entry(v)
+        if not live or holder == r or not self._alive(holder):
+            return "take"
+        where = self.slot(holder, self.reg(holder, 0)) + LINE + at
+        same = bytes(self.map[where : where + len(value)]) == value
+        return "share" if constants and same else "refuse"
+
+    def refused(self, group: Group, *, constants: bool) -> int | None:
+        """Return the first variable that a claim would be refused for."""
+        for v, at in group:
+            value = group.value(at, self.size_of(v))
+            if self._may(group.reg, v, value, constants=constants) == "refuse":
+                return v
+        return None
+
+    def claim(
+        self, group: Group, stamp: tuple[int, int], *, constants: bool
+    ) -> tuple[int, int]:
+        """Commit a group and take its variables; returns (code, variable)."""
+        rival = self.refused(group, constants=constants)
+        if rival is not None:
+            return RIVAL, rival
+        self.commit(group.reg, group.value(0, group.bytes), stamp)
+        changes: dict[int, tuple[int, int, int]] = {}
+        for v, at in group:
+            value = group.value(at, self.size_of(v))
+            if self._may(group.reg, v, value, constants=constants) == "take":
+                changes[v] = group.reg, 1, at
+        self._publish(changes)
+        return 0, 0
+
+    def let_go(self, r: int, leave: bool, dead: bool) -> int:  # noqa: FBT001
+        """Give up what stands in a register."""
+        if dead and self._alive(r):
+            return ALIVE
+        entries = {v: self.entry(v) for v in range(self.n_vars)}
+        if any(reg == r and live for reg, live, _ in entries.values()):
+            self._publish({v: (r, 0, e[2]) for v, e in entries.items() if e[0] == r})
+        if leave:
+            self._set_reg(r, _STATE, LEFT)
+        return 0
+
+    def set(self, v: int, value: NDArray[Any], now: int) -> int:
+        """Set a variable that no task owns."""
+        reg, live, _ = self.entry(v)
+        if live and self._alive(reg):
+            return RIVAL
+        seq = self.reg(0, 0) + 1
+        new, old = self.slot(0, seq), self.slot(0, seq - 1)
+        size = _stride(self.keep_bytes)
+        self.map[new : new + size] = self.map[old : old + size]
+        at = new + LINE + self.keep_of(v)
+        self.map[at : at + self.size_of(v)] = value.tobytes()[: self.size_of(v)]
+        mark = new + LINE + self.keep_stamps + 16 * v
+        times = struct.unpack_from("<Q", self.map, mark + 8)[0]
+        struct.pack_into("<qQ", self.map, mark, now, times + 1)
+        self._set_reg(0, 0, seq)
+        if reg or live:
+            self._publish({v: (0, 0, self.keep_of(v))})
+        return 0
+
+    # -- looking -----------------------------------------------------------------------
+
+    @property
+    def text(self) -> bytes:
+        """The variables' records."""
+        return bytes(self.map[self.records : self.records + self.text_bytes])
+
+    def stamp(self, v: int, r: int, seq: int) -> tuple[int, int]:
+        """Return time and cycle of a variable in commit `seq` of register `r`."""
+        mark = LINE + self.keep_stamps + 16 * v if r == 0 else 0
+        time_ns, cycle = struct.unpack_from("<qQ", self.map, self.slot(r, seq) + mark)
+        return time_ns, cycle
+
+    def look(
+        self, v: int, to: NDArray[Any]
+    ) -> tuple[int, bool, int, int, int, int, str]:
+        """Copy a variable and say where it comes from."""
+        reg, live, at = self.entry(v)
+        seq = self.reg(reg, 0)
+        where = self.slot(reg, seq) + LINE + at
+        size = self.size_of(v)
+        to[:size] = np.frombuffer(self.map[where : where + size], np.uint8)
+        time_ns, cycle = self.stamp(v, reg, seq)
+        return reg, bool(live), time_ns, cycle, self.uid(reg), seq, self._task(reg)
+
+    def _task(self, r: int) -> str:
+        at = self.regs + r * _REG_BYTES + _TASK
+        text = bytes(self.map[at : at + _TASK_BYTES])
+        return text.partition(b"\0")[0].decode(errors="replace")
+
+    def registers(self) -> list[tuple[int, int, int, int, str, int, int, bool]]:
+        """Return what registers are in use."""
+        return [
+            (
+                r,
+                self.uid(r),
+                self.reg(r, _OWNER),
+                self.reg(r, _PID),
+                self._task(r),
+                self.reg(r, _BYTES),
+                self.reg(r, 0),
+                self.reg(r, _STATE) == HELD,
+            )
+            for r in range(1, self.n_regs)
+            if self.reg(r, _STATE) != FREE
+        ]
+
+    # -- the flag (flag.h) -------------------------------------------------------------
+
+    @property
+    def illegal(self) -> int:
+        """One bit for every cause that stands."""
+        return self._get(self.live + 8)
+
+    def _standing(self) -> Iterator[tuple[int, tuple[bytes, bytes, bytes], int]]:
+        for i in range(CAUSES):
+            if self.illegal >> i & 1:
+                at = self.live + _CAUSES + i * _CAUSE.size
+                time_ns, *texts = _CAUSE.unpack_from(self.map, at)
+                cause, raiser, machine = (t.partition(b"\0")[0] for t in texts)
+                yield i, (cause, raiser, machine), time_ns
+
+    def causes(self) -> list[tuple[str, str, str, int]]:
+        """Return every cause that stands."""
+        found: list[tuple[str, str, str, int]] = []
+        for _, texts, time_ns in self._standing():
+            cause, raiser, machine = (t.decode(errors="replace") for t in texts)
+            found.append((cause, raiser, machine, time_ns))
+        return found
+
+    def raise_illegal(self, cause: bytes, raiser: bytes, machine: bytes) -> int:
+        """Add a cause."""
+        texts = cause[:127], raiser[:63], machine[:63]
+        if any(stands == texts for _, stands, _ in self._standing()):
+            return 0
+        free = [i for i in range(CAUSES) if not self.illegal >> i & 1]
+        if not free:
+            return FULL
+        at = self.live + _CAUSES + free[0] * _CAUSE.size
+        _CAUSE.pack_into(self.map, at, now_ns(), *texts)
+        self._set(self.live + 8, self.illegal | 1 << free[0])
+        return 0
+
+    def clear_illegal(self, cause: bytes, raiser: bytes, machine: bytes) -> int:
+        """Take causes away."""
+        wanted = cause[:127], raiser[:63], machine[:63]
+        gone = [
+            i
+            for i, texts, _ in self._standing()
+            if texts[1] == wanted[1]
+            and wanted[0] in {b"", texts[0]}
+            and wanted[2] in {b"", texts[2]}
+        ]
+        self._set(self.live + 8, self.illegal & ~sum(1 << i for i in gone))
+        return len(gone)

@@ -1,0 +1,260 @@
+"""Twin of the native half of a local table (local.h, cut.h, guard.h)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pbonet.svar.codes import CONSTS, IN, ON, OUT_CONSTS, VARS, Flags
+
+from .arena import LINE, SLOTS, Arena, now_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from pbonet.svar.guards import Check
+
+TRIES, TRIES_WHOLE = 16, 256
+_TYPES = ("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
+_FINITE, _CLIP = 0, 1
+_CONSISTENT, _WHOLE, _LOST = range(3)
+
+
+class Group:
+    """What is written together; iterates over (variable, place in the group)."""
+
+    def __init__(self) -> None:
+        self.vars: list[int] = []
+        self.at: list[int] = []
+        self.first = self.bytes = self.reg = 0
+        self.checks: list[Check] = []
+        self.live = False
+        self.data = memoryview(b"")
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        return zip(self.vars, self.at, strict=True)
+
+    def value(self, at: int, size: int) -> bytes:
+        """Return bytes of the group out of the local table."""
+        return bytes(self.data[self.first + at : self.first + at + size])
+
+
+class LocalTable:
+    """A task's private copies, and the transfers to and from the table."""
+
+    def __init__(
+        self,
+        arena: Arena,
+        data: NDArray[Any],
+        staging: NDArray[Any] | None,
+        *_largest: int,
+    ) -> None:
+        self.arena = arena
+        self.data = data
+        self.keep = staging is not None
+        self.plans: list[list[tuple[int, int]]] = [[], [], []]
+        self.groups = [Group(), Group()]
+        for group in self.groups:
+            group.data = data.data
+        self.flags = self.cycles = 0
+        self.pairs: list[tuple[int, int]] = []
+        self.fault = 0, 0
+        names = "copies retries torn lost stale commits refused clipped"
+        self.counts = dict.fromkeys(names.split(), 0)
+
+    def set_plan(self, which: int, vars: NDArray[Any], to: NDArray[Any]) -> None:  # noqa: A002
+        """Say which variables a copy brings, and to which places."""
+        self.plans[which] = list(zip(vars.tolist(), to.tolist(), strict=True))
+
+    def set_group(  # noqa: PLR0917 - as the native one
+        self,
+        which: int,
+        vars: NDArray[Any],  # noqa: A002
+        at: NDArray[Any],
+        first: int,
+        size: int,
+        checks: list[Any],
+    ) -> None:
+        """Say what is written together, and what is looked at before it goes out."""
+        group = self.groups[which]
+        group.vars, group.at = vars.tolist(), at.tolist()
+        group.first, group.bytes, group.checks = first, size, checks
+
+    # -- ownership ---------------------------------------------------------------------
+
+    def enter(self, which: int, owner: int, pid: int, task: bytes) -> int:
+        """Take a register for a group."""
+        code = self.arena.enter(self.groups[which].bytes, (owner, pid, task))
+        self.groups[which].reg = max(code, 0)
+        return code
+
+    def register_uid(self, which: int) -> int:
+        """Return the uid of a group's register."""
+        return self.arena.uid(self.groups[which].reg)
+
+    def ask(self, which: int) -> tuple[int, int]:
+        """Return what a claim would be answered."""
+        refused = self.arena.refused(self.groups[which], constants=which == OUT_CONSTS)
+        return (0, 0) if refused is None else (-1, refused)
+
+    def take(self, which: int, now: int, cycle: int) -> tuple[int, int]:
+        """Judge, commit and claim a group."""
+        group = self.groups[which]
+        self.flags = self._guard(group)
+        if self.flags or not group.vars:
+            return 0, 0
+        answer = self.arena.claim(group, (now, cycle), constants=which == OUT_CONSTS)
+        group.live = group.live or answer[0] == 0
+        return answer
+
+    def give(self, which: int, reg: int, leave: bool) -> int:  # noqa: FBT001
+        """Give a group's variables up."""
+        self.groups[which].live = False
+        return self.arena.let_go(reg, leave, False)  # noqa: FBT003
+
+    def owns(self, which: int) -> bool:
+        """Return whether this process claimed the group."""
+        return self.groups[which].live
+
+    # -- copies in ---------------------------------------------------------------------
+
+    def copy_in(self) -> int:
+        """Bring the in-vars."""
+        return self._copy(IN)
+
+    def copy_in_on(self) -> int:
+        """Bring in-vars and out-vars."""
+        return self._copy(ON)
+
+    def copy_in_consts(self) -> int:
+        """Bring the in-consts."""
+        return self._copy(CONSTS)
+
+    def _cut(
+        self, plan: list[tuple[int, int]]
+    ) -> tuple[int, dict[int, int], list[bytes]]:
+        """Read a plan; returns how it went, sequence by register, and the values."""
+        arena = self.arena
+        heads: dict[int, int] = {}
+        values: list[bytes] = []
+        for attempt in range(TRIES_WHOLE):
+            generation = arena.generation
+            entries = [arena.entry(v, generation) for v, _ in plan]
+            heads = {r: arena.reg(r, 0) for r, _, _ in entries}
+            values = []
+            for (v, _), (r, _, at) in zip(plan, entries, strict=True):
+                start = arena.slot(r, heads[r]) + LINE + at
+                values.append(bytes(arena.map[start : start + arena.size_of(v)]))
+            lapped = [arena.reg(r, 0) - seq for r, seq in heads.items()]
+            if arena.generation == generation:
+                if not any(lapped):
+                    return _CONSISTENT, heads, values
+                if attempt >= TRIES - 1 and max(lapped) < SLOTS - 1:
+                    return _WHOLE, heads, values
+            self.counts["retries"] += 1
+        return _LOST, heads, values
+
+    def _copy(self, which: int) -> int:
+        plan = self.plans[which]
+        self.counts["copies"] += 1
+        result, heads, values = self._cut(plan)
+        self.flags = 0
+        if result != _CONSISTENT:
+            self.flags = Flags.COPY_TORN
+            self.counts["torn"] += 1
+            self.counts["lost"] += result == _LOST
+            if self.keep and which == IN:
+                self.flags |= Flags.COPY_KEPT
+                return self.flags
+            if result == _LOST:
+                self.flags |= Flags.COPY_LOST
+                return self.flags
+        for (_, to), value in zip(plan, values, strict=True):
+            self.data[to : to + len(value)] = np.frombuffer(value, np.uint8)
+        self.pairs = [(self.arena.uid(r), seq) for r, seq in heads.items()]
+        self.flags |= self._stale(plan, heads)
+        return self.flags
+
+    def _stale(self, plan: list[tuple[int, int]], heads: dict[int, int]) -> int:
+        for v, _ in plan:
+            maxage = self.arena.maxage_of(v)
+            reg = self.arena.entry(v)[0]
+            time_ns = self.arena.stamp(v, reg, heads[reg])[0]
+            if maxage and not (time_ns and now_ns() - time_ns <= maxage):
+                self.fault = v, self.fault[1]
+                self.counts["stale"] += 1
+                return Flags.COPY_STALE
+        return 0
+
+    # -- copies out --------------------------------------------------------------------
+
+    def _guard(self, group: Group) -> int:
+        for check in group.checks:
+            element = self._first_bad(group, check)
+            if element < check.n:
+                self.fault = check.var, element
+                self.counts["refused"] += 1
+                finite = check.rule == _FINITE
+                return Flags.COMMIT_NONFINITE if finite else Flags.COMMIT_LIMIT
+        return 0
+
+    def _first_bad(self, group: Group, check: Check) -> int:
+        dtype = np.dtype(_TYPES[check.type])
+        at = group.first + check.at
+        x: NDArray[Any] = self.data[at : at + check.n * dtype.itemsize].view(dtype)
+        if check.low is None or check.high is None:
+            bad = ~np.isfinite(x)
+        else:
+            low, high = check.low.view(dtype), check.high.view(dtype)
+            bad = (x < low) | (x > high)
+            if check.rule == _CLIP:
+                self.counts["clipped"] += int(bad.sum())
+                x[bad] = np.clip(x, low, high)[bad]
+                return check.n
+        return int(bad.argmax()) if bad.any() else check.n
+
+    def _refusal(self, group: Group) -> int:
+        return self._guard(group) if group.live else Flags.COMMIT_NOT_OWNER
+
+    def _send(self, group: Group, value: bytes, stamp: tuple[int, int]) -> None:
+        self.arena.commit(group.reg, value, stamp)
+        self.counts["commits"] += 1
+
+    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
+        """Send the out-vars."""
+        self.cycles = cycle or self.cycles + 1
+        group = self.groups[VARS]
+        self.flags = self._refusal(group) if group.vars else 0
+        if group.vars and not self.flags:
+            stamp = now_ns or _now(), self.cycles
+            self._send(group, group.value(0, group.bytes), stamp)
+        return self.flags
+
+    def read_one(self, v: int, at: int) -> int:
+        """Bring one variable."""
+        self.arena.look(v, self.data[at:])
+        return 0
+
+    def write_one(self, which: int, i: int, now: int, cycle: int) -> int:
+        """Send one variable; the others keep what was last committed."""
+        group, arena = self.groups[which], self.arena
+        if flags := self._refusal(group):
+            return flags
+        at, size = group.at[i], arena.size_of(group.vars[i])
+        last = arena.slot(group.reg, arena.reg(group.reg, 0)) + LINE
+        value = bytearray(arena.map[last : last + group.bytes])
+        value[at : at + size] = group.value(at, size)
+        self._send(group, bytes(value), (now, cycle))
+        return 0
+
+    @property
+    def illegal(self) -> bool:
+        """Whether the illegal-configuration flag is up."""
+        return self.arena.illegal != 0
+
+
+def _now() -> int:
+    return now_ns()
