@@ -424,7 +424,7 @@ def _declare(body: Declaring, attr: str, hint: object) -> Param:
             attr,
             "a parameter says its unit and meaning",
             expected=f'{attr}: A[type, param("unit", "doc")]',
-            got=str(getattr(hint, "__name__", hint)),
+            got=hint.__name__ if isinstance(hint, type) else str(hint),
         )
     if attr.startswith("_"):
         raise body.error(attr, "a parameter is public", got=attr)

@@ -55,6 +55,10 @@ class _Sizes:
     def __getitem__(self, name: str) -> int:
         return self._known[name][0]
 
+    def origin(self, name: str) -> str:
+        """Return who said the size of `name`."""
+        return self._known[name][1]
+
     def learn(self, name: str, size: int, origin: str) -> None:
         """Note that `name` is `size`; an earlier, other size is an error."""
         if size < 1:
@@ -133,30 +137,48 @@ def _learn_constants(
 
 def _learn(sizes: _Sizes, port: Port, count: int) -> bool:
     """Learn what the port's count says; False while it cannot be used yet."""
-    product, names = sizes.split(port.shape)
-    origin = f"port {port.attr} ({port.name})"
-    if not names:
-        if product != count:
-            raise PortError(
-                f"{origin} has another size than its shape says",
-                where=sizes.where,
-                expected=f"{product} elements for shape {shape_text(port.shape)}",
-                got=f"{count} elements",
-                remedy=f"correct NELEM of the variable, or the shape of {port.attr}",
-            )
-        return True
-    if len(set(names)) > 1:
+    names = {dim for dim in port.shape if isinstance(dim, str)}
+    unknown = {name for name in names if name not in sizes}
+    if len(unknown) > 1:
         return False
-    size = round((count / product) ** (1 / len(names)))
-    if product * size ** len(names) != count:
+    about = unknown or (names if len(names) == 1 else set[str]())
+    origin = f"port {port.attr} ({port.name})"
+    if not about:
+        _compare(sizes, port, count, origin)
+        return True
+    name = about.pop()
+    times = port.shape.count(name)
+    others = math.prod(
+        dim if isinstance(dim, int) else sizes[dim] for dim in port.shape if dim != name
+    )
+    size = round((count / others) ** (1 / times))
+    if others * size**times != count:
         raise PortError(
             f"{origin} cannot have {count} elements",
             where=sizes.where,
             expected=f"a number of elements that fits shape {shape_text(port.shape)}",
             got=f"{count} elements",
         )
-    sizes.learn(names[0], size, origin)
+    sizes.learn(name, size, origin)
     return True
+
+
+def _compare(sizes: _Sizes, port: Port, count: int, origin: str) -> None:
+    """Raise unless the port has as many elements as its shape, all known, says."""
+    product, _ = sizes.split(port.shape)
+    if product != count:
+        known = "".join(
+            f", {dim} is {sizes[dim]} from {sizes.origin(dim)}"
+            for dim in dict.fromkeys(port.shape)
+            if isinstance(dim, str)
+        )
+        raise PortError(
+            f"{origin} has another size than its shape says",
+            where=sizes.where,
+            expected=f"{product} elements for shape {shape_text(port.shape)}{known}",
+            got=f"{count} elements",
+            remedy=f"correct NELEM of the variable, or the shape of {port.attr}",
+        )
 
 
 def _solved(sizes: _Sizes, port: Port) -> tuple[int, ...]:

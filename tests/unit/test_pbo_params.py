@@ -1,0 +1,323 @@
+"""Parameters: declared once, decoded from LOCAL lines, refused in whole sentences."""
+
+from typing import Annotated as A
+from typing import ClassVar, Literal
+
+import pytest
+
+from pbonet import Params, PortBasedObject, param
+from pbonet.config.model import LocalLine, Place
+from pbonet.errors import DeclarationError, ParameterError
+from pbonet.pbo import (
+    change_param,
+    decode_params,
+    find_param,
+    local_text,
+    make_params,
+    params_type,
+)
+
+
+class Gains(Params):
+    kp: A[float, param("N*m/rad", "stiffness", ge=0)]
+    axes: A[int, param("none", "number of axes", gt=0, le=8)]
+    mode: A[Literal["linear", "cubic"], param("none", "shape")] = "linear"
+    limit: A[tuple[float, ...], param("N*m", "largest torque", gt=0)] = (1.0,)
+    offset: A[tuple[float, float, float], param("m", "of the tool")] = (0.0, 0.0, 0.0)
+    port: A[str, param("none", "device")] = "/dev/ttyS0"
+    quiet: A[bool, param("none", "no messages")] = False
+
+
+class Law(PortBasedObject[Gains]):
+    def cycle(self, dt):
+        pass
+
+
+def local(text):
+    """Return LOCAL lines as the reader gives them: one a line of `text`."""
+    lines = {}
+    for number, line in enumerate(text.strip().splitlines(), 11):
+        key, *words = line.split()
+        lines[key] = LocalLine(tuple(words), Place("law.rmod", number))
+    return lines
+
+
+def test_lines_become_typed_values():
+    lines = local(
+        """
+        KP 12.5
+        axes 0x6
+        MODE cubic
+        LIMIT 1 2e0 .5
+        OFFSET 0 -1 +.25
+        PORT /dev/tty ACM0
+        QUIET yes
+        """
+    )
+    assert decode_params(Law, lines) == Gains(
+        kp=12.5,
+        axes=6,
+        mode="cubic",
+        limit=(1.0, 2.0, 0.5),
+        offset=(0.0, -1.0, 0.25),
+        port="/dev/tty ACM0",
+        quiet=True,
+    )
+
+
+def test_defaults_hold_for_what_is_left_out():
+    found = decode_params(Gains, local("KP 0\nAXES 1"))
+    assert found == Gains(kp=0.0, axes=1)
+    assert (found.mode, found.limit) == ("linear", (1.0,))
+
+
+FAULTS = [
+    (
+        "KPP 1\nAXES 1",
+        "law.rmod:11:1: module Law has no parameter KPP (expected one of kp, axes, "
+        "mode, limit, offset, port, quiet); did you mean kp?",
+    ),
+    (
+        "KP 1",
+        "law.rmod: module Law needs parameter axes: number of axes (expected int, > 0 "
+        "and <= 8); add a line `AXES ...` under LOCAL",
+    ),
+    (
+        "KP stiff",
+        "law.rmod:11:1: a value of parameter kp is not a float (expected float in "
+        'N*m/rad, >= 0, got "stiff")',
+    ),
+    (
+        "KP nan",
+        "law.rmod:11:1: a value of parameter kp is not a float (expected float in "
+        'N*m/rad, >= 0, got "nan")',
+    ),
+    (
+        "AXES 6.0",
+        "law.rmod:11:1: a value of parameter axes is not an int (expected int, > 0 and "
+        '<= 8, got "6.0"); write it without a decimal point',
+    ),
+    (
+        "QUIET maybe",
+        "law.rmod:11:1: a value of parameter quiet is not a bool (expected bool, got "
+        '"maybe"); write yes or no',
+    ),
+    (
+        "KP -0.5",
+        "law.rmod:11:1: parameter kp is out of bounds (expected float in N*m/rad, "
+        ">= 0, got -0.5)",
+    ),
+    (
+        "KP 1e999",
+        "law.rmod:11:1: parameter kp is out of bounds (expected float in N*m/rad, "
+        ">= 0, got inf)",
+    ),
+    (
+        "LIMIT 1 0 2",
+        "law.rmod:11:1: parameter limit is out of bounds (value 2 of 3) (expected one "
+        "or more float in N*m, > 0, got 0)",
+    ),
+    (
+        "OFFSET 1 2",
+        "law.rmod:11:1: parameter offset has the wrong number of values (expected 3 "
+        "float in m, got 2 values)",
+    ),
+    (
+        "LIMIT",
+        "law.rmod:11:1: parameter limit has the wrong number of values (expected one "
+        "or more float in N*m, > 0, got 0 values)",
+    ),
+    (
+        "KP 1 2",
+        "law.rmod:11:1: parameter kp has the wrong number of values (expected float in "
+        "N*m/rad, >= 0, got 2 values)",
+    ),
+    (
+        "PORT",
+        "law.rmod:11:1: parameter port has the wrong number of values (expected str, "
+        "got 0 values)",
+    ),
+    (
+        "MODE cubik",
+        "law.rmod:11:1: parameter mode has no such choice (expected one of linear, "
+        "cubic, got 'cubik'); did you mean cubic?",
+    ),
+    ("kp 1\nKP 2", "law.rmod:12:1: parameter kp is given twice"),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), FAULTS)
+def test_a_wrong_line_is_refused_with_its_place(text, sentence):
+    with pytest.raises(ParameterError) as caught:
+        decode_params(Law, local(text))
+    assert str(caught.value) == sentence
+
+
+def test_a_missing_line_is_blamed_on_the_file():
+    with pytest.raises(ParameterError) as caught:
+        decode_params(Law, {}, where="other.rmod")
+    assert caught.value.where == "other.rmod"
+
+
+def test_values_are_checked_when_made_in_python():
+    for wrong in (
+        {"kp": -1.0, "axes": 1},
+        {"kp": 1.0, "axes": 9},
+        {"kp": 1.0, "axes": 1.5},
+        {"kp": True, "axes": 1},
+        {"kp": 1.0, "axes": 1, "limit": 3.0},
+        {"kp": 1.0, "axes": 1, "limit": ()},
+        {"kp": 1.0, "axes": 1, "offset": (0.0, 0.0)},
+        {"kp": 1.0, "axes": 1, "mode": "square"},
+        {"kp": float("inf"), "axes": 1},
+    ):
+        with pytest.raises(ParameterError, match=r"^Gains\."):
+            Gains(**wrong)
+    with pytest.raises(ParameterError) as caught:
+        Gains(kp="1", axes=1)
+    assert str(caught.value) == (
+        "Gains.kp: parameter kp has the wrong type (expected float in N*m/rad, >= 0, "
+        "got '1')"
+    )
+
+
+def test_parameters_are_frozen_and_keyword_only():
+    gains = Gains(kp=1.0, axes=1)
+    with pytest.raises(AttributeError):
+        gains.kp = 2.0
+    with pytest.raises(TypeError):
+        Gains(1.0, 1)
+    with pytest.raises(TypeError, match="Unexpected keyword argument 'kpp'"):
+        Gains(kp=1.0, axes=1, kpp=3.0)
+
+
+def test_parameters_from_python_values():
+    assert make_params(Gains, {"kp": 2.0, "axes": 3}) == Gains(kp=2.0, axes=3)
+    with pytest.raises(ParameterError, match="Gains has no parameter kpp"):
+        make_params(Gains, {"kpp": 2.0})
+    with pytest.raises(ParameterError, match="Gains needs parameter axes"):
+        make_params(Gains, {"kp": 2.0})
+
+
+def test_one_value_is_changed():
+    gains = Gains(kp=1.0, axes=2)
+    changed = change_param(gains, "KP", ("3",))
+    assert changed == Gains(kp=3.0, axes=2)
+    assert gains.kp == 1.0
+    with pytest.raises(ParameterError, match="law: parameter kp is out of bounds"):
+        change_param(gains, "kp", ("-3",), where="law")
+    with pytest.raises(ParameterError, match="did you mean limit"):
+        change_param(gains, "limt", ("3",))
+
+
+def test_a_parameter_is_found_whatever_its_case():
+    assert find_param(Gains(kp=1.0, axes=2), "LIMIT") == "limit"
+
+
+def test_values_are_written_as_local_lines_have_them():
+    gains = Gains(kp=0.1, axes=2, limit=(1.0, 2.5), quiet=True)
+    for name, about in Gains.__declared__.items():
+        words = tuple(local_text(getattr(gains, name)).split())
+        assert change_param(gains, about.name, words) == gains
+
+
+def test_parameters_are_inherited():
+    class More(Gains):
+        extra: A[float, param("s", "a time")] = 1.0
+
+    found = decode_params(More, local("KP 1\nAXES 2\nEXTRA 3"))
+    assert (found.kp, found.axes, found.extra) == (1.0, 2, 3.0)
+
+
+def test_a_class_variable_is_no_parameter():
+    class Few(Params):
+        table: ClassVar[dict[str, int]] = {}
+        kp: A[float, param("none", "gain")] = 1.0
+
+    assert list(Few.__declared__) == ["kp"]
+
+
+def test_a_module_without_parameters_has_none():
+    class Bare(PortBasedObject):
+        def cycle(self, dt):
+            pass
+
+    assert params_type(Bare) is Params
+    with pytest.raises(ParameterError) as caught:
+        decode_params(Bare, local("KP 1"))
+    assert str(caught.value) == (
+        "law.rmod:11:1: module Bare has no parameter KP (expected no parameters at all)"
+    )
+
+
+def declare(hint, **default):
+    body = {"__annotations__": {"kp": hint}, "__module__": "somewhere", **default}
+    return type(Params)("Made", (Params,), body)
+
+
+TYPES = (
+    'float, int, bool, str, Literal["a", "b"], tuple[float, ...] or tuple[float, float]'
+)
+DECLARATIONS = [
+    (
+        float,
+        {},
+        "a parameter says its unit and meaning (expected "
+        'kp: A[type, param("unit", "doc")], got float)',
+    ),
+    (
+        A[float, "gain"],
+        {},
+        "a parameter says its unit and meaning (expected "
+        'kp: A[type, param("unit", "doc")], got typing.Annotated[float, \'gain\'])',
+    ),
+    (A[float, param("", "gain")], {}, "the parameter has no unit (got '')"),
+    (A[float, param("rad", "")], {}, "the parameter has no doc (got '')"),
+    (
+        A[complex, param("rad", "gain")],
+        {},
+        "the type cannot be a parameter's (expected " + TYPES + ", got "
+        "<class 'complex'>)",
+    ),
+    (
+        A[tuple[float, int], param("rad", "gain")],
+        {},
+        "the type cannot be a parameter's (expected " + TYPES + ", got "
+        "tuple[float, int])",
+    ),
+    (A[str, param("rad", "gain", ge=0)], {}, "a str has no bounds (got >= 0)"),
+    (
+        A[float, param("rad", "gain", ge=0, lt=2)],
+        {"kp": 2.0},
+        "the default is refused: parameter kp is out of bounds (expected float in rad, "
+        ">= 0 and < 2, got 2)",
+    ),
+    (
+        A[float, param("rad", "gain")],
+        {"kp": "x"},
+        "the default is refused: parameter kp has the wrong type (expected float in "
+        "rad, got 'x')",
+    ),
+]
+
+
+@pytest.mark.parametrize(("hint", "default", "sentence"), DECLARATIONS)
+def test_a_wrong_declaration_is_refused_at_class_creation(hint, default, sentence):
+    with pytest.raises(DeclarationError) as caught:
+        declare(hint, **default)
+    assert str(caught.value) == f"somewhere.Made.kp (source unknown): {sentence}"
+
+
+def test_names_that_differ_in_case_only_are_refused():
+    with pytest.raises(DeclarationError, match="two parameters differ in case only"):
+
+        class Wrong(Params):
+            kp: A[float, param("none", "gain")]
+            Kp: A[float, param("none", "gain")]
+
+
+def test_a_private_parameter_is_refused():
+    with pytest.raises(DeclarationError, match="a parameter is public"):
+
+        class Wrong(Params):
+            _kp: A[float, param("none", "gain")]
