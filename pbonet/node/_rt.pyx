@@ -12,7 +12,7 @@ from libc.stdlib cimport free, malloc
 from libc.string cimport memset, strdup
 
 from pbonet.errors import NodeError, RealTimeError
-from pbonet.node._ring import Record
+from pbonet.node import _ring
 from pbonet.node._ring cimport RING_STABLE, Ring, ring_put, ring_record
 from pbonet.node._rt_headers cimport *
 from pbonet.sched.histogram import octaves
@@ -27,6 +27,7 @@ MIN_PERIOD_NS = RT_MIN_PERIOD_NS
 COMMAND_LEVEL = RT_COMMAND_LEVEL
 DISPATCHER_LEVEL = RT_DISPATCHER_LEVEL
 LEAVE = 8 | 16 | 32 | 64
+globals().update(Ring=_ring.Ring, Record=_ring.Record)  # a cimported name is C's alone
 _BACKENDS = {RT_NONE: "", RT_FIFO: "fifo", RT_PARK: "park"}
 
 cdef enum:
