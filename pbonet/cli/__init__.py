@@ -29,7 +29,6 @@ VERBS = (
 )
 """The verbs in the order of the help; each stands in a file of its name."""
 
-_NAMES = {"set": "set_verb"}
 _INTERRUPTED = 130
 
 
@@ -47,7 +46,12 @@ def build() -> typer.Typer:
     )
     app.callback()(options.version)
     for verb in VERBS:
-        import_module(f"pbonet.cli.{_NAMES.get(verb, verb)}").register(app)
+        command = import_module(f"pbonet.cli.{verb}").command
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=verb)
+        else:
+            settings = getattr(command, "context_settings", {})
+            app.command(verb, context_settings=settings)(command)
     return app
 
 

@@ -22,7 +22,8 @@ class Backend(enum.StrEnum):
     PARK = "park"
 
 
-def agent(
+def command(
+    *,
     name: A[str | None, typer.Option(help="The RTPU's name.")] = None,
     core: A[int | None, typer.Option(help="The core it owns.", min=0)] = None,
     config: A[Path | None, typer.Option(help="An agent.toml.")] = None,
@@ -60,9 +61,7 @@ def agent(
         level=logging.INFO if verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(name)s: %(message)s",
     )
-    if with_parent and not runtime.set_parent_death_signal(
-        signal.SIGTERM, with_parent
-    ):
+    if with_parent and not runtime.set_parent_death_signal(signal.SIGTERM, with_parent):
         raise typer.Exit(0)
     told = {
         "name": name,
@@ -70,15 +69,10 @@ def agent(
         "domain": domain,
         "listen": listen,
         "connect": connect,
-        "libraries": library and list(map(str, library)),
+        "libraries": [str(folder) for folder in library] if library else None,
         "grace": grace,
         "insecure": insecure or None,
     }
     begin = read_agent(config) if config else AgentConfig()
     given = {key: value for key, value in told.items() if value is not None}
     raise typer.Exit(node.main(structs.replace(begin, **given), backend=backend.value))
-
-
-def register(app: typer.Typer) -> None:
-    """Add the verb."""
-    app.command()(agent)

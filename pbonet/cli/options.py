@@ -38,9 +38,7 @@ def _version(value: bool) -> None:
 
 
 File = A[Path, typer.Argument(help="The .sbs file, or a .job file that names it.")]
-Json = A[
-    bool, typer.Option("--json", help="Give data.", callback=_json, is_eager=True)
-]
+Json = A[bool, typer.Option("--json", help="Give data.", callback=_json, is_eager=True)]
 Debug = A[
     bool,
     typer.Option(
@@ -83,5 +81,5 @@ Version = A[
 ]
 
 
-def version(version: Version = False) -> None:  # noqa: ARG001 - acts when it is read
+def version(version: Version = False) -> None:
     """Assemble a robot's control software from ready modules, change it as it runs."""

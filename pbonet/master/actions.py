@@ -256,6 +256,7 @@ def help_(_: Desk, given: Given) -> Data:
                         "kind": str(arg.kind),
                         "doc": arg.doc,
                         "use": str(arg.use),
+                        "last": arg.last,
                     }
                     for arg in command.args
                 ],

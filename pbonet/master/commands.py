@@ -60,6 +60,8 @@ class Arg(Struct, frozen=True):
     kind: Kind
     doc: str
     use: Use = Use.ONE
+    last: bool = False
+    """The task last used stands in where an interface has one."""
 
     @property
     def need(self) -> bool:
@@ -110,12 +112,8 @@ class Command(Struct, frozen=True):
         return " ".join(words)
 
 
-_TASK: Final = Arg(
-    "task", Kind.TASK, "the task; the last one used if left out", Use.MAYBE
-)
-_TASKS: Final = Arg(
-    "task", Kind.TASK, "the tasks; the last one used if left out", Use.ANY
-)
+_TASK: Final = Arg("task", Kind.TASK, "the task", Use.MAYBE, last=True)
+_TASKS: Final = Arg("task", Kind.TASK, "the tasks", Use.ANY, last=True)
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 
 COMMANDS: Final = (

@@ -31,6 +31,22 @@ class Reply(Struct, frozen=True, kw_only=True):
     warnings: list[str] = []
 
 
+class Call(Struct, frozen=True):
+    """A command with its arguments, ready to be carried out."""
+
+    command: Command
+    given: dict[str, Any]
+
+    @property
+    def changes(self) -> bool:
+        """Whether it will change the subsystem; some commands can also only show."""
+        if self.command.name == "freq":
+            return self.given.get("hz") is not None
+        if self.command.name == "set":
+            return bool(self.given.get("value"))
+        return self.command.changes
+
+
 class Desk:
     """The state of one interface.
 
@@ -94,11 +110,11 @@ class Desk:
 
     # -- commands ---------------------------------------------------------------------
 
-    def execute(self, line: str) -> Reply | None:
-        """Carry out one command line; None for a blank line or a comment.
+    def read(self, line: str) -> Call | None:
+        """Return what a command line asks for; None for a blank line or a comment.
 
         Raises:
-            PbonetError: The line is wrong, or the command failed.
+            PbonetError: The line is wrong.
         """
         try:
             words = shlex.split(line, comments=True)
@@ -109,7 +125,16 @@ class Desk:
         if not words:
             return None
         command, words = split_name(words)
-        return self._run(command, bind(command, words, self._knows))
+        return Call(command, bind(command, words, self._knows))
+
+    def execute(self, line: str) -> Reply | None:
+        """Carry out one command line; None for a blank line or a comment.
+
+        Raises:
+            PbonetError: The line is wrong, or the command failed.
+        """
+        call = self.read(line)
+        return None if call is None else self.perform(call)
 
     def call(self, name: str, args: Mapping[str, object]) -> Reply:
         """Carry out a command whose arguments come by name.
@@ -118,15 +143,18 @@ class Desk:
             PbonetError: An argument is wrong, or the command failed.
         """
         command = find(name)
-        return self._run(command, convert(command, args))
+        return self.perform(Call(command, convert(command, args)))
 
-    def _knows(self, task: str) -> bool:
-        return task in self.subsystem.picture
+    def perform(self, call: Call) -> Reply:
+        """Carry out a command.
 
-    def _run(self, command: Command, given: dict[str, Any]) -> Reply:
+        Raises:
+            PbonetError: It failed.
+        """
+        command = call.command
         if command.scope is Scope.PROMPT and self.hand_over is None:
             raise StateError(f"{command.name} makes no sense here")
-        if command.changes and self.subsystem.watch and _would_change(command, given):
+        if call.changes and self.subsystem.watch:
             raise ClaimError(
                 f"{command.name} changes the subsystem, which is open for watching only"
             )
@@ -134,19 +162,13 @@ class Desk:
         before = self.subsystem.warned
         self.subsystem.warned = warnings.append
         try:
-            data = command.run(self, given)
+            data = command.run(self, call.given)
         finally:
             self.subsystem.warned = before
         return Reply(command=command.name, data=data, warnings=warnings)
 
-
-def _would_change(command: Command, given: dict[str, Any]) -> bool:
-    """Tell whether a command that can also show will change something."""
-    if command.name == "freq":
-        return given.get("hz") is not None
-    if command.name == "set":
-        return bool(given.get("value"))
-    return True
+    def _knows(self, task: str) -> bool:
+        return task in self.subsystem.picture
 
 
 def split_name(words: list[str]) -> tuple[Command, list[str]]:

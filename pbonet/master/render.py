@@ -219,6 +219,7 @@ def _help(data: Data) -> str:
     if len(commands) == 1:
         lines.extend(
             f"  {arg['name']:10} {arg['kind']:12} {arg['doc']}"
+            + "; the last one used if left out" * arg["last"]
             for arg in commands[0]["args"]
         )
     return "\n".join(lines)

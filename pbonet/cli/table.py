@@ -1,0 +1,99 @@
+"""Makes a verb of a command of the table: its arguments and options are the table's."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated as A
+from typing import Any
+
+import typer
+
+from pbonet.cli import options
+from pbonet.master.commands import Arg, Command, Kind, Use, find
+
+_TYPES: dict[Kind, type] = {Kind.NUMBER: float, Kind.COUNT: int}
+
+
+def verb(name: str) -> Callable[..., None]:
+    """Return the function of the verb for a command; typer reads its signature."""
+    command = find(name)
+
+    def run(file: Path, **given: Any) -> None:  # noqa: ANN401 - what the table says
+        from pbonet.master import oneshot
+
+        place = oneshot.Place(
+            domain=given.pop("domain"),
+            connect=tuple(given.pop("connect") or ()),
+            libraries=tuple(map(str, given.pop("library") or ())),
+            take_over=given.pop("take_over", False),
+        )
+        as_data = given.pop("json_")
+        given.pop("debug")
+        reply = oneshot.run(file, command.name, given, place)
+        show(reply.command, reply.data, reply.warnings, as_data=as_data)
+
+    run.__name__ = name
+    run.__doc__ = command.help
+    vars(run)["__signature__"] = inspect.Signature(list(_parameters(command)))
+    values = [arg for arg in command.args if arg.kind in {Kind.NUMBER, Kind.WORD}]
+    vars(run)["context_settings"] = {  # so that -1.5 is a value and no option
+        "ignore_unknown_options": any(arg.many for arg in values)
+    }
+    return run
+
+
+def show(
+    command: str, data: dict[str, Any], warnings: list[str], *, as_data: bool
+) -> None:
+    """Print what a command gave: data as JSON, or text with warnings beside it."""
+    import msgspec
+
+    from pbonet.master import render
+
+    if as_data:
+        print(msgspec.json.encode({**data, "warnings": warnings}).decode())
+        return
+    for warning in warnings:
+        sys.stderr.write(render.warning(warning) + "\n")
+    if text := render.text(command, data):
+        print(text)
+
+
+def _parameters(command: Command) -> list[inspect.Parameter]:
+    where = inspect.Parameter.KEYWORD_ONLY
+    found = [inspect.Parameter("file", where, annotation=options.File)]
+    found += [_parameter(arg) for arg in command.args]
+    common: dict[str, tuple[Any, object]] = {
+        "json_": (options.Json, False),
+        "domain": (options.Domain, "default"),
+        "connect": (options.Connect, None),
+        "library": (options.Library, None),
+        "debug": (options.Debug, False),
+    }
+    if command.changes:
+        common["take_over"] = (options.TakeOver, False)
+    found += [
+        inspect.Parameter(name, where, annotation=kind, default=default)
+        for name, (kind, default) in common.items()
+    ]
+    return found
+
+
+def _parameter(arg: Arg) -> inspect.Parameter:
+    """Return one argument of the table as typer wants it."""
+    kind: Any = _TYPES.get(arg.kind, str)
+    where = inspect.Parameter.KEYWORD_ONLY
+    if arg.use is Use.NAMED:
+        about: Any = typer.Option(f"--{arg.name}", help=arg.doc, metavar=arg.kind)
+    else:
+        about = typer.Argument(help=arg.doc, metavar=arg.name.upper())
+    if arg.many:
+        kind = list[kind]
+    if arg.need or arg.last:
+        return inspect.Parameter(arg.name, where, annotation=A[kind, about])
+    return inspect.Parameter(
+        arg.name, where, annotation=A[kind | None, about], default=None
+    )

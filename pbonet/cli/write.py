@@ -1,0 +1,5 @@
+"""``pbonet write``, made of the command table."""
+
+from pbonet.cli.table import verb
+
+command = verb("write")

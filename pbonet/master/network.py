@@ -1,0 +1,331 @@
+"""The network interface: programs elsewhere steer the subsystem (Stewart 1994, 4.4.2).
+
+A master that serves a port answers msgpack maps on ``pbonet/DOMAIN/net/PORT``. Any
+zenoh client can send them; `docs/commands.md` says how, and nothing of pbonet is needed
+for it. A request is ``{"v": 1, "id", "client", "command", "args": {...}}`` or has
+``"line"``, a command line as at the prompt, in place of command and arguments; the
+answer is that of an agent (`pbonet.xm.messages.Answer`).
+
+Control is handed to one client at a time: the first that commands. It must hold a
+liveliness token under the port, so that its loss is noticed; with its ``quit`` or its
+loss control goes back. Watching and ``stop`` are open to everybody.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import threading
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import msgspec
+import zenoh
+from msgspec import Struct
+
+from pbonet.errors import (
+    ClaimError,
+    DuplicateNameError,
+    NodeError,
+    PbonetError,
+    ProtocolError,
+    StateError,
+    UnreachableError,
+)
+from pbonet.master import render
+from pbonet.master.commands import find
+from pbonet.master.desk import Call, Desk, Reply, convert
+from pbonet.xm import keys
+from pbonet.xm import messages as m
+from pbonet.xm.rundir import NAME
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.master.subsystem import Subsystem
+
+_KEPT: Final = 1000
+_LOOK: Final = 0.2
+"""Seconds between looks whether serving is to end."""
+
+log = logging.getLogger("pbonet.master")
+
+
+class Order(Struct, kw_only=True):
+    """A request to a master's port."""
+
+    v: int = m.VERSION
+    id: str = ""
+    client: str = ""
+    command: str = ""
+    args: dict[str, Any] = {}
+    line: str = ""
+
+
+class Port:
+    """A port at which programs on the network steer a subsystem.
+
+    Args:
+        subsystem: What they steer; it is open.
+        name: The port's name.
+        handover: Whether one client takes control and holds it until it ends. Without,
+            every client may command, one after the other.
+        told: Called with a sentence when control changes hands.
+
+    Raises:
+        NodeError: The name cannot be one.
+    """
+
+    def __init__(
+        self,
+        subsystem: Subsystem,
+        name: str,
+        *,
+        handover: bool = True,
+        told: Callable[[str], None] = log.info,
+    ) -> None:
+        if not NAME.fullmatch(name):
+            raise NodeError(
+                "this is no name for a port",
+                expected="letters, digits, '_', '-' and '.', at most 32",
+                got=repr(name[:40]),
+            )
+        self.name = name
+        self.ended = threading.Event()
+        """Set when the client that had control has ended or is lost."""
+        self._subsystem = subsystem
+        self._domain = subsystem.domain
+        self._handover = handover
+        self._told = told
+        self._key = keys.network(subsystem.domain, name)
+        self._holder = ""
+        self._desks: dict[str, Desk] = {}
+        self._answers: OrderedDict[tuple[str, str], bytes] = OrderedDict()
+        self._orders: queue.SimpleQueue[tuple[zenoh.Query, Order] | None] = (
+            queue.SimpleQueue()
+        )
+        self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
+        self._declared: list[Any] = []
+        self._threads = [
+            threading.Thread(target=self._sort, name="port", daemon=True),
+            threading.Thread(target=self._work, name="port work", daemon=True),
+        ]
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def open(self) -> None:
+        """Answer from now on.
+
+        Raises:
+            DuplicateNameError: Another master serves a port of this name.
+            UnreachableError: The connection to the agents is closed.
+        """
+        client = self._subsystem.fleet.client
+        if client.tokens(self._key):
+            raise DuplicateNameError(
+                f"the port {self.name} is taken",
+                where=self._key,
+                remedy="choose another name",
+            )
+        session = client.session
+        try:
+            self._declared = [
+                session.declare_queryable(
+                    self._key, zenoh.handlers.Callback(self._arrived.put)
+                ),
+                session.liveliness().declare_subscriber(
+                    keys.network_client(self._domain, self.name, "*"),
+                    zenoh.handlers.Callback(self._heard),
+                ),
+                session.liveliness().declare_token(self._key),
+            ]
+        except zenoh.ZError as error:
+            raise UnreachableError(
+                "the connection to the agents is closed", got=str(error)
+            ) from None
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Answer no more."""
+        for declared in reversed(self._declared):
+            with contextlib.suppress(zenoh.ZError):
+                declared.undeclare()
+        self._arrived.put(None)
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(1.0)  # a command that hangs is left behind
+        self._declared = []
+
+    def serve(self, stopped: threading.Event) -> None:
+        """Wait until the client that took control has ended, or `stopped` is set."""
+        while not self.ended.wait(_LOOK):
+            if stopped.is_set():
+                return
+
+    # -- in zenoh's threads -----------------------------------------------------------
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        """Notice the loss of the client that has control."""
+        client = keys.last(str(sample.key_expr))
+        if sample.kind == zenoh.SampleKind.DELETE and client == self._holder:
+            self._give_back(f"{client} is gone")
+
+    # -- in our own -------------------------------------------------------------------
+
+    def _sort(self) -> None:
+        """Answer what needs no waiting, queue the rest behind the other commands."""
+        while (query := self._arrived.get()) is not None:
+            data = query.payload.to_bytes() if query.payload is not None else b""
+            try:
+                order = _decode(data)
+            except PbonetError as error:
+                failed = m.failure(error, m.request_id(data))
+                self._reply(query, msgspec.msgpack.encode(failed))
+                continue
+            if order.command == "stop" or order.line.strip() == "stop":
+                threading.Thread(
+                    target=self._carry_out, args=(query, order), daemon=True
+                ).start()
+            else:
+                self._orders.put((query, order))
+        self._orders.put(None)
+
+    def _work(self) -> None:
+        while (item := self._orders.get()) is not None:
+            self._carry_out(*item)
+
+    def _carry_out(self, query: zenoh.Query, order: Order) -> None:
+        key = (order.client, order.id)
+        data = self._answers.get(key) if order.id else None
+        if data is None:
+            data = msgspec.msgpack.encode(self._answer(order))
+            if order.id:
+                self._answers[key] = data
+                while len(self._answers) > _KEPT:
+                    self._answers.popitem(last=False)
+        self._reply(query, data)
+
+    def _answer(self, order: Order) -> m.Answer:
+        try:
+            reply = self._do(order)
+        except PbonetError as error:
+            return m.failure(error, order.id)
+        except Exception as error:  # the port outlives any command
+            log.exception("the command %s failed inside pbonet", order.command)
+            return m.failure(
+                NodeError(f"it failed inside pbonet: {type(error).__name__}: {error}"),
+                order.id,
+            )
+        if reply is None:
+            return m.Answer(id=order.id, ok=True)
+        text = render.text(reply.command, reply.data)
+        return m.Answer(
+            id=order.id,
+            ok=True,
+            result={"command": reply.command, "data": reply.data, "text": text},
+            warnings=reply.warnings,
+        )
+
+    def _do(self, order: Order) -> Reply | None:
+        desk = self._desks.setdefault(order.client, Desk(self._subsystem))
+        if order.line:
+            call = desk.read(order.line)
+        else:
+            command = find(order.command)
+            call = Call(command, convert(command, order.args))
+        if call is None:
+            return None
+        if self._handover and call.command.name == "quit":
+            self._must_hold(order.client)
+        elif self._handover and call.changes:
+            self._take(order.client)
+        reply = desk.perform(call)
+        if desk.ended:
+            del self._desks[order.client]
+            if order.client == self._holder:
+                self._give_back(f"{order.client} has ended")
+        return reply
+
+    # -- who has control --------------------------------------------------------------
+
+    def _take(self, client: str) -> None:
+        """Give control to a client, unless another one has it."""
+        if self._holder == client:
+            return
+        if self._holder:
+            raise ClaimError(
+                "another client has control",
+                where=f"port {self.name}",
+                got=self._holder,
+                remedy="wait for its end; watching and stop are open to everybody",
+            )
+        token = keys.network_client(self._domain, self.name, client or "NAME")
+        if not client or not self._subsystem.fleet.client.tokens(token):
+            raise ClaimError(
+                "a client that takes control must be seen to live",
+                where=f"port {self.name}",
+                expected=f"a liveliness token {token}",
+                got="none",
+                remedy="declare it, and keep it until the end",
+            )
+        self._holder = client
+        self._told(f"{client} has control")
+
+    def _must_hold(self, client: str) -> None:
+        if client != self._holder:
+            raise StateError(
+                "quit gives control back, and this client has none",
+                where=f"port {self.name}",
+                got=client or "no client name",
+            )
+
+    def _give_back(self, reason: str) -> None:
+        self._holder = ""
+        self._told(f"{reason}; control is back")
+        self.ended.set()
+
+    def _reply(self, query: zenoh.Query, data: bytes) -> None:
+        """Answer on our own key, and let go of the query: a kept one times out."""
+        try:
+            with query:
+                query.reply(self._key, data)  # pyright: ignore[reportUnknownMemberType]
+        except zenoh.ZError as error:
+            log.warning("an answer could not be sent: %s", error)
+
+
+def _decode(data: bytes) -> Order:
+    """Return the order in `data`.
+
+    Raises:
+        ProtocolError: It is malformed, too long, or of another version.
+    """
+    if len(data) > m.Codec.MAX_BYTES:
+        raise ProtocolError(
+            "the message is too long",
+            expected=f"at most {m.Codec.MAX_BYTES} bytes",
+            got=f"{len(data)} bytes",
+        )
+    try:
+        order = msgspec.msgpack.decode(data, type=Order)
+    except msgspec.MsgspecError as error:
+        raise ProtocolError(
+            "the message is not understood",
+            got=str(error),
+            remedy="see docs/commands.md for its fields",
+        ) from None
+    if order.v != m.VERSION:
+        raise ProtocolError(
+            "the message is of another protocol version",
+            expected=f"version {m.VERSION}",
+            got=f"version {order.v}",
+        )
+    if not order.command and not order.line.strip():
+        raise ProtocolError("the message has neither a command nor a line")
+    return order

@@ -1,0 +1,201 @@
+"""One command given from outside, and then gone again: the verbs of the command line.
+
+A verb that only looks claims nothing. A verb that changes something is a master for a
+moment: it claims the subsystem, acts, and leaves, and the tasks go on. Where a master
+lives that serves the port of the subsystem's name (``pbonet run`` does), the verb asks
+that master instead of being refused.
+"""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import zenoh
+from msgspec import Struct
+
+from pbonet.config.library import Library
+from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
+from pbonet.master.commands import find
+from pbonet.master.desk import Call, Desk, Reply, convert
+from pbonet.master.files import Files
+from pbonet.master.fleet import client_name
+from pbonet.master.network import Order
+from pbonet.master.subsystem import Subsystem
+from pbonet.xm import keys, rpc, session
+from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+_FORWARD_TIME = 60.0
+"""Seconds that a command may take which a master carries out for us."""
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """Where a subsystem is found."""
+
+    domain: str = "default"
+    connect: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ()
+    take_over: bool = False
+
+
+def run(
+    path: str | Path, command: str, args: Mapping[str, object], place: Place
+) -> Reply:
+    """Carry out one command on a subsystem and leave it.
+
+    Args:
+        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        command: The command's name.
+        args: Its arguments, by name.
+        place: Where the subsystem is.
+
+    Raises:
+        PbonetError: A file, an argument or an agent is wrong, or the command failed.
+    """
+    wanted = find(command)
+    call = Call(wanted, convert(wanted, args))
+    if call.changes and not place.take_over:
+        reply = _ask_master(path, command, args, place)
+        if reply is not None:
+            return reply
+    subsystem = Subsystem(
+        path,
+        domain=place.domain,
+        connect=place.connect,
+        libraries=place.libraries,
+        kind=command.replace(" ", "-"),
+        watch=not call.changes,
+        take_over=place.take_over,
+    )
+    opening: list[str] = []
+    subsystem.warned = opening.append
+    subsystem.open()
+    try:
+        reply = Desk(subsystem).perform(call)
+    finally:
+        subsystem.detach()
+    return Reply(
+        command=reply.command, data=reply.data, warnings=[*opening, *reply.warnings]
+    )
+
+
+def _ask_master(
+    path: str | Path, command: str, args: Mapping[str, object], place: Place
+) -> Reply | None:
+    """Have a living master carry it out; None when none serves the subsystem's port."""
+    files = Files(path, Library(place.libraries))
+    name = files.sbs.subsystem
+    client = rpc.Client(
+        session.client(place.domain, connect=place.connect),
+        place.domain,
+        client_name(command.replace(" ", "-")),
+    )
+    try:
+        if not client.tokens(keys.network(place.domain, name)):
+            return None
+        return ask(client, name, command, args)
+    finally:
+        client.close()
+
+
+def ask(
+    client: rpc.Client, port: str, command: str, args: Mapping[str, object]
+) -> Reply:
+    """Send a command to the port of a master, and return its reply.
+
+    Raises:
+        UnreachableError: Nobody serves the port, or it has gone.
+        NoAnswerError: The master does not answer.
+        PbonetError: The command failed; the error is of the class the master says.
+    """
+    order = Order(
+        id=secrets.token_hex(8),
+        client=client.name,
+        command=command,
+        args={name: value for name, value in args.items() if value is not None},
+    )
+    key = keys.network(client.domain, port)
+    replies = client.session.get(
+        key, payload=msgspec.msgpack.encode(order), timeout=_FORWARD_TIME
+    )
+    for reply in replies:
+        if reply.ok is None:
+            raise NoAnswerError(
+                f"the master did not answer within {_FORWARD_TIME:g} s", where=key
+            )
+        return _reply(m.Codec().answer(reply.ok.payload.to_bytes()))
+    raise UnreachableError("the master has gone", where=key)
+
+
+def _reply(answer: m.Answer) -> Reply:
+    if not answer.ok:
+        raise PbonetError.from_wire(answer.error or {})
+    result: dict[str, Any] = answer.result or {}
+    return Reply(
+        command=result.get("command", ""),
+        data=result.get("data", {}),
+        warnings=answer.warnings,
+    )
+
+
+def subsystem_name(text: str) -> str:
+    """Return the subsystem that a verb's argument means: a name, or a file's.
+
+    Raises:
+        ConfigError: It is a file, and wrong.
+    """
+    if Path(text).suffix in {".sbs", ".job"}:
+        return Files(text, Library()).sbs.subsystem
+    return text
+
+
+def stop(
+    name: str | None,
+    *,
+    domain: str,
+    connect: Sequence[str] = (),
+    timeout: float = 2.0,
+) -> dict[str, Any]:
+    """Stop a subsystem, or all, on every RTPU of a domain; no claim is needed.
+
+    Args:
+        name: The subsystem's name; None means every subsystem.
+        domain: The domain.
+        connect: Endpoints of agents on other machines.
+        timeout: Seconds that each RTPU gives its tasks.
+
+    Returns:
+        What went off, what was ended by force, and which RTPUs were asked.
+
+    Raises:
+        UnreachableError: No agent can be reached.
+        SeveralError: Several RTPUs did not confirm; of one, its own error.
+    """
+    client = rpc.Client(
+        session.client(domain, connect=connect), domain, client_name("stop")
+    )
+    try:
+        rtpus = client.rtpus()
+        requests: dict[str, m.Request] = {
+            rtpu: m.Stop(subsystem=name or "", timeout=timeout) for rtpu in rtpus
+        }
+        results, errors = client.call_all(
+            requests, m.Stopped, timeout=timeout + rpc.ANSWER_TIME
+        )
+    except zenoh.ZError as error:
+        raise UnreachableError(
+            "the connection to the agents is closed", got=str(error)
+        ) from None
+    finally:
+        client.close()
+    rpc.raise_all(f"{len(errors)} RTPUs did not confirm the stop", errors)
+    return {
+        "off": [task for stopped in results.values() for task in stopped.off],
+        "killed": [task for stopped in results.values() for task in stopped.killed],
+        "rtpus": rtpus,
+    }
