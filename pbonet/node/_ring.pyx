@@ -155,7 +155,9 @@ cdef Ring _map_ring(str name, str path, int fd):
     cdef Ring self = Ring.__new__(Ring)
     cdef unsigned char[::1] view
     self.name, self.path, self.fd = name, path, fd
-    self.memory = mmap.mmap(fd, os.fstat(fd).st_size)
+    # Present from the start: a page fault belongs to no cycle.
+    flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
+    self.memory = mmap.mmap(fd, os.fstat(fd).st_size, flags)
     view = self.memory
     self.view = view
     self.r = <ring *>&view[0]
