@@ -12,7 +12,7 @@ hold it and slips when it cannot, exactly and without chatter, at any step.
 
 from __future__ import annotations
 
-from math import ceil
+from math import ceil, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -136,21 +136,29 @@ def solve_with_friction(
         high: Bounds of the friction, at least 0; infinity is a stop.
         guess: A velocity whose signs are likely right.
     """
-    sign = np.sign(guess)
+    # a handful of numbers: plain Python is faster here than numpy's calls would be
+    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
+    slack = [1e-12 * (1.0 + abs(value)) for value in push.tolist()]
+    signs = [(value > 0.0) - (value < 0.0) for value in guess.tolist()]
     rounds = 0
     while True:
-        sign[((sign > 0) & np.isinf(high)) | ((sign < 0) & np.isinf(low))] = 0.0
-        velocity, friction = _with_signs(matrix, push, low, high, sign)
-        slack = 1e-12 * (1.0 + np.abs(push))
-        better = np.where(velocity * sign < 0, 0.0, sign)
-        better[(sign == 0) & (friction > high + slack)] = 1.0
-        better[(sign == 0) & (friction < low - slack)] = -1.0
-        wrong = np.flatnonzero(better != sign)
-        if not wrong.size:
+        signs = [
+            sign if isfinite(bound[sign > 0]) else 0
+            for sign, bound in zip(signs, bounds, strict=True)
+        ]
+        velocity, friction = _with_signs(matrix, push, bounds, signs)
+        better = [
+            _corrected(*row)
+            for row in zip(
+                signs, velocity.tolist(), friction.tolist(), bounds, slack, strict=True
+            )
+        ]
+        if better == signs:
             return velocity
         if rounds > _ALL_AT_ONCE:
-            wrong = wrong[:1]
-        sign[wrong] = better[wrong]
+            first = next(i for i, sign in enumerate(signs) if sign != better[i])
+            better = [*signs[:first], better[first], *signs[first + 1 :]]
+        signs = better
         rounds += 1
 
 
@@ -158,22 +166,42 @@ _ALL_AT_ONCE = 10
 """Rounds in which every wrong sign is corrected."""
 
 
+def _corrected(
+    sign: int,
+    velocity: float,
+    friction: float,
+    bounds: tuple[float, float],
+    slack: float,
+) -> int:
+    """Return the sign that a joint's velocity should have been given."""
+    if sign:
+        return 0 if velocity * sign < 0 else sign
+    low, high = bounds
+    return (friction > high + slack) - (friction < low - slack)
+
+
 def _with_signs(
-    matrix: Floats, push: Floats, low: Floats, high: Floats, sign: Floats
+    matrix: Floats,
+    push: Floats,
+    bounds: list[tuple[float, float]],
+    signs: list[int],
 ) -> tuple[Floats, Floats]:
-    """Return velocity and friction if the joints slip, or stick, as `sign` says."""
-    friction: Floats = np.where(sign > 0, high, np.where(sign < 0, low, 0.0))
-    stuck = sign == 0
-    if not stuck.any():
+    """Return velocity and friction if the joints slip, or stick, as `signs` say."""
+    slipping = zip(signs, bounds, strict=True)
+    friction = np.array([bound[sign > 0] if sign else 0.0 for sign, bound in slipping])
+    stuck = [i for i, sign in enumerate(signs) if not sign]
+    if not stuck:
         return _solve(matrix, push - friction), friction
-    reduced = matrix.copy()
-    reduced[stuck, :] = 0.0
-    reduced[:, stuck] = 0.0
-    reduced[stuck, stuck] = 1.0
-    load = push - friction
-    load[stuck] = 0.0
+    reduced, load = matrix.copy(), push - friction
+    for i in stuck:
+        reduced[i, :] = 0.0
+        reduced[:, i] = 0.0
+        reduced[i, i] = 1.0
+        load[i] = 0.0
     velocity = _solve(reduced, load)
-    friction[stuck] = (push - matrix @ velocity)[stuck]
+    needed = push - matrix @ velocity
+    for i in stuck:
+        friction[i] = needed[i]
     return velocity, friction
 
 
