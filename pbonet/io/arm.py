@@ -40,7 +40,7 @@ class SimulatedArm:
     """
 
     def __init__(
-        self, data: ArmData, *, substep: float = 0.5e-3, watchdog: float = 0.05
+        self, data: ArmData, *, substep: float = 0.5e-3, watchdog: float = 0.1
     ) -> None:
         self.data = data
         self.chain = Chain(data.dh, data.mass, data.com, data.inertia, data.rotor)
