@@ -266,6 +266,13 @@ def help_(_: Desk, given: Given) -> Data:
     }
 
 
+def wait(desk: Desk, given: Given) -> Data:
+    """Wait; a stop ends it."""
+    desk.subsystem.stopped.clear()
+    desk.subsystem.stopped.wait(given["seconds"])
+    return {}
+
+
 def network(desk: Desk, given: Given) -> Data:
     """Hand control to a program on the network."""
     portname: str = given["portname"]

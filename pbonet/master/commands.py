@@ -271,6 +271,13 @@ COMMANDS: Final = (
     ),
     Command("stop", "Turn everything OFF and end it, now.", actions.stop),
     Command(
+        "wait",
+        "Wait before the next command; a stop ends it.",
+        actions.wait,
+        (Arg("seconds", Kind.NUMBER, "how long"),),
+        scope=Scope.SESSION,
+    ),
+    Command(
         "write",
         "Set a variable that no task writes.",
         actions.write,

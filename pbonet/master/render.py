@@ -5,9 +5,12 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any, Final
 
+import msgspec
+
 from pbonet.errors import PbonetError, Severity
 from pbonet.master import profile
 from pbonet.master.words import is_sequence
+from pbonet.xm.messages import Event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -163,8 +166,6 @@ def _params(data: Data) -> str:
 
 def _module(data: Data) -> str:
     if "module" in data:
-        import msgspec
-
         from pbonet.pbo import ModuleInfo
         from pbonet.pbo import render as render_module
 
@@ -198,18 +199,19 @@ def _states(data: Data) -> str:
     return "  ".join(f"{task} {state}" for task, state in states.items())
 
 
-def event(one: Data) -> str:
-    """Return an event as one line."""
-    clock = time.strftime("%H:%M:%S", time.localtime(one["wall"]))
-    clock += f".{int(one['wall'] % 1 * 1000):03d}"
-    severity = Severity(one["severity"]).name
-    place = "/".join(filter(None, (one["rtpu"], one["task"])))
-    cycle = f" cycle={one['cycle']}" if one["cycle"] else ""
-    return f"{clock} {severity:7} {place} {one['code']}{cycle} {one['text']}"
+def event(one: Event) -> str:
+    """Return an event as one line, or more if its text has more."""
+    clock = time.strftime("%H:%M:%S", time.localtime(one.wall))
+    clock += f".{int(one.wall % 1 * 1000):03d}"
+    severity = Severity(one.severity).name
+    place = "/".join(filter(None, (one.rtpu, one.task)))
+    cycle = f" cycle={one.cycle}" if one.cycle else ""
+    return f"{clock} {severity:7} {place} {one.code}{cycle} {one.text}"
 
 
 def _events(data: Data) -> str:
-    return "\n".join(map(event, data["events"])) or "no events"
+    found = msgspec.convert(data["events"], list[Event])
+    return "\n".join(map(event, found)) or "no events"
 
 
 def _help(data: Data) -> str:
@@ -244,4 +246,5 @@ _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "help": _help,
     "network": _nothing,
     "quit": _nothing,
+    "wait": _nothing,
 }

@@ -143,11 +143,7 @@ def display(
     )
     with subsystem:
         desk = Desk(subsystem)
-        show: Callable[[Data, float], None] = {
-            "csv": _Csv,
-            "json": _Json,
-            "text": _Text,
-        }[form]()
+        show = _FORMS[form]()
         begin = time.monotonic()
         shown, pause = 0, threading.Event()
         while count is None or shown < count:
@@ -218,3 +214,10 @@ def _head(variables: list[Data]) -> list[str]:
         ]
         head += [f"{name} age (s)", f"{name} writer"]
     return head
+
+
+_FORMS: Final[dict[str, Callable[[], Callable[[Data, float], None]]]] = {
+    "csv": _Csv,
+    "json": _Json,
+    "text": _Text,
+}
