@@ -1,0 +1,160 @@
+/* cut.h: two registers with a writer each, killed anywhere, and one reader of both.
+ *
+ * The word of commit n holds n. Proved for COMMITS_P and COMMITS_Q commits and READS
+ * attempts: a cut called consistent existed at one instant between the beginning and the
+ * end of the attempt that took it, its groups and those of a cut that is merely called
+ * whole are the ones that the first looks named, and nobody waits for anybody.
+ * One reader stands for many: readers write nothing, so none can tell that others exist.
+ *
+ * Mutations: NO_RELEASE (R2), NO_ACQUIRE (R3), NO_CUT_FENCE (C3), WHOLE_WILL_DO (no
+ * group need be unchanged), HALF_LOOK (the group looked at first need not), LOOK_AT_ONCE
+ * (each register is looked at again before the next one is looked at).
+ */
+#ifndef COMMITS_P
+#define COMMITS_P 5
+#endif
+#ifndef COMMITS_Q
+#define COMMITS_Q 2
+#endif
+#ifndef READS
+#define READS 1
+#endif
+#define P 0
+#define Q 1
+#define LOCATIONS 10
+#define CPUS 2
+#define POOLS 2
+#define POOL_OF(cpu) (cpu)
+#define PERFORMED(at) if :: at >= HEAD(P) -> witness() :: else fi
+#define HEAD(r) (8 + (r))
+#define WORD(r, seq) ((r) * 4 + (seq) % 4)
+
+/* Ghost: which pairs of heads stood in memory together since the attempt began. */
+int seen;
+#define PAIR (1 << (mem[HEAD(P)] * (COMMITS_Q + 1) + mem[HEAD(Q)]))
+#define witness() if :: seen -> seen = seen | PAIR :: else fi
+
+#include "weak.pml"
+
+inline write_all(r, commits) {
+    do
+    :: seq <= commits ->
+        release_fence(r); /* R1 */
+        if :: store(r, WORD(r, seq), seq) :: goto killed fi;
+#ifdef NO_RELEASE
+        if :: store(r, HEAD(r), seq) :: goto killed fi; /* R2 */
+#else
+        if :: store_release(r, HEAD(r), seq) :: goto killed fi; /* R2 */
+#endif
+        seq++
+    :: else -> break
+    od
+}
+
+active proctype WriterP() {
+    byte seq = 1;
+    write_all(P, COMMITS_P);
+killed:
+    seq = 0
+}
+
+active proctype WriterQ() {
+    byte seq = 1;
+    write_all(Q, COMMITS_Q);
+killed:
+    seq = 0
+}
+
+/* The loads of one attempt, and which of them each waits for. */
+#define LOOK_P 1
+#define LOOK_Q 2
+#define COPY_P 4
+#define COPY_Q 8
+#define AGAIN_P 16
+#define AGAIN_Q 32
+#define ALL 63
+#ifdef NO_ACQUIRE /* then looks are not ordered, and copies come from a guessed slot */
+#define LOOK_Q_WAITS 0
+#define COPY_P_WAITS 0
+#define COPY_Q_WAITS 0
+#else
+#define LOOK_Q_WAITS LOOK_P
+#define COPY_P_WAITS (LOOK_P | LOOK_Q)
+#define COPY_Q_WAITS (LOOK_P | LOOK_Q)
+#endif
+#ifdef NO_CUT_FENCE
+#define AGAIN_WAITS (LOOK_P | LOOK_Q)
+#else
+#define AGAIN_WAITS (LOOK_P | LOOK_Q | COPY_P | COPY_Q)
+#endif
+#ifdef LOOK_AT_ONCE
+#undef LOOK_Q_WAITS
+#undef COPY_P_WAITS
+#define LOOK_Q_WAITS AGAIN_P
+#define COPY_P_WAITS LOOK_P
+#define AGAIN_P_WAITS (LOOK_P | COPY_P)
+#else
+#define AGAIN_P_WAITS AGAIN_WAITS
+#endif
+#define can(load, waits) !(done & (load)) && (done & (waits)) == (waits)
+#define whole(r) (again[r] - seq[r] < 3)
+#if defined(WHOLE_WILL_DO)
+#define SAME (whole(P) && whole(Q))
+#elif defined(HALF_LOOK)
+#define SAME (whole(P) && again[Q] == seq[Q])
+#else
+#define SAME (again[P] == seq[P] && again[Q] == seq[Q])
+#endif
+
+inline forget() {
+    done = 0; seen = 0;
+    seq[P] = 0; again[P] = 0; slot[P] = 0; word[P] = 0;
+    seq[Q] = 0; again[Q] = 0; slot[Q] = 0; word[Q] = 0
+}
+
+inline look(r) {
+    seq[r] = mem[HEAD(r)];
+#ifdef NO_ACQUIRE
+    if :: slot[r] != seq[r] % 4 -> goto killed :: else fi /* guessed wrong */
+#else
+    slot[r] = seq[r] % 4
+#endif
+}
+
+#define copy(r) word[r] = mem[WORD(r, slot[r])]
+
+active proctype Reader() {
+    byte reads, done, seq[2], again[2], slot[2], word[2];
+    do
+    :: reads < READS ->
+#ifdef NO_ACQUIRE
+        if :: slot[P] = 0 :: slot[P] = 1 :: slot[P] = 2 :: slot[P] = 3 fi;
+        if :: slot[Q] = 0 :: slot[Q] = 1 :: slot[Q] = 2 :: slot[Q] = 3 fi;
+#endif
+        seen = PAIR;
+        do
+        :: atomic { can(LOOK_P, 0) -> look(P); done = done | LOOK_P }
+        :: atomic { can(LOOK_Q, LOOK_Q_WAITS) -> look(Q); done = done | LOOK_Q }
+        :: atomic { can(COPY_P, COPY_P_WAITS) -> copy(P); done = done | COPY_P }
+        :: atomic { can(COPY_Q, COPY_Q_WAITS) -> copy(Q); done = done | COPY_Q }
+        :: atomic { can(AGAIN_P, AGAIN_P_WAITS) -> again[P] = mem[HEAD(P)]; done = done | AGAIN_P }
+        :: atomic { can(AGAIN_Q, AGAIN_WAITS) -> again[Q] = mem[HEAD(Q)]; done = done | AGAIN_Q }
+        :: done && done != ALL -> goto killed
+        :: atomic { done == ALL ->
+            if
+            :: SAME -> assert(seen & (1 << (seq[P] * (COMMITS_Q + 1) + seq[Q])))
+            :: else
+            fi;
+            if
+            :: SAME || whole(P) && whole(Q) -> assert(word[P] == seq[P] && word[Q] == seq[Q])
+            :: else
+            fi;
+            forget();
+            reads++;
+            break }
+        od
+    :: else -> break
+    od;
+killed:
+    atomic { forget(); reads = 0 }
+}
