@@ -279,20 +279,17 @@ def _failing(found: Rule) -> str:
 def arrows() -> dict[tuple[State, State], list[str]]:
     """Return which states follow which, and on what, for the documentation's figure."""
     found: dict[tuple[State, State], list[str]] = {}
-
-    def note(start: State, end: State, label: str) -> None:
-        labels = found.setdefault((start, end), [])
-        if label not in labels:
-            labels.append(label)
-
     for (state, event), one in RULES.items():
         if one.to is not state or event is Event.WAKEUP:
-            note(state, one.to, str(event))
-        for answer, end in one.answers.items():
-            if end and end is not state:
-                note(state, end, f"{event} answers {answer}")
+            found.setdefault((state, one.to), []).append(str(event))
+    for (state, event), one in RULES.items():
+        ends = {f"{event}: {answer}": end for answer, end in one.answers.items()}
         if one.failure is Failure.ERROR:
-            for answer, outcome in ANSWERED.items():
-                if outcome.to is not state:
-                    note(state, outcome.to, f"error answers {answer}")
+            ends |= {f"error: {answer}": end.to for answer, end in ANSWERED.items()}
+        for label, end in ends.items():
+            if end is None or end is state:
+                continue
+            labels = found.setdefault((state, end), [])
+            if label not in labels:
+                labels.append(label)
     return found
