@@ -1,0 +1,151 @@
+/* Random histories through the turn function, for the sanitizers to watch.
+ *
+ * usage: rt_turn SEED TURNS; exits 0 when every invariant held.
+ */
+#include "slot.h"
+#include "dispatch.h"
+#include "loop.h"
+#include "guard.h"
+#include "ring.h"
+#include "view.h"
+
+static uint64_t seed;
+
+static uint32_t pick(uint32_t n)
+{
+    seed = seed * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    return (uint32_t)(seed >> 33) % n;
+}
+
+static void require(int good, const char *what)
+{
+    if (!good) {
+        fprintf(stderr, "broken: %s\n", what);
+        exit(1);
+    }
+}
+
+static void disturb(struct rt_table *t, int i)
+{
+    struct rt_settings s = {.pid = -1, .crit = -1, .priority = -1, .kind = -1,
+                            .period_ns = -1, .deadline_ns = -1};
+    if (!(rt_life(t, i) & 1)) {
+        rt_alloc(t, -1, "rtpu", "task");
+        return;
+    }
+    switch (pick(8)) {
+    case 0:
+        rt_free(t, i);
+        break;
+    case 1:
+        rt_died(t, i);
+        break;
+    case 2:
+        s.period_ns = 100000 + pick(5000000);
+        s.crit = (int32_t)pick(64);
+        s.priority = (int32_t)pick(65536);
+        s.deadline_ns = pick(2) ? 0 : pick(3000000) + 1;
+        rt_configure(t, i, &s);
+        break;
+    case 3:
+        rt_play(t, &t->slots[i], (int)pick(3), 0, 0);
+        break;
+    default:
+        rt_play(t, &t->slots[i], RT_ON, (int)pick(2), (int)pick(2));
+    }
+}
+
+static void check(struct rt_table *t, int park)
+{
+    int running = 0, held = 0, last = RT_DISPATCHER_LEVEL;
+    struct muf_item ready[RT_SLOTS];
+    int n = 0;
+    for (int i = 0; i < RT_SLOTS; i++) {
+        struct rt_state *s = &t->slots[i].state;
+        require(!s->granted || s->ready, "granted without a release");
+        require(!s->parked || s->granted, "held without a grant");
+        require(!s->ready || s->armed, "ready without being armed");
+        if (!s->ready || (s->word & 3) != RT_ON)
+            continue;
+        ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
+                                       .crit = s->crit, .priority = s->priority,
+                                       .level = s->level, .slot = i};
+        running += s->granted && !s->parked;
+        held += !s->granted || s->parked;
+    }
+    muf_sort(ready, n);
+    for (int k = 0; k < n; k++) {
+        require(ready[k].level >= MUF_LOW && ready[k].level <= MUF_HIGH, "level range");
+        require(ready[k].level < last || (ready[k].level == MUF_LOW && n > 81),
+                "levels follow urgency");
+        last = ready[k].level;
+    }
+    require(!park || running <= 1, "one runs under park");
+    require(park || held == 0, "all are told under fifo");
+    require(atomic_load(&t->journal_valid) == 0, "the journal is closed");
+}
+
+/* A leader killed anywhere in rt_commit: the next one finds old or new, never a mix. */
+static void kill_amid_commit(struct rt_table *t, int64_t now)
+{
+    int i = (int)pick(RT_SLOTS);
+    struct rt_state old = t->slots[i].state, next = old;
+    next.missed += 7;
+    next.next_ns = now + 12345;
+    size_t torn = pick(sizeof next);
+    t->journal = next;
+    t->journal_slot = (uint32_t)i;
+    if (pick(2)) {
+        atomic_store(&t->journal_valid, 1);
+        memcpy(&t->slots[i].state, &next, torn);
+        old = next;
+    }
+    rt_recover(t);
+    require(!memcmp(&t->slots[i].state, &old, sizeof old), "recovered whole");
+    t->slots[i].state.next_ns = 0;
+    rt_disarm(&t->slots[i].state);
+    atomic_store(&t->slots[i].post.word, 0);
+    t->slots[i].state.word = 0;
+}
+
+int main(int argc, char **argv)
+{
+    if (argc != 3)
+        return 2;
+    seed = strtoull(argv[1], NULL, 10);
+    struct rt_table *t = aligned_alloc(64, (sizeof *t + 63) / 64 * 64);
+    struct rt_view *view = malloc(sizeof *view);
+    struct rt_event *copy = malloc(RT_TRACE * sizeof *copy);
+    memset(t, 0, sizeof *t);
+    require(!rt_init(t, 1), "init");
+    int64_t now = 1000000000 + pick(1000000), due = 0;
+    for (int turn = atoi(argv[2]); turn > 0; turn--) {
+        int park = pick(2) != 0;
+        if (park)
+            for (int i = 0; i < RT_SLOTS; i++)  /* a change of back end starts clean */
+                rt_play(t, &t->slots[i], RT_OFF, 0, 0);
+        for (int k = 0; k < 30; k++) {
+            for (int n = (int)pick(40); n > 0; n--)
+                disturb(t, (int)pick(RT_SLOTS));
+            now = due > now && pick(3) ? due : now + pick(4000000);
+            due = rt_turn(t, now, park, k == 0);
+            require(t->trace_next - atomic_load(&t->trace_end) <= RT_TURN_MAX, "bound");
+            rt_turn_end(t);
+            require(!due || due > now, "the next event lies ahead");
+            check(t, park);
+        }
+        if (pick(4) == 0)
+            kill_amid_commit(t, now);
+        rt_snapshot(&t->slots[pick(RT_SLOTS)], view);
+        uint64_t first, end;
+        rt_copy_trace(t, pick(1000), copy, &first, &end);
+        for (int i = 0; i < RT_SLOTS; i++)
+            rt_play(t, &t->slots[i], RT_OFF, 0, 0);
+        rt_turn(t, now, park, 0);
+        rt_turn_end(t);
+    }
+    free(copy);
+    free(view);
+    free(t);
+    return 0;
+}
