@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import time
 from typing import TYPE_CHECKING
 
@@ -76,8 +77,10 @@ async def control(
             lambda n: wire.Signal(n, signal, arg=arg, handover=handover),
             limit,
         )
-    finally:
-        _note(rtpu, task, event)
+    except PbonetError as error:
+        _note(rtpu, task, event, error)
+        raise
+    _note(rtpu, task, event)
     return []
 
 
@@ -95,10 +98,10 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
         pass  # it hangs in a method: force is what is left
     except TaskDiedError:
         return []
-    except PbonetError:
+    except PbonetError as error:
         if task.state is not State.NOT_CREATED:
             task.stopping = False
-            _note(rtpu, task, lifecycle.Event.KILL)
+            _note(rtpu, task, lifecycle.Event.KILL, error)
             raise
     left = max(limit - (time.monotonic() - start), 0.0)
     said_good_bye = task.state is State.NOT_CREATED
@@ -117,7 +120,12 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     return [text]
 
 
-def _note(rtpu: Rtpu, task: Task, event: lifecycle.Event) -> None:
+def _note(
+    rtpu: Rtpu,
+    task: Task,
+    event: lifecycle.Event,
+    error: PbonetError | None = None,
+) -> None:
     """Take note of what a signal has led to."""
     if event is lifecycle.Event.ON and task.state is State.ON:
         rtpu.turned_on += 1
@@ -126,9 +134,9 @@ def _note(rtpu: Rtpu, task: Task, event: lifecycle.Event) -> None:
         task.warning = ""
     rtpu.settle(task)
     rtpu.events.add(
-        Severity.INFO,
-        "STATE",
-        f"{event}: {task.state}",
+        Severity.ERROR if error else Severity.INFO,
+        "SIGNAL_FAILED" if error else "STATE",
+        f"{event}: {task.state}" + (f": {error}" if error else ""),
         subsystem=task.facts.subsystem,
         task=task.name,
     )
@@ -199,7 +207,7 @@ async def stop(
         tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
         tasks.sort(key=lambda t: _position(t, order))
         turned_off = await _all_off(rtpu, tasks, deadline - limit * (1 - OFF_SHARE))
-        ends = await asyncio.gather(*(_end(t, deadline) for t in tasks))
+        ends = await _all_ended(tasks, deadline)
         forced = [
             t.name for t, by_itself in zip(tasks, ends, strict=True) if not by_itself
         ]
@@ -230,10 +238,32 @@ async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[s
     obeyed: list[str] = []
     for i, task in enumerate(running):
         share = (deadline - time.monotonic()) / (len(running) - i)
-        with contextlib.suppress(PbonetError):
+        try:
             await control(rtpu, task, "off", max(share, LEAST))
             obeyed.append(task.name)
+        except NoAnswerError:
+            _calm(task)
+        except PbonetError:
+            continue  # it stands in ERROR, or has ended
     return obeyed
+
+
+def _calm(task: Task) -> None:
+    """Take its real-time level from a task that hangs, so that others can obey."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(task.child.pid, os.SCHED_OTHER, os.sched_param(0))
+
+
+async def _all_ended(tasks: Sequence[Task], deadline: float) -> list[bool]:
+    """Kill all at once; return which obeyed.
+
+    Those that hang go by force after half of the time: one that spins at a real-time
+    level keeps the others of its core from obeying.
+    """
+    half = (time.monotonic() + deadline) / 2
+    return await asyncio.gather(
+        *(_end(task, half if task.busy else deadline) for task in tasks)
+    )
 
 
 async def _end(task: Task, deadline: float) -> bool:

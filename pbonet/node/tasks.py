@@ -262,6 +262,8 @@ class Task:
 
     def _finished(self, message: wire.Done) -> None:
         self.state = State(message.state)
+        if message.error is not None and self.state is State.ERROR:
+            self.error = str(error_of(message))
         self._busy.pop(message.n, None)
         answer = self._waiting.pop(message.n, None)
         if answer is not None and not answer.done():
