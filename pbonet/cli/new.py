@@ -1,0 +1,60 @@
+"""``pbonet new module``: write a module, its RMOD and its test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated as A
+
+import typer
+
+from pbonet.cli import options
+
+command = typer.Typer(
+    help="Write the beginning of something new.", no_args_is_help=True
+)
+
+
+@command.callback()
+def new() -> None:
+    """Write the beginning of something new."""
+
+
+@command.command("module")
+def module(
+    *,
+    name: A[str, typer.Argument(help="Its name: letters, digits, underscores.")],
+    inputs: A[
+        list[str] | None,
+        typer.Option("--in", help="An in-var, NAME[:SHAPE[:UNIT[:TYPE]]]."),
+    ] = None,
+    outputs: A[list[str] | None, typer.Option("--out", help="An out-var.")] = None,
+    inconst: A[list[str] | None, typer.Option(help="An in-const.")] = None,
+    outconst: A[list[str] | None, typer.Option(help="An out-const.")] = None,
+    svar: A[
+        Path | None, typer.Option(help="A .svar file that knows shapes and units.")
+    ] = None,
+    desc: A[str, typer.Option(help="What it does, in one line.")] = "",
+    freq: A[float, typer.Option(help="Its frequency, Hz.", min=1e-3)] = 100.0,
+    folder: A[Path, typer.Option(help="Where it is written.")] = Path(),
+    force: A[bool, typer.Option("--force", help="Write over files.")] = False,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Write a module, its RMOD and its test from a list of ports."""
+    import msgspec
+
+    from pbonet.master import writing
+
+    ports = {
+        "in": inputs or [],
+        "out": outputs or [],
+        "inconst": inconst or [],
+        "outconst": outconst or [],
+    }
+    paths = writing.new_module(
+        name, ports, svar=svar, desc=desc, freq=freq, folder=folder, force=force
+    )
+    if json_:
+        print(msgspec.json.encode({"files": list(map(str, paths))}).decode())
+    else:
+        print("\n".join(map(str, paths)))

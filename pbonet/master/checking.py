@@ -1,0 +1,131 @@
+"""Judging files where they stand: no agent is asked and nothing is run.
+
+A ``.job`` is judged as a master would judge it, with the modules of the libraries on
+this machine; the other files are read, and what they name is looked up.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet import verify
+from pbonet.config import read_any
+from pbonet.config.library import Library
+from pbonet.config.model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
+from pbonet.errors import PbonetError
+from pbonet.master.crew import UTILIZATION
+from pbonet.master.files import Files
+from pbonet.pbo import decode_params
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pbonet.errors import WireError
+
+
+_BY_ITSELF = {verify.Code.PORTS, verify.Code.NO_STABLE}
+"""What can be said of an RMOD without the table and the other tasks."""
+
+
+class Findings(Struct, kw_only=True):
+    """What is wrong with a file."""
+
+    file: str
+    kind: str
+    about: str = ""
+    """What the file says, in one line."""
+    errors: list[WireError] = []
+    warnings: list[str] = []
+
+    @property
+    def legal(self) -> bool:
+        """Whether the file may be used."""
+        return not self.errors
+
+    def lines(self) -> list[str]:
+        """Return the findings as lines for a terminal."""
+        lines = [f"ERROR> {PbonetError.from_wire(error)}" for error in self.errors]
+        lines += [f"WARNING> {text}" for text in self.warnings]
+        verdict = "legal" if self.legal else f"{len(self.errors)} faults"
+        return [*lines, f"{self.file}: {self.about or self.kind}: {verdict}"]
+
+
+def check_file(path: str | Path, libraries: Iterable[str | Path] = ()) -> Findings:
+    """Return what is wrong with a file of any kind.
+
+    Args:
+        path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job`` or ``.toml`` file.
+        libraries: Folders with modules beside those that pbonet brings.
+    """
+    found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
+    library = Library(libraries)
+    try:
+        record = read_any(path)
+        if isinstance(record, Rmod):
+            found.about = f"RMOD {record.name} of module {record.module}"
+            _check_rmod(found, record, library)
+        elif isinstance(record, SbsFile):
+            rtpus = ", ".join(entry.name for entry in record.rtpus)
+            found.about = f"subsystem {record.subsystem} on {rtpus}"
+            Files(path, library)  # reads the .svar file that it names
+        elif isinstance(record, JobFile):
+            found.about = f"job {record.name} of {len(record.tasks)} tasks"
+            _check_job(found, Files(path, library))
+        elif isinstance(record, AgentConfig):
+            found.about = f"agent {record.name or 'without a name'}"
+        else:
+            found.about = f"table of {len(record.variables)} variables"
+    except PbonetError as error:
+        found.errors.append(error.to_wire())
+    return found
+
+
+def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
+    """Compare an RMOD with its module: ports, parameters, CRITICAL."""
+    loaded = library.load(rmod.module)
+    task = verify.Task(rmod=rmod, info=loaded.info, rtpu="")
+    table = SvarFile(file="", defines={}, variables=())
+    alone = verify.check(verify.Configuration(svar=table, tasks=(task,)))
+    _take(found, [problem for problem in alone if problem.code in _BY_ITSELF])
+    try:
+        decode_params(loaded.cls, rmod.local, where=rmod.file)
+    except PbonetError as error:
+        found.errors.append(error.to_wire())
+
+
+def _check_job(found: Findings, files: Files) -> None:
+    """Judge a job as its start would be judged."""
+    job = files.read_job()
+    tasks: list[verify.Task] = []
+    for wanted in job.tasks:
+        try:
+            rmod = files.rmod(wanted.rmod).record
+            loaded = files.library.load(rmod.module)
+            decode_params(loaded.cls, rmod.local, where=rmod.file)
+        except PbonetError as error:
+            error.where = error.where or str(wanted.place or job.file)
+            found.errors.append(error.to_wire())
+            continue
+        rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
+        tasks.append(
+            verify.Task(rmod=rmod, info=loaded.info, rtpu=rtpu, freq=wanted.freq)
+        )
+    empty = verify.Configuration(
+        svar=files.table,
+        rtpus=files.sbs.rtpus,
+        producers=files.producers(),
+        limit=UTILIZATION,
+    )
+    if len(tasks) == len(job.tasks):  # else one fault would be told as many
+        _take(found, verify.judge(empty, verify.job(tasks)).problems)
+
+
+def _take(found: Findings, problems: Sequence[verify.Problem]) -> None:
+    for problem in problems:
+        if problem.severity is verify.Severity.REFUSE:
+            found.errors.append(verify.as_error([problem]).to_wire())
+        else:
+            found.warnings.append(verify.as_text(problem))
