@@ -81,4 +81,3 @@ def lines() -> list[str]:
 
 if __name__ == "__main__":
     TARGET.write_text("\n".join(lines()) + "\n", encoding="ascii")
-    print(f"{TARGET}: {len(lines())} lines")  # noqa: T201 - a script

@@ -1,0 +1,80 @@
+"""The example's summary and plot, made from a recording of the simulator."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from pbonet.master.recording import Recording
+from pbonet.master.sim import simulate
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "puma"
+
+
+@pytest.fixture(scope="module")
+def demo() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("puma_demo", EXAMPLE / "demo.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("puma") / "run.npz"
+    simulate(EXAMPLE / "puma.job", 3.0).save(path)
+    return path
+
+
+def test_error_is_that_of_the_newest_reference(demo: ModuleType, file: Path) -> None:
+    time, reference, measured, error = demo.tracking(Recording.load(file))
+    assert len(time) == len(reference) == len(measured) == len(error)
+    assert len(time) > 3.0 * 500 - 12, "every cycle but those before the first Q_REF"
+    assert np.array_equal(error, measured - reference)
+    steps = np.flatnonzero(np.diff(reference[:, 0]))
+    assert np.diff(steps).min() == 10, "a staircase of 50 Hz in steps of 500 Hz"
+
+
+def test_missed_cycles_are_counted(demo: ModuleType) -> None:
+    release = np.array([0, 2, 4, 10, 12, 16], dtype=np.int64) * 1_000_000
+    assert demo.missed(release, 2e6) == 3
+    assert demo.missed(release[:3], 2e6) == 0
+
+
+def test_tables_say_what_ran(demo: ModuleType, file: Path) -> None:
+    recording = Recording.load(file)
+    words = [line.split() for line in demo.task_table(recording)[1:]]
+    assert {w[0]: w[1:5] for w in words} == {
+        "puma_pidg": ["1500", "500", "0", "0"],
+        "grav_comp": ["750", "250", "0", "0"],
+        "qrdiff": ["300", "100", "0", "0"],
+        "jttrace": ["150", "50", "0", "0"],
+    }
+    assert len(demo.joint_table(recording)) == 7
+
+
+def test_plot_and_summary_are_made_of_a_recording(
+    demo: ModuleType, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "new" / "puma.png"
+    demo.main(["--from", str(file), "--plot", str(picture)])
+    assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert picture.stat().st_size > 50_000
+    out = capsys.readouterr().out
+    assert "puma_pidg     1500" in out
+    assert str(picture) in out
+
+
+def test_a_failed_run_ends_the_demo(
+    demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo, "HERE", tmp_path)  # there is no job
+    with pytest.raises(SystemExit) as caught:
+        demo.main(["--seconds", "1", "--sim", "--record", str(tmp_path / "r.npz")])
+    assert caught.value.code not in {0, None}
