@@ -1,0 +1,242 @@
+"""Modules and RMODs by name: what is found, what is refused, what is run."""
+
+import importlib
+import sys
+
+import pytest
+
+import pbonet.modules.diff
+from pbonet.config import library
+from pbonet.config.library import Library
+from pbonet.errors import ConfigFileError, DeclarationError, ModuleLoadError
+
+GOOD = '''
+from typing import Annotated as A
+from pbonet import OutVar, PortBasedObject
+
+class Ramp(PortBasedObject):
+    """Rise steadily."""
+
+    y: A[float, OutVar("Y", "1", "none", "value")]
+
+    def cycle(self, dt: float) -> None:
+        self.y += dt
+'''
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "ramp.py").write_text(GOOD)
+    (tmp_path / "fast_ramp.rmod").write_text("MODULE ramp\n")
+    yield tmp_path
+    for name in [name for name in sys.modules if name.startswith("_pbonet_library_")]:
+        del sys.modules[name]
+
+
+def test_a_module_is_loaded_and_described(folder):
+    loaded = Library([folder]).load("ramp")
+    assert loaded.cls.__name__ == "Ramp"
+    assert loaded.path == folder / "ramp.py"
+    assert (loaded.info.name, loaded.info.doc) == ("ramp", "Rise steadily.")
+    assert loaded.info.file == str(folder / "ramp.py")
+
+
+def test_the_version_is_that_of_the_text_that_ran(folder):
+    shelf = Library([folder])
+    first = shelf.load("ramp")
+    assert shelf.load("ramp") is first
+    (folder / "ramp.py").write_text(GOOD.replace("steadily", "slowly"))
+    second = shelf.load("ramp")
+    assert second.info.version != first.info.version
+    assert second.info.doc == "Rise slowly."
+    assert second.cls is not first.cls
+
+
+def test_everything_is_listed_without_running_it(folder):
+    (folder / "broken.py").write_text("1/0")
+    (folder / "_shared.py").write_text("1/0")
+    (folder / "test_ramp.py").write_text("1/0")
+    (folder / "not-a-name.py").write_text("1/0")
+    shelf = Library([folder])
+    assert {"ramp", "broken", "diff"} <= set(shelf.modules())
+    assert not {"_shared", "test_ramp", "not-a-name"} & set(shelf.modules())
+    assert {"fast_ramp", "qmdiff", "qrdiff"} <= set(shelf.rmods())
+    assert list(shelf.modules()) == sorted(shelf.modules())
+
+
+def test_the_library_of_pbonet_comes_first(folder):
+    (folder / "diff.py").write_text("1/0")
+    assert Library([folder]).load("diff").cls is pbonet.modules.diff.Diff
+
+
+def test_every_module_of_the_library_loads():
+    shelf = Library()
+    for name in shelf.modules():
+        info = shelf.load(name).info
+        assert info.name == name
+        assert info.doc
+
+
+def test_a_file_of_the_same_folder_can_be_imported(folder):
+    (folder / "_values.py").write_text("STEP = 3\n")
+    (folder / "stairs.py").write_text(
+        GOOD.replace("Ramp", "Stairs").replace(
+            "from pbonet", "from ._values import STEP\nfrom pbonet"
+        )
+    )
+    assert Library([folder]).load("stairs").cls.__name__ == "Stairs"
+    (folder / "stairs.py").write_text("import _values\n")
+    with pytest.raises(ModuleLoadError) as caught:
+        Library([folder]).load("stairs")
+    assert str(caught.value) == (
+        f"{folder}/stairs.py:1: the code of module stairs does not load (got "
+        "ModuleNotFoundError: No module named '_values'); write `from . import "
+        "_values`: the folder is a package"
+    )
+
+
+def fails(folder, text):
+    (folder / "wrong.py").write_text(text)
+    with pytest.raises(ModuleLoadError) as caught:
+        Library([folder]).load("wrong")
+    return str(caught.value)
+
+
+def test_a_syntax_error_is_named_with_file_and_line(folder):
+    assert fails(folder, "\n\ndef cycle(self)\n    pass\n") == (
+        f"{folder}/wrong.py:3: the code of module wrong does not load "
+        "(got expected ':': `def cycle(self)`)"
+    )
+
+
+def test_an_exception_is_named_with_the_line_of_the_module(folder):
+    text = "import json\n\n\ndef f():\n    json.loads('{')\n\n\nf()\n"
+    assert fails(folder, text).startswith(
+        f"{folder}/wrong.py:5: the code of module wrong does not load "
+        "(got JSONDecodeError: "
+    )
+
+
+def test_sys_exit_while_loading_ends_nothing(folder):
+    assert "got SystemExit: 2" in fails(folder, "raise SystemExit(2)\n")
+    assert not [name for name in sys.modules if name.endswith(".wrong")]
+
+
+def test_null_bytes_are_told(folder):
+    (folder / "wrong.py").write_bytes(b"x = 1\0")
+    with pytest.raises(ModuleLoadError, match=r"source code .* null bytes"):
+        Library([folder]).load("wrong")
+
+
+def test_a_wrong_class_body_is_a_declaration_error(folder):
+    (folder / "wrong.py").write_text(GOOD.replace('"none", "value"', '"", "value"'))
+    with pytest.raises(DeclarationError) as caught:
+        Library([folder]).load("wrong")
+    assert ".wrong.Ramp.y (line 8): the port has no unit" in str(caught.value)
+
+
+def test_a_file_without_a_module_class(folder):
+    assert fails(folder, "from pbonet import PortBasedObject\n") == (
+        f"{folder}/wrong.py: module wrong must define one class that derives from "
+        "PortBasedObject (expected one, or one that is named like the file, got none)"
+    )
+
+
+def test_of_two_classes_the_one_that_is_named_like_the_file(folder):
+    two = GOOD + GOOD.replace("Ramp", "Rampe").replace('"Y"', '"Z"')
+    assert fails(folder, two).endswith("got Ramp, Rampe)")
+    (folder / "ramp.py").write_text(two)
+    assert Library([folder]).load("ramp").cls.__name__ == "Ramp"
+
+
+def test_a_module_that_is_not_there(folder):
+    with pytest.raises(ModuleLoadError) as caught:
+        Library([folder]).load("rmap")
+    built_in = importlib.import_module("pbonet.modules").__path__[0]
+    assert str(caught.value) == (
+        f"the library has no module rmap (expected rmap.py in {built_in} or {folder}); "
+        "did you mean ramp?"
+    )
+
+
+def test_a_folder_that_is_not_there_is_told_when_it_matters(folder):
+    shelf = Library([folder / "gone", folder])
+    assert shelf.load("ramp").info.name == "ramp"
+    with pytest.raises(ModuleLoadError, match=r"there is no folder .*/gone$"):
+        shelf.load("zzzzzz")
+    with pytest.raises(ModuleLoadError, match=r"write it \(`pbonet new module`\)"):
+        Library([folder]).load("zzzzzz")
+
+
+PATHS = ["../ramp", "/etc/passwd", "ramp.py", "a/b", "", ".", "_shared", "os\0", "if"]
+
+
+@pytest.mark.parametrize("name", [*PATHS, "rämp", "ramp\n"])
+def test_a_module_is_named_and_not_located(folder, name):
+    for ask in (Library([folder]).load, Library([folder]).find_module):
+        with pytest.raises(ModuleLoadError, match="a module is named, not located"):
+            ask(name)
+
+
+def test_a_module_is_found_without_running_it(folder):
+    (folder / "broken.py").write_text("1/0")
+    assert Library([folder]).find_module("broken") == folder / "broken.py"
+
+
+def test_an_rmod_is_found(folder):
+    shelf = Library([folder])
+    assert shelf.find_rmod("fast_ramp") == folder / "fast_ramp.rmod"
+    assert shelf.find_rmod("fast_ramp.rmod") == folder / "fast_ramp.rmod"
+
+
+def test_an_rmod_that_is_not_there(folder):
+    with pytest.raises(ConfigFileError, match=r"did you mean fast_ramp\?"):
+        Library([folder]).find_rmod("fast_rmap")
+    for name in ("../x", "/etc/passwd", "", "..", "a/b"):
+        with pytest.raises(ConfigFileError, match="the library has no RMOD"):
+            Library([folder]).find_rmod(name)
+
+
+def test_an_unreadable_file_is_told(folder, monkeypatch):
+    def refuse(_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(library.Path, "read_bytes", refuse)
+    with pytest.raises(
+        ModuleLoadError, match=r"cannot be read \(got Permission denied"
+    ):
+        Library([folder]).load("ramp")
+
+
+class Point:
+    """An entry point, as installed packages have them."""
+
+    def __init__(self, name, value):
+        self.name = name
+        self.value = value
+
+
+def test_installed_packages_add_modules(tmp_path, monkeypatch):
+    package = tmp_path / "robot_parts"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "ramp.py").write_text(GOOD)
+    monkeypatch.syspath_prepend(tmp_path)
+    points = [Point("parts", "robot_parts")]
+    monkeypatch.setattr(library, "entry_points", lambda **_: points)
+    loaded = Library().load("ramp")
+    assert loaded.cls.__module__ == "robot_parts.ramp"
+    assert importlib.import_module("robot_parts.ramp").Ramp is loaded.cls
+    del sys.modules["robot_parts.ramp"], sys.modules["robot_parts"]
+
+
+def test_an_installed_package_that_does_not_import_is_told(monkeypatch):
+    points = [Point("parts", "gone_package.modules")]
+    monkeypatch.setattr(library, "entry_points", lambda **_: points)
+    with pytest.raises(ModuleLoadError) as caught:
+        Library().modules()
+    assert str(caught.value) == (
+        "gone_package.modules: entry point parts names a package that does not import "
+        "(got ModuleNotFoundError: No module named 'gone_package'); install it anew, "
+        "or remove it"
+    )
