@@ -197,8 +197,10 @@ def main() -> None:
         dispatcher.stop()
         core.close()
         svar.destroy()
-    print(f"back end {dispatcher.backend}, {args.blocks} blocks of {cycles} cycles each,"
-          f" {missed} releases missed")
+    print(
+        f"back end {dispatcher.backend}, {args.blocks} blocks of {cycles} cycles each,"
+        f" {missed} releases missed"
+    )
     result = report(blocks, missed)
     if args.json:
         args.json.write_text(json.dumps(result, indent=1))

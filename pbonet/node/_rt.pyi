@@ -113,8 +113,14 @@ class CoreTable:
         Raises:
             RealTimeError: A dispatcher leads the table.
         """
-    def post(self, i: int, *, mode: int | None = None, begun: bool = False,
-             done: bool = False) -> None:
+    def post(
+        self,
+        i: int,
+        *,
+        mode: int | None = None,
+        begun: bool = False,
+        done: bool = False,
+    ) -> None:
         """Play the task's part in virtual time; for tests, refused like `step`."""
 
 class Dispatcher:

@@ -325,8 +325,7 @@ cdef class Slot:
     def run(self, cycle, LocalTable local, *, stable=None, sync=None, Ring ring=None,
             int leave=LEAVE) -> int:
         cdef int why, served = 0
-        cdef bint synchronous = rt_kind_of(self.task.slot) == RT_SYNCHRONOUS
-        self.table.open()
+        cdef bint synchronous = rt_kind_of(self.live()) == RT_SYNCHRONOUS
         if synchronous != (sync is not None):
             raise ValueError("synchronous tasks, and only they, need `sync`")
         rt_arm(&self.task)
@@ -426,11 +425,19 @@ cdef class Slot:
         rt_count_faults(self.task.slot, now - self.fault_mark)
         self.fault_mark = now
 
-    def disarm(self) -> None:
+    cdef rt_slot *live(self) except NULL:
         self.table.open()
+        return self.task.slot
+
+    def __dealloc__(self):
+        rt_unguard_slot(self.task.slot)
+
+    def disarm(self) -> None:
+        self.live()
         rt_leave(&self.task, RT_OFF)
 
     def command_level(self) -> None:
+        self.live()
         cdef int error = rt_command_level(&self.task)
         if error:
             raise RealTimeError("the level of commands is refused",
@@ -439,7 +446,7 @@ cdef class Slot:
 
     @property
     def armed(self) -> bool:
-        return rt_mode_of(self.task.slot) != RT_OFF
+        return rt_mode_of(self.live()) != RT_OFF
 
     @property
     def release_ns(self) -> int:
@@ -447,19 +454,19 @@ cdef class Slot:
 
     @property
     def cycles(self) -> int:
-        return rt_cycles(self.task.slot)
+        return rt_cycles(self.live())
 
     @property
     def missed(self) -> int:
-        return rt_missed(self.task.slot)
+        return rt_missed(self.live())
 
     @property
     def period_ns(self) -> int:
-        return rt_period(self.task.slot)
+        return rt_period(self.live())
 
     @property
     def pending(self) -> bool:
-        return bool(rt_pending(self.task.slot))
+        return bool(rt_pending(self.live()))
 
 
 def probe():

@@ -116,6 +116,7 @@ cdef extern from "view.h" nogil:
 
 cdef extern from "guard.h" nogil:
     int rt_guard_slot(rt_slot *slot)
+    void rt_unguard_slot(rt_slot *slot)
     int rt_guard_orphan(int signal, int parent)
     int rt_is_orphan()
     int rt_lock_memory()

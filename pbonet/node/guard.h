@@ -73,6 +73,12 @@ static inline int rt_guard_slot(struct rt_slot *slot)
     return sigaction(RT_PARK_SIGNAL, &action, NULL) ? errno : 0;
 }
 
+/* The slot's memory is about to go. */
+static inline void rt_unguard_slot(struct rt_slot *slot)
+{
+    atomic_compare_exchange_strong(&rt_guarded, &slot, NULL);
+}
+
 /* Ask the kernel for `signal` at the parent's end; a descriptor, or -errno. */
 static inline int rt_guard_orphan(int signal, pid_t parent)
 {

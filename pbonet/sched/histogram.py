@@ -1,7 +1,7 @@
 """Reading the log-linear histograms that tasks keep of their delays and CPU times.
 
-16 bins of 1/16 microsecond below 1 microsecond, then 16 bins an octave: a quantile read
-from one is off by 6 % of the time at most. `rt_bin` in ``pbonet/node/slot.h`` fills them.
+16 bins of 1/16 microsecond below 1 microsecond, then 16 bins an octave: a quantile
+read from one is off by 6 % at most. `rt_bin` in ``pbonet/node/slot.h`` fills them.
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ def edge_ns(index: int) -> float:
 
 def octaves(counts: Sequence[int]) -> list[int]:
     """Return counts by powers of two: below 1 microsecond, then [2**(k-1), 2**k)."""
-    return [
-        sum(counts[low : low + PER_OCTAVE]) for low in range(0, BINS, PER_OCTAVE)
-    ]
+    return [sum(counts[low : low + PER_OCTAVE]) for low in range(0, BINS, PER_OCTAVE)]
 
 
 def quantile_ns(counts: Sequence[int], share: float) -> float:

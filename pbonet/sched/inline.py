@@ -128,7 +128,7 @@ class Inline:
         return self._state(self.tasks[name]).missed
 
     def run_until(self, until_ns: int) -> None:
-        """Let virtual time pass up to `until_ns`; events at that instant still happen."""
+        """Let virtual time pass up to `until_ns`, events at that instant included."""
         while True:
             self._turn()
             while (running := self._top()) is not None:
@@ -167,7 +167,10 @@ class Inline:
         if task.left_ns < 0:
             self._begin(task)
         limit = min(self._due or until_ns, until_ns)
-        start, end = self.now_ns, min(self.now_ns + task.left_ns, max(limit, self.now_ns))
+        start, end = (
+            self.now_ns,
+            min(self.now_ns + task.left_ns, max(limit, self.now_ns)),
+        )
         self.now_ns = end
         task.left_ns -= end - start
         task.cpu_ns += end - start

@@ -8,6 +8,7 @@ node; what each does in its cycle is one of the `BODIES`.
 from __future__ import annotations
 
 import array
+import contextlib
 import gc
 import json
 import os
@@ -311,7 +312,7 @@ class Host:
 
         return call
 
-    def spawn(self, body, args=None, *, notes=None, order=None, **settings):
+    def spawn(self, body, args=None, *, order=None, **settings):
         self.count += 1
         path = self.folder / f"notes{self.process.pid}.{self.count}"
         slot, pid = self.__getattr__("spawn")(
@@ -334,11 +335,8 @@ class Host:
             except (AssertionError, OSError, subprocess.TimeoutExpired):
                 self.kill()
         self.process.stdout.close()
-        if not self.process.stdin.closed:
-            try:
-                self.process.stdin.close()
-            except BrokenPipeError:
-                pass
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
 
 
 class Spawned:
@@ -392,8 +390,6 @@ def exists(pid: int) -> bool:
 def cpu_ns(pid: int) -> int:
     """The kernel's own figure of a process's main thread."""
     return int(Path(f"/proc/{pid}/task/{pid}/schedstat").read_text().split()[0])
-
-
 
 
 if __name__ == "__main__":

@@ -116,9 +116,7 @@ def test_releases_across_a_takeover_are_granted_or_counted(hosts) -> None:
 def test_the_trace_goes_on_across_takeovers(hosts) -> None:
     keeper = hosts()
     until(keeper.leading, "the keeper leads")
-    tasks = [
-        keeper.spawn("busy", {"ns": MS // 5}, period_ns=p * MS) for p in (2, 3, 5)
-    ]
+    tasks = [keeper.spawn("busy", {"ns": MS // 5}, period_ns=p * MS) for p in (2, 3, 5)]
     trace: list[Decision] = []
 
     def drain() -> None:
@@ -143,7 +141,7 @@ def test_the_trace_goes_on_across_takeovers(hosts) -> None:
     assert replay(trace) > 300
 
 
-def test_orphans_end_whatever_they_are_doing(hosts, tmp_path) -> None:
+def test_orphans_end_whatever_they_are_doing(hosts) -> None:
     host = hosts()
     good = host.spawn("idle", period_ns=5 * MS)
     slow = host.spawn("idle", period_ns=3_600_000 * MS)

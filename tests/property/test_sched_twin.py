@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 
 import pytest
@@ -152,7 +153,7 @@ levels = st.lists(
 @given(levels)
 def test_levels_fall_strictly_within_their_range(held) -> None:
     got = assign_levels(held)
-    assert all(a > b for a, b in zip(got, got[1:], strict=False))
+    assert all(a > b for a, b in itertools.pairwise(got))
     assert all(LOW <= level <= HIGH for level in got)
 
 

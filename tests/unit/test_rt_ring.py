@@ -82,12 +82,13 @@ def test_a_ring_that_stands_is_replaced(ring) -> None:
     ring.put(b"old")
     fresh = _rt.Ring.create("sub.task", 1)
     assert fresh.drain() == []
-    assert os.stat(fresh.path).st_mode & 0o777 == 0o600
+    assert Path(fresh.path).stat().st_mode & 0o777 == 0o600
     fresh.close()
 
 
-def test_what_is_no_ring_is_refused(ring, tmp_path) -> None:
-    with pytest.raises(NodeError, match="the ring cannot be opened .*No such file"):
+@pytest.mark.usefixtures("ring")
+def test_what_is_no_ring_is_refused(tmp_path) -> None:
+    with pytest.raises(NodeError, match=r"the ring cannot be opened .*No such file"):
         _rt.Ring.attach("nobody")
     bad = tmp_path / f"pbonet.{os.geteuid()}.bad.ring"
     bad.write_bytes(b"x" * 9000)
@@ -98,7 +99,7 @@ def test_what_is_no_ring_is_refused(ring, tmp_path) -> None:
 
 def test_damage_is_found_and_not_followed(ring) -> None:
     ring.put(b"x" * 16)
-    with open(ring.path, "r+b") as file:
+    with Path(ring.path).open("r+b") as file:
         raw = file.read()
         at = raw.index(b"x" * 16) - 56
         file.seek(at)
@@ -107,7 +108,8 @@ def test_damage_is_found_and_not_followed(ring) -> None:
         ring.drain()
 
 
-def test_a_closed_ring_says_so(ring) -> None:
+@pytest.mark.usefixtures("ring")
+def test_a_closed_ring_says_so() -> None:
     other = _rt.Ring.attach("sub.task")
     other.close()
     other.close()
@@ -115,12 +117,14 @@ def test_a_closed_ring_says_so(ring) -> None:
         other.drain()
 
 
+@pytest.mark.usefixtures("ring")
 @pytest.mark.parametrize("name", ["", "a/b", "x" * 101])
-def test_names_are_plain(ring, name) -> None:
+def test_names_are_plain(name) -> None:
     with pytest.raises(ValueError, match="is not 1 to 100 characters"):
         _rt.Ring.create(name)
 
 
-def test_capacity_has_bounds(ring) -> None:
+@pytest.mark.usefixtures("ring")
+def test_capacity_has_bounds() -> None:
     with pytest.raises(ValueError, match="capacity 0 is not within"):
         _rt.Ring.create("a", 0)

@@ -28,10 +28,11 @@ def path(shm):
 
 
 @pytest.fixture
-def table(shm):
+def table(path):
     table = _rt.CoreTable(1)
     yield table
     table.close()
+    path.unlink(missing_ok=True)
 
 
 def test_the_file_is_the_users_own_and_goes_with_its_member(path) -> None:
@@ -49,8 +50,11 @@ def test_a_dropped_table_leaves_as_well(path) -> None:
     assert not path.exists()
 
 
-def test_a_user_needs_a_table_that_stands(shm) -> None:
-    with pytest.raises(NodeError, match=r"core1: the core has no table; start an agent"):
+@pytest.mark.usefixtures("shm")
+def test_a_user_needs_a_table_that_stands() -> None:
+    with pytest.raises(
+        NodeError, match=r"core1: the core has no table; start an agent"
+    ):
         _rt.CoreTable(1, member=False)
 
 
@@ -104,6 +108,7 @@ def test_slots_of_a_dead_member_are_reclaimed_by_the_next_alloc(table) -> None:
     assert mine in table.slots("r")
 
 
+@pytest.mark.usefixtures("table")
 @pytest.mark.parametrize(
     ("spoil", "error", "text"),
     [
@@ -114,16 +119,19 @@ def test_slots_of_a_dead_member_are_reclaimed_by_the_next_alloc(table) -> None:
         (lambda p: os.truncate(p, 5000), NodeError, "is damaged"),
     ],
 )
-def test_a_file_that_is_not_right_is_refused(table, path, spoil, error, text) -> None:
+def test_a_file_that_is_not_right_is_refused(path, spoil, error, text) -> None:
     spoil(path)
     with pytest.raises(error, match=text):
         _rt.CoreTable(1, member=False)
     path.unlink()
 
 
-def test_another_version_with_living_members_is_refused(table, path) -> None:
+@pytest.mark.usefixtures("table")
+def test_another_version_with_living_members_is_refused(path) -> None:
     _poke(path, 8, b"\x63")
-    with pytest.raises(NodeError, match=r"another version of pbonet \(expected version"):
+    with pytest.raises(
+        NodeError, match=r"another version of pbonet \(expected version"
+    ):
         _rt.CoreTable(1)
     _poke(path, 8, b"\x01")
 
@@ -145,15 +153,17 @@ def _poke(path: Path, at: int, data: bytes) -> None:
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount")
 def test_a_full_disk_is_said(shm) -> None:
     done = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=256k", "none", shm], capture_output=True
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "none", shm],
+        capture_output=True,
+        check=False,
     )
     if done.returncode:
         pytest.skip(f"mount is refused: {done.stderr!r}")
     try:
-        with pytest.raises(RealTimeError, match="shared memory is full .*free space"):
+        with pytest.raises(RealTimeError, match=r"shared memory is full .*free space"):
             _rt.CoreTable(1)
         assert list(shm.iterdir()) == []
-        with pytest.raises(RealTimeError, match="ring cannot be made .*No space left"):
+        with pytest.raises(RealTimeError, match=r"ring cannot be made .*No space left"):
             _rt.Ring.create("a", 1 << 20)
         assert list(shm.iterdir()) == []
     finally:
@@ -163,7 +173,7 @@ def test_a_full_disk_is_said(shm) -> None:
 def test_slots_are_given_and_taken_back(table) -> None:
     slots = [table.alloc("r", f"t{k}") for k in range(_rt.SLOTS)]
     assert sorted(slots) == list(range(_rt.SLOTS))
-    with pytest.raises(NodeError, match="all slots .* at most 128 tasks"):
+    with pytest.raises(NodeError, match=r"all slots .* at most 128 tasks"):
         table.alloc("r", "one more")
     table.free(slots[5])
     with pytest.raises(NodeError, match=f"slot {slots[5]} is not in use"):
@@ -177,7 +187,12 @@ def test_what_is_configured_is_seen(table) -> None:
     table.configure(i, pid=42, period_ns=2_000_000, deadline_ns=1_000_000)
     table.configure(i, crit=5, priority=9)
     got = table.snapshot(i)
-    assert (got.rtpu, got.task, got.pid, got.period_ns) == ("arm0", "pid", 42, 2_000_000)
+    assert (got.rtpu, got.task, got.pid, got.period_ns) == (
+        "arm0",
+        "pid",
+        42,
+        2_000_000,
+    )
     assert (got.deadline_ns, got.crit, got.priority) == (1_000_000, 5, 9)
     assert (got.kind, got.mode, got.dead) == (Kind.PERIODIC, Mode.OFF, False)
     table.died(i)
@@ -209,11 +224,12 @@ def test_the_kind_stands_while_the_task_is_armed(table) -> None:
 
 
 def test_names_have_a_bound(table) -> None:
-    with pytest.raises(NodeError, match="the name is too long .*at most 63 bytes"):
+    with pytest.raises(NodeError, match=r"the name is too long .*at most 63 bytes"):
         table.alloc("r", "x" * 64)
 
 
-def test_a_closed_table_says_so(shm) -> None:
+@pytest.mark.usefixtures("shm")
+def test_a_closed_table_says_so() -> None:
     table = _rt.CoreTable(1)
     table.close()
     with pytest.raises(NodeError, match="the core table is closed"):

@@ -1,4 +1,4 @@
-"""The dispatcher's rules in virtual time: Figure 6.1, and small cases worked by hand."""
+"""The virtual core: Figure 6.1 of the thesis, and small cases worked by hand."""
 
 import pytest
 
