@@ -137,8 +137,7 @@ class Outcome(Struct, frozen=True, kw_only=True):
 
     def as_text(self) -> str:
         """Return a table: a line for each task, times in milliseconds."""
-        rows: list[tuple[str, ...]] = [("task", "crit", "releases", "cycles", "missed", "late", "CPU %",
-                 "min", "p50", "p99", "max ms")]  # fmt: skip
+        rows: list[tuple[str, ...]] = [_HEAD]
         span = max(self.end_ns - self.start_ns, 1)
         rows += [_row(account, span) for account in self.tasks.values()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -149,6 +148,12 @@ class Outcome(Struct, frozen=True, kw_only=True):
             ).rstrip()
             for row in rows
         )
+
+
+_HEAD = (
+    *("task", "crit", "releases", "cycles", "missed", "late", "CPU %"),
+    *("min", "p50", "p99", "max ms"),
+)
 
 
 def _account_data(account: Account) -> dict[str, object]:
