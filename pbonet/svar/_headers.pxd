@@ -40,7 +40,7 @@ cdef extern from "local.h" nogil:
         const void *min
         const void *max
     struct pb_source:
-        uint64_t uid, seq
+        uint64_t uid
     struct pb_piece:
         uint64_t bytes
     struct pb_age:
@@ -75,6 +75,7 @@ cdef extern from "local.h" nogil:
         uint64_t uid, seq
         uint32_t reg, live
         char task[64]
+    uint64_t pb_number(uint64_t head)
     void pb_lay_out(pb_static *s, pb_var *vars, uint64_t spare)
     int pb_format(void *base, pb_static *s, pb_var *vars, const void *text, const void *values)
     pb_table pb_table_at(void *base)

@@ -142,7 +142,7 @@ cdef class Arena:
         for r in range(1, table(self).fixed.n_regs):
             if pb_register_at(table(self), r, &reg):
                 found.append((r, reg.uid, reg.owner, reg.pid, reg.task.decode(errors="replace"),
-                              reg.bytes, reg.head, reg.state == PB_HELD))
+                              reg.bytes, pb_number(reg.head), reg.state == PB_HELD))
         return found
 
     def let_go(self, unsigned r, bint leave, bint dead) -> int:

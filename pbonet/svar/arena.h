@@ -6,8 +6,8 @@
  *                 and the arena, from which registers take their slots
  *
  * The directory is itself a register (register.h): one entry per variable says which
- * register holds its newest value, and whether a task owns it now. Its sequence number is
- * the table's generation.
+ * register holds its newest value, and whether a task owns it now. The number of its newest
+ * commit is the table's generation.
  */
 #ifndef PBONET_ARENA_H
 #define PBONET_ARENA_H
@@ -48,7 +48,7 @@ struct pb_cause {
 };
 
 struct pb_live {
-    _Alignas(PB_LINE) _Atomic uint64_t generation;
+    _Alignas(PB_LINE) _Atomic uint64_t generation; /* head of the directory */
     _Atomic uint64_t illegal; /* bit i: causes[i] stands */
     _Alignas(PB_LINE) pthread_mutex_t lock; /* between claimers only */
     uint64_t uids;
@@ -62,6 +62,7 @@ struct pb_reg {
     _Alignas(PB_LINE) _Atomic uint64_t head;
     _Alignas(PB_LINE) _Atomic uint64_t state;
     _Atomic uint64_t slots, stride, uid;
+    _Atomic uint64_t crowd; /* readers are slow: go round all slots up to this commit */
     uint64_t bytes, owner, pid, start, space; /* space: the process id name space */
     char task[PB_NAME];
 };
@@ -114,10 +115,10 @@ static inline struct pb_table pb_table_at(void *base) {
                              (struct pb_live *)(b + s->live), (struct pb_reg *)(b + s->regs)};
 }
 
-/* The directory of a generation. Who does not hold the lock must look again. */
-static inline struct pb_entry *pb_directory(const struct pb_table *t, uint64_t generation) {
-    return (struct pb_entry *)(pb_slot(t->base + t->fixed->dir, t->fixed->dir_stride,
-                                       generation) + PB_LINE);
+/* The directory under a head of it. Who does not hold the lock must look again. */
+static inline struct pb_entry *pb_directory(const struct pb_table *t, uint64_t head) {
+    return (struct pb_entry *)(pb_slot(t->base + t->fixed->dir, t->fixed->dir_stride, head) +
+                               PB_LINE);
 }
 
 /* FNV-1a over the static part, its checksum field counted as zero. */

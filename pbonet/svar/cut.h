@@ -12,13 +12,13 @@
 
 #include "arena.h"
 
-enum { PB_TRIES = 16, PB_TRIES_WHOLE = 256 };
+enum { PB_TRIES = 16, PB_TRIES_WHOLE = 256, PB_CROWD = 4096 };
 enum pb_result { PB_CONSISTENT, PB_WHOLE, PB_LOST };
 
 struct pb_source {
-    const struct pb_reg *reg;
+    struct pb_reg *reg;
     uint8_t *slots;
-    uint64_t stride, uid, seq;
+    uint64_t stride, uid, head;
 };
 
 struct pb_piece {
@@ -42,12 +42,12 @@ struct pb_plan {
     struct pb_source *sources;
     struct pb_piece *pieces;
     struct pb_age *ages;
-    uint64_t generation;
+    uint64_t generation; /* the directory's head; 0: none yet */
     bool all_ages; /* note every variable's stamp, not only of those with MAXAGE */
 };
 
 static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p, uint32_t r) {
-    const struct pb_reg *reg = t->regs + r;
+    struct pb_reg *reg = t->regs + r;
     uint32_t i = 0;
     while (i < p->n_sources && p->sources[i].reg != reg) i++;
     if (i == p->n_sources) {
@@ -103,15 +103,22 @@ static inline void pb_copy_pieces(struct pb_plan *p, uint8_t *to) {
     for (uint32_t i = 0; i < p->n_pieces; i++) {
         const struct pb_piece *piece = p->pieces + i;
         const struct pb_source *s = p->sources + piece->source;
-        pb_copy(to + piece->to, pb_slot(s->slots, s->stride, s->seq) + piece->from,
+        pb_copy(to + piece->to, pb_slot(s->slots, s->stride, s->head) + piece->from,
                 piece->bytes);
         PBONET_STEP(21);
     }
     for (uint32_t i = 0; i < p->n_ages; i++) {
         const struct pb_source *s = p->sources + p->ages[i].source;
-        pb_copy(&p->ages[i].stamp, pb_slot(s->slots, s->stride, s->seq) + p->ages[i].from,
+        pb_copy(&p->ages[i].stamp, pb_slot(s->slots, s->stride, s->head) + p->ages[i].from,
                 sizeof p->ages[i].stamp);
     }
+}
+
+/* Whether a group was copied whole; if not its writer is asked to keep more commits. */
+static inline bool pb_whole_or_ask(struct pb_source *s, uint64_t again) {
+    if (pb_whole(s->head, again)) return true;
+    atomic_store_explicit(&s->reg->crowd, pb_number(again) + PB_CROWD, memory_order_relaxed);
+    return false;
 }
 
 /* Read the plan's variables to `to`. `tries` is raised by the number of vain attempts. */
@@ -123,7 +130,7 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
         uint64_t generation = pb_read_begin(&t->live->generation);
         if (generation != p->generation && !pb_replan(t, p, generation)) continue;
         for (uint32_t i = 0; i < p->n_sources; i++) {
-            p->sources[i].seq = pb_read_begin(&p->sources[i].reg->head);
+            p->sources[i].head = pb_read_begin(&p->sources[i].reg->head);
             PBONET_STEP(20);
         }
         pb_copy_pieces(p, to);
@@ -132,8 +139,8 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
         pb_read_fence();
         for (uint32_t i = 0; i < p->n_sources; i++) {
             uint64_t again = pb_read_end(&p->sources[i].reg->head);
-            same &= again == p->sources[i].seq;
-            whole &= pb_whole(p->sources[i].seq, again);
+            same &= again == p->sources[i].head;
+            whole &= pb_whole_or_ask(p->sources + i, again);
         }
         /* SYNC POINT C4, partner R1 on the generation: the registers were not reused. */
         if (pb_read_end(&t->live->generation) != generation) continue;

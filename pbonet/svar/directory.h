@@ -23,17 +23,23 @@ struct pb_group {
     const uint64_t *at;   /* their places in the group */
 };
 
-static inline uint64_t pb_generation(const struct pb_table *t) { /* under the lock */
-    return atomic_load_explicit(&t->live->generation, memory_order_relaxed);
+/* The directory's head, for who holds the lock. */
+static inline uint64_t pb_generation(const struct pb_table *t) {
+    return pb_write_last(&t->live->generation);
+}
+
+/* Has a reader been too slow lately? Only a hint, so it needs no order. */
+static inline bool pb_crowded(const struct pb_reg *reg, uint64_t next) {
+    return pb_number(next) < atomic_load_explicit(&reg->crowd, memory_order_relaxed);
 }
 
 static inline void pb_commit_raw(struct pb_reg *reg, uint8_t *slots, uint64_t stride,
                                  const void *data, size_t bytes, struct pb_stamp stamp) {
-    uint64_t seq = pb_write_begin(&reg->head);
-    uint8_t *slot = pb_slot(slots, stride, seq);
+    uint64_t next = pb_write_begin(&reg->head);
+    uint8_t *slot = pb_slot(slots, stride, next);
     pb_copy_out(slot + PB_LINE, data, bytes);
     pb_copy_out(slot, &stamp, sizeof stamp);
-    pb_write_end(&reg->head, seq);
+    pb_write_end(&reg->head, next, pb_crowded(reg, next));
 }
 
 static inline void pb_commit_group(struct pb_group *g, const void *data,
@@ -43,7 +49,7 @@ static inline void pb_commit_group(struct pb_group *g, const void *data,
 
 /* The generation, for who only wants to know whether something changed. */
 static inline uint64_t pb_generation_seen(const struct pb_table *t) {
-    return pb_read_begin(&t->live->generation);
+    return pb_number(pb_read_begin(&t->live->generation));
 }
 
 /* Copy a register's description; false when it is free. */
@@ -55,13 +61,18 @@ static inline bool pb_register_at(const struct pb_table *t, uint32_t r, struct p
 }
 
 /* Begin the next directory: a copy of the present one. */
-static inline struct pb_entry *pb_next(const struct pb_table *t, uint64_t *generation) {
+static inline struct pb_entry *pb_next(const struct pb_table *t, uint64_t *head) {
+    const struct pb_entry *now = pb_directory(t, pb_generation(t));
     struct pb_entry *next;
-    *generation = pb_write_begin(&t->live->generation);
-    next = pb_directory(t, *generation);
-    pb_copy_out(next, pb_directory(t, *generation - 1),
-                t->fixed->n_vars * sizeof(struct pb_entry));
+    *head = pb_write_begin(&t->live->generation);
+    next = pb_directory(t, *head);
+    pb_copy_out(next, now, t->fixed->n_vars * sizeof *now);
     return next;
+}
+
+/* Publish it. */
+static inline void pb_publish(const struct pb_table *t, uint64_t head) {
+    pb_write_end(&t->live->generation, head, true);
 }
 
 /* Free the registers that no variable stands in and nobody will write to. */
@@ -118,6 +129,7 @@ static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
     atomic_store_explicit(&reg->slots, slots, memory_order_relaxed);
     atomic_store_explicit(&reg->stride, stride, memory_order_relaxed);
     atomic_store_explicit(&reg->uid, g->uid, memory_order_relaxed);
+    atomic_store_explicit(&reg->crowd, 0, memory_order_relaxed);
     PBONET_STEP(9);
     reg->bytes = g->bytes;
     reg->owner = who->owner ? who->owner : g->uid;

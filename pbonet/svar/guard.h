@@ -19,9 +19,17 @@ struct pb_check {
     const void *min, *max;
 };
 
+/* Built twice where the loader can choose by processor; it cannot under a sanitizer. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__OPTIMIZE__) && \
+    !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__) && !defined(__clang__)
+#define PB_VECTOR __attribute__((target_clones("avx2", "default")))
+#else
+#define PB_VECTOR __attribute__((unused))
+#endif
+
 /* A float is not finite when all bits of its exponent are set: adding one to the lowest of
  * them then carries into the sign's place. Free of branches, so that it becomes vector code. */
-static inline bool pb_finite_f8(const uint8_t *data, uint64_t n) {
+PB_VECTOR static bool pb_finite_f8(const uint8_t *data, uint64_t n) {
     uint64_t carry = 0, bits;
     for (uint64_t i = 0; i < n; i++) {
         memcpy(&bits, data + 8 * i, sizeof bits);
@@ -30,7 +38,7 @@ static inline bool pb_finite_f8(const uint8_t *data, uint64_t n) {
     return !(carry >> 63);
 }
 
-static inline bool pb_finite_f4(const uint8_t *data, uint64_t n) {
+PB_VECTOR static bool pb_finite_f4(const uint8_t *data, uint64_t n) {
     uint32_t carry = 0, bits;
     for (uint64_t i = 0; i < n; i++) {
         memcpy(&bits, data + 4 * i, sizeof bits);

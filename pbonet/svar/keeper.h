@@ -11,7 +11,7 @@ static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value
                          int64_t now_ns) {
     struct pb_reg *reg = t->regs + PB_KEEPER;
     uint8_t *slots = t->base + t->fixed->arena, *slot, *before;
-    uint64_t seq, generation, stride = pb_stride(t->fixed->keep_bytes);
+    uint64_t head, stride = pb_stride(t->fixed->keep_bytes);
     struct pb_stamp stamp = {now_ns, 0};
     const struct pb_entry *now;
     uint8_t *mark;
@@ -21,20 +21,20 @@ static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value
         pb_unlock(t->live);
         return PB_RIVAL;
     }
-    seq = pb_write_begin(&reg->head);
-    slot = pb_slot(slots, stride, seq);
-    before = pb_slot(slots, stride, seq - 1);
+    before = pb_slot(slots, stride, pb_write_last(&reg->head));
+    head = pb_write_begin(&reg->head);
+    slot = pb_slot(slots, stride, head);
     pb_copy_out(slot, before, stride);
     pb_copy_out(slot + PB_LINE + t->vars[v].keep, value, t->vars[v].bytes);
     mark = slot + PB_LINE + t->fixed->keep_stamps + v * sizeof stamp;
     stamp.cycle = ((const struct pb_stamp *)(const void *)mark)->cycle + 1;
     pb_copy_out(mark, &stamp, sizeof stamp);
-    pb_write_end(&reg->head, seq);
+    pb_write_end(&reg->head, head, true);
     if (now->reg != PB_KEEPER || now->live) {
-        struct pb_entry *next = pb_next(t, &generation);
+        struct pb_entry *next = pb_next(t, &head);
         struct pb_entry kept = {PB_KEEPER, 0, t->vars[v].keep};
         pb_copy_out(next + v, &kept, sizeof kept);
-        pb_write_end(&t->live->generation, generation);
+        pb_publish(t, head);
     }
     pb_unlock(t->live);
     return 0;
@@ -44,7 +44,7 @@ static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value
 static inline int pb_format(void *base, const struct pb_static *s, const struct pb_var *vars,
                             const void *text, const void *values) {
     struct pb_static *fixed = base;
-    uint64_t generation;
+    uint64_t head;
     struct pb_table t;
     struct pb_reg *keeper;
     struct pb_entry *first;
@@ -58,11 +58,11 @@ static inline int pb_format(void *base, const struct pb_static *s, const struct 
     atomic_store(&keeper->state, PB_HELD);
     pb_commit_raw(keeper, t.base + s->arena, pb_stride(s->keep_bytes), values,
                   s->keep_stamps, (struct pb_stamp){0, 0});
-    generation = pb_write_begin(&t.live->generation);
-    first = pb_directory(&t, generation);
+    head = pb_write_begin(&t.live->generation);
+    first = pb_directory(&t, head);
     for (uint32_t v = 0; v < s->n_vars; v++)
         first[v] = (struct pb_entry){PB_KEEPER, 0, vars[v].keep};
-    pb_write_end(&t.live->generation, generation);
+    pb_publish(&t, head);
     memcpy(fixed->magic, PB_MAGIC, sizeof fixed->magic);
     fixed->version = PB_VERSION;
     fixed->abi = PB_ABI;

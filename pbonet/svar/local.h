@@ -78,7 +78,7 @@ static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
     }
     for (uint32_t i = 0; i < p->n_sources; i++) {
         l->consumed[2 * i] = p->sources[i].uid;
-        l->consumed[2 * i + 1] = p->sources[i].seq;
+        l->consumed[2 * i + 1] = pb_number(p->sources[i].head);
     }
     l->n_consumed = p->n_sources;
     return p->n_ages ? flags | pb_stale(l, p) : flags;
@@ -125,18 +125,20 @@ static inline int pb_commit_one(struct pb_local *l, struct pb_outputs *o, uint32
                                 int64_t now_ns, uint64_t cycle) {
     struct pb_group *g = &o->group;
     struct pb_stamp stamp = {now_ns, cycle};
-    uint64_t seq;
+    const uint8_t *last;
+    uint64_t next;
     uint8_t *slot;
     int flags;
     if (!pb_is_mine(o)) return PB_COMMIT_NOT_OWNER;
     if ((flags = pb_judge(l, o))) return flags;
-    seq = pb_write_begin(&g->reg->head);
-    slot = pb_slot(g->slots, g->stride, seq) + PB_LINE;
-    pb_copy_out(slot, pb_slot(g->slots, g->stride, seq - 1) + PB_LINE, g->bytes);
+    last = pb_slot(g->slots, g->stride, pb_write_last(&g->reg->head)) + PB_LINE;
+    next = pb_write_begin(&g->reg->head);
+    slot = pb_slot(g->slots, g->stride, next) + PB_LINE;
+    pb_copy_out(slot, last, g->bytes);
     pb_copy_out(slot + g->at[i], l->data + o->first + g->at[i],
                 l->table.vars[g->vars[i]].bytes);
     pb_copy_out(slot - PB_LINE, &stamp, sizeof stamp);
-    pb_write_end(&g->reg->head, seq);
+    pb_write_end(&g->reg->head, next, pb_crowded(g->reg, next));
     l->counts.commits++;
     return 0;
 }

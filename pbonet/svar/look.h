@@ -31,7 +31,7 @@ static inline enum pb_result pb_look(const struct pb_table *t, uint32_t v, void 
         if (pb_read_end(&t->live->generation) != plan.generation) continue;
         view->stamp = age.stamp;
         view->uid = source.uid;
-        view->seq = source.seq;
+        view->seq = pb_number(source.head);
         view->reg = (uint32_t)(source.reg - t->regs);
         view->live = e.live;
         view->task[PB_NAME - 1] = 0;

@@ -13,15 +13,15 @@ static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry
     uint8_t *slots = t->base + atomic_load_explicit(&reg->slots, memory_order_relaxed);
     uint64_t stride = atomic_load_explicit(&reg->stride, memory_order_relaxed);
     for (int tries = 0; tries < 64; tries++) {
-        uint64_t word, seq = pb_read_begin(&reg->head);
-        const uint8_t *from = pb_slot(slots, stride, seq) + PB_LINE + e->at;
+        uint64_t word, head = pb_read_begin(&reg->head);
+        const uint8_t *from = pb_slot(slots, stride, head) + PB_LINE + e->at;
         bool same = true;
         for (uint64_t i = 0; i < bytes && same; i += sizeof word) {
             pb_copy(&word, from + i, sizeof word);
             same = !memcmp(&word, value + i, sizeof word);
         }
         pb_read_fence();
-        if (pb_whole(seq, pb_read_end(&reg->head))) return same;
+        if (pb_whole(head, pb_read_end(&reg->head))) return same;
     }
     return false;
 }
@@ -64,7 +64,7 @@ static inline int pb_ask(const struct pb_table *t, const struct pb_group *g,
  * PB_RIVAL with the variable that another live task owns. */
 static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
                            struct pb_stamp stamp, bool constants, uint32_t *rival) {
-    uint64_t generation;
+    uint64_t head;
     struct pb_entry *next;
     if (pb_lock(t->live)) return PB_STUCK;
     if (pb_refused(t, g, data, constants, rival)) {
@@ -72,13 +72,13 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
         return PB_RIVAL;
     }
     pb_commit_group(g, data, stamp);
-    next = pb_next(t, &generation);
+    next = pb_next(t, &head);
     for (uint32_t i = 0; i < g->n; i++) {
         struct pb_entry mine = {(uint32_t)(g->reg - t->regs), 1, g->at[i]};
         if (pb_may(t, g, i, data, constants) == PB_TAKE)
             pb_copy_out(next + g->vars[i], &mine, sizeof mine);
     }
-    pb_write_end(&t->live->generation, generation);
+    pb_publish(t, head);
     pb_unlock(t->live);
     return 0;
 }
@@ -88,7 +88,7 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
 static inline int pb_let_go(const struct pb_table *t, uint32_t r, bool leave, bool dead) {
     const struct pb_entry *now;
     struct pb_entry *next;
-    uint64_t generation;
+    uint64_t head;
     uint32_t v = 0;
     if (pb_lock(t->live)) return PB_STUCK;
     if (dead && pb_alive(t->regs + r)) {
@@ -98,12 +98,12 @@ static inline int pb_let_go(const struct pb_table *t, uint32_t r, bool leave, bo
     now = pb_directory(t, pb_generation(t));
     while (v < t->fixed->n_vars && !(now[v].reg == r && now[v].live)) v++;
     if (v < t->fixed->n_vars) {
-        next = pb_next(t, &generation);
+        next = pb_next(t, &head);
         for (; v < t->fixed->n_vars; v++) {
             struct pb_entry left = {r, 0, next[v].at};
             if (next[v].reg == r) pb_copy_out(next + v, &left, sizeof left);
         }
-        pb_write_end(&t->live->generation, generation);
+        pb_publish(t, head);
     }
     if (leave) atomic_store_explicit(&t->regs[r].state, PB_LEFT, memory_order_relaxed);
     pb_unlock(t->live);

@@ -1,11 +1,16 @@
 /* A register: the newest whole value of a group of bytes, for one writer and any number
  * of readers in different processes, without a lock.
  *
- * Four slots stand side by side; commit number `seq` goes into slot seq % 4, and `head`
- * names the newest complete commit. The writer never waits. A writer that is killed
- * anywhere leaves `head` and the slot behind it alone. A reader copies the newest slot and
- * looks at `head` again: commit seq + 4 is the first that writes over slot seq % 4, and it
- * begins only after head == seq + 3 is stored. The whole argument stands in docs/svar.md.
+ * Four slots stand side by side. `head` names the newest complete commit: its number, its
+ * slot, and how many commits before it are certain to stay whole until the next but one
+ * begins ("kept"). The writer never waits. A writer that is killed anywhere leaves `head`
+ * and the slots it speaks for alone. A reader copies the newest slot and looks at `head`
+ * again: its copy is whole when that is the same commit still, or one of those kept.
+ *
+ * Where readers are slower than the writer (it says "crowded") the writer goes round all
+ * four slots, and two commits are kept. Else it goes to and fro between two, which stay in
+ * its cache; nothing is kept then, and a reader that meets a commit copies again.
+ * The whole argument stands in docs/svar.md.
  */
 #ifndef PBONET_REGISTER_H
 #define PBONET_REGISTER_H
@@ -74,31 +79,45 @@ static inline uint64_t pb_stride(uint64_t bytes) {
     return PB_LINE + pb_round(bytes, PB_LINE);
 }
 
-/* The slot of commit `seq`: its stamp; the data begin PB_LINE behind it. */
-static inline uint8_t *pb_slot(uint8_t *slots, uint64_t stride, uint64_t seq) {
-    return slots + seq % PB_SLOTS * stride;
+/* A head: number << 8 | last move << 4 | kept << 2 | slot; a move is what the slot's number
+ * is xored with, 1 or 2. */
+static inline uint64_t pb_number(uint64_t head) { return head >> 8; }
+static inline uint64_t pb_kept(uint64_t head) { return head >> 2 & 3; }
+
+/* The slot that a head names: its stamp; the data begin PB_LINE behind it. */
+static inline uint8_t *pb_slot(uint8_t *slots, uint64_t stride, uint64_t head) {
+    return slots + head % PB_SLOTS * stride;
 }
 
-/* Begin a commit; returns its number. Only the one writer calls this. */
+/* The head as its only writer left it. */
+static inline uint64_t pb_write_last(const _Atomic uint64_t *head) {
+    return atomic_load_explicit(head, memory_order_relaxed);
+}
+
+/* Begin a commit; returns its head, all but what is kept. Only the one writer calls this.
+ * The slot is one that the present head does not speak for: moves 1, 2, 1, 2 ... visit all
+ * four slots, moves 1, 1, 1 ... only two. */
 static inline uint64_t pb_write_begin(const _Atomic uint64_t *head) {
-    uint64_t seq = atomic_load_explicit(head, memory_order_relaxed) + 1;
-    /* SYNC POINT R1, partner R4 in pb_read_end: whoever reads a byte that this commit
-     * writes also sees the head stored before it, and so knows that it was lapped. */
+    uint64_t last = pb_write_last(head);
+    uint64_t move = pb_kept(last) ? 3 - (last >> 4 & 3) : 1;
+    /* SYNC POINT R1, partner R4 in pb_read_fence: whoever reads a byte that this commit
+     * writes also sees the head stored before it, which does not speak for that slot. */
     atomic_thread_fence(memory_order_release);
     PBONET_STEP(2);
-    return seq;
+    return (pb_number(last) + 1) << 8 | move << 4 | ((last ^ move) & 3);
 }
 
-/* Publish commit `seq`. */
-static inline void pb_write_end(_Atomic uint64_t *head, uint64_t seq) {
+/* Publish a commit. With `crowded` one commit more than before stays whole, at most two. */
+static inline void pb_write_end(_Atomic uint64_t *head, uint64_t next, bool crowded) {
+    uint64_t kept = crowded ? pb_kept(pb_write_last(head)) + 1 : 0;
     PBONET_STEP(3);
     /* SYNC POINT R2, partner R3 in pb_read_begin: whoever sees this head sees every byte
      * of the commit. */
-    atomic_store_explicit(head, seq, memory_order_release);
+    atomic_store_explicit(head, next | (kept < 2 ? kept : 2) << 2, memory_order_release);
     PBONET_STEP(4);
 }
 
-/* The number of the newest commit. */
+/* The head of the newest commit. */
 static inline uint64_t pb_read_begin(const _Atomic uint64_t *head) {
     /* SYNC POINT R3, partner R2 in pb_write_end. */
     return atomic_load_explicit(head, memory_order_acquire);
@@ -116,9 +135,9 @@ static inline uint64_t pb_read_end(const _Atomic uint64_t *head) {
     return atomic_load_explicit(head, memory_order_relaxed);
 }
 
-/* Whether a copy of commit `seq` is whole when `head` was `again` after it. */
-static inline bool pb_whole(uint64_t seq, uint64_t again) {
-    return again - seq < PB_SLOTS - 1;
+/* Whether a copy from under `head` is whole when the second look found `again`. */
+static inline bool pb_whole(uint64_t head, uint64_t again) {
+    return pb_number(again) - pb_number(head) <= pb_kept(again);
 }
 
 #endif

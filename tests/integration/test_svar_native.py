@@ -94,7 +94,7 @@ MUTANTS = {
         "cut.h", ACCEPT, "if (whole) return PB_CONSISTENT;", "false_cuts"
     ),
     "one slot": Mutant(
-        "register.h", "slots + seq % PB_SLOTS", "slots + seq % 1", "torn"
+        "register.h", "slots + head % PB_SLOTS", "slots + head % 1", "torn"
     ),
 }
 

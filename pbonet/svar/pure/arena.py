@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 VERSION, CAUSES, STATIC_BYTES = 1, 64, 144
 SLOTS, LINE = 4, 64
+_EVER = 1 << 64
 FREE, HELD, LEFT = range(3)
 _MAGIC = b"pbSVAR\r\n"
 _WORD = struct.Struct("<Q")
@@ -36,8 +37,9 @@ _MUTEX = {"x86_64": 40, "aarch64": 48}.get(platform.machine(), 40)
 _UIDS = 64 + _MUTEX
 _CAUSES = _UIDS + 8
 _CAUSE = struct.Struct("<q128s64s64s")
-_REG_BYTES, _TASK, _TASK_BYTES = 256, 136, 64
-_STATE, _SLOTS, _STRIDE, _UID, _BYTES, _OWNER, _PID, _START, _SPACE = range(64, 136, 8)
+_REG_BYTES, _TASK, _TASK_BYTES = 256, 144, 64
+_STATE, _SLOTS, _STRIDE, _UID, _CROWD = range(64, 104, 8)
+_BYTES, _OWNER, _PID, _START, _SPACE = range(104, 144, 8)
 
 
 def now_ns() -> int:
@@ -52,6 +54,19 @@ def process_start(pid: int) -> int:
     except OSError:
         return 0
     return 0 if fields[0] in "ZX" else int(fields[19])
+
+
+def kept(head: int) -> int:
+    """Return how many commits before the newest stay whole (register.h)."""
+    return head >> 2 & 3
+
+
+def advance(head: int, crowd: int) -> int:
+    """Return the head of the commit after `head`."""
+    move = 3 - (head >> 4 & 3) if kept(head) else 1
+    number = (head >> 8) + 1
+    keep = min(kept(head) + 1, 2) if number < crowd else 0
+    return number << 8 | move << 4 | keep << 2 | (head ^ move) & 3
 
 
 def _round(size: int, unit: int) -> int:
@@ -192,39 +207,47 @@ class Arena:
         """Return the age at which a variable is stale; 0: never."""
         return self._get(self.vars + 24 * v + 16)
 
-    def slot(self, r: int, seq: int) -> int:
-        """Return where the slot of commit `seq` begins."""
-        return self.reg(r, _SLOTS) + seq % SLOTS * self.reg(r, _STRIDE)
+    def slot(self, r: int, head: int) -> int:
+        """Return where the slot under a head begins."""
+        return self.reg(r, _SLOTS) + head % SLOTS * self.reg(r, _STRIDE)
+
+    def crowd(self, r: int, head: int) -> None:
+        """Ask a writer to keep more commits for a while."""
+        self._set_reg(r, _CROWD, (head >> 8) + 4096)
 
     def commit(self, r: int, group: bytes, stamp: tuple[int, int]) -> None:
         """Write a group (register.h)."""
-        seq = self.reg(r, 0) + 1
-        at = self.slot(r, seq)
+        head = advance(self.reg(r, 0), self.reg(r, _CROWD))
+        at = self.slot(r, head)
         self.map[at + LINE : at + LINE + len(group)] = group
         self.map[at : at + 16] = struct.pack("<qQ", *stamp)
-        self._set_reg(r, 0, seq)
+        self._set_reg(r, 0, head)
 
     @property
     def generation(self) -> int:
         """Number of the present directory."""
+        return self.dir_head >> 8
+
+    @property
+    def dir_head(self) -> int:
+        """Head of the directory."""
         return self._get(self.live)
 
-    def entry(self, v: int, generation: int = 0) -> tuple[int, int, int]:
+    def entry(self, v: int, head: int = 0) -> tuple[int, int, int]:
         """Return (register, live, place) of a variable."""
-        number = generation or self.generation
-        at = self.dir + number % SLOTS * self.dir_stride + LINE
+        at = self.dir + (head or self.dir_head) % SLOTS * self.dir_stride + LINE
         reg, live, place = struct.unpack_from("<IIQ", self.map, at + 16 * v)
         return reg, live, place
 
     def _publish(self, changes: dict[int, tuple[int, int, int]]) -> None:
-        before = self.generation
-        old = self.dir + before % SLOTS * self.dir_stride + LINE
-        new = self.dir + (before + 1) % SLOTS * self.dir_stride + LINE
+        head = advance(self.dir_head, _EVER)
+        old = self.dir + self.dir_head % SLOTS * self.dir_stride + LINE
+        new = self.dir + head % SLOTS * self.dir_stride + LINE
         size = 16 * self.n_vars
         self.map[new : new + size] = self.map[old : old + size]
         for v, entry in changes.items():
             struct.pack_into("<IIQ", self.map, new + 16 * v, *entry)
-        self._set(self.live, before + 1)
+        self._set(self.live, head)
 
     # -- ownership (directory.h, owner.h, keeper.h) ------------------------------------
 
@@ -250,6 +273,7 @@ class Arena:
         self._set(self.live + _UIDS, uid)
         fields = {_SLOTS: room, _STRIDE: stride, _UID: uid, _BYTES: size, _PID: pid}
         fields |= {_OWNER: owner or uid, _START: process_start(pid), _STATE: HELD}
+        fields |= {_CROWD: 0}
         fields[_SPACE] = Path("/proc/self/ns/pid").stat().st_ino
         for field, value in fields.items():
             self._set_reg(free[0], field, value)
@@ -319,8 +343,8 @@ class Arena:
         reg, live, _ = self.entry(v)
         if live and self._alive(reg):
             return RIVAL
-        seq = self.reg(0, 0) + 1
-        new, old = self.slot(0, seq), self.slot(0, seq - 1)
+        head = advance(self.reg(0, 0), _EVER)
+        new, old = self.slot(0, head), self.slot(0, self.reg(0, 0))
         size = _stride(self.keep_bytes)
         self.map[new : new + size] = self.map[old : old + size]
         at = new + LINE + self.keep_of(v)
@@ -328,7 +352,7 @@ class Arena:
         mark = new + LINE + self.keep_stamps + 16 * v
         times = struct.unpack_from("<Q", self.map, mark + 8)[0]
         struct.pack_into("<qQ", self.map, mark, now, times + 1)
-        self._set_reg(0, 0, seq)
+        self._set_reg(0, 0, head)
         if reg or live:
             self._publish({v: (0, 0, self.keep_of(v))})
         return 0
@@ -340,10 +364,10 @@ class Arena:
         """The variables' records."""
         return bytes(self.map[self.records : self.records + self.text_bytes])
 
-    def stamp(self, v: int, r: int, seq: int) -> tuple[int, int]:
-        """Return time and cycle of a variable in commit `seq` of register `r`."""
+    def stamp(self, v: int, r: int, head: int) -> tuple[int, int]:
+        """Return time and cycle of a variable under a head of register `r`."""
         mark = LINE + self.keep_stamps + 16 * v if r == 0 else 0
-        time_ns, cycle = struct.unpack_from("<qQ", self.map, self.slot(r, seq) + mark)
+        time_ns, cycle = struct.unpack_from("<qQ", self.map, self.slot(r, head) + mark)
         return time_ns, cycle
 
     def look(
@@ -351,12 +375,20 @@ class Arena:
     ) -> tuple[int, bool, int, int, int, int, str]:
         """Copy a variable and say where it comes from."""
         reg, live, at = self.entry(v)
-        seq = self.reg(reg, 0)
-        where = self.slot(reg, seq) + LINE + at
+        head = self.reg(reg, 0)
+        where = self.slot(reg, head) + LINE + at
         size = self.size_of(v)
         to[:size] = np.frombuffer(self.map[where : where + size], np.uint8)
-        time_ns, cycle = self.stamp(v, reg, seq)
-        return reg, bool(live), time_ns, cycle, self.uid(reg), seq, self._task(reg)
+        time_ns, cycle = self.stamp(v, reg, head)
+        return (
+            reg,
+            bool(live),
+            time_ns,
+            cycle,
+            self.uid(reg),
+            head >> 8,
+            self._task(reg),
+        )
 
     def _task(self, r: int) -> str:
         at = self.regs + r * _REG_BYTES + _TASK
@@ -373,7 +405,7 @@ class Arena:
                 self.reg(r, _PID),
                 self._task(r),
                 self.reg(r, _BYTES),
-                self.reg(r, 0),
+                self.reg(r, 0) >> 8,
                 self.reg(r, _STATE) == HELD,
             )
             for r in range(1, self.n_regs)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pbonet.svar.codes import CONSTS, IN, ON, OUT_CONSTS, VARS, Flags
 
-from .arena import LINE, SLOTS, Arena, now_ns
+from .arena import LINE, Arena, kept, now_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,6 +21,11 @@ TRIES, TRIES_WHOLE = 16, 256
 _TYPES = ("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")
 _FINITE, _CLIP = 0, 1
 _CONSISTENT, _WHOLE, _LOST = range(3)
+
+
+def is_whole(head: int, again: int) -> bool:
+    """Return whether a copy from under `head` is whole, `again` found after it."""
+    return (again >> 8) - (head >> 8) <= kept(again)
 
 
 class Group:
@@ -141,18 +146,21 @@ class LocalTable:
         heads: dict[int, int] = {}
         values: list[bytes] = []
         for attempt in range(TRIES_WHOLE):
-            generation = arena.generation
+            generation = arena.dir_head
             entries = [arena.entry(v, generation) for v, _ in plan]
             heads = {r: arena.reg(r, 0) for r, _, _ in entries}
             values = []
             for (v, _), (r, _, at) in zip(plan, entries, strict=True):
                 start = arena.slot(r, heads[r]) + LINE + at
                 values.append(bytes(arena.map[start : start + arena.size_of(v)]))
-            lapped = [arena.reg(r, 0) - seq for r, seq in heads.items()]
-            if arena.generation == generation:
-                if not any(lapped):
+            again = {r: arena.reg(r, 0) for r in heads}
+            torn = [r for r in heads if not is_whole(heads[r], again[r])]
+            for r in torn:
+                arena.crowd(r, again[r])
+            if arena.dir_head == generation:
+                if again == heads:
                     return _CONSISTENT, heads, values
-                if attempt >= TRIES - 1 and max(lapped) < SLOTS - 1:
+                if attempt >= TRIES - 1 and not torn:
                     return _WHOLE, heads, values
             self.counts["retries"] += 1
         return _LOST, heads, values
@@ -174,7 +182,7 @@ class LocalTable:
                 return self.flags
         for (_, to), value in zip(plan, values, strict=True):
             self.data[to : to + len(value)] = np.frombuffer(value, np.uint8)
-        self.pairs = [(self.arena.uid(r), seq) for r, seq in heads.items()]
+        self.pairs = [(self.arena.uid(r), head >> 8) for r, head in heads.items()]
         self.flags |= self._stale(plan, heads)
         return self.flags
 
