@@ -252,8 +252,8 @@ def find_param(params: Params, name: str, *, where: str = "") -> str:
 
 _TRUE = frozenset({"true", "yes", "on", "1"})
 _FALSE = frozenset({"false", "no", "off", "0"})
-_INT = re.compile(r"[+-]?(\d+|0[xX][0-9a-fA-F]+)")
-_FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_INT = re.compile(r"[+-]?([0-9]{1,60}|0[xX][0-9a-fA-F]{1,60})")
+_FLOAT = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 def _decode(about: Param, words: tuple[str, ...], where: str) -> Any:  # noqa: ANN401
