@@ -1,0 +1,60 @@
+"""``pbonet run``: a whole job from one command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated as A
+
+import typer
+
+from pbonet.cli import options
+
+
+def command(
+    *,
+    file: A[Path, typer.Argument(help="The .job file.")],
+    seconds: A[
+        float | None, typer.Option(help="How long; until Ctrl-C.", min=0.0)
+    ] = None,
+    sim: A[
+        bool, typer.Option("--sim", help="In virtual time, without devices.")
+    ] = False,
+    embed: A[
+        bool, typer.Option(help="Start agents for RTPUs that nobody runs.")
+    ] = True,
+    record: A[
+        Path | None, typer.Option(help="Keep every cycle.", metavar="FILE.npz")
+    ] = None,
+    json_: options.Json = False,
+    domain: options.Domain = "default",
+    connect: options.Connect = None,
+    library: options.Library = None,
+    take_over: options.TakeOver = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Run a job: start agents, verify, spawn, turn on, watch, end in order."""
+    import msgspec
+
+    from pbonet.master import oneshot
+    from pbonet.master.run import run
+    from pbonet.node._ring import Ring
+
+    outcome = run(
+        file,
+        oneshot.Place(
+            domain=domain,
+            connect=tuple(connect or ()),
+            libraries=tuple(map(str, library or ())),
+            take_over=take_over,
+        ),
+        seconds=seconds,
+        sim=sim,
+        embed=embed,
+        record=record,
+        open_ring=Ring.attach,
+        quiet=json_,
+    )
+    if json_:
+        outcome.recording = None
+        print(msgspec.json.encode(outcome).decode())
+    raise typer.Exit(outcome.status)

@@ -1,0 +1,376 @@
+"""A whole job from one command: agents, verification, assembly, watch, orderly end."""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import signal
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from pbonet.config.library import Library
+from pbonet.errors import PbonetError
+from pbonet.master import live, render, summary
+from pbonet.master.embedded import Embedded
+from pbonet.master.files import Files
+from pbonet.master.network import Port
+from pbonet.master.rings import Drain
+from pbonet.master.subsystem import Subsystem
+from pbonet.master.watching import Listener
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+    from pathlib import Path
+    from types import FrameType
+
+    from pbonet.master.live import View
+    from pbonet.master.oneshot import Place
+    from pbonet.master.recording import Recording
+    from pbonet.master.rings import RingReader
+    from pbonet.xm.messages import RtpuStatus
+
+_PERIOD: Final = 0.5
+"""Seconds between two looks at the status."""
+_SIM_SECONDS: Final = 10.0
+_FORCE: Final = 2
+"""At this many interrupts everything is stopped at once."""
+
+
+class Outcome(Struct, kw_only=True):
+    """How a run went."""
+
+    job: str
+    seconds: float
+    tasks: list[summary.TaskSummary]
+    reason: str
+    """Why it ended."""
+    faults: list[str] = []
+    """What went wrong at the end."""
+    recording: Recording | None = None
+
+    @property
+    def status(self) -> int:
+        """The exit status: 1 when a task ended in ERROR or something was left."""
+        return int(bool(self.faults) or any(task.error for task in self.tasks))
+
+
+class Interrupts:
+    """Turns SIGINT and SIGTERM into the wish to end; a second one stops at once."""
+
+    def __init__(self) -> None:
+        self.wished = threading.Event()
+        self.count = 0
+        self.force: Callable[[], object] | None = None
+        """Called in a thread of its own by the second interrupt."""
+
+    def take(self, _number: int, _frame: FrameType | None) -> None:
+        """Take a signal."""
+        self.count += 1
+        self.wished.set()
+        if self.count == _FORCE and self.force is not None:
+            threading.Thread(target=self.force, daemon=True).start()
+
+    @contextlib.contextmanager
+    def caught(self) -> Generator[None]:
+        """Catch the signals, in the main thread; elsewhere they are its matter."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        which = (signal.SIGINT, signal.SIGTERM)
+        before = [signal.signal(one, self.take) for one in which]
+        try:
+            yield
+        finally:
+            for one, handler in zip(which, before, strict=True):
+                signal.signal(one, handler)
+
+
+class Run:
+    """One run of a job in real time.
+
+    Args:
+        path: The ``.job`` file.
+        place: Domain, endpoints, libraries.
+        view: Where it is shown.
+        seconds: How long; None: until interrupted, or stopped from elsewhere.
+        embed: Start agents for RTPUs that nobody runs.
+        open_ring: Opens a task's ring; then every cycle is recorded.
+        each: Called at every look with the seconds passed and the status.
+
+    Raises:
+        ConfigError: A file is missing or wrong.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        place: Place,
+        view: View,
+        *,
+        seconds: float | None = None,
+        embed: bool = True,
+        open_ring: Callable[[str], RingReader] | None = None,
+        each: Callable[[float, list[RtpuStatus]], None] | None = None,
+    ) -> None:
+        self._path = path
+        self._place = place
+        self._view = view
+        self._seconds = seconds
+        self._embed = embed
+        self._open_ring = open_ring
+        self._each = each
+        self._interrupts = Interrupts()
+        self._reason = ""
+        self.files = Files(path, Library(place.libraries))
+        self.job = self.files.read_job()
+
+    def run(self) -> Outcome:
+        """Do it all; when this returns nothing of it is left.
+
+        Raises:
+            PbonetError: The job could not be started; nothing of it is left.
+        """
+        agents = Embedded(
+            self._place.domain,
+            libraries=self._place.libraries,
+            connect=self._place.connect,
+        )
+        with self._interrupts.caught(), agents:
+            if self._embed:
+                self._start_agents(agents)
+            outcome = self._steer()
+            outcome.faults += [
+                f"the embedded agent of {rtpu} had to be killed"
+                for rtpu in agents.stop()
+            ]
+        return outcome
+
+    def _start_agents(self, agents: Embedded) -> None:
+        names = [entry.name for entry in self.files.sbs.rtpus]
+        missing = agents.missing(names)
+        if missing:
+            cores = agents.start(missing)
+            for rtpu, core in cores.items():
+                self._view.say(f"nobody runs {rtpu}: embedded agent on core {core}")
+
+    def _steer(self) -> Outcome:
+        subsystem = Subsystem(
+            self._path,
+            domain=self._place.domain,
+            connect=self._place.connect,
+            libraries=self._place.libraries,
+            take_over=self._place.take_over,
+            kind="run",
+            warned=lambda text: self._view.say(render.warning(text)),
+        )
+        subsystem.open()
+        faults: list[str] = []
+        statuses: list[RtpuStatus] = []
+        drain: Drain | None = None
+        begin = time.monotonic()
+        try:
+            self._interrupts.force = subsystem.stop
+            drain = self._drain(subsystem)
+            begin = self._start(subsystem)
+            statuses = self._watch(subsystem, drain, begin)
+        except BaseException:
+            with contextlib.suppress(PbonetError):  # the first error is the one to tell
+                subsystem.finish()
+            raise
+        passed = time.monotonic() - begin
+        try:
+            subsystem.finish()
+        except PbonetError as error:
+            faults.append(str(error))
+        recording = drain.stop() if drain is not None else None
+        if recording is not None:
+            recording.about["seconds"] = passed
+        return Outcome(
+            job=self.job.name,
+            seconds=passed,
+            tasks=summary.summarize(statuses, recording),
+            reason=self._reason,
+            faults=faults,
+            recording=recording,
+        )
+
+    def _drain(self, subsystem: Subsystem) -> Drain | None:
+        if self._open_ring is None:
+            return None
+        about = {
+            "job": self.job.name,
+            "file": self.job.file,
+            "mode": "real time",
+            "machine": platform.node(),
+            "kernel": platform.release(),
+            "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        }
+        drain = Drain(subsystem, self._open_ring, about)
+        for rtpu in drain.elsewhere:
+            self._view.say(f"{rtpu} is another machine's; its cycles are not recorded")
+        drain.start()
+        return drain
+
+    def _start(self, subsystem: Subsystem) -> float:
+        """Assemble the job; an interrupt meanwhile gives it up. Return the time."""
+        done = threading.Event()
+
+        def give_up() -> None:
+            while not done.is_set():
+                if self._interrupts.wished.wait(0.05):
+                    subsystem.stopped.set()
+                    return
+
+        watcher = threading.Thread(target=give_up, daemon=True)
+        watcher.start()
+        try:
+            statuses = subsystem.start()
+        finally:
+            done.set()
+            watcher.join()
+        names = ", ".join(status.task for status in statuses)
+        self._view.say(f"job {self.job.name} is ON: {names}")
+        return time.monotonic()
+
+    def _watch(
+        self, subsystem: Subsystem, drain: Drain | None, begin: float
+    ) -> list[RtpuStatus]:
+        """Show the status until it is time to end; return the last one."""
+        listener = Listener(subsystem)
+        listener.open()
+        last: list[RtpuStatus] = []
+        with self._port(subsystem), self._view:
+            while True:
+                passed = time.monotonic() - begin
+                statuses = self._look(subsystem)
+                if any(rtpu.tasks for rtpu in statuses):
+                    last = statuses
+                if drain is not None:
+                    drain.follow([task for one in statuses for task in one.tasks])
+                self._view.show(passed, statuses, listener.take())
+                if self._each is not None:
+                    self._each(passed, statuses)
+                if self._over(statuses, passed):
+                    break
+                left = _PERIOD
+                if self._seconds is not None:
+                    left = min(left, max(0.0, self._seconds - passed))
+                self._interrupts.wished.wait(left)
+        listener.close()
+        return last
+
+    @contextlib.contextmanager
+    def _port(self, subsystem: Subsystem) -> Generator[None]:
+        """Serve verbs of the command line meanwhile, under the subsystem's name."""
+        port = Port(subsystem, subsystem.name, handover=False)
+        try:
+            port.open()
+        except PbonetError as error:
+            self._view.say(render.warning(f"no verb can steer this run: {error}"))
+            yield
+            return
+        try:
+            yield
+        finally:
+            port.close()
+
+    def _look(self, subsystem: Subsystem) -> list[RtpuStatus]:
+        """Return the status; an RTPU that does not give it ends the run."""
+        try:
+            return subsystem.rtpu_status()
+        except PbonetError as error:
+            self._reason = str(error)
+            self._interrupts.wished.set()
+            return []
+
+    def _over(self, statuses: list[RtpuStatus], passed: float) -> bool:
+        """Tell whether the run is over, and note why."""
+        if self._interrupts.wished.is_set():
+            self._reason = self._reason or "interrupted"
+        elif self._seconds is not None and passed >= self._seconds:
+            self._reason = f"{self._seconds:g} s are over"
+        elif not any(rtpu.tasks for rtpu in statuses):
+            self._reason = "stopped from elsewhere"
+        return bool(self._reason)
+
+
+def simulate(
+    path: str | Path, place: Place, view: View, seconds: float | None
+) -> Outcome:
+    """Run a job in virtual time, in this process and without devices.
+
+    Raises:
+        PbonetError: The job cannot be assembled.
+    """
+    from pbonet.master.sim import Simulation
+
+    wanted = _SIM_SECONDS if seconds is None else seconds
+    simulation = Simulation(path, place.libraries)
+    begin = time.monotonic()
+    simulation.start()
+    try:
+        simulation.advance(wanted)
+        statuses = simulation.status()
+    finally:
+        simulation.stop()
+    for event in simulation.events:
+        view.say(event)
+    view.say(f"{wanted:g} s of virtual time took {time.monotonic() - begin:.2f} s")
+    about: dict[str, Any] = {"seconds": wanted, "events": simulation.events}
+    simulation.recording.about |= about
+    return Outcome(
+        job=simulation.job.name,
+        seconds=wanted,
+        tasks=summary.summarize(statuses),
+        reason=f"{wanted:g} s of virtual time are over",
+        recording=simulation.recording,
+    )
+
+
+def run(
+    path: str | Path,
+    place: Place,
+    *,
+    seconds: float | None = None,
+    sim: bool = False,
+    embed: bool = True,
+    record: str | Path | None = None,
+    open_ring: Callable[[str], RingReader] | None = None,
+    quiet: bool = False,
+) -> Outcome:
+    """Run a job, in real or virtual time, and say what it came to.
+
+    Args:
+        path: The ``.job`` file.
+        place: Domain, endpoints, libraries.
+        seconds: How long; None: until interrupted, or 10 s of virtual time.
+        sim: In virtual time.
+        embed: Start agents for RTPUs that nobody runs.
+        record: A file for every cycle of every task (``.npz``).
+        open_ring: Opens a task's ring; needed to record in real time.
+        quiet: Leave standard output to the caller.
+
+    Raises:
+        PbonetError: The job could not be started, or the recording not be written.
+    """
+    view = live.view(quiet=quiet)
+    if sim:
+        outcome = simulate(path, place, view, seconds)
+    else:
+        ring = open_ring if record is not None else None
+        outcome = Run(
+            path, place, view, seconds=seconds, embed=embed, open_ring=ring
+        ).run()
+    view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
+    view.say(summary.text(outcome.tasks))
+    for fault in outcome.faults:
+        view.say(f"ERROR> {fault}")
+    if record is not None and outcome.recording is not None:
+        outcome.recording.save(record)
+        view.say(f"every cycle is in {record}")
+        for task, lost in outcome.recording.about.get("lost", {}).items():
+            view.say(render.warning(f"{lost} cycles of {task} did not fit the ring"))
+    return outcome

@@ -1,0 +1,131 @@
+"""What a run came to: one line a task, from its last status and its recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from msgspec import Struct
+
+from pbonet.master import render
+from pbonet.master.profile import delay_quantile, profile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from pbonet.master.recording import Recording
+    from pbonet.xm.messages import RtpuStatus, TaskStatus
+
+HEAD = (
+    *("task", "rtpu", "state", "cycles", "missed", "Hz", "CPU avg", "CPU max", "CPU"),
+    *("jitter p50", "p99", "max", "transfer", "warn"),
+)
+
+
+class TaskSummary(Struct, frozen=True, kw_only=True):
+    """One task's figures since it was turned on; times in seconds."""
+
+    task: str
+    rtpu: str
+    state: str
+    cycles: int
+    missed: int
+    hz: float | None
+    cpu_avg: float | None
+    cpu_max: float | None
+    utilization: float | None
+    """CPU time of the mean cycle per period, in per cent."""
+    jitter_p50: float | None
+    jitter_p99: float | None
+    jitter_max: float | None
+    jitter_exact: bool
+    """False: upper edges of histogram bins, powers of two in microseconds."""
+    transfer: float | None
+    """Share of the CPU time spent on transfers, in per cent (Table 1 of 6.6.1)."""
+    warnings: int
+    error: str = ""
+
+
+def summarize(
+    rtpus: Iterable[RtpuStatus], recording: Recording | None = None
+) -> list[TaskSummary]:
+    """Return a summary of each task."""
+    delays = {} if recording is None else _delays(recording)
+    return [_task(task, delays) for rtpu in rtpus for task in rtpu.tasks]
+
+
+def _delays(recording: Recording) -> dict[str, Any]:
+    """Return the delays from release to cycle of each task, in seconds."""
+    found: dict[str, Any] = {}
+    for task in recording.tasks:
+        arrays = recording.arrays(task)
+        if len(arrays["release_ns"]) and arrays["start_ns"].any():
+            found[task] = (arrays["start_ns"] - arrays["release_ns"]) * 1e-9
+    return found
+
+
+def _task(status: TaskStatus, delays: Mapping[str, Any]) -> TaskSummary:
+    fields: dict[str, Any] = profile(status).fields
+    exact = status.task in delays
+    quantiles: list[float | None] = [
+        float(np.quantile(delays[status.task], share))
+        if exact
+        else delay_quantile(status.jitter, share)
+        for share in (0.5, 0.99)
+    ]
+    return TaskSummary(
+        task=status.task,
+        rtpu=status.rtpu,
+        state=status.state,
+        cycles=status.cycle,
+        missed=status.miss,
+        hz=fields["mezF"],
+        cpu_avg=fields["avgC"],
+        cpu_max=fields["maxC"],
+        utilization=fields["avgU"],
+        jitter_p50=quantiles[0],
+        jitter_p99=quantiles[1],
+        jitter_max=status.jitter_max if status.cycle else None,
+        jitter_exact=exact,
+        transfer=fields["xfer"],
+        warnings=status.warn,
+        error=status.error if status.state == "ERROR" else "",
+    )
+
+
+def text(summaries: Iterable[TaskSummary]) -> str:
+    """Return the summary as a table."""
+    summaries = list(summaries)
+    if not summaries:
+        return "no tasks"
+    lines = [render.table(HEAD, [_row(one) for one in summaries])]
+    lines += [f"ERROR> {one.task}: {one.error}" for one in summaries if one.error]
+    return "\n".join(lines)
+
+
+def _row(one: TaskSummary) -> list[str]:
+    mark = "" if one.jitter_exact else "<"
+    return [
+        one.task,
+        one.rtpu,
+        one.state,
+        str(one.cycles),
+        str(one.missed),
+        "-" if one.hz is None else f"{one.hz:.1f}",
+        render.seconds(one.cpu_avg),
+        render.seconds(one.cpu_max),
+        _percent(one.utilization),
+        _marked(mark, one.jitter_p50),
+        _marked(mark, one.jitter_p99),
+        render.seconds(one.jitter_max),
+        _percent(one.transfer),
+        str(one.warnings),
+    ]
+
+
+def _marked(mark: str, value: float | None) -> str:
+    return "-" if value is None else f"{mark}{render.seconds(value)}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}%"
