@@ -1,0 +1,54 @@
+"""``pbonet doctor``: what this machine lacks, and what was left on it."""
+
+from __future__ import annotations
+
+from typing import Annotated as A
+
+import typer
+
+from pbonet.cli import options
+
+
+def command(
+    *,
+    clean: A[
+        bool, typer.Option("--clean", help="Remove what killed processes left.")
+    ] = False,
+    json_: options.Json = False,
+    domain: options.Domain = "default",
+    connect: options.Connect = None,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Look at real-time rights, cores, memory, agents, leftovers. Status 1: FAIL."""
+    import msgspec
+
+    from pbonet.master import doctor
+    from pbonet.node import leftovers
+    from pbonet.node._rt import probe
+    from pbonet.xm import rundir
+
+    states = {
+        rundir.Places(path.parent.name, path.stem): leftovers.read(path)
+        for path in rundir.folder().glob("*/*.state")
+    }
+    dead = [at for at, state in states.items() if state and not state.alive]
+    if clean:
+        done = [text for places in dead for text in leftovers.clean_after(places)]
+        removed = [*done, *(f"{name} was removed" for name in doctor.clean())]
+        print(
+            msgspec.json.encode(removed).decode()
+            if json_
+            else "\n".join(removed) or "nothing to remove"
+        )
+        return
+    found = doctor.examine(
+        domain,
+        probe=probe(),
+        leftovers=[doctor.Leftover(at.domain, at.name) for at in dead],
+        connect=connect or (),
+    )
+    if json_:
+        print(msgspec.json.encode(found).decode())
+    else:
+        print("\n".join(map(str, found)))
+    raise typer.Exit(int(any(one.level is doctor.Level.FAIL for one in found)))

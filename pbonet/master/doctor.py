@@ -1,0 +1,257 @@
+"""What a machine and a domain lack, each with a remedy (``pbonet doctor``)."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+import time
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from msgspec import Struct
+
+import pbonet
+from pbonet.errors import PbonetError, UnreachableError
+from pbonet.master import render
+from pbonet.master.fleet import client_name
+from pbonet.svar import files as shared
+from pbonet.xm import messages as m
+from pbonet.xm import rpc, rundir, session
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from pbonet.sched.records import Probe
+
+_LEAST_SHM: Final = 64 << 20
+"""Bytes of shared memory that a subsystem with a few rings needs."""
+_PACKAGES: Final = ("eclipse-zenoh", "numpy", "msgspec", "mcap")
+_EXTRAS: Final = {
+    "pinocchio": "robot dynamics: pip install 'pbonet[robot]'",
+    "placo": "inverse kinematics: pip install 'pbonet[robot]'",
+    "serial": "serial devices: pip install 'pbonet[devices]'",
+}
+_SLOW: Final = 0.05
+"""A round trip to an agent of one machine should take no longer, in seconds."""
+
+
+class Level(StrEnum):
+    """How bad a finding is."""
+
+    PASS = "PASS"  # noqa: S105 - no password
+    WARN = "WARN"
+    FAIL = "FAIL"
+
+
+class Finding(Struct, frozen=True):
+    """One thing that was looked at."""
+
+    level: Level
+    what: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """Return it as one line."""
+        tail = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.level:4} {self.what}{tail}"
+
+
+class Leftover(Struct, frozen=True):
+    """An RTPU whose process was killed, as its state file tells."""
+
+    domain: str
+    rtpu: str
+
+
+def examine(
+    domain: str,
+    *,
+    probe: Probe,
+    leftovers: Sequence[Leftover] = (),
+    connect: Sequence[str] = (),
+) -> list[Finding]:
+    """Return what was found.
+
+    Args:
+        domain: Whose agents are asked.
+        probe: The real-time rights of this process.
+        leftovers: RTPUs that were killed and not cleaned up after.
+        connect: Endpoints of agents on other machines.
+    """
+    found = [*versions(), *rights(probe), *memory()]
+    found += [
+        Finding(
+            Level.WARN,
+            f"RTPU {left.rtpu} of domain {left.domain} was killed and left files",
+            "'pbonet doctor --clean' removes them",
+        )
+        for left in leftovers
+    ]
+    found += [
+        Finding(
+            Level.WARN,
+            f"nobody uses the shared memory {path.name}",
+            "'pbonet doctor --clean' removes it",
+        )
+        for path in abandoned()
+    ]
+    return [*found, *agents(domain, probe.cores, connect)]
+
+
+def versions() -> Iterator[Finding]:
+    """Look at what is installed."""
+    parts = [f"pbonet {pbonet.__version__}", f"Python {platform.python_version()}"]
+    parts += [f"{name} {version(name)}" for name in _PACKAGES if _installed(name)]
+    kernel = f"{platform.system()} {platform.release()}"
+    yield Finding(Level.PASS, f"{', '.join(parts)} on {kernel} ({platform.machine()})")
+    for name in _PACKAGES:
+        if not _installed(name):
+            yield Finding(Level.FAIL, f"{name} is not installed", f"pip install {name}")
+    for name, remedy in _EXTRAS.items():
+        if importlib.util.find_spec(name) is None:
+            yield Finding(Level.WARN, f"{name} is not installed", remedy)
+
+
+def _installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def rights(probe: Probe) -> Iterator[Finding]:
+    """Look at real-time rights and cores."""
+    if probe.fifo:
+        yield Finding(Level.PASS, f"real time by SCHED_FIFO, kernel {probe.preempt}")
+    else:
+        yield Finding(
+            Level.WARN,
+            "no SCHED_FIFO: tasks are ranked without real-time guarantees",
+            "the next lines say why",
+        )
+    for reason in probe.reasons:
+        yield Finding(Level.WARN, reason)
+    if not probe.lock_memory:
+        yield Finding(
+            Level.WARN,
+            "memory cannot be locked, so a page fault may delay a cycle",
+            "raise the memlock limit (ulimit -l unlimited)",
+        )
+    cores = ", ".join(map(str, probe.cores))
+    if len(probe.cores) > 1:
+        yield Finding(Level.PASS, f"cores {cores}; {probe.cores[0]} for housekeeping")
+
+
+def memory() -> Iterator[Finding]:
+    """Look at shared memory and the runtime folder."""
+    folder = shared.folder()
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        yield Finding(Level.FAIL, f"{folder}: {error.strerror}", "mount a tmpfs there")
+    else:
+        mib = free >> 20
+        if free < _LEAST_SHM:
+            yield Finding(
+                Level.FAIL,
+                f"{mib} MiB are free in {folder}",
+                "make room, or give the machine more shared memory (--shm-size)",
+            )
+        else:
+            yield Finding(Level.PASS, f"{mib} MiB of shared memory free in {folder}")
+    try:
+        yield Finding(Level.PASS, f"runtime folder {rundir.folder()}")
+    except PbonetError as error:
+        yield Finding(Level.FAIL, error.what, error.remedy)
+
+
+def abandoned() -> list[Path]:
+    """Return shared memory files of this user that no process has mapped."""
+    mine = sorted(shared.folder().glob(f"pbonet.{os.getuid()}.*"))
+    used = _mapped(mine)
+    return [path for path in mine if str(path) not in used]
+
+
+def _mapped(paths: Iterable[Path]) -> set[str]:
+    """Return which files are mapped by a process of this user."""
+    wanted = {str(path) for path in paths}
+    used: set[str] = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        try:
+            text = maps.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            continue  # another user's, or gone
+        used |= {path for path in wanted - used if path in text}
+    return used
+
+
+def agents(
+    domain: str, allowed: Sequence[int], connect: Sequence[str]
+) -> Iterator[Finding]:
+    """Ask every agent of the domain, and time it."""
+    try:
+        opened = session.client(domain, connect=connect)
+    except UnreachableError as error:
+        yield Finding(Level.PASS, error.what)
+        return
+    client = rpc.Client(opened, domain, client_name("doctor"))
+    try:
+        infos: list[m.AgentInfo] = []
+        for name in client.rtpus():
+            try:
+                infos.append(client.call(name, m.Hello(), m.AgentInfo))
+                begin = time.perf_counter()
+                client.call(name, m.Hello(), m.AgentInfo)
+                passed = time.perf_counter() - begin
+            except PbonetError as error:
+                yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
+            else:
+                yield from _agent(infos[-1], passed)
+        yield from _cores(infos, allowed)
+    finally:
+        client.close()
+
+
+def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
+    text = f"{info.name}: core {info.core} of {info.host}, {info.backend}"
+    text += f", answers in {render.seconds(passed)}"
+    slow = info.machine == rundir.machine() and passed > _SLOW
+    yield Finding(
+        Level.WARN if slow else Level.PASS,
+        text,
+        "the machine is overloaded" if slow else "",
+    )
+    for limit in info.limits:
+        yield Finding(Level.WARN, f"{info.name}: {limit}")
+    if info.version != pbonet.__version__:
+        yield Finding(
+            Level.WARN,
+            f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",
+            "run the same version on every machine",
+        )
+
+
+def _cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Finding]:
+    """Look whether RTPUs leave a core of this machine to housekeeping."""
+    here = [info for info in infos if info.machine == rundir.machine()]
+    used = {info.core for info in here}
+    if here and not set(allowed) - used:
+        yield Finding(
+            Level.WARN,
+            "RTPUs own every core of this machine; none is left for housekeeping",
+            "let RTPUs share a core (pbonet agent --core)",
+        )
+
+
+def clean() -> list[str]:
+    """Remove shared memory that nobody uses; return what was removed."""
+    removed: list[str] = []
+    for path in abandoned():
+        path.unlink(missing_ok=True)
+        removed.append(path.name)
+    return removed
