@@ -1,7 +1,9 @@
 /* The rival of jitter.py: a bare C loop on clock_nanosleep.
  *
  * usage: clockloop CORE LEVEL PERIOD_NS CYCLES
- * Prints the delay of every wake-up in nanoseconds, one a line. LEVEL 0 is SCHED_OTHER.
+ * Prints how many releases were missed, its CPU time in nanoseconds, and then the delay of
+ * every wake-up in nanoseconds, one number a line. LEVEL 0 is SCHED_OTHER. As in pbonet a
+ * delay counts from the newest release; the ones slept through are missed.
  */
 #define _GNU_SOURCE
 #include <sched.h>
@@ -35,15 +37,20 @@ int main(int argc, char **argv)
     prctl(PR_SET_TIMERSLACK, 1);
     mlockall(MCL_CURRENT | MCL_FUTURE);
     int64_t *delay = calloc((size_t)cycles, sizeof *delay);
-    int64_t release = (now() / period + 10) * period;
+    int64_t release = (now() / period + 10) * period, missed = 0;
+    struct timespec cpu;
     for (int64_t k = 0; k < cycles; k++) {
         struct timespec at = {release / 1000000000, release % 1000000000};
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
-        delay[k] = now() - release;
-        do                      /* a release slept through is skipped, as in pbonet */
-            release += period;
-        while (release <= now());
+        int64_t woken = now();
+        for (; woken - release >= period; release += period)
+            missed++;
+        delay[k] = woken - release;
+        release += period;
     }
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &cpu);
+    printf("%lld\n%lld\n", (long long)missed,
+           (long long)cpu.tv_sec * 1000000000 + cpu.tv_nsec);
     for (int64_t k = 0; k < cycles; k++)
         printf("%lld\n", (long long)delay[k]);
     return 0;

@@ -1,175 +1,99 @@
 """Release jitter of one 1 kHz task, beside a C loop on clock_nanosleep.
 
-Both stand at the same SCHED_FIFO level on the same core and take turns, block by block,
-so that whatever else the machine does hits both alike. The task reads the clock in the
-first line of its ``cycle``; it copies its inputs in before and its outputs out after,
-from a real table. Given are the quantiles of each block, and the median and spread of
-the ratios of neighbouring blocks.
+Both stand at the same SCHED_FIFO level on the same core and take turns, block by
+block, so that whatever else the machine does hits both alike. The task reads the clock
+in the first line of its ``cycle``; before that its six inputs of six numbers are copied
+in, and its outputs are committed afterwards. Given are the median of the blocks'
+quantiles with the least and the greatest, and the same of neighbouring blocks' ratios.
 
-    python benchmarks/jitter.py [--blocks 7] [--seconds 4] [--core 1] [--json FILE]
+    python -m benchmarks.jitter [--blocks 7] [--seconds 4] [--core 1] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
-import gc
 import json
-import os
-import platform
-import signal
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import rtbench
 from pbonet.node import _rt
 
 QUANTILES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
-LEVEL = 44
-"""What a task alone on its core gets (`pbonet.sched.urgency.assign_levels`)."""
+WARM_UP = 200
+"""Cycles that are run and not counted."""
 
 
-def compile_loop(folder: Path) -> Path:
-    """Return the compiled C loop."""
-    program = folder / "clockloop"
-    source = Path(__file__).with_name("clockloop.c")
-    subprocess.run(["cc", "-O2", "-o", program, source], check=True)
-    return program
+def run_task(
+    core: _rt.CoreTable, tables: rtbench.Tables, period: int, cycles: int
+) -> tuple[np.ndarray, int]:
+    """Return a task's delays in nanoseconds, and how many releases it missed."""
+    slot = core.alloc("bench", "jitter")
+    core.configure(slot, period_ns=period, crit=5)
+    with tempfile.TemporaryFile() as file:
+        out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 3,))
+        out[:] = 0
+
+        def body(end: _rt.Slot) -> None:
+            local, now = tables.local(0), time.monotonic_ns
+            delays, count = memoryview(out), -WARM_UP
+
+            def cycle(_dt: float) -> None:
+                nonlocal count
+                at = now()
+                if 0 <= count < cycles:
+                    delays[count] = at - end.release_ns
+                elif count == cycles:
+                    delays[cycles + 1] = end.missed
+                    delays[cycles] = 1
+                count += 1
+                if count == 0:
+                    delays[cycles + 2] = end.missed
+
+            end.run(cycle, local)
+
+        pid = rtbench.start_task(core, slot, body)
+        bound = 10 + 3e-9 * period * (cycles + WARM_UP)
+        rtbench.wait_for(lambda: bool(out[cycles]), "all cycles were run", bound)
+        rtbench.end_task(core, slot, pid)
+        return np.array(out[:cycles]), int(out[cycles + 1] - out[cycles + 2])
 
 
-def run_loop(program: Path, core: int, level: int, period: int, cycles: int):
-    """Return the C loop's delays in nanoseconds."""
-    done = subprocess.run(
-        [program, str(core), str(level), str(period), str(cycles)],
-        check=True,
-        capture_output=True,
-    )
-    return np.fromstring(done.stdout.decode(), dtype=np.int64, sep="\n")
-
-
-def run_task(table: _rt.CoreTable, core: int, period: int, cycles: int, local_of):
-    """Return a pbonet task's delays in nanoseconds; the task is a process of its own."""
-    slot = table.alloc("bench", "jitter")
-    table.configure(slot, period_ns=period, crit=5)
-    out = np.memmap(
-        tempfile.TemporaryFile(), dtype=np.int64, mode="w+", shape=(cycles + 1,)
-    )
-    pid = os.fork()
-    if pid == 0:
-        status = 1
-        try:
-            task_main(table, slot, core, cycles, out, local_of)
-            status = 0
-        finally:
-            os._exit(status)
-    table.configure(slot, pid=pid)
-    deadline = time.monotonic() + 5 + cycles * period * 2e-9
-    while out[cycles] == 0 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    table.request(slot)
-    _, status = os.waitpid(pid, 0)
-    table.died(slot)
-    missed = table.snapshot(slot).missed
-    table.free(slot)
-    if status or not out[cycles]:
-        sys.exit(f"the task failed ({status})")
-    return np.array(out[:cycles]), missed
-
-
-def task_main(table, slot_index, core, cycles, out, local_of) -> None:
-    """Set the process up as a task's is, and run cycles."""
-    _rt.orphan_guard(signal.SIGUSR1, os.getppid())
-    _rt.lock_memory()
-    _rt.populate_pages()
-    _rt.prefault_stack()
-    _rt.set_timer_slack()
-    _rt.pin(core)
-    slot = _rt.Slot(table, slot_index)
-    local = local_of()
-    now, delays, count = time.monotonic_ns, [0] * (cycles + 1), 0
-
-    def cycle(_dt: float) -> None:
-        nonlocal count
-        delays[count] = now() - slot.release_ns
-        if count < cycles:
-            count += 1
-        elif not out[cycles]:
-            out[:cycles] = delays[:cycles]
-            out[cycles] = 1
-
-    gc.collect()
-    gc.freeze()
-    gc.disable()
-    slot.run(cycle, local)
-    slot.disarm()
-
-
-def quantiles(delays) -> dict[str, float]:
+def quantiles(delays: np.ndarray) -> dict[str, float]:
     """Return the quantiles in microseconds."""
     return {name: float(np.quantile(delays, q)) / 1e3 for name, q in QUANTILES.items()}
 
 
-def machine() -> dict[str, object]:
-    """Say where this was measured."""
-    model = next(
-        (
-            line.split(":")[1].strip()
-            for line in Path("/proc/cpuinfo").read_text().splitlines()
-            if line.startswith("model name")
-        ),
-        platform.machine(),
+def spread(values: list[float], digits: int) -> str:
+    """Return the median, the least and the greatest."""
+    low, high = min(values), max(values)
+    return (
+        f"{statistics.median(values):9.{digits}f} "
+        f"[{low:7.{digits}f} {high:8.{digits}f}]"
     )
-    return {
-        "cpu": model,
-        "cores": os.cpu_count(),
-        "kernel": platform.release() + " " + _rt.probe().preempt,
-        "python": platform.python_version(),
-        "load": os.getloadavg(),
-    }
 
 
-def local_maker():
-    """Return what gives the task a local table: 6 inputs and 6 outputs of 6 doubles."""
-    from pbonet.config.model import Variable
-    from pbonet.svar import Table
-
-    names = [f"{kind}{k}" for kind in "IO" for k in range(6)]
-    variables = [Variable(name=name, type="double", nelem=6) for name in names]
-    table = Table.create(f"jitter{os.getpid()}", variables)
-
-    def make():
-        local = table.local("jitter", os.getpid(), invar=names[:6], outvar=names[6:])
-        local.claim()
-        return local
-
-    return table, make
-
-
-def report(blocks, missed) -> dict[str, object]:
-    """Print the table and return it."""
-    result: dict[str, object] = {"machine": machine(), "missed": missed}
-    print(f"{'':6} {'C loop, us':>28} {'pbonet, us':>28} {'ratio':>22}")
+def report(
+    blocks: list[tuple[dict[str, float], dict[str, float]]],
+) -> dict[str, object]:
+    """Print the table and return what it says."""
+    result: dict[str, object] = {}
+    print(f"{'':6}{'C loop, us':>27} {'pbonet, us':>27} {'ratio':>27}")
     for name in QUANTILES:
-        c = [loop[name] for loop, _ in blocks]
-        p = [task[name] for _, task in blocks]
+        c, p = [b[0][name] for b in blocks], [b[1][name] for b in blocks]
         ratios = [b / a for a, b in zip(c, p, strict=True)]
-        middle = statistics.median(ratios)
-        result[name] = {"c": c, "pbonet": p, "ratios": ratios, "median": middle}
-        print(
-            f"{name:6} {statistics.median(c):10.1f} [{min(c):6.1f} {max(c):8.1f}]"
-            f" {statistics.median(p):10.1f} [{min(p):6.1f} {max(p):8.1f}]"
-            f" {middle:8.2f} [{min(ratios):5.2f} {max(ratios):5.2f}]"
-        )
+        print(f"{name:6}{spread(c, 1)} {spread(p, 1)} {spread(ratios, 2)}")
+        result[name] = {"c": c, "pbonet": p, "ratio": statistics.median(ratios)}
     return result
 
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Release jitter of one task.")
     parser.add_argument("--blocks", type=int, default=7)
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--core", type=int, default=1)
@@ -178,32 +102,32 @@ def main() -> None:
     args = parser.parse_args()
     period = args.period_us * 1000
     cycles = int(args.seconds * 1e9 / period)
-    core = _rt.CoreTable(args.core)
+    core, tables = _rt.CoreTable(args.core), rtbench.Tables(1)
     dispatcher = _rt.Dispatcher(core)
-    level = LEVEL if dispatcher.backend == "fifo" else 0
-    svar, make_local = local_maker()
-    blocks, missed = [], 0
+    level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
+    blocks, missed = [], [0, 0]
     try:
         with tempfile.TemporaryDirectory() as folder:
-            loop = compile_loop(Path(folder))
+            loop = rtbench.compile_loop(Path(folder))
             for _ in range(args.blocks):
-                c = run_loop(loop, args.core, level, period, cycles)
+                c = rtbench.run_loop(loop, args.core, level, period, cycles)
                 dispatcher.start()
-                p, lost = run_task(core, args.core, period, cycles, make_local)
+                delays, lost = run_task(core, tables, period, cycles)
                 dispatcher.stop()
-                missed += lost
-                blocks.append((quantiles(c), quantiles(p)))
+                missed = [missed[0] + c.missed, missed[1] + lost]
+                blocks.append((quantiles(c.delays), quantiles(delays)))
     finally:
         dispatcher.stop()
         core.close()
-        svar.destroy()
+        tables.table.destroy()
+    print(rtbench.machine())
     print(
-        f"back end {dispatcher.backend}, {args.blocks} blocks of {cycles} cycles each,"
-        f" {missed} releases missed"
+        f"back end {dispatcher.backend}, {args.blocks} blocks of {cycles} cycles each; "
+        f"releases missed: C loop {missed[0]}, pbonet {missed[1]}"
     )
-    result = report(blocks, missed)
+    result = report(blocks) | {"machine": rtbench.machine(), "missed": missed}
     if args.json:
-        args.json.write_text(json.dumps(result, indent=1))
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -50,7 +50,11 @@ class CoreTable:
     member: bool
     def __init__(self, core: int, *, member: bool = True) -> None: ...
     def close(self) -> None:
-        """Detach; the last living member removes the file. Idempotent."""
+        """Detach; the last living member removes the file. Idempotent.
+
+        Raises:
+            NodeError: A dispatcher of this process still runs on it.
+        """
     def alloc(self, rtpu: str, task: str) -> int:
         """Take a free slot; slots of dead RTPU processes are reclaimed first.
 

@@ -75,6 +75,7 @@ cdef class CoreTable:
     cdef readonly int core
     cdef readonly str path
     cdef readonly bint member
+    cdef int busy           # dispatchers of this process that run on it
 
     def __cinit__(self, int core, *, bint member=True):
         self.core = core
@@ -89,6 +90,9 @@ cdef class CoreTable:
         self.t = self.map.table
 
     def close(self) -> None:
+        if self.busy:
+            raise NodeError("the core table is in use", where=self.path,
+                            remedy="stop the dispatcher first")
         if self.t is not NULL:
             self.t = NULL
             rt_detach(&self.map, self.file)
@@ -281,11 +285,13 @@ cdef class Dispatcher:
             raise RealTimeError("the dispatcher's thread cannot be started",
                                 where=f"core {self.table.core}", got=os.strerror(error),
                                 remedy="is the core in this process's affinity mask?")
+        self.table.busy += 1
 
     def stop(self) -> None:
         if self.loop.running and self.pid == os.getpid():
             with nogil:
                 rt_stop(&self.loop)
+            self.table.busy -= 1
 
     def __dealloc__(self):
         if self.loop.running and self.pid == os.getpid():

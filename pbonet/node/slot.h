@@ -101,10 +101,12 @@ static inline void rt_arm(struct rt_task *task)
     rt_kick(task->table);
 }
 
-/* Go to the level of commands, below every cycle; an errno value when refused. */
+/* Go to the level of commands, below every cycle; an errno value when refused. Where no
+ * dispatcher leads any more, a level that one gave is given back all the same. */
 static inline int rt_command_level(const struct rt_task *task)
 {
-    if (atomic_load(&task->table->backend) != RT_FIFO)
+    if (atomic_load(&task->table->backend) != RT_FIFO &&
+        (sched_getscheduler(0) & ~SCHED_RESET_ON_FORK) != SCHED_FIFO)
         return 0;
     return rt_set_level(0, RT_COMMAND_LEVEL);
 }

@@ -243,6 +243,8 @@ def test_virtual_time_is_refused_beside_a_dispatcher(table) -> None:
         pass
     with pytest.raises(RealTimeError, match="a dispatcher leads this core"):
         table.step(1)
+    with pytest.raises(NodeError, match="is in use; stop the dispatcher first"):
+        table.close()
     assert table.status().backend == "park"
     assert table.status().leader_pid == os.getpid()
     dispatcher.stop()

@@ -1,0 +1,153 @@
+"""What the real-time benchmarks share: the C rival, tasks as processes, the machine."""
+
+from __future__ import annotations
+
+import gc
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pbonet.config.model import Variable
+from pbonet.node import _rt
+from pbonet.svar import LocalTable, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+LEVEL = 44
+"""What a task alone on its core gets (`pbonet.sched.urgency.assign_levels`)."""
+
+
+class Loop(NamedTuple):
+    """What one run of the C loop gave."""
+
+    delays: NDArray[np.int64]
+    missed: int
+    cpu_ns: int
+
+
+def compile_loop(folder: Path) -> Path:
+    """Return the compiled C loop."""
+    program = folder / "clockloop"
+    source = Path(__file__).with_name("clockloop.c")
+    subprocess.run(["cc", "-O2", "-o", program, source], check=True)  # noqa: S607 - the compiler is where PATH says
+    return program
+
+
+def run_loop(program: Path, core: int, level: int, period: int, cycles: int) -> Loop:
+    """Run the C loop."""
+    arguments = [str(n) for n in (core, level, period, cycles)]
+    done = subprocess.run([program, *arguments], check=True, capture_output=True)
+    numbers = np.array(done.stdout.split(), dtype=np.int64)
+    return Loop(numbers[2:], int(numbers[0]), int(numbers[1]))
+
+
+class Tables:
+    """A table of state variables with a group of in- and out-variables per task."""
+
+    def __init__(self, tasks: int, arrays: int = 6, size: int = 6) -> None:
+        self.names = [
+            ([f"I{t}_{k}" for k in range(arrays)], [f"O{t}_{k}" for k in range(arrays)])
+            for t in range(tasks)
+        ]
+        variables = [
+            Variable(name=name, type="double", nelem=size)
+            for ins, outs in self.names
+            for name in ins + outs
+        ]
+        self.table = Table.create(f"bench{os.getpid()}", variables)
+
+    def local(self, task: int) -> LocalTable:
+        """Return the local table of a task, in the task's own process."""
+        ins, outs = self.names[task]
+        local = self.table.local(f"t{task}", os.getpid(), invar=ins, outvar=outs)
+        local.claim()
+        return local
+
+
+def start_task(core: _rt.CoreTable, slot: int, body: Callable[[_rt.Slot], None]) -> int:
+    """Fork a task's process, fit for real time as a node makes it; return its pid.
+
+    Args:
+        core: The core's table.
+        slot: The task's slot.
+        body: Called in the new process with the slot's end; the process ends with it.
+    """
+    pid = os.fork()
+    if pid:
+        core.configure(slot, pid=pid)
+        return pid
+    status = 1
+    try:
+        _rt.orphan_guard(signal.SIGUSR1, os.getppid())
+        _rt.lock_memory()
+        _rt.populate_pages()
+        _rt.prefault_stack()
+        _rt.set_timer_slack()
+        _rt.pin(core.core)
+        end = _rt.Slot(core, slot)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        body(end)
+        end.disarm()
+        status = 0
+    finally:
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def end_task(core: _rt.CoreTable, slot: int, pid: int) -> None:
+    """Ask a task to end, and wait for it.
+
+    Raises:
+        RuntimeError: It failed.
+    """
+    core.request(slot)
+    _, status = os.waitpid(pid, 0)
+    core.died(slot)
+    core.free(slot)
+    if status:
+        msg = f"the task ended with status {status}"
+        raise RuntimeError(msg)
+
+
+def wait_for(condition: Callable[[], bool], what: str, seconds: float) -> None:
+    """Wait until a condition holds.
+
+    Raises:
+        TimeoutError: It did not in time.
+    """
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            msg = f"not within {seconds} s: {what}"
+            raise TimeoutError(msg)
+        time.sleep(0.02)
+
+
+def thread_cpu_ns(pid: int) -> int:
+    """Return the kernel's CPU time of a process's main thread."""
+    text = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="ascii")
+    return int(text.split()[0])
+
+
+def machine() -> str:
+    """Say where this is measured."""
+    info = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    models = [line.split(":")[1].strip() for line in info if "model name" in line]
+    load = " ".join(f"{x:.1f}" for x in os.getloadavg())
+    return (
+        f"{models[0] if models else platform.machine()}, {os.cpu_count()} cores, "
+        f"Linux {platform.release()} {_rt.probe().preempt}, "
+        f"Python {platform.python_version()}, load {load}"
+    )
