@@ -33,14 +33,15 @@ class ArrayPort:
     ``self.tau += x`` ends in an assignment of the same array, which is no rebinding.
     """
 
-    __slots__ = ("port",)
+    __slots__ = ("_attr", "port")
 
     def __init__(self, port: Port) -> None:
         self.port = port
+        self._attr = port.attr
 
     def __set__(self, instance: object, value: object) -> None:
         """Let the same object pass, refuse any other."""
-        if value is not instance.__dict__.get(self.port.attr):
+        if value is not instance.__dict__.get(self._attr):
             raise _rebound(self.port, instance)
 
     def __delete__(self, instance: object) -> None:

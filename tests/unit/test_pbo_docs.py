@@ -1,0 +1,86 @@
+"""What docs/modules.md shows is run as it stands there."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pbonet.config import read_rmod
+from pbonet.config.library import Library
+from pbonet.errors import DeclarationError
+from pbonet.node.lifecycle import Step
+from pbonet.pbo import METHODS, decode_params
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "modules.md").read_text()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with the files of the page."""
+    shown = re.findall(r"<!-- file: (\S+) -->\n```\w*\n(.*?)```", PAGE, re.DOTALL)
+    assert [name for name, _ in shown] == ["hold.py", "test_hold.py", "hold.rmod"]
+    for name, text in shown:
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_the_example_passes_its_own_test(folder):
+    options = ("-q", "-p", "no:cacheprovider", "--rootdir", folder)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, folder],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    assert "3 passed" in done.stdout
+
+
+def test_the_example_passes_ruff(folder):
+    own = 'lint.isort.known-first-party=["pbonet"]'
+    options = ("--no-cache", "--config", str(ROOT / "pyproject.toml"), "--config", own)
+    done = subprocess.run(
+        [Path(sys.executable).parent / "ruff", "check", "hold.py", *options],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_rmod_of_the_page_configures_the_module_of_the_page(folder):
+    rmod = read_rmod(folder / "hold.rmod")
+    loaded = Library([folder]).load(rmod.module)
+    params = decode_params(loaded.cls, rmod.local)
+    assert (params.kp, params.kd, params.limit) == (40.0, 4.0, 20.0)
+    assert set(rmod.invar) == {p.name for p in loaded.info.ports if p.kind == "in-var"}
+
+
+def test_the_fault_is_told_as_shown():
+    code, said = re.search(
+        r"<!-- fault -->\n```python\n(.*?)```\n\n    (.*?)\n", PAGE, re.DOTALL
+    ).groups()
+    names = {"__name__": "page"}
+    exec(  # noqa: S102 - the page's own code
+        "from typing import Annotated as A\n"
+        "from pbonet import InVar, PortBasedObject, Vector\n",
+        names,
+    )
+    with pytest.raises(DeclarationError) as caught:
+        exec(code, names)  # noqa: S102 - the page's own code
+    shown = said.replace("Wrong.q (line 2)", "page.Wrong.q (source unknown)")
+    assert str(caught.value) == shown
+
+
+def test_every_method_is_on_the_page():
+    table = PAGE.split("## Methods")[1].split("## What a module knows")[0]
+    for name in METHODS:
+        assert f"`{name}(" in table
+    methods = {str(step) for step in Step if step.is_method} | {"error", "stable"}
+    assert methods == set(METHODS)
