@@ -1,0 +1,144 @@
+"""Status fields: what they mean, and what "since the last status" is."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec import structs
+
+from pbonet.master import profile
+from pbonet.master.profile import Baselines, delay_quantile
+from pbonet.xm.messages import TaskStatus
+
+THESIS = [
+    *("rmod", "rtpu", "tid", "S", "crit", "state", "cycle", "miss", "refF", "refT"),
+    *("mezF", "mezT", "ptime", "totC", "tick", "minU", "maxU", "avgU"),
+    *("minC", "maxC", "avgC", "warn"),
+]
+
+
+def status(**changes):
+    base = TaskStatus(
+        rmod="pid",
+        task="pid",
+        rtpu="arm0",
+        tid=7,
+        S="P",
+        crit=5,
+        crit_assumed=False,
+        state="ON",
+        cycle=1000,
+        miss=10,
+        ref_f=500.0,
+        mez_f=0.0,
+        mez_t=0.0,
+        ptime=2.0,
+        on_ns=5,
+        tot_c=0.4,
+        tick=1e-9,
+        min_c=0.0002,
+        max_c=0.001,
+        last_c=0.0003,
+        warn=2,
+        warning="late",
+        transfer_in=8e-6,
+        transfer_out=4e-6,
+    )
+    return structs.replace(base, **changes)
+
+
+def fields(now, before=None):
+    return profile.profile(now, before).fields
+
+
+def test_every_field_of_section_4_4_1_is_there_in_its_order():
+    assert list(profile.NAMES[: len(THESIS)]) == THESIS
+    assert list(fields(status())) == list(profile.NAMES)
+
+
+def test_since_on_when_nothing_was_seen_before():
+    found = fields(status())
+    assert (found["cycle"], found["miss"], found["warn"]) == (1000, 10, 2)
+    assert found["mezF"] == 500.0
+    assert found["mezT"] == pytest.approx(2.0 / 1010)
+    assert found["refT"] == 0.002
+
+
+def test_utilization_of_a_cycle_divides_by_the_period():
+    found = fields(status())
+    assert found["minU"] == pytest.approx(10.0)
+    assert found["maxU"] == pytest.approx(50.0)
+    assert found["avgU"] == pytest.approx(20.0)
+    longer = fields(status(cycle=2000, tot_c=0.8, ptime=4.0))
+    assert longer["avgU"] == found["avgU"]  # it does not shrink with time
+
+
+def test_second_status_is_since_the_first():
+    before = status()
+    now = status(cycle=1500, miss=30, ptime=3.0, tot_c=0.9, warn=3)
+    found = fields(now, before)
+    assert (found["cycle"], found["miss"], found["warn"]) == (500, 20, 1)
+    assert found["ptime"] == pytest.approx(1.0)
+    assert found["totC"] == pytest.approx(0.5)
+    assert found["avgC"] == pytest.approx(0.001)
+    assert found["mezF"] == pytest.approx(500.0)
+    assert found["maxC"] == 0.001  # extremes are since on
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"tid": 8}, {"on_ns": 6}, {"cycle": 999}, {"ptime": 1.9}, {"tot_c": 0.3}],
+)
+def test_task_that_was_turned_on_again_is_counted_from_then(change):
+    now = status(**change)
+    assert fields(now, status()) == fields(now)
+
+
+def test_nothing_to_divide_by_gives_no_value():
+    found = fields(
+        status(state="OFF", cycle=0, miss=0, ptime=0.0, tot_c=0.0, ref_f=0.0)
+    )
+    for name in ("mezF", "mezT", "avgC", "avgU", "minC", "maxU", "refF", "refT"):
+        assert found[name] is None, name
+
+
+def test_task_without_a_rate_takes_its_measured_period():
+    found = fields(status(ref_f=0.0, cycle=100, miss=0, ptime=1.0, tot_c=0.1))
+    assert found["avgU"] == pytest.approx(10.0)
+
+
+def test_assumed_criticality_is_marked():
+    assert fields(status(crit_assumed=True))["crit"] == "5?"
+    assert fields(status())["crit"] == 5
+
+
+def test_warning_is_shown_once_and_error_as_long_as_it_stands():
+    seen = Baselines()
+    failed = status(state="ERROR", error="q is not finite")
+    first, second = seen.since([failed])[0], seen.since([failed])[0]
+    assert first.warning == "late"
+    assert second.warning == ""
+    assert first.error == second.error == "q is not finite"
+    assert seen.since([status(state="OFF", error="old")])[0].error == ""
+
+
+def test_each_interface_has_its_own_baseline():
+    one, other = Baselines(), Baselines()
+    one.since([status()])
+    later = status(cycle=1100, ptime=2.2, tot_c=0.5)
+    assert one.since([later])[0].fields["cycle"] == 100
+    assert other.since([later])[0].fields["cycle"] == 1100
+    one.forget()
+    assert one.since([later])[0].fields["cycle"] == 1100
+
+
+def test_transfer_share_is_of_the_whole_time():
+    # 12 us of 400 us a cycle
+    assert fields(status())["xfer"] == pytest.approx(3.0)
+
+
+def test_quantile_of_the_histogram_is_an_upper_edge():
+    histogram = [0, 0, 50, 49, 0, 1]  # below 4, 8 and 32 us
+    assert delay_quantile(histogram, 0.5) == pytest.approx(4e-6)
+    assert delay_quantile(histogram, 0.99) == pytest.approx(8e-6)
+    assert delay_quantile(histogram, 1.0) == pytest.approx(32e-6)
+    assert delay_quantile([], 0.5) is None
