@@ -39,6 +39,10 @@ STOP_TIME = 2.0
 """Seconds that turning everything OFF may take."""
 TOKEN_TIME = 1.0
 """Seconds for which the token of a predecessor that was killed may linger."""
+LOOK = 0.1
+"""Seconds between looks whether a signal has asked for the end."""
+LOCK_TIME = 0.3
+"""Seconds for which an RTPU process that ends may hold the name, to clean up."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -78,8 +82,10 @@ class Agent:
         self._token: zenoh.LivelinessToken | None = None
         self._link: RtpuLink | None = None
         self._over = threading.Event()
+        self._asked = False
         self._stopping = False
         self._restarts: list[float] = []
+        self._restarter: threading.Thread | None = None
         self._guard = threading.Lock()
         self.reason = ""
         """Why the agent has ended by itself."""
@@ -99,7 +105,7 @@ class Agent:
             PbonetError: Something that is needed cannot be had.
         """
         text = f"agent {self.name}, process {os.getpid()}"
-        self._lock = rundir.NameLock(self.places.lock, text)
+        self._lock = rundir.NameLock(self.places.lock, text, patience=LOCK_TIME)
         try:
             self._open()
         except BaseException:
@@ -151,9 +157,7 @@ class Agent:
         Returns:
             Whether everything ended by itself.
         """
-        with self._guard:
-            self._stopping = True
-            link, self._link = self._link, None
+        link = self._begin_to_stop()
         try:
             return link.shut_down(timeout) if link is not None else True
         finally:
@@ -161,14 +165,22 @@ class Agent:
 
     def abandon(self) -> None:
         """Leave the network and let the RTPU process go on for its grace."""
-        with self._guard:
-            self._stopping = True
-            link, self._link = self._link, None
+        link = self._begin_to_stop()
         if link is not None:
             link.close()
         self._leave()
 
+    def _begin_to_stop(self) -> RtpuLink | None:
+        """Let nothing be started any more; return what there is to end."""
+        with self._guard:
+            self._stopping = True
+            link, self._link = self._link, None
+        self._over.set()
+        return link
+
     def _leave(self) -> None:
+        if self._restarter is not None:
+            self._restarter.join()
         if self._server is not None:
             self._server.stop()
             self._server = None
@@ -176,20 +188,28 @@ class Agent:
             self._session.close()  # type: ignore[no-untyped-call]
             self._session = None
         if self._lock is not None:
-            self.places.remove(
-                self.places.sock, self.places.sock.with_suffix(".sock.lock")
-            )
+            self.places.remove(*self.places.agents_files)
             self._lock.release()
             self._lock = None
         self._over.set()
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the agent has ended or must end; return whether that is so."""
-        return self._over.wait(timeout)
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not self._asked:
+            left = LOOK if deadline is None else min(LOOK, deadline - time.monotonic())
+            if left <= 0 or self._over.wait(left):
+                break
+        return self._asked or self._over.is_set()
 
     def ask_to_end(self) -> None:
-        """Make `wait` return; may be called from a signal handler."""
-        self._over.set()
+        """Make `wait` return; may be called from a signal handler.
+
+        It takes no lock, for the handler may run while `wait` holds it. And `wait`
+        looks for itself: the kernel may hand a signal to a thread of zenoh, and then
+        nothing interrupts the wait of the main thread.
+        """
+        self._asked = True
 
     def __enter__(self) -> Self:
         return self.start()
@@ -266,9 +286,10 @@ class Agent:
             self._over.set()
             return
         log.error("%s: RTPU process lost: %s", self.name, reason)
-        threading.Thread(
+        self._restarter = threading.Thread(
             target=self._restart, args=(reason,), name="pbonet restart", daemon=True
-        ).start()
+        )
+        self._restarter.start()
 
     def _restart(self, reason: str) -> None:
         now = time.monotonic()
@@ -276,7 +297,9 @@ class Agent:
         if len(self._restarts) > RESTARTS:
             self._give_up(f"the RTPU process was lost {len(self._restarts)} times")
             return
-        cleaned = leftovers.clean(self.places)
+        cleaned = leftovers.clean_after(self.places)
+        if self._over.is_set():
+            return
         link = RtpuLink(self.places, self._rtpu_config, self)
         try:
             link.open()

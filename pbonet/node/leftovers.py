@@ -19,6 +19,7 @@ from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError
 from pbonet.svar import files
+from pbonet.xm import rundir
 
 from . import _rt, runtime
 from ._ring import Ring
@@ -26,8 +27,6 @@ from .tables import remove_unused
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from pbonet.xm import rundir
 
 PATIENCE = 1.5
 """Seconds that orphaned tasks have: they end themselves within one."""
@@ -103,6 +102,14 @@ def clean(places: rundir.Places, patience: float = PATIENCE) -> list[str]:
         done += _remove_table(name)
     done += _sweep_core(state.core)
     places.remove(places.ctl, places.state)
+    return done
+
+
+def clean_after(places: rundir.Places) -> list[str]:
+    """Clean up after a killed RTPU process, from outside; return what was done."""
+    done = clean(places)
+    if not rundir.is_held(places.ctl_lock):
+        places.remove(places.ctl_lock, places.log)
     return done
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from pbonet.errors import NodeError, PbonetError, Severity
+from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.xm import rundir
 
 from . import control, leftovers, runtime, wire
@@ -175,7 +175,7 @@ async def run(config: wire.RtpuConfig) -> int:
     for which in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(which, asked, which)
     places = rundir.Places(config.domain, config.name)
-    lock = rundir.NameLock(places.ctl.with_suffix(".ctl.lock"), f"pid {os.getpid()}")
+    lock = rundir.NameLock(places.ctl_lock, f"pid {os.getpid()}")
     try:
         leftovers.clean(places)
         rtpu = Rtpu(config, EventLog(config.name), places)
@@ -198,6 +198,15 @@ async def _serve(rtpu: Rtpu, places: rundir.Places, end: asyncio.Future[str]) ->
     finally:
         await rtpu.close()
         places.remove(places.ctl, places.state, places.log)
+        _remove_dead_agent(places)
+
+
+def _remove_dead_agent(places: rundir.Places) -> None:
+    """Remove what an agent left that was killed; nothing while one is alive."""
+    with contextlib.suppress(DuplicateNameError):
+        lock = rundir.NameLock(places.lock)
+        places.remove(*places.agents_files)
+        lock.release()
 
 
 def _tell_ready(fd: int, message: wire.Ready) -> None:

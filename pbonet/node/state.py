@@ -56,7 +56,7 @@ class Rtpu:
         self.places = places
         self.name = config.name
         self.slot_owner = f"{config.domain}/{config.name}"
-        self.claims = Claims(config.name, epoch=int(time.time()))
+        self.claims = Claims(config.name, epoch=time.time_ns() // 1_000_000)
         self.tables = Tables(config.domain, changed=self.save)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}

@@ -88,7 +88,7 @@ class RtpuLink:
         self._sock = self._connect()
         self.taken_over = self._sock is not None
         if self._sock is None:
-            cleaned = leftovers.clean(self._places)
+            cleaned = leftovers.clean_after(self._places)
             self._start()
             self._sock = self._connect()
             if self._sock is None:
@@ -139,11 +139,12 @@ class RtpuLink:
     def close(self) -> None:
         """Let go of the RTPU process, which goes on for its grace."""
         self._closing = True
-        sock, self._sock = self._sock, None
+        sock = self._sock
         if sock is not None:
             with contextlib.suppress(OSError):
-                sock.shutdown(socket.SHUT_RDWR)
-            sock.close()
+                sock.shutdown(socket.SHUT_RDWR)  # the thread that reads closes it
+            if self._thread is None:
+                sock.close()
         thread = self._thread
         if thread is not None and thread is not threading.current_thread():
             thread.join()
@@ -164,8 +165,7 @@ class RtpuLink:
         finally:
             os.close(pidfd)
         self._reap()
-        if not ended:
-            leftovers.clean(self._places)
+        leftovers.clean_after(self._places)  # nothing, if it ended in order
         return ended
 
     def _reap(self) -> int | None:
@@ -287,6 +287,9 @@ class RtpuLink:
                 reason, orderly = message.reason, True
             else:
                 self._hand_over(message)
+        with self._write_lock:
+            self._sock = None
+            sock.close()
         if not self._closing:
             self._listener.lost(
                 self._describe_end(reason, orderly=orderly), orderly=orderly

@@ -297,7 +297,6 @@ class Host:
         if _rt.orphaned():
             with contextlib.suppress(PbonetError, OSError):
                 self.ring.destroy()
-                self.core.free(self.spec.slot)
 
     def _on_signal(self, number: int, _frame: object) -> None:
         self._asked_to_end = signal.Signals(number).name

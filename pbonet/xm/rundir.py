@@ -3,7 +3,7 @@
 ``$PBONET_RUN_DIR``, else ``$XDG_RUNTIME_DIR/pbonet``, else ``/tmp/pbonet-<uid>``. It
 is the user's own and nobody else may enter it. Under it stands one folder per domain,
 and in that, per RTPU: ``NAME.sock`` (the agent's zenoh endpoint), ``NAME.ctl`` (the
-RTPU process's own socket), ``NAME.lock`` (held by the agent while it lives),
+RTPU process's own socket), ``NAME.agent`` and ``NAME.rtpu`` (locked while they live),
 ``NAME.state`` (what has to be cleaned away should the RTPU process be killed) and
 ``NAME.log`` (what the RTPU process wrote to its standard error).
 
@@ -17,6 +17,7 @@ import os
 import re
 import stat
 import struct
+import time
 from pathlib import Path
 
 from pbonet.errors import DuplicateNameError, NodeError
@@ -24,6 +25,7 @@ from pbonet.errors import DuplicateNameError, NodeError
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
 """Bytes that Linux takes for the path of a Unix socket."""
+_LOOK = 0.01
 _FLOCK = struct.Struct("hhqqi4x")
 
 
@@ -89,7 +91,8 @@ class Places:
         self.folder.mkdir(mode=0o700, exist_ok=True)
         self.sock = self.folder / f"{name}.sock"
         self.ctl = self.folder / f"{name}.ctl"
-        self.lock = self.folder / f"{name}.lock"
+        self.lock = self.folder / f"{name}.agent"
+        self.ctl_lock = self.folder / f"{name}.rtpu"
         self.state = self.folder / f"{name}.state"
         self.log = self.folder / f"{name}.log"
         for path in (self.sock, self.ctl):
@@ -99,6 +102,11 @@ class Places:
     def endpoint(self) -> str:
         """The zenoh endpoint of the agent's socket."""
         return f"unixsock-stream/{self.sock}"
+
+    @property
+    def agents_files(self) -> tuple[Path, Path]:
+        """What zenoh makes for the agent's endpoint."""
+        return self.sock, self.sock.with_suffix(".sock.lock")
 
     def remove(self, *paths: Path) -> None:
         """Remove some of the files; a missing one is no fault."""
@@ -122,11 +130,27 @@ class NameLock:
 
     An open-file-description lock, because its holder can be asked for without taking
     it: who only looks never stands in the way of an agent that starts.
+
+    Args:
+        path: The file.
+        text: Who holds it, for whoever comes second.
+        patience: Seconds to try.
+
+    Raises:
+        DuplicateNameError: Somebody else holds it.
     """
 
-    def __init__(self, path: Path, text: str = "") -> None:
+    def __init__(self, path: Path, text: str = "", *, patience: float = 0.0) -> None:
         self.path = path
-        self._fd = self._take()
+        deadline = time.monotonic() + patience
+        while True:
+            try:
+                self._fd = self._take()
+                break
+            except DuplicateNameError:
+                if time.monotonic() >= deadline:
+                    raise
+            time.sleep(_LOOK)
         os.ftruncate(self._fd, 0)
         os.pwrite(self._fd, text.encode(), 0)
 
@@ -184,8 +208,8 @@ def _whole(kind: int) -> bytes:
 def live_agents(domain: str) -> list[str]:
     """Return the names of the agents of `domain` that live on this machine, sorted."""
     here = folder() / check_name("a domain", domain)
-    names = (path.stem for path in here.glob("*.lock"))
-    return sorted(name for name in names if is_held(here / f"{name}.lock"))
+    names = (path.stem for path in here.glob("*.agent"))
+    return sorted(name for name in names if is_held(here / f"{name}.agent"))
 
 
 def machine() -> str:

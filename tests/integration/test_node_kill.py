@@ -1,0 +1,325 @@
+"""Each kind of process killed: what goes on, what ends, what is left behind."""
+
+import os
+import signal
+import time
+
+import pytest
+from nodekit import Master, alive, wait_gone
+from watching import wait_for
+
+from pbonet.errors import NodeError, SvarMissingError
+from pbonet.node import leftovers
+from pbonet.xm import messages as m
+from pbonet.xm import rundir
+
+
+def entries(path):
+    """Return what the diary of `counts` says, with times in seconds."""
+    lines = [line.split(maxsplit=2) for line in path.read_text().splitlines()]
+    return [(int(now) * 1e-9, text) for now, _, text in lines]
+
+
+def said(path, text):
+    return path.exists() and text in [entry for _, entry in entries(path)]
+
+
+@pytest.fixture
+def split(nodes):
+    """An agent in a process of its own, claimed, with its table open."""
+    nodes.agent_process("arm0")
+    return nodes.master("arm0", "arm")
+
+
+def start_pair(master, tmp_path):
+    """Turn two tasks on; return their diaries and process ids."""
+    books = [tmp_path / "first", tmp_path / "second"]
+    for i, book in enumerate(books):
+        master.spawn(f"t{i}", "counts", out=f"Y{i}", local={"DIARY": book})
+        master.on(f"t{i}")
+    return books, [one.tid for one in master.status().values()]
+
+
+class TestAgent:
+    """Control goes on without the agent, for the declared grace."""
+
+    def test_a_restarted_agent_takes_over_without_a_lost_cycle(
+        self, split, nodes, tmp_path
+    ):
+        _, pids = start_pair(split, tmp_path)
+        rtpu = nodes.state("arm0").pid
+        before = split.wait_cycles("t0", 10)
+        nodes.processes["arm0"].kill()
+        nodes.processes["arm0"].wait()
+        nodes.forget_session()
+        nodes.agent_process("arm0")
+        assert nodes.state("arm0").pid == rtpu
+        master = Master(nodes, "arm0", "arm")
+        assert master.epoch > split.epoch
+        assert master.claimed.tasks == ["t0", "t1"]
+        after = master.wait_cycles("t0", 10)
+        assert [one.tid for one in master.status().values()] == pids
+        assert after.on_ns == before.on_ns
+        assert master.value("Y0").values[1] == after.miss  # dt showed each of them
+        assert after.cycle + after.miss == pytest.approx(200 * after.ptime, abs=2)
+        codes = [event.code for event in master.events()]
+        assert "AGENT_GONE" in codes
+        assert "AGENT_BACK" in codes
+        assert master.events("SPAWNED", "t0")  # events of before are there still
+        assert master.off("t0").state == "OFF"
+
+    def test_answers_survive_the_agent(self, split, nodes):
+        request = m.Control(
+            id="once",
+            client="me",
+            subsystem="arm",
+            epoch=split.epoch,
+            task="t0",
+            signal="on",
+        )
+        payload = m.Codec().pack(request)
+        split.spawn("t0", "counts")
+
+        def ask():
+            key = f"pbonet/{nodes.domain}/rtpu/arm0/sbs"
+            reply = next(iter(nodes.session.get(key, payload=payload, timeout=5.0)))
+            return m.Codec().answer(reply.ok.payload.to_bytes())
+
+        first = ask()
+        assert first.ok
+        nodes.processes["arm0"].kill()
+        nodes.processes["arm0"].wait()
+        nodes.forget_session()
+        nodes.agent_process("arm0")
+        assert ask() == first  # it was not sent again, which would be refused
+
+    def test_without_an_agent_everything_goes_off_in_order(
+        self, nodes, tmp_path, shared_memory
+    ):
+        nodes.agent_process("arm0", grace=0.5)
+        master = nodes.master("arm0", "arm")
+        books, pids = start_pair(master, tmp_path)
+        rtpu = nodes.state("arm0").pid
+        killed = time.monotonic()
+        nodes.processes["arm0"].kill()
+        wait_gone([rtpu, *pids])
+        first, second = ({t: n for n, t in entries(book)} for book in books)
+        assert second["off False"] < first["off False"]  # the last one on goes first
+        assert first["kill"] > first["off False"]
+        assert second["off False"] - killed > 0.45
+        assert list(shared_memory.iterdir()) == []
+        places = rundir.Places(nodes.domain, "arm0")
+        assert not places.state.exists()
+        assert not places.ctl.exists()
+
+    @pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
+    def test_signal_ends_everything_in_order(self, split, nodes, tmp_path, which):
+        books, pids = start_pair(split, tmp_path)
+        process = nodes.processes["arm0"]
+        process.send_signal(which)
+        assert process.wait(20) == 0
+        assert all(said(book, "off False") and said(book, "kill") for book in books)
+        assert not any(map(alive, pids))
+        assert list(nodes.folder.glob("*/*")) == []
+
+    def test_names_are_free_again_at_once(self, nodes):
+        for _ in range(3):
+            nodes.agent_process("arm0", grace=0.3)
+            nodes.processes["arm0"].kill()
+            nodes.processes["arm0"].wait()
+            nodes.forget_session()
+
+
+class TestRtpuProcess:
+    """Every task turns itself off within a second; the agent starts anew."""
+
+    def test_killed(self, arm, nodes, tmp_path, shared_memory):
+        books, pids = start_pair(arm, tmp_path)
+        old = nodes.state("arm0").pid
+        forks = nodes.fork_server("arm0")
+        killed = time.monotonic()
+        os.kill(old, signal.SIGKILL)
+        wait_gone([old, forks, *pids])
+        for book in books:
+            times = {text: at - killed for at, text in entries(book)}
+            assert times["off False"] < 1.0
+            assert times["off False"] < times["kill"] < 1.0
+
+        def restarted():
+            state = nodes.state("arm0")
+            return state is not None and state.pid != old and state.alive
+
+        wait_for(restarted, "another RTPU process")
+        info = wait_for(
+            lambda: (
+                (got := arm.client.call("arm0", m.Hello(), m.AgentInfo)).rtpu_pid
+                and got
+            ),
+            "the agent to have it",
+        )
+        assert info.rtpu_pid != old
+        assert info.claims == {}
+        assert not list(shared_memory.glob("*.svar"))
+        assert not list(shared_memory.glob("*.ring"))
+        again = nodes.master("arm0", "arm")
+        assert again.epoch > arm.epoch
+        event = again.wait_event("RTPU_DIED")
+        assert "SIGKILL" in event.text
+        again.spawn("t0", "counts")
+        assert again.on("t0").state == "ON"
+
+    def test_killed_with_a_task_that_hangs(self, arm, nodes):
+        hung = arm.spawn("bad", "hangs_in_c").tid
+        arm.rank_low("bad")
+        arm.on("bad")
+        wait_for(lambda: arm.status("bad").ptime > 0.1, "the cycle that hangs")
+        killed = time.monotonic()
+        os.kill(nodes.state("arm0").pid, signal.SIGKILL)
+        wait_gone([hung])
+        assert time.monotonic() - killed < 5.0  # the last resort is at 1 s
+
+    def test_killed_together_with_its_agent(
+        self, split, nodes, tmp_path, shared_memory
+    ):
+        books, pids = start_pair(split, tmp_path)
+        rtpu = nodes.state("arm0").pid
+        nodes.processes["arm0"].kill()
+        os.kill(rtpu, signal.SIGKILL)
+        nodes.processes["arm0"].wait()
+        wait_gone([rtpu, *pids])
+        assert all(said(book, "kill") for book in books)
+        assert list(shared_memory.glob("*.svar"))  # nobody was there to clean
+        nodes.forget_session()
+        nodes.agent_process("arm0")
+        assert not list(shared_memory.glob("*.svar"))
+        master = nodes.master("arm0", "arm")
+        assert master.claimed.tasks == []
+        assert any("table" in event.text for event in master.events("CLEANED"))
+
+    def test_everything_killed_leaves_nothing_behind_the_next(
+        self, split, nodes, tmp_path, shared_memory
+    ):
+        _, pids = start_pair(split, tmp_path)
+        victims = [
+            nodes.processes["arm0"].pid,
+            nodes.state("arm0").pid,
+            nodes.fork_server("arm0"),
+            *pids,
+        ]
+        for pid in victims:
+            os.kill(pid, signal.SIGKILL)
+        nodes.processes["arm0"].wait()
+        wait_gone(victims)
+        assert list(shared_memory.glob("*.ring"))
+        nodes.forget_session()
+        process = nodes.agent_process("arm0")
+        assert not list(shared_memory.glob("*.ring"))
+        assert not list(shared_memory.glob("*.svar"))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+        assert list(shared_memory.iterdir()) == []
+
+    @pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
+    def test_signal_ends_it_in_order_and_the_agent_with_it(
+        self, split, nodes, tmp_path, which
+    ):
+        books, pids = start_pair(split, tmp_path)
+        os.kill(nodes.state("arm0").pid, which)
+        assert nodes.processes["arm0"].wait(20) == 1
+        assert all(said(book, "off False") and said(book, "kill") for book in books)
+        assert not any(map(alive, pids))
+
+    def test_requests_meanwhile_are_answered(self, arm, nodes):
+        old = nodes.state("arm0").pid
+        os.kill(old, signal.SIGKILL)
+        deadline = time.monotonic() + 20.0
+        outcomes = []
+        while time.monotonic() < deadline:
+            try:
+                arm.client.call("arm0", m.Status(), m.RtpuStatus)
+            except NodeError as error:
+                outcomes.append(type(error).__name__)
+            else:
+                state = nodes.state("arm0")
+                if state is not None and state.pid != old:
+                    break
+        assert time.monotonic() < deadline
+        assert set(outcomes) <= {"NodeError"}
+
+
+class TestForkServer:
+    """Its end is the end of its tasks, and of nothing else."""
+
+    @pytest.mark.parametrize("which", [signal.SIGKILL, signal.SIGTERM])
+    def test_ended(self, arm, nodes, tmp_path, which):
+        books, pids = start_pair(arm, tmp_path)
+        rtpu = nodes.state("arm0").pid
+        killed = time.monotonic()
+        os.kill(nodes.fork_server("arm0"), which)
+        wait_gone(pids)
+        for book in books:
+            times = {text: at - killed for at, text in entries(book)}
+            assert times["off False"] < times["kill"] < 1.0
+        event = arm.wait_event("FORK_SERVER_DIED")
+        assert which.name in event.text
+        wait_for(
+            lambda: {s.state for s in arm.status().values()} == {"NOT-CREATED"},
+            "both are known to be dead",
+        )
+        assert nodes.state("arm0").pid == rtpu
+        arm.spawn("t2", "counts", out="Y0")
+        assert arm.on("t2").state == "ON"
+
+
+class TestFiles:
+    """What stands in shared memory and in the runtime folder may vanish or linger."""
+
+    def test_table_file_removed_while_running(self, arm, shared_memory):
+        arm.spawn("a", "counts")
+        arm.on("a")
+        (path,) = shared_memory.glob("*.svar")
+        path.unlink()
+        arm.wait_event("TABLE_REMOVED")
+        arm.wait_cycles("a", 5)
+        assert arm.value("Y0").values[0] > 0
+        error = arm.refused(SvarMissingError, arm.spawn, "b", "counts", out="Y1")
+        assert "removed while it was in use" in error.what
+        arm.stop()
+        arm.ask(m.CloseTable())
+        arm.open_table()
+        assert arm.spawn("b", "counts", out="Y1").state == "OFF"
+
+    def test_stale_files_stand_in_nobody_s_way(self, nodes):
+        places = rundir.Places(nodes.domain, "arm0")
+        for path in (places.sock, places.ctl, places.lock, places.log):
+            path.write_text("left by a crash")
+        state = leftovers.Leftovers(
+            pid=2**22 - 1,
+            started=1,
+            core=0,
+            tables=["x.y"],
+            tasks=[leftovers.TaskLeft(2**22 - 1, 1, "no.such.ring")],
+        )
+        leftovers.write(places.state, state)
+        assert nodes.agent("arm0").info().name == "arm0"
+
+    def test_damaged_state_file(self, nodes):
+        places = rundir.Places(nodes.domain, "arm0")
+        places.state.write_bytes(b"\0\xff{")
+        assert nodes.agent("arm0").info().name == "arm0"
+
+    def test_runtime_folder_of_others_is_refused(self, nodes, monkeypatch):
+        open_to_all = nodes.folder / "open"
+        open_to_all.mkdir()
+        open_to_all.chmod(0o755)
+        monkeypatch.setenv("PBONET_RUN_DIR", str(open_to_all))
+        with pytest.raises(NodeError, match="not the user's own"):
+            rundir.folder()
+        monkeypatch.setenv("PBONET_RUN_DIR", "/proc/none")
+        with pytest.raises(NodeError, match="cannot be used"):
+            rundir.folder()
+        long = nodes.folder / ("x" * 90)
+        monkeypatch.setenv("PBONET_RUN_DIR", str(long))
+        with pytest.raises(NodeError, match="path of a socket is too long"):
+            rundir.Places("d", "arm0")
+        monkeypatch.setenv("PBONET_RUN_DIR", str(nodes.folder))
