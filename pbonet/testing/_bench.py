@@ -1,18 +1,4 @@
-"""What authors of modules test with: a bench that steps one module in virtual time.
-
-::
-
-    bench = Bench(JointPID, params=Gains(kp=10.0, limit=5.0), ndof=2)
-    bench.on()
-    bench.inputs.q_ref = [0.1, 0.0]
-    bench.step(0.002)
-    assert bench.outputs.tau == approx([1.0, 0.0])
-
-The bench runs the module through the same executor as a task, with the copies of
-section 3.6 before and after each method, but in one thread, without shared memory and
-without waiting. What it calls ``inputs`` and ``outputs`` is the global table: a module
-sees an input when it is copied in, and an output appears when it is copied out.
-"""
+"""The bench: one module, run by the executor of real tasks, in virtual time."""
 
 from __future__ import annotations
 
@@ -23,7 +9,6 @@ import numpy as np
 
 from pbonet.errors import MethodError, PortError, did_you_mean
 from pbonet.node.executor import Executor
-from pbonet.node.lifecycle import Step
 from pbonet.pbo import (
     METHODS,
     BoundedOutbox,
@@ -39,186 +24,13 @@ from pbonet.pbo import (
 )
 from pbonet.ports import Kind, Port, solve_shapes
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+from ._clock import FakeClock
+from ._table import BenchTable, PortValues, structures
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 M = TypeVar("M", bound=PortBasedObject[Any])
-
-NONFINITE = 16
-"""The flag of a commit that was refused because a float is NaN or infinite."""
-
-
-class FakeClock:
-    """Time that passes when it is told to.
-
-    Args:
-        now_ns: Nanoseconds at the start.
-    """
-
-    def __init__(self, now_ns: int = 1_000_000_000) -> None:
-        self.now_ns = now_ns
-
-    def __call__(self) -> int:
-        """Return the time in nanoseconds, as ``time.monotonic_ns`` does."""
-        return self.now_ns
-
-    def advance(self, seconds: float) -> int:
-        """Let `seconds` pass and return the new time in nanoseconds."""
-        if seconds < 0:
-            message = f"time does not go back, not even by {-seconds:g} s"
-            raise ValueError(message)
-        self.now_ns += round(seconds * 1e9)
-        return self.now_ns
-
-
-class PortValues:
-    """Ports of a bench by attribute: values in the global table.
-
-    Reading an array port gives the array itself, so that single elements may be set;
-    assigning copies. Scalars are plain numbers.
-    """
-
-    _table: BenchTable
-    _ports: Mapping[str, Port]
-    _kind: str
-
-    def __init__(self, table: BenchTable, ports: Iterable[Port], kind: str) -> None:
-        found = {port.attr: port for port in ports}
-        vars(self).update(_table=table, _ports=found, _kind=kind)
-
-    def __getattr__(self, attr: str) -> Any:  # noqa: ANN401 - a number or an array
-        """Return the value of a port."""
-        return self._table.get(self._port(attr))
-
-    def __setattr__(self, attr: str, value: object) -> None:
-        """Set the value of a port, as another task would."""
-        self._table.put(self._port(attr), value)
-
-    def __dir__(self) -> list[str]:
-        """Return the ports."""
-        return list(self._ports)
-
-    def _port(self, attr: str) -> Port:
-        try:
-            return self._ports[attr]
-        except KeyError:
-            raise PortError(
-                f"the module has no {self._kind} {attr}",
-                expected=", ".join(self._ports) or f"no {self._kind}s at all",
-                remedy=did_you_mean(attr, self._ports),
-            ) from None
-
-
-class BenchTable:
-    """Global and local values of one module's ports, and the copies between them.
-
-    Args:
-        ports: The module's ports.
-        shapes: Their shapes, by attribute.
-        log: Gets the name of each copy.
-        dtypes: Numpy types by attribute, where the annotation does not say it all.
-    """
-
-    def __init__(
-        self,
-        ports: tuple[Port, ...],
-        shapes: Mapping[str, tuple[int, ...]],
-        log: deque[str],
-        dtypes: Mapping[str, np.dtype[Any]] | None = None,
-    ) -> None:
-        self.ports = ports
-        kinds = {port.attr: _dtype(port, dtypes or {}) for port in ports}
-        self.globals = {
-            attr: np.zeros(shapes[attr] or (1,), dtype) for attr, dtype in kinds.items()
-        }
-        self.local = {attr: array.copy() for attr, array in self.globals.items()}
-        self.owned = False
-        self.blamed = ("", 0)
-        self._log = log
-
-    def get(self, port: Port) -> Any:  # noqa: ANN401 - a number or an array
-        """Return the global value of a port."""
-        array = self.globals[port.attr]
-        return array.item() if port.is_scalar else array
-
-    def put(self, port: Port, value: object) -> None:
-        """Set the global value of a port.
-
-        Raises:
-            PortError: It has another size or another type.
-        """
-        array = self.globals[port.attr]
-        try:
-            given = np.asarray(value)
-            array[...] = np.broadcast_to(given, array.shape).astype(
-                array.dtype, casting="same_kind"
-            )
-        except (TypeError, ValueError) as error:
-            raise PortError(
-                f"the value does not fit port {port.attr} ({port.name})",
-                expected=f"{array.dtype.name} of shape {array.shape}",
-                got=repr(value),
-                remedy=str(error),
-            ) from None
-
-    # -- what the executor calls -----------------------------------------------------
-
-    def copy_in_consts(self) -> int:
-        """Copy the in-consts in."""
-        return self._in(Step.COPY_IN_CONSTS, Kind.INCONST)
-
-    def copy_out_consts(self, now_ns: int = 0) -> int:
-        """Copy the out-consts out."""
-        del now_ns
-        return self._out(Step.COPY_OUT_CONSTS, Kind.OUTCONST)
-
-    def copy_in(self) -> int:
-        """Copy the in-vars in."""
-        return self._in(Step.COPY_IN, Kind.INVAR)
-
-    def copy_in_on(self) -> int:
-        """Copy the in-vars and the out-vars in."""
-        return self._in(Step.COPY_IN_ON, Kind.INVAR, Kind.OUTVAR)
-
-    def check_claim(self) -> None:
-        """Nobody else is on a bench."""
-
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out and own them."""
-        del now_ns, cycle
-        flags = self._out(Step.CLAIM, Kind.OUTVAR)
-        self.owned = not flags
-        return flags
-
-    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out."""
-        del now_ns, cycle
-        return self._out(Step.COMMIT, Kind.OUTVAR)
-
-    def release(self) -> None:
-        """Own nothing any more."""
-        self._log.append(str(Step.RELEASE))
-        self.owned = False
-
-    def _in(self, step: Step, *kinds: Kind) -> int:
-        self._log.append(str(step))
-        for port in self.ports:
-            if port.kind in kinds:
-                self.local[port.attr][...] = self.globals[port.attr]
-        return 0
-
-    def _out(self, step: Step, kind: Kind) -> int:
-        self._log.append(str(step))
-        ports = [port for port in self.ports if port.kind is kind]
-        for port in ports:
-            array = self.local[port.attr]
-            if array.dtype.kind == "f" and not np.isfinite(array).all():
-                self.blamed = (port.name, int(np.argmin(np.isfinite(array))))
-                return NONFINITE
-        for port in ports:
-            self.globals[port.attr][...] = self.local[port.attr]
-        return 0
 
 
 class Bench(Generic[M]):
@@ -270,7 +82,7 @@ class Bench(Generic[M]):
         values = {**(values or {}), **more}
         shapes = _shapes(module, values)
         self._log: deque[str] = deque(maxlen=10_000)
-        self.table = BenchTable(ports, shapes, self._log, _structures(values))
+        self.table = BenchTable(ports, shapes, self._log, structures(values))
         self.inputs = PortValues(
             self.table, (p for p in ports if p.kind.is_input), "input"
         )
@@ -477,30 +289,3 @@ def _params(
     if isinstance(given, Params):
         return given
     return make_params(module.__params__, given or {})
-
-
-def _structures(values: Mapping[str, Any]) -> dict[str, np.dtype[Any]]:
-    """Return the types of the values that are structures."""
-    types: dict[str, np.dtype[Any]] = {}
-    for attr, value in values.items():
-        array = np.asanyarray(value)
-        if array.dtype.kind == "V":
-            types[attr] = array.dtype
-    return types
-
-
-def _dtype(port: Port, given: Mapping[str, np.dtype[Any]]) -> np.dtype[Any]:
-    """Return the numpy type of the variable behind a port."""
-    if port.attr in given:
-        return given[port.attr]
-    if port.type == "void[]":
-        raise PortError(
-            f"port {port.name} is a structure of unknown size",
-            where="Bench",
-            remedy=f"say `{port.attr}=np.zeros(..., dtype)` when you make the bench",
-        )
-    names = {"float": "f8", "int": "i8", "bool": "?"}
-    return np.dtype(names.get(port.type, port.type.removesuffix("[]")))
-
-
-__all__ = ["Bench", "BenchTable", "FakeClock", "PortValues"]

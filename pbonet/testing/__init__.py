@@ -1,0 +1,21 @@
+"""What authors of modules test with: a bench that steps one module in virtual time.
+
+::
+
+    bench = Bench(JointPID, params=Gains(kp=10.0, limit=5.0), ndof=2)
+    bench.on()
+    bench.inputs.q_ref = [0.1, 0.0]
+    bench.step(0.002)
+    assert bench.outputs.tau == approx([1.0, 0.0])
+
+The bench runs the module through the same executor as a task, with the copies of
+section 3.6 before and after each method, but in one thread, without shared memory and
+without waiting. What it calls ``inputs`` and ``outputs`` is the global table: a module
+sees an input when it is copied in, and an output appears when it is copied out.
+"""
+
+from ._bench import Bench
+from ._clock import FakeClock
+from ._table import BenchTable, PortValues
+
+__all__ = ["Bench", "BenchTable", "FakeClock", "PortValues"]
