@@ -1,0 +1,236 @@
+"""The network interface: a program that knows only zenoh and msgpack steers."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import msgspec
+import pytest
+
+from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
+from pbonet.master import oneshot
+from pbonet.master.network import Port
+from pbonet.master.subsystem import Subsystem
+from pbonet.xm import keys, rpc, rundir, session
+from pbonet.xm import messages as m
+
+FOREIGN = textwrap.dedent(
+    """
+    import json, sys, time
+    import msgpack, zenoh
+
+    endpoint, domain, port = sys.argv[1:4]
+    commands = json.loads(sys.argv[4])
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    session = zenoh.open(config)
+    token = session.liveliness().declare_token(
+        f"pbonet/{domain}/net/{port}/client/onika"
+    )
+    for number, command in enumerate(commands):
+        request = {"v": 1, "id": str(number), "client": "onika", **command}
+        for reply in session.get(
+            f"pbonet/{domain}/net/{port}", payload=msgpack.packb(request), timeout=10
+        ):
+            answer = msgpack.unpackb(reply.ok.payload.to_bytes())
+            print(json.dumps(answer), flush=True)
+    if "--hang" in sys.argv:
+        time.sleep(60)
+    session.close()
+    assert "pbonet" not in sys.modules
+    """
+)
+
+
+@pytest.fixture
+def arm(world, agents, puma):
+    agents("arm0", "arm1")
+    subsystem = Subsystem(puma, domain=world.domain).open()
+    yield subsystem
+    subsystem.detach()
+
+
+@pytest.fixture
+def port(arm):
+    told = []
+    opened = Port(arm, "chimera", told=told.append)
+    opened.told_lines = told
+    with opened:
+        yield opened
+
+
+@pytest.fixture
+def caller(arm, world):  # noqa: ARG001 - it must stand first
+    """Sends one order with the client name given."""
+    opened = session.client(world.domain)
+
+    def call(client, command="", args=None, line="", ident=""):
+        order = {"v": 1, "id": ident, "client": client, "command": command}
+        order |= {"args": args or {}, "line": line}
+        replies = opened.get(
+            keys.network(world.domain, "chimera"),
+            payload=msgspec.msgpack.encode(order),
+            timeout=10.0,
+        )
+        return m.Codec().answer(next(iter(replies)).ok.payload.to_bytes())
+
+    call.session = opened
+    call.token = lambda client: opened.liveliness().declare_token(
+        keys.network_client(world.domain, "chimera", client)
+    )
+    yield call
+    opened.close()
+
+
+def foreign(world, *commands, hang=False):
+    """Start a program that imports only zenoh and msgpack."""
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            FOREIGN,
+            rundir.Places(world.domain, "arm0").endpoint,
+            world.domain,
+            "chimera",
+            json.dumps(commands),
+            *(["--hang"] if hang else []),
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_foreign_program_assembles_steers_and_hands_back(arm, port, world):
+    client = foreign(
+        world,
+        {"command": "spawn", "args": {"rmod": "puma_pidg", "rtpu": "arm0"}},
+        {"line": "spawn jttrace arm1 25"},
+        {"line": "on"},
+        {"command": "status", "args": {"task": ["jttrace"]}},
+        {"command": "on", "args": {"task": ["jttrace"]}},
+        {"command": "quit"},
+    )
+    port.serve(threading.Event())  # control comes back by its quit
+    out, _ = client.communicate(timeout=30)
+    answers = [json.loads(line) for line in out.splitlines()]
+    assert client.returncode == 0
+    assert [answer["ok"] for answer in answers] == [True] * 4 + [False, True]
+    assert answers[2]["result"]["text"] == "jttrace ON"
+    fields = answers[3]["result"]["data"]["tasks"][0]["fields"]
+    assert (fields["state"], fields["refF"]) == ("ON", 25.0)
+    assert answers[4]["error"]["code"] == "STATE"
+    assert port.told_lines == ["onika has control", "onika has ended; control is back"]
+    assert [member.name for member in arm.picture] == ["puma_pidg", "jttrace"]
+
+
+def test_loss_of_the_program_hands_control_back(port, world):
+    order = {"command": "spawn", "args": {"rmod": "puma_pidg"}}
+    client = foreign(world, order, hang=True)
+    assert json.loads(client.stdout.readline())["ok"]
+    client.kill()
+    port.serve(threading.Event())
+    assert port.told_lines[-1] == "onika is gone; control is back"
+    client.wait()
+    client.stdout.close()
+
+
+@pytest.mark.usefixtures("port")
+def test_control_is_one_clients_and_looking_everybodys(caller):
+    token = caller.token("one")
+    assert caller("one", "spawn", {"rmod": "puma_pidg"}).ok
+    refused = caller("two", "spawn", {"rmod": "jttrace"})
+    assert refused.error["code"] == ClaimError.code
+    assert refused.error["got"] == "one"
+    assert caller("two", "status").ok
+    assert caller("two", "stop").result["data"] == {"off": [], "killed": []}
+    assert caller("two", "quit").error["code"] == "STATE"
+    assert caller("one", "quit").ok
+    token.undeclare()
+
+
+@pytest.mark.usefixtures("port")
+def test_client_without_a_token_may_not_take_control(caller):
+    answer = caller("ghost", "spawn", {"rmod": "puma_pidg"})
+    assert answer.error["what"] == "a client that takes control must be seen to live"
+    assert answer.error["expected"].endswith("/net/chimera/client/ghost")
+
+
+@pytest.mark.usefixtures("port")
+def test_repeated_order_is_not_carried_out_twice(caller, agents):
+    token = caller.token("one")
+    order = {"rmod": "puma_pidg"}
+    first = caller("one", "spawn", order, ident="7")
+    assert caller("one", "spawn", order, ident="7") == first
+    spawned = [r for r in agents["arm0"].requests if isinstance(r, m.Spawn)]
+    assert len(spawned) == 1
+    token.undeclare()
+
+
+@pytest.mark.parametrize(
+    ("payload", "what"),
+    [
+        (b"\xc1", "the message is not understood"),
+        (msgspec.msgpack.encode({"v": 2, "command": "status"}), "another protocol"),
+        (msgspec.msgpack.encode({"v": 1}), "neither a command nor a line"),
+        (msgspec.msgpack.encode({"v": 1, "line": "spwan x"}), "no command spwan"),
+    ],
+)
+@pytest.mark.usefixtures("port")
+def test_what_is_not_understood_is_answered(caller, world, payload, what):
+    replies = caller.session.get(
+        keys.network(world.domain, "chimera"), payload=payload, timeout=10.0
+    )
+    answer = m.Codec().answer(next(iter(replies)).ok.payload.to_bytes())
+    assert not answer.ok
+    assert what in answer.error["what"]
+
+
+@pytest.mark.usefixtures("port")
+def test_stop_does_not_wait_for_the_command_before_it(caller, agents):
+    token = caller.token("one")
+    caller("one", "spawn", {"rmod": "puma_pidg"})
+    agents["arm0"].slow["control"] = 2.0
+    slow = threading.Thread(target=caller, args=("one", "on", {"task": ["puma_pidg"]}))
+    begin = time.monotonic()
+    slow.start()
+    while not any(isinstance(r, m.Control) for r in agents["arm0"].requests):
+        assert time.monotonic() - begin < 10
+        time.sleep(0.005)
+    assert caller("two", "stop").ok
+    assert slow.is_alive()
+    slow.join()
+    token.undeclare()
+
+
+@pytest.mark.usefixtures("port")
+def test_port_is_one_masters(arm):
+    with pytest.raises(DuplicateNameError, match="the port chimera is taken"):
+        Port(arm, "chimera").open()
+    with pytest.raises(NodeError, match="no name for a port"):
+        Port(arm, "a/b")
+
+
+def test_port_that_is_closed_answers_no_more(arm, world):
+    with Port(arm, "gone"):
+        pass
+    client = rpc.Client(session.client(world.domain), world.domain, "late")
+    with pytest.raises(PbonetError, match="the master has gone"):
+        oneshot.ask(client, "gone", "status", {})
+    client.close()
+
+
+def test_verbs_use_the_port_of_a_living_master(arm, world, puma):
+    place = oneshot.Place(domain=world.domain)
+    with pytest.raises(PbonetError, match="another master steers"):
+        oneshot.run(puma, "spawn", {"rmod": "puma_pidg"}, place)
+    with Port(arm, "puma", handover=False):
+        reply = oneshot.run(puma, "spawn", {"rmod": "puma_pidg"}, place)
+        assert reply.data["states"] == {"puma_pidg": "OFF"}
+    assert arm.status("puma_pidg").state == "OFF"
