@@ -7,6 +7,7 @@ the orders and priorities that a master needs.
 
 from __future__ import annotations
 
+from .demands import Figure, Source
 from .judge import (
     ENDING,
     Change,
@@ -23,8 +24,18 @@ from .judge import (
 )
 from .order import flow_order, off_order, on_order, spawn_order, user_priorities
 from .records import Code, Configuration, Problem, Severity, Task
+from .reports import (
+    Outlook,
+    RtpuReport,
+    ServerReport,
+    TaskReport,
+    report,
+    report_data,
+    report_text,
+)
 from .timing import Load, criticalities, loads, traffic
 from .units import conversion, same_unit
+from .virtual import JobOutcome, Times, simulate_job
 from .wiring import producers
 
 __all__ = [
@@ -32,10 +43,18 @@ __all__ = [
     "Change",
     "Code",
     "Configuration",
+    "Figure",
+    "JobOutcome",
     "Load",
+    "Outlook",
     "Problem",
+    "RtpuReport",
+    "ServerReport",
     "Severity",
+    "Source",
     "Task",
+    "TaskReport",
+    "Times",
     "Verdict",
     "as_error",
     "as_text",
@@ -51,8 +70,12 @@ __all__ = [
     "on_order",
     "producers",
     "reconfig",
+    "report",
+    "report_data",
+    "report_text",
     "same_unit",
     "signal",
+    "simulate_job",
     "spawn",
     "spawn_order",
     "traffic",

@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from pbonet.config.model import Rmod, RtpuEntry, SvarFile, Variable
 from pbonet.pbo import ModuleInfo
+from pbonet.sched.soft import Profile
 
 COPY_SPEED = 1e9
 """Bytes a second that all tasks together may move between table and local tables.
@@ -85,8 +86,12 @@ class Task(Struct, frozen=True, kw_only=True):
     rtpu: str
     freq: float | None = None
     """Hz, in place of the RMOD's."""
+    minc: float | None = None
+    """Least CPU seconds a cycle as measured, in place of the RMOD's."""
     maxc: float | None = None
     """Worst CPU seconds a cycle as measured, in place of the RMOD's."""
+    profile: Profile | None = None
+    """Execution profile as measured (section 6.4); its end is MAXC if none is given."""
     task: str = ""
     """Its name, when that is not the RMOD's."""
 
@@ -103,6 +108,8 @@ class Task(Struct, frozen=True, kw_only=True):
     @property
     def worst(self) -> float | None:
         """The worst CPU seconds a cycle, None while unknown."""
+        if self.maxc is None and self.profile is not None:
+            return self.profile.worst_ns / 1e9
         return self.maxc if self.maxc is not None else self.rmod.maxc
 
     @property

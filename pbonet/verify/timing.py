@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from pbonet.config.model import RtpuEntry, Scheduler, TaskType
+from pbonet.config.model import RtpuEntry, Scheduler
 from pbonet.config.types import element_type
-from pbonet.sched import criticality
+from pbonet.sched import criticality, transfers
+from pbonet.sched.analysis import (
+    critical_set,
+    edf_schedulable,
+    largest_server,
+    level_guaranteed,
+    transform,
+)
 from pbonet.sched.criticality import Assigned, Timing
 
+from .demands import demands, is_periodic, is_server, reserve, servers
 from .records import Code, Configuration, Problem, Severity, Task
 
 if TYPE_CHECKING:
@@ -29,7 +37,7 @@ class Load(Struct, frozen=True, kw_only=True):
     rtpu: str
     scheduler: Scheduler
     utilization: float
-    """Equation 8, over the tasks whose MAXC is known."""
+    """Equation 8, over the tasks whose MAXC is known, with E for soft ones."""
     bound: float
     """Up to which all deadlines are kept: equation 9 under RM, else the limit."""
     unknown: tuple[str, ...]
@@ -37,12 +45,18 @@ class Load(Struct, frozen=True, kw_only=True):
     critical_set: tuple[str, ...]
     outside: tuple[str, ...]
     """Tasks that may miss deadlines in an overload, shortest period first."""
+    guaranteed: tuple[str, ...]
+    """Tasks of which a test proves that they keep every deadline: the critical set of
+    MUF, all or none under EDF, response times under RM beside equation 9."""
 
 
 def criticalities(
     tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float = 1.0
 ) -> dict[str, Assigned]:
     """Return the criticality of each task that runs on one RTPU (6.2.3, 4.5.1).
+
+    Under MUF the critical set is what EDF schedules below the servers, whose demand
+    may come at the worst moment (section 6.5.2).
 
     Args:
         tasks: The tasks on that RTPU.
@@ -53,36 +67,50 @@ def criticalities(
         By name; `assumed` where it rests on a MAXC that is not known.
     """
     periodic = [timing for task in tasks if (timing := _timing(task))]
-    servers = [task for task in tasks if _is_server(task)]
     if rtpu.scheduler is Scheduler.EDF:
         found = criticality.edf(periodic)
     elif rtpu.scheduler is Scheduler.RM:
         found = criticality.rate_monotonic(periodic, rtpu.minfreq, rtpu.maxfreq)
     else:
-        reserved = sum((t.rmod.capacity or 0.0) * (t.hz or 0.0) for t in servers)
-        found = criticality.muf(periodic, max(limit - reserved, MAX_FAULT))
+        found = _muf(tasks, periodic, limit)
     for task in tasks:
         if task.name not in found:
             found[task.name] = _aperiodic(task, rtpu)
     return {task.name: found[task.name] for task in tasks}
 
 
+def _muf(
+    tasks: Sequence[Task], periodic: list[Timing], limit: float
+) -> dict[str, Assigned]:
+    """Return MUF's rule with the critical set that is left beside the servers."""
+    inside = set(critical_set(demands(tasks), servers(tasks), limit=limit))
+    fixed = {timing.name for timing in periodic if timing.crit is not None}
+    return {
+        name: structs.replace(
+            assigned,
+            in_set=name in inside,
+            crit=assigned.crit
+            if name in fixed
+            else criticality.INSIDE
+            if name in inside
+            else criticality.OUTSIDE,
+        )
+        for name, assigned in criticality.muf(periodic, limit).items()
+    }
+
+
 def _timing(task: Task) -> Timing | None:
     """Return what the rules need of a periodic task, None for another one."""
-    if task.hz is None or _is_server(task):
+    if task.hz is None or is_server(task):
         return None
     return Timing(
-        name=task.name, period=1.0 / task.hz, maxc=task.worst, crit=task.rmod.crit
+        name=task.name, period=1.0 / task.hz, maxc=reserve(task), crit=task.rmod.crit
     )
-
-
-def _is_server(task: Task) -> bool:
-    return task.rmod.tasktype in {TaskType.SPORADIC, TaskType.DEFERRABLE}
 
 
 def _aperiodic(task: Task, rtpu: RtpuEntry) -> Assigned:
     """Return the criticality of a server or of a background task."""
-    if not _is_server(task):
+    if not is_server(task):
         rule = BACKGROUND
     elif rtpu.scheduler is Scheduler.RM:
         rule = criticality.RM_LEVELS
@@ -101,15 +129,16 @@ def loads(configuration: Configuration) -> list[Load]:
 def _load(configuration: Configuration, rtpu: RtpuEntry) -> Load:
     tasks = [task for task in configuration.running if task.rtpu == rtpu.name]
     assigned = criticalities(tasks, rtpu, limit=configuration.limit)
-    periodic = {task.name: task for task in tasks if _timing(task)}
-    used = sum((t.worst or 0.0) * (t.hz or 0.0) for t in periodic.values())
-    used += sum(assigned[t.name].utilization for t in tasks if _is_server(t))
+    periodic = {task.name: task for task in tasks if is_periodic(task)}
+    used = sum((reserve(t) or 0.0) * (t.hz or 0.0) for t in periodic.values())
+    used += sum(assigned[t.name].utilization for t in tasks if is_server(t))
     bound = configuration.limit
     if rtpu.scheduler is Scheduler.RM and periodic:
         bound = min(bound, criticality.liu_layland(len(periodic)))
     inside = {name for name in periodic if assigned[name].in_set}
     if rtpu.scheduler is Scheduler.EDF and used <= bound * (1 + MAX_FAULT):
         inside = set(periodic)
+    proven = _guaranteed(tasks, rtpu, assigned, inside)
     order = sorted(periodic, key=lambda name: (-(periodic[name].hz or 0.0), name))
     return Load(
         rtpu=rtpu.name,
@@ -119,6 +148,41 @@ def _load(configuration: Configuration, rtpu: RtpuEntry) -> Load:
         unknown=tuple(name for name in order if periodic[name].worst is None),
         critical_set=tuple(name for name in order if name in inside),
         outside=tuple(name for name in order if name not in inside),
+        guaranteed=tuple(name for name in order if name in proven),
+    )
+
+
+def _guaranteed(
+    tasks: Sequence[Task],
+    rtpu: RtpuEntry,
+    assigned: dict[str, Assigned],
+    inside: set[str],
+) -> set[str]:
+    """Return the periodic tasks that are proven to keep their deadlines."""
+    asked, reserved = demands(tasks), servers(tasks)
+    levels = {name: given.crit for name, given in assigned.items()}
+    if rtpu.scheduler is Scheduler.RM:
+        return level_guaranteed(asked, levels, reserved)
+    if rtpu.scheduler is Scheduler.EDF and not edf_schedulable(asked, reserved):
+        return set()
+    if not _by_rule(tasks, levels, inside):
+        return level_guaranteed(asked, levels, reserved)
+    return inside
+
+
+def _by_rule(tasks: Sequence[Task], levels: dict[str, int], inside: set[str]) -> bool:
+    """Return whether the set has one criticality and all others a lower one.
+
+    A CRIT in an RMOD may make it otherwise; then each level has to be looked at.
+    """
+    lowest = min((levels[name] for name in inside), default=0)
+    return (
+        all(
+            levels[task.name] < lowest
+            for task in tasks
+            if is_periodic(task) and task.name not in inside
+        )
+        and len({levels[name] for name in inside}) <= 1
     )
 
 
@@ -126,7 +190,7 @@ def check_loads(configuration: Configuration) -> Iterator[Problem]:
     """Yield RTPUs that cannot keep their tasks' deadlines, as far as MAXC is known."""
     tasks = {task.name: task for task in configuration.running}
     for load in loads(configuration):
-        yield from _overload(load, tasks, configuration.limit)
+        yield from _overload(load, tasks, configuration)
     for rtpu in configuration.rtpus:
         if rtpu.scheduler is Scheduler.RM:
             for task in configuration.running:
@@ -134,50 +198,98 @@ def check_loads(configuration: Configuration) -> Iterator[Problem]:
                     yield from _rate(task, rtpu)
 
 
-def _overload(load: Load, tasks: dict[str, Task], limit: float) -> Iterator[Problem]:
+def _overload(
+    load: Load, tasks: dict[str, Task], configuration: Configuration
+) -> Iterator[Problem]:
+    limit = configuration.limit
     late = [
         name
-        for name in load.outside
-        if not (load.unknown and load.scheduler is Scheduler.RM)
+        for name in (*load.critical_set, *load.outside)
+        if name not in load.guaranteed
+        and not (load.unknown and load.scheduler is Scheduler.RM)
         and not tasks[name].rmod.softness
     ]
     critical = [name for name in late if tasks[name].rmod.critical]
     over = load.utilization > limit * (1 + MAX_FAULT)
-    if over and (critical or load.scheduler is not Scheduler.MUF):
-        yield _too_much(load, limit, critical or list(load.outside))
-    elif late and load.utilization > load.bound * (1 + MAX_FAULT):
+    if load.scheduler is Scheduler.MUF and critical:
+        yield _not_critical(load, configuration, critical)
+    elif over and load.scheduler is not Scheduler.MUF:
+        yield _too_much(load, limit)
+    elif late:
         yield Problem(
             code=Code.NOT_GUARANTEED,
             severity=Severity.WARN,
             what=f"on RTPU {load.rtpu} {' and '.join(late)} may miss deadlines",
             where=load.rtpu,
-            expected=f"a utilization of at most {load.bound:.1%} under "
-            f"{load.scheduler.value}",
+            expected=_promise(load),
             got=_used(load),
-            remedy="lower a frequency, or move a task to another RTPU",
+            remedy=_relief(load, configuration),
             tasks=tuple(late),
         )
 
 
-def _too_much(load: Load, limit: float, tasks: list[str]) -> Problem:
-    names = " and ".join(tasks)
-    ends = load.scheduler is Scheduler.MUF
+def _promise(load: Load) -> str:
+    if load.utilization > load.bound * (1 + MAX_FAULT):
+        return f"a utilization of at most {load.bound:.1%} under {load.scheduler.value}"
+    return (
+        f"deadlines that hold under {load.scheduler.value} when servers use their "
+        "whole capacity at the worst moment and each CRIT is as given"
+    )
+
+
+def _relief(load: Load, configuration: Configuration) -> str:
+    """Return what to do when tasks may miss; with a server, how large it may be."""
+    there = [t for t in configuration.running if t.rtpu == load.rtpu]
+    for server in servers(there):
+        if load.scheduler is Scheduler.EDF or len(servers(there)) > 1:
+            break
+        most = largest_server(server, demands(there), rm=load.scheduler is Scheduler.RM)
+        if 0 < most < server.capacity_ns:
+            return (
+                f"lower CAPACITY of {server.name} to at most {most / 1e9:.6g} s, lower "
+                "a frequency, or move a task to another RTPU"
+            )
+    return "lower a frequency, or move a task to another RTPU"
+
+
+def _not_critical(
+    load: Load, configuration: Configuration, critical: list[str]
+) -> Problem:
+    """Return the refusal of CRITICAL tasks that the critical set does not hold."""
+    names = " and ".join(critical)
+    there = [t for t in configuration.running if t.rtpu == load.rtpu]
+    changes = transform(
+        demands(there), critical, servers(there), limit=configuration.limit
+    )
+    if changes:
+        remedy = " and ".join(
+            f"run {c.name} at {c.factor} times its frequency, with at most "
+            f"{c.cost_ns / 1e9:.6g} s a cycle (period transformation)"
+            for c in changes
+        )
+    else:
+        remedy = f"lower the frequency of {names}"
     return Problem(
         code=Code.OVERLOAD,
-        what=f"RTPU {load.rtpu} is too busy for the CRITICAL {names}"
-        if ends
-        else f"RTPU {load.rtpu} is asked for more than it has",
+        what=f"RTPU {load.rtpu} is too busy for the CRITICAL {names}",
         where=load.rtpu,
         expected="CRITICAL tasks within the critical set, the shortest periods whose "
-        f"utilization is at most {limit:.1%}"
-        if ends
-        else f"a utilization of at most {limit:.1%}",
+        f"utilization is at most {configuration.limit:.1%}",
         got=_used(load),
-        remedy=f"raise the frequency of {names} above that of others, lower another "
-        "task's, or move one to another RTPU"
-        if ends
-        else "lower a frequency, or move a task to another RTPU",
-        tasks=tuple(tasks),
+        remedy=f"{remedy}, lower another task's frequency, or move one to another RTPU",
+        tasks=tuple(critical),
+    )
+
+
+def _too_much(load: Load, limit: float) -> Problem:
+    return Problem(
+        code=Code.OVERLOAD,
+        what=f"RTPU {load.rtpu} is asked for more than it has",
+        where=load.rtpu,
+        expected=f"a utilization of at most {limit:.1%}",
+        got=_used(load),
+        remedy="lower a frequency, or move a task to another RTPU",
+        tasks=load.outside,
     )
 
 
@@ -216,8 +328,12 @@ def traffic(configuration: Configuration) -> dict[str, float]:
         if (kind := element_type(variable.type))
     }
     return {
-        task.name: (task.hz or 0.0)
-        * sum(size.get(name, 0) for name in (*task.inputs, *task.outputs))
+        task.name: transfers.rate(
+            [size.get(name, 0) for name in (*task.inputs, *task.outputs)],
+            1.0 / task.hz,
+        )
+        if task.hz
+        else 0.0
         for task in configuration.running
     }
 
@@ -225,7 +341,7 @@ def traffic(configuration: Configuration) -> dict[str, float]:
 def check_traffic(configuration: Configuration) -> Iterator[Problem]:
     """Yield a problem when all tasks together move more than the table can (eq. 7)."""
     moved = traffic(configuration)
-    total = sum(moved.values())
+    total = transfers.bandwidth(moved.values())
     if total <= configuration.copy_speed:
         return
     most = max(moved, key=lambda name: (moved[name], name))

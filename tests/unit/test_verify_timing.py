@@ -49,8 +49,9 @@ def test_a_critical_task_must_be_in_the_critical_set() -> None:
     assert texts(config) == [
         "arm0: RTPU arm0 is too busy for the CRITICAL t4 (expected CRITICAL tasks "
         "within the critical set, the shortest periods whose utilization is at most "
-        "100.0%, got 125.0%); raise the frequency of t4 above that of others, lower "
-        "another task's, or move one to another RTPU"
+        "100.0%, got 125.0%); run t4 at 2 times its frequency, with at most 0.002 s a "
+        "cycle (period transformation), lower another task's frequency, or move one to "
+        "another RTPU"
     ]
 
 
