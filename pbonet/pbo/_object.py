@@ -335,9 +335,8 @@ def _check_symbols(body: Declaring, port: Port, ports: dict[str, Port]) -> None:
 def _methods(cls: type, body: Declaring, *, abstract: bool) -> tuple[str, ...]:
     """Check how the methods are written; return which ones the module has."""
     for name, form in METHODS.items():
-        method = vars(cls).get(name)
-        if method is not None:
-            _check_method(body, name, form, method)
+        if name in vars(cls):
+            _check_method(body, name, form, vars(cls)[name])
     own = tuple(
         name
         for name in METHODS

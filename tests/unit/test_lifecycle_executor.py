@@ -411,3 +411,51 @@ def test_the_law_of_an_ordinary_task_is_the_method_itself():
 def test_a_cycle_outside_on_is_refused():
     with pytest.raises(StateError, match="signal wakeup is not valid in state OFF"):
         make().step()
+
+
+def test_what_fails_again_behind_continue_ends_in_error():
+    def poison(self):
+        self.y[0] = np.inf
+
+    bench = make(off=poison, error=lambda _: Answer.CONTINUE)
+    bench.on()
+    with pytest.raises(MethodError, match="an output is not a finite number"):
+        bench.off()
+    assert bench.state is State.ERROR
+    assert not bench.table.owned
+    assert bench.log[-4:] == ["out-vars out", "error", "out-vars out", "disown"]
+
+
+def test_a_kill_that_fails_behind_continue_ends_the_task():
+    bench = make(off=boom, kill=boom, error=lambda _: Answer.CONTINUE)
+    bench.on()
+    with pytest.raises(MethodError, match=r"^scale\.kill: ZeroDivisionError"):
+        bench.kill()
+    assert bench.state is State.NOT_CREATED
+
+
+def test_a_wrong_size_of_an_in_const_prevents_creation():
+    bench = make()
+    bench.table.globals["ndof"][...] = 5
+    other = Executor(bench.module, bench.table)
+    with pytest.raises(MethodError, match="in-const NDOF is not the size"):
+        other.spawn()
+    assert other.state is State.NOT_CREATED
+
+
+def test_time_may_come_from_elsewhere():
+    class Loop:
+        """As a native loop counts."""
+
+        now = 77
+        cyclecount = 5
+
+    bench = make(cycle=lambda self: seen.append(self.task.now))
+    seen = []
+    bench.task.source = Loop()
+    executor = Executor(bench.module, bench.table)
+    executor.spawn()
+    executor.signal("on")
+    executor.cycle(0.1, now=3)
+    assert seen == [77]
+    assert bench.task.cyclecount == 5

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import Annotated as A
+from typing import Any
 
 import numpy as np
 import pytest
@@ -263,6 +264,48 @@ def test_an_inherited_port_is_not_declared_again():
 
         class Wrong(Joints):
             q: A[Vector, OutVar("P", "n", "rad", "position")]
+
+
+@pytest.mark.parametrize("kind", [NDArray[np.floating], NDArray[Any], NDArray[object]])
+def test_an_array_port_has_one_type_of_element(kind):
+    with pytest.raises(DeclarationError, match="the type cannot be a port's"):
+        declare("q", kind, Q)
+
+
+def test_other_annotated_attributes_are_no_ports():
+    class Arm(Idle, PortBasedObject):
+        speed: A[float, "of light"]
+        q: A[Vector, InVar("Q", "n", "rad", "position")]
+
+    assert [port.attr for port in interface(Arm).ports] == ["q"]
+
+
+def test_a_class_without_source_has_no_line():
+    namespace = {"__name__": "typed_in", "A": A, "Vector": Vector, "InVar": InVar}
+    namespace["PortBasedObject"] = PortBasedObject
+    code = 'class Typed(PortBasedObject):\n    q: A[Vector, InVar("Q", "n", "", "x")]\n'
+    with pytest.raises(DeclarationError) as caught:
+        exec(code, namespace)  # noqa: S102 - as typed at a prompt
+    assert caught.value.where == "typed_in.Typed.q (source unknown)"
+
+
+def test_the_line_of_a_method_and_of_an_assignment_is_named():
+    with pytest.raises(DeclarationError) as caught:
+
+        class Wrong(PortBasedObject):
+            first, second = 1, 2
+            third = 3
+
+            def cycle(self):  # the one without dt
+                pass
+
+    assert f"(line {line_of('def cycle(self):  # the one')})" in str(caught.value)
+    with pytest.raises(DeclarationError) as caught:
+
+        class Worse(PortBasedObject):
+            cycle = None  # no method
+
+    assert f"(line {line_of('cycle = None')})" in str(caught.value)
 
 
 def test_a_size_is_named_by_attribute_not_by_port():
