@@ -118,7 +118,11 @@ cdef class CoreTable:
         if max(len(r), len(n)) >= RT_NAME:
             raise NodeError("the name is too long", where=f"{rtpu}/{task}",
                             expected=f"at most {RT_NAME - 1} bytes")
-        cdef int i = rt_alloc(self.open(), self.map.member, r, n)
+        self.open()
+        if not self.member:
+            raise NodeError("only a member of the core takes slots", where=self.path,
+                            remedy="open the table with member=True")
+        cdef int i = rt_alloc(self.t, self.map.member, r, n)
         if i < 0:
             raise NodeError("all slots of the core are taken", where=self.path,
                             expected=f"at most {RT_SLOTS} tasks",

@@ -32,6 +32,9 @@ static inline void rt_commit(struct rt_table *t, int i, const struct rt_state *n
     atomic_signal_fence(memory_order_seq_cst);
     t->slots[i].state = *next;
     atomic_store_explicit(&t->journal_valid, 0, memory_order_release);
+    atomic_store_explicit(&t->slots[i].grant.missed, next->missed, memory_order_relaxed);
+    atomic_store_explicit(&t->slots[i].grant.level, next->level, memory_order_relaxed);
+    atomic_store_explicit(&t->slots[i].grant.life, next->life, memory_order_relaxed);
 }
 
 static inline void rt_disarm(struct rt_state *s)
@@ -174,6 +177,7 @@ static inline void rt_publish(struct rt_slot *slot)
     atomic_store_explicit(&g->rel_ns, slot->state.rel_ns, memory_order_relaxed);
     atomic_store_explicit(&g->dl_ns, slot->state.dl_ns, memory_order_relaxed);
     atomic_store_explicit(&g->parked, slot->state.parked, memory_order_relaxed);
+    atomic_store_explicit(&g->missed, slot->state.missed, memory_order_relaxed);
     /* SYNC POINT: rt_slot_wait loads `seq` with acquire before it reads the times. */
     atomic_store_explicit(&g->seq, slot->state.seq, memory_order_release);
     atomic_fetch_add(&g->bell, 1);
@@ -216,6 +220,8 @@ static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, in
         struct rt_state *s = &t->slots[ready[k].slot].state;
         if (s->level != ready[k].level) {
             s->level = ready[k].level;      /* one word: needs no journal */
+            atomic_store_explicit(&t->slots[ready[k].slot].grant.level, s->level,
+                                  memory_order_relaxed);
             rt_emit(t, RT_LEVEL, ready[k].slot, (uint32_t)s->level, 0, 0);
         }
     }

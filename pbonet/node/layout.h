@@ -79,6 +79,9 @@ struct rt_grant {
     _Atomic uint32_t ask;               /* rt_ask bits */
     _Atomic uint32_t parked;            /* futex: not 0 while the task is held */
     _Atomic int64_t rel_ns, dl_ns;      /* of the last grant */
+    _Atomic uint64_t missed;            /* as in `state`, for whoever reads ... */
+    _Atomic int32_t level;              /* ... the status; and ... */
+    _Atomic uint32_t life;              /* ... which life the dispatcher serves */
 };
 
 struct rt_state {
@@ -129,7 +132,7 @@ struct rt_table {
     _Atomic int32_t leader_pid, leader_tid;
     _Atomic int64_t since_ns;
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
-    _Atomic int64_t late_max_ns;
+    _Atomic int64_t late_max_ns;        /* a turn behind the event it was to serve */
     int64_t due_ns;                     /* what the last turn sleeps for */
 
     uint32_t journal_slot;              /* a state that is being replaced ... */

@@ -155,6 +155,7 @@ static inline void *rt_thread(void *arg)
     struct rt_table *t = loop->table;
     int died = 0;
     prctl(PR_SET_TIMERSLACK, 1L);
+    pthread_setname_np(pthread_self(), "dispatcher");
     if (!rt_stand_by(loop, &died))
         return NULL;
     if (died)

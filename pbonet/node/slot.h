@@ -85,7 +85,7 @@ static inline void rt_arm(struct rt_task *task)
         rt_stats_begin(s);
         rt_put(&s->on_ns, (uint64_t)rt_now());
         rt_put(&s->on_cycles, rt_get(&s->cycles));
-        rt_put(&s->on_missed, slot->state.missed + rt_get(&s->failed));
+        rt_put(&s->on_missed, rt_get(&slot->grant.missed) + rt_get(&s->failed));
         rt_put(&s->on_cpu_ns, rt_get(&s->cpu_total_ns));
         rt_put(&s->on_faults, rt_get(&s->faults));
         rt_put(&s->cpu_min_ns, 0);

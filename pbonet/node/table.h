@@ -322,8 +322,15 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     memset(c->task, 0, RT_NAME);
     memcpy(c->rtpu, rtpu, strnlen(rtpu, RT_NAME - 1));
     memcpy(c->task, task, strnlen(task, RT_NAME - 1));
-    memset(&slot->post, 0, sizeof slot->post);
-    memset(&slot->grant, 0, sizeof slot->grant);
+    atomic_store(&slot->post.word, 0);
+    atomic_store(&slot->post.begun, 0);
+    atomic_store(&slot->post.done, 0);
+    atomic_store(&slot->grant.seq, 0);
+    atomic_store(&slot->grant.ask, 0);
+    atomic_store(&slot->grant.parked, 0);
+    atomic_store(&slot->grant.rel_ns, 0);
+    atomic_store(&slot->grant.missed, 0);
+    atomic_store(&slot->grant.level, 0);
     memset(&slot->stats, 0, sizeof slot->stats);
     atomic_store(&slot->errors, 0);
     rt_config_end(c, gen);
@@ -338,7 +345,7 @@ static inline int rt_alloc(struct rt_table *t, int member, const char *rtpu,
     rt_reap(t);
     for (int i = RT_SLOTS - 1; i >= 0; i--) {
         uint32_t life = atomic_load(&t->slots[i].config.life);
-        if (!(life & 1) && (found < 0 || t->slots[i].state.life == life))
+        if (!(life & 1) && (found < 0 || atomic_load(&t->slots[i].grant.life) == life))
             found = i;
     }
     if (found >= 0) {

@@ -67,8 +67,8 @@ static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
     v->period_ns = atomic_load(&c->period_ns);
     v->deadline_ns = atomic_load(&c->deadline_ns);
     v->mode = (int)(atomic_load(&slot->post.word) & 3);
-    v->level = *(const volatile int32_t *)&slot->state.level;
-    v->dispatcher_missed = *(const volatile uint64_t *)&slot->state.missed;
+    v->level = atomic_load(&slot->grant.level);
+    v->dispatcher_missed = rt_get(&slot->grant.missed);
     v->release_ns = atomic_load(&slot->grant.rel_ns);
     v->errors = atomic_load(&slot->errors);
 }
@@ -142,7 +142,7 @@ static inline uint64_t rt_cycles(const struct rt_slot *slot)
 
 static inline uint64_t rt_missed(const struct rt_slot *slot)
 {
-    return *(const volatile uint64_t *)&slot->state.missed + rt_get(&slot->stats.failed);
+    return rt_get(&slot->grant.missed) + rt_get(&slot->stats.failed);
 }
 
 static inline int64_t rt_period(const struct rt_slot *slot)

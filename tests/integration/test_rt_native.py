@@ -56,3 +56,15 @@ def test_random_histories_under_the_sanitizers(tmp_path, compiler, seed) -> None
         "-o", program, "-lpthread",
     )  # fmt: skip
     run(program, str(seed), "150")
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> None:
+    """It knows neither fences (all they order is atomic) nor pthread_mutex_clocklock."""
+    program = tmp_path / "rt_threads"
+    quiet = ["-Wno-tsan"] if compiler == "gcc" else []
+    run(
+        compiler, *STRICT, *quiet, "-O1", "-g", "-fsanitize=thread",
+        ROOT / "tests" / "native" / "rt_threads.c", "-o", program, "-lpthread",
+    )  # fmt: skip
+    run("env", "TSAN_OPTIONS=report_mutex_bugs=0", program, "500")

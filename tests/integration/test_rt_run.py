@@ -216,7 +216,7 @@ def test_a_real_run_replays_in_the_twin(host) -> None:
     trace += [Decision(*r) for r in records]
     assert replay(trace) >= 10_000
     kinds = {record.kind for record in trace}
-    assert kinds >= {Event.MODE, Event.BEGUN, Event.MISS, Event.LEVEL, Event.DEAD}
+    assert kinds >= {Event.MODE, Event.BEGUN, Event.MISS, Event.LEVEL, Event.LIFE}
 
 
 def test_all_run_on_the_core_they_are_pinned_to(host) -> None:

@@ -62,6 +62,8 @@ def test_users_do_not_keep_the_table(path) -> None:
     member, user = _rt.CoreTable(1), _rt.CoreTable(1, member=False)
     i = member.alloc("r", "t")
     assert user.snapshot(i).task == "t"
+    with pytest.raises(NodeError, match="only a member of the core takes slots"):
+        user.alloc("r", "u")
     member.close()
     assert not path.exists()
     assert user.snapshot(i).task == "t", "what is mapped stays readable"
