@@ -6,7 +6,7 @@
  * whole are the ones that the first looks named, and nobody waits for anybody.
  * One reader stands for many: readers write nothing, so none can tell that others exist.
  *
- * Mutations: NO_RELEASE (R2), NO_ACQUIRE (R3), NO_CUT_FENCE (C3), WHOLE_WILL_DO (no
+ * Mutations: NO_WRITE_FENCE (R1), NO_RELEASE (R2), NO_ACQUIRE (R3), NO_CUT_FENCE (C3), WHOLE_WILL_DO (no
  * group need be unchanged), HALF_LOOK (the group looked at first need not), LOOK_AT_ONCE
  * (each register is looked at again before the next one is looked at).
  */
@@ -39,7 +39,9 @@ int seen;
 inline write_all(r, commits) {
     do
     :: seq <= commits ->
+#ifndef NO_WRITE_FENCE
         release_fence(r); /* R1 */
+#endif
         if :: store(r, WORD(r, seq), seq) :: goto killed fi;
 #ifdef NO_RELEASE
         if :: store(r, HEAD(r), seq) :: goto killed fi; /* R2 */

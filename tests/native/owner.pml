@@ -16,7 +16,7 @@
  *   - no task gets what a live task owns; nobody waits for ever, whoever was killed.
  *
  * Mutations of the writers: NO_RELEASE (R2 on the generation), NO_REUSE_FENCE (O1),
- * PUBLISH_FIRST, ONE_BY_ONE, IN_PLACE, NO_REFUSAL, NO_LOCK, NO_RECOVERY, SWEEP_NAMED,
+ * PUBLISH_FIRST, ONE_BY_ONE, IN_PLACE, NO_REFUSAL, NO_LOCK, NO_RECOVERY, NO_HANDOVER (L1), SWEEP_NAMED,
  * SWEEP_HELD, RECLAIM_IN_PLACE; of the reader: NO_ACQUIRE (C2), NO_PLAN_FENCE (C1),
  * NO_PLAN_CHECK (C1), NO_CUT_FENCE (C3), NO_GENERATION_CHECK (C4).
  */
@@ -73,11 +73,13 @@ inline lock(p) {
 #else
         holder == NOBODY || !alive[holder];
 #endif
-        before[p] = before[p] | handed;
+#ifndef NO_HANDOVER
+        before[p] = before[p] | handed; /* L1 */
         if
         :: holder < NOBODY -> before[p] = before[p] | before[holder]
         :: else
         fi;
+#endif
         holder = p
     }
 }
@@ -252,11 +254,17 @@ inline let_go(p) {
     or_die(unlock(p))
 }
 
+#ifdef RECLAIM
+#define OLD 1
+#else
+#define OLD 2
+#endif
+
 proctype Task(byte p) {
     byte r, b, g, seq, no;
-#if defined(RECLAIM) && defined(RECLAIM_IN_PLACE)
+#if !defined(RECLAIM) || defined(RECLAIM_IN_PLACE)
     if
-    :: p == 0 -> r = 1; b = 1
+    :: p == 0 -> r = OLD; b = OLD /* taken earlier */
     :: else -> enter(p)
     fi;
 #else
@@ -298,11 +306,11 @@ out:
 #ifdef NO_PLAN_FENCE
 #define AGAIN_PLAN_WAITS LOOK_GEN
 #define LOOK_X_WAITS (LOOK_GEN | ENTRY_X)
-#define LOOK_Y_WAITS (LOOK_GEN | ENTRY_Y | LOOK_X)
+#define LOOK_Y_WAITS (LOOK_X | ENTRY_Y)
 #else
 #define AGAIN_PLAN_WAITS (LOOK_GEN | ENTRIES) /* C1 */
-#define LOOK_X_WAITS (LOOK_GEN | ENTRIES)
-#define LOOK_Y_WAITS (LOOK_GEN | ENTRIES | LOOK_X)
+#define LOOK_X_WAITS AGAIN_PLAN /* the processor may look earlier, but gains no other plan */
+#define LOOK_Y_WAITS LOOK_X
 #endif
 #define COPY_X_WAITS (LOOK_X | LOOK_Y | BASE_X)
 #define COPY_Y_WAITS (LOOK_X | LOOK_Y | BASE_Y)
@@ -345,7 +353,11 @@ proctype Reader() {
     do
 #ifndef NO_GENERATION_CHECK
     :: atomic { doomed ->
+#ifndef NO_PLAN_CHECK
         if :: done & AGAIN_PLAN -> check_plan() :: else fi;
+#else
+        check_plan();
+#endif
         goto finished }
 #endif
     :: atomic { can(LOOK_GEN, 0) ->
@@ -373,11 +385,14 @@ proctype Reader() {
         if :: mem[GEN] != gen -> goto finished :: else fi
 #endif
        }
-    :: atomic { can(LOOK_X, LOOK_X_WAITS) -> seq[X] = mem[HEAD(reg[X])]; done = done | LOOK_X }
+    :: atomic { can(LOOK_X, LOOK_X_WAITS) -> seq[X] = mem[HEAD(reg[X])]; done = done | LOOK_X;
+        if
+        :: done & ENTRY_Y && reg[Y] == reg[X] -> /* one register for both: one look */
+            seq[Y] = seq[X]; stood = STANDS(X) && STANDS(Y); done = done | LOOK_Y
+        :: else
+        fi }
     :: atomic { can(LOOK_Y, LOOK_Y_WAITS) ->
-        if :: reg[Y] == reg[X] -> seq[Y] = seq[X] :: else -> seq[Y] = mem[HEAD(reg[Y])] fi;
-        stood = STANDS(X) && STANDS(Y);
-        done = done | LOOK_Y }
+        seq[Y] = mem[HEAD(reg[Y])]; stood = STANDS(X) && STANDS(Y); done = done | LOOK_Y }
     :: atomic { can(COPY_X, COPY_X_WAITS) -> word[X] = mem[WORD(place[X], seq[X], X)]; done = done | COPY_X }
     :: atomic { can(COPY_Y, COPY_Y_WAITS) -> word[Y] = mem[WORD(place[Y], seq[Y], Y)]; done = done | COPY_Y }
     :: atomic { can(AGAIN_X, AGAIN_WAITS) -> second_look(X); done = done | AGAIN_X;
@@ -416,6 +431,7 @@ init {
         task[1] = 0; mem[DIR(1, X)] = 1;
 #else
         task[1] = THIRD; mem[DIR(1, X)] = 1 | LIVE;
+        state[2] = HELD; task[2] = 0; base[2] = 2; mem[BASE(2)] = 2;
 #endif
         own[2] = 1 | 1 << 2; /* generation 1: x in register 1, y in the keeper's */
         mem[HEAD(0)] = 1; mem[WORD(0, 1, Y)] = VALUE(Y, 0, 1);
