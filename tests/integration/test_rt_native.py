@@ -60,7 +60,7 @@ def test_random_histories_under_the_sanitizers(tmp_path, compiler, seed) -> None
 
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> None:
-    """It knows neither fences (all they order is atomic) nor pthread_mutex_clocklock."""
+    """It knows neither fences, which order atomics here, nor mutexes with a clock."""
     program = tmp_path / "rt_threads"
     quiet = ["-Wno-tsan"] if compiler == "gcc" else []
     run(
