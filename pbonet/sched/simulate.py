@@ -200,15 +200,15 @@ class Core:
         events, ready, jobs = self._events, self._ready, self._jobs
         while True:
             due = events[0][0] if events else until_ns + 1
-            stop = min(due, until_ns)
-            while ready and self.now_ns < stop:
+            if ready and self.now_ns < due and self.now_ns < until_ns:
                 entry = ready[0]
                 job = jobs[entry[2]]
                 if entry[3] == job.stamp:
-                    self._compute(job, stop)
+                    self._compute(job, min(due, until_ns))
                 else:
                     heappop(ready)
-            self.now_ns = max(self.now_ns, stop)
+                continue
+            self.now_ns = max(self.now_ns, min(due, until_ns))
             if due > until_ns:
                 return
             while events and events[0][0] == due:
