@@ -88,9 +88,11 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     """Kill a task, by force if it does not go by itself; return warnings.
 
     Raises:
-        PbonetError: Its `off` failed, and it stands in ERROR now.
+        PbonetError: Its `off` failed, and it stands in ERROR now; or its `kill` failed,
+            and it is gone all the same.
     """
     start = time.monotonic()
+    failed: PbonetError | None = None
     task.stopping = True
     try:
         await task.command("kill", lambda n: wire.Signal(n, "kill", arg=arg), limit)
@@ -99,6 +101,7 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     except TaskDiedError:
         return []
     except PbonetError as error:
+        failed = error
         if task.state is not State.NOT_CREATED:
             task.stopping = False
             _note(rtpu, task, lifecycle.Event.KILL, error)
@@ -106,7 +109,9 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     left = max(limit - (time.monotonic() - start), 0.0)
     said_good_bye = task.state is State.NOT_CREATED
     by_itself = await task.end(END_TIME if said_good_bye else left)
-    _note(rtpu, task, lifecycle.Event.KILL)
+    _note(rtpu, task, lifecycle.Event.KILL, failed)
+    if failed is not None:
+        raise failed
     if by_itself:
         return []
     text = f"task {task.name} did not end within {limit:g} s and was ended by force"

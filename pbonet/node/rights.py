@@ -96,7 +96,7 @@ def _limit(which: int) -> int:
 
 def _number(path: str, default: int) -> int:
     try:
-        return int(Path(path).read_text("ascii"))
+        return int(Path(path).read_text("utf-8"))
     except (OSError, ValueError):
         return default
 

@@ -23,6 +23,7 @@ from ._ring import Ring
 from .claims import Claims
 from .spawner import Spawner
 from .tables import Tables
+from .tasktalk import INTERRUPT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -322,6 +323,8 @@ class Rtpu:
             f"the fork server ended: {describe_end(code)}; every task turns itself "
             "off and ends",
         )
+        for task in self.tasks.values():
+            task.child.send_signal(INTERRUPT)  # those that wait in `sync`
 
     async def _watch_quietly(self) -> None:
         """Look after what nobody reports."""

@@ -21,11 +21,12 @@ import msgspec
 
 from pbonet.config import parse_rmod
 from pbonet.config.library import Library
+from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
 from pbonet.pbo import State, bind, decode_params
 from pbonet.svar import Table
 
-from . import _rt, runtime, wire
+from . import _rt, runtime, tasktalk, wire
 from ._ring import Ring
 from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
@@ -135,6 +136,8 @@ class Host:
         _rt.pin(self.spec.core)
         runtime.settle_memory()
         self.slot.command_level()
+        if self.synchronous:
+            tasktalk.interrupt_waits(self.voice.sock, self._on_message)
         ready = Ready(
             module=self.info.name,
             version=self.info.version,
@@ -144,6 +147,11 @@ class Host:
         self._answer(0, ready)
 
     # -- life --------------------------------------------------------------------------
+
+    @property
+    def synchronous(self) -> bool:
+        """Whether the module says in `sync` when it is time."""
+        return self.rmod.tasktype is TaskType.SYNCHRONOUS
 
     def live(self) -> None:
         """Obey messages and cycle until the task is killed or orphaned."""
@@ -168,31 +176,40 @@ class Host:
     def _cycle(self) -> None:
         """Cycle until a message waits or something fails."""
         instance = self.executor.instance
-        synchronous = self.rmod.tasktype == "synchronous"
         self.time.cycling = True
         try:
             reason = self.slot.run(
                 instance.cycle,
                 self.local,
                 stable=instance.stable if self.rmod.critical else None,
-                sync=self._sync if synchronous else None,
+                sync=self._sync if self.synchronous else None,
                 ring=self.ring,
                 leave=ALL_REFUSED,
             )
-            self.time.cycling = False
             if reason == _rt.FLAGS:
+                self.time.cycling = False
                 self._fault(refused(self.slot.flags, self.local.blamed))
+        except tasktalk.Interrupted:
+            self._waiting_outside = False
         except RAISED as error:
             self.time.cycling = False
             self._fault(contained(error))
+        self.time.cycling = False
         if self.context.off_requested and self.executor.state is State.ON:
             self._obey("off")
         self._take()
 
     def _sync(self) -> None:
+        """Wait as the module says; a message that arrives ends the wait."""
         self._waiting_outside = True
+        if self.voice.waits() or self._asked_to_end:
+            raise tasktalk.Interrupted  # it came before the wait could be interrupted
         self.executor.instance.sync()
         self._waiting_outside = False
+
+    def _on_message(self) -> None:
+        if self._waiting_outside:
+            raise tasktalk.Interrupted
 
     def _fault(self, error: Raised) -> None:
         """Have the executor deal with what a cycle raised, and report it."""
@@ -301,3 +318,4 @@ class Host:
     def _on_signal(self, number: int, _frame: object) -> None:
         self._asked_to_end = signal.Signals(number).name
         self.core.request(self.spec.slot)
+        self._on_message()

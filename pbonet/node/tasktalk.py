@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
+import select
+import signal
 import socket
 import time
 from typing import TYPE_CHECKING
@@ -19,6 +23,29 @@ if TYPE_CHECKING:
     from .failures import Raised
 
 _NAMED = Signal.OFF | Signal.FINISH | Signal.ERROR | Signal.WARNING | Signal.SHUTDOWN
+
+
+INTERRUPT = signal.SIGUSR2
+F_SETSIG = 10
+
+
+class Interrupted(BaseException):
+    """Ends a module's wait in `sync`, because a message arrived."""
+
+
+def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
+    """Have the kernel signal what arrives on `sock`, its end included.
+
+    Args:
+        sock: The task's socket.
+        arrived: Called in the main thread, within whatever it does; may raise
+            `Interrupted` to end it.
+    """
+    signal.signal(INTERRUPT, lambda _number, _frame: arrived())
+    fcntl.fcntl(sock, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(sock, F_SETSIG, int(INTERRUPT))
+    flags = fcntl.fcntl(sock, fcntl.F_GETFL)
+    fcntl.fcntl(sock, fcntl.F_SETFL, flags | os.O_ASYNC)
 
 
 class Voice:
@@ -43,6 +70,10 @@ class Voice:
             return None
         except OSError:
             return b""
+
+    def waits(self) -> bool:
+        """Return whether a packet, or the end, waits to be heard."""
+        return bool(select.select([self.sock], [], [], 0)[0])
 
     def say(self, done: wire.Done) -> None:
         """Answer a message; a too long one is answered with an error."""

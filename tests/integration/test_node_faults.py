@@ -113,7 +113,9 @@ class TestRaising:
     def test_in_kill(self, arm):
         tid = arm.spawn("bad", "raises_in_kill").tid
         arm.on("bad")
-        assert arm.kill("bad").state == "NOT-CREATED"
+        error = arm.refused(MethodError, arm.kill, "bad")
+        assert "kill does not work" in str(error)
+        assert "bad" not in arm.status()  # gone all the same
         wait_gone([tid])
 
     def test_sys_exit(self, arm):
