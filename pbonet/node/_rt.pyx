@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = layout.h muf.h dispatch.h sys.h table.h loop.h slot.h view.h ring.h guard.h
+# distutils: depends = layout.h muf.h dispatch.h sys.h table.h loop.h slot.h view.h ring.h guard.h _rt_process.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -12,7 +12,7 @@ from libc.stdlib cimport free, malloc
 from libc.string cimport memset, strdup
 
 from pbonet.errors import NodeError, RealTimeError
-from pbonet.node import _ring
+from pbonet.node import _ring, rights
 from pbonet.node._ring cimport RING_STABLE, Ring, ring_put, ring_record
 from pbonet.node._rt_headers cimport *
 from pbonet.sched.histogram import octaves
@@ -252,7 +252,7 @@ def _within(name, value, low, high):
 def _thread_cpu(int pid, int tid) -> int:
     """Return a thread's CPU time out of schedstat; 0 when it is gone."""
     try:
-        with open(f"/proc/{pid}/task/{tid}/schedstat", encoding="ascii") as file:
+        with open(f"/proc/{pid}/task/{tid}/schedstat", encoding="utf-8") as file:
             return int(file.read().split()[0])
     except (OSError, ValueError, IndexError):
         return 0
@@ -273,8 +273,8 @@ cdef class Dispatcher:
         if backend != "park":
             error = rt_try_fifo()
         if error and backend == "fifo":
-            raise RealTimeError("SCHED_FIFO is refused", got=os.strerror(error),
-                                remedy="; ".join(probe().reasons))
+            what, _, remedy = probe().reasons[0].partition("; ")
+            raise RealTimeError(what.replace(", timing is soft", ""), remedy=remedy)
         self.table = table
         self.loop.table = table.t
         self.loop.backend = RT_PARK if backend == "park" or error else RT_FIFO
@@ -479,63 +479,4 @@ cdef class Slot:
         return bool(rt_pending(self.live()))
 
 
-def probe():
-    from pbonet.node.rights import probe as look
-    return look(rt_try_fifo())
-
-
-def orphan_guard(int signal, int parent=0) -> int:
-    cdef int fd = rt_guard_orphan(signal, parent)
-    if fd < 0:
-        raise RealTimeError("the watch over the parent cannot be set up",
-                            got=os.strerror(-fd))
-    return fd
-
-
-def orphaned() -> bool:
-    return bool(rt_is_orphan())
-
-
-def lock_memory() -> None:
-    cdef int error = rt_lock_memory()
-    if error:
-        raise RealTimeError("memory cannot be locked", got=os.strerror(error),
-                            remedy="set 'memlock unlimited' in /etc/security/limits.d")
-
-
-def prefault_stack(size_t size=1 << 19) -> None:
-    rt_prefault_stack(size if size < 1 << 22 else 1 << 22)
-
-
-def populate_pages() -> int:
-    """Ask the kernel for every private writable page at once (madvise)."""
-    total = 0
-    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
-        lines = maps.readlines()
-    for line in lines:
-        place, rights = line.split()[:2]
-        low, high = (int(text, 16) for text in place.split("-"))
-        if rights.startswith("rw") and rights.endswith("p") and "[v" not in line:
-            if not rt_populate(low, high - low):
-                total += high - low
-    return total
-
-
-def set_timer_slack(unsigned long ns=1) -> None:
-    rt_timer_slack(ns)
-
-
-def pin(int core) -> None:
-    cdef int error = rt_pin(0, core)
-    if error:
-        raise RealTimeError(f"the thread cannot be pinned to core {core}",
-                            got=os.strerror(error),
-                            expected=f"one of {sorted(os.sched_getaffinity(0))}")
-
-
-def monotonic_ns() -> int:
-    return rt_now()
-
-
-def thread_cpu_ns() -> int:
-    return rt_thread_cpu()
+include "_rt_process.pxi"

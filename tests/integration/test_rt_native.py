@@ -35,7 +35,7 @@ def test_headers_know_no_python() -> None:
 
 def test_every_header_is_named_as_a_dependency() -> None:
     listed = (NODE / "_rt.pyx").read_text().split("depends = ")[1].splitlines()[0]
-    assert sorted(listed.split()) == HEADERS
+    assert sorted(x for x in listed.split() if x.endswith(".h")) == HEADERS
 
 
 def test_every_sync_point_is_commented() -> None:

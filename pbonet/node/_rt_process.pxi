@@ -1,0 +1,61 @@
+# Part of _rt.pyx: what a process sets up for itself; `_rt.pyi` says what each does.
+
+def probe():
+    return rights.probe(rt_try_fifo())
+
+
+def orphan_guard(int signal, int parent=0) -> int:
+    cdef int fd = rt_guard_orphan(signal, parent)
+    if fd < 0:
+        raise RealTimeError("the watch over the parent cannot be set up",
+                            got=os.strerror(-fd))
+    return fd
+
+
+def orphaned() -> bool:
+    return bool(rt_is_orphan())
+
+
+def lock_memory() -> None:
+    cdef int error = rt_lock_memory()
+    if error:
+        raise RealTimeError("memory cannot be locked", got=os.strerror(error),
+                            remedy="set 'memlock unlimited' in /etc/security/limits.d")
+
+
+def prefault_stack(size_t size=1 << 19) -> None:
+    rt_prefault_stack(size if size < 1 << 22 else 1 << 22)
+
+
+def populate_pages() -> int:
+    """Ask the kernel for every private writable page at once (madvise)."""
+    total = 0
+    with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
+        lines = maps.readlines()
+    for line in lines:
+        place, rights = line.split()[:2]
+        low, high = (int(text, 16) for text in place.split("-"))
+        if rights.startswith("rw") and rights.endswith("p") and "[v" not in line:
+            if not rt_populate(low, high - low):
+                total += high - low
+    return total
+
+
+def set_timer_slack(unsigned long ns=1) -> None:
+    rt_timer_slack(ns)
+
+
+def pin(int core) -> None:
+    cdef int error = rt_pin(0, core)
+    if error:
+        raise RealTimeError(f"the thread cannot be pinned to core {core}",
+                            got=os.strerror(error),
+                            expected=f"one of {sorted(os.sched_getaffinity(0))}")
+
+
+def monotonic_ns() -> int:
+    return rt_now()
+
+
+def thread_cpu_ns() -> int:
+    return rt_thread_cpu()
