@@ -26,10 +26,8 @@ def test_the_equations_as_they_are_printed(up: float) -> None:
     e = math.exp(-up)
     assert server_size(DS, up) == pytest.approx(max(0, (2 * e - 1) / (2 - e)))  # 12
     assert server_size(SS, up) == pytest.approx(max(0, 2 * e - 1))  # 15
-    assert server_size(DS, up, tasks=MUF) == pytest.approx(
-        (1 - up) / (2 * up + 1)
-    )  # 22
-    assert server_size(SS, up, tasks=MUF) == pytest.approx(2 / (up + 1) - 1)  # 25
+    assert server_size(DS, up, tasks=MUF) == pytest.approx((1 - up) / (2 * up + 1))
+    assert server_size(SS, up, tasks=MUF) == pytest.approx(2 / (up + 1) - 1)
 
 
 @pytest.mark.parametrize("us", [k / 20 for k in range(21)])

@@ -1,6 +1,7 @@
 """Aperiodic servers on the virtual core, worked by hand (section 6.5)."""
 
 from functools import partial
+from itertools import pairwise
 from random import Random
 
 import pytest
@@ -104,7 +105,7 @@ def test_poisson_events_come_at_their_rate_and_from_the_seed() -> None:
     assert got == events(3)
     assert got != events(4)
     assert len(got) == pytest.approx(5000, rel=0.05)
-    assert all(a[0] <= b[0] for a, b in zip(got, got[1:], strict=False))
+    assert all(a[0] <= b[0] for a, b in pairwise(got))
     assert {cost for _, cost in got} == {7}
 
 

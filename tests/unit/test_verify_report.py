@@ -125,16 +125,16 @@ def test_a_server_that_is_too_large_is_said_to_be() -> None:
     ]
     config = configuration(*tasks, rtpus=[rtpu()])
     assert texts(config) == [
-        "arm0: RTPU arm0 is too busy for the CRITICAL a (expected CRITICAL tasks within "
-        "the critical set, the shortest periods whose utilization is at most 100.0%, "
-        "got 90.0%); lower the frequency of a, lower another task's frequency, or move "
+        "arm0: RTPU arm0 is too busy for the CRITICAL a (expected CRITICAL tasks "
+        "within the critical set, the shortest periods whose utilization is at most "
+        "100.0%, got 90.0%); lower the frequency of a, lower another task's frequency, or move "
         "one to another RTPU"
     ]
     plain = configuration(task("a", freq=100, maxc=0.006), tasks[1], rtpus=[rtpu()])
     assert texts(plain) == [
-        "arm0: on RTPU arm0 a may miss deadlines (expected deadlines that hold under MUF "
-        "when servers use their whole capacity at the worst moment and each CRIT is as "
-        "given, got 90.0%); lower CAPACITY of s to at most 0.002 s, lower a frequency, "
+        "arm0: on RTPU arm0 a may miss deadlines (expected deadlines that hold under "
+        "MUF when servers use their whole capacity at the worst moment and each CRIT is "
+        "as given, got 90.0%); lower CAPACITY of s to at most 0.002 s, lower a frequency, "
         "or move a task to another RTPU"
     ]
     smaller = task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
@@ -162,8 +162,8 @@ def test_the_report_as_text() -> None:
         "  server srv: deferrable, 2 ms every 10 ms (20.0%); equation 22 allows 18.2%, "
         "all periods known 2.5 ms; fits",
         "  task  Hz       MINC ms      MAXC ms      E ms        U %   crit  set  keeps",
-        "  soft  83.3333  ? assumed 0  10 measured  6 measured  50.0  5     yes  1 of 2 "
-        "cycles, 81.8% of periods at worst",
+        "  soft  83.3333  ? assumed 0  10 measured  6 measured  50.0  5     yes  1 "
+        "of 2 cycles, 81.8% of periods at worst",
         "  a     100      0.5 .rmod    1 .rmod      -           10.0  5     yes  every "
         "deadline",
         "  srv   100      -            -            -           20.0  6     no   -",
