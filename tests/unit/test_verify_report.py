@@ -127,15 +127,15 @@ def test_a_server_that_is_too_large_is_said_to_be() -> None:
     assert texts(config) == [
         "arm0: RTPU arm0 is too busy for the CRITICAL a (expected CRITICAL tasks "
         "within the critical set, the shortest periods whose utilization is at most "
-        "100.0%, got 90.0%); lower the frequency of a, lower another task's frequency, or move "
-        "one to another RTPU"
+        "100.0%, got 90.0%); lower the frequency of a, lower another task's "
+        "frequency, or move one to another RTPU"
     ]
     plain = configuration(task("a", freq=100, maxc=0.006), tasks[1], rtpus=[rtpu()])
     assert texts(plain) == [
         "arm0: on RTPU arm0 a may miss deadlines (expected deadlines that hold under "
-        "MUF when servers use their whole capacity at the worst moment and each CRIT is "
-        "as given, got 90.0%); lower CAPACITY of s to at most 0.002 s, lower a frequency, "
-        "or move a task to another RTPU"
+        "MUF when servers use their whole capacity at the worst moment and each CRIT "
+        "is as given, got 90.0%); lower CAPACITY of s to at most 0.002 s, lower a "
+        "frequency, or move a task to another RTPU"
     ]
     smaller = task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
     assert texts(configuration(plain.tasks[0], smaller, rtpus=[rtpu()])) == []
