@@ -67,7 +67,7 @@ def test_every_atomic_names_its_partner():
 
 @pytest.mark.parametrize("words", SIZES)
 def test_two_writers_two_readers_and_two_hundred_kills(torture, words):
-    found = run(torture, "processes", words, 1.5, 200 if words == 32 else 70)
+    found = run(torture, "processes", words, 1.0, 200 if words == 32 else 70)
     judge(found)
     assert found["lost"] == 0
 
@@ -75,7 +75,7 @@ def test_two_writers_two_readers_and_two_hundred_kills(torture, words):
 @pytest.mark.parametrize("words", [6, 256])
 def test_the_same_when_everybody_dawdles_between_steps(words, tmp_path):
     program = build("svar_torture.c", tmp_path / "jitter", "-DJITTER")
-    judge(run(program, "processes", words, 1.5, 50))
+    judge(run(program, "processes", words, 1.0, 50))
 
 
 class Mutant(NamedTuple):
@@ -114,7 +114,7 @@ def test_torture_catches_a_missing_check(name, tmp_path):
 def test_thread_sanitizer_is_silent_but_for_the_one_copy(words, tmp_path):
     flags = ("-g", "-fsanitize=thread", "-fno-sanitize-recover=all")
     program = build("svar_torture.c", tmp_path / "tsan", *flags, cc=compiler("clang"))
-    judge(run(program, "threads", words, 1.5))
+    judge(run(program, "threads", words, 1.0))
 
 
 def test_the_exemption_is_needed_and_covers_one_function(tmp_path):
@@ -142,4 +142,4 @@ def test_the_exemption_is_needed_and_covers_one_function(tmp_path):
 def test_address_and_undefined_sanitizers_are_silent(tmp_path):
     flags = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     program = build("svar_torture.c", tmp_path / "asan", *flags, cc=compiler("clang"))
-    judge(run(program, "processes", 32, 1.5, 20))
+    judge(run(program, "processes", 32, 1.0, 20))

@@ -17,7 +17,11 @@
  *
  * The names of the places and of the fences are those of the headers' SYNC POINTs. */
 
-#define PENDING 4 /* stores that a processor may hold back */
+#ifdef CUT
+#define PENDING 2 /* stores that a processor may hold back */
+#else
+#define PENDING 3
+#endif
 
 typedef Buffer {
     byte n, epoch;
@@ -45,10 +49,12 @@ inline fence(p) { d_step { if :: buffer[p].n -> buffer[p].epoch++ :: else fi } }
 #define AT(i) buffer[p].place[i]
 #define MAY0 (buffer[p].n > 0)
 #define MAY1 (buffer[p].n > 1 && buffer[p].era[0] == buffer[p].era[1] && AT(0) != AT(1))
+#if PENDING > 2
 #define MAY2 (buffer[p].n > 2 && buffer[p].era[0] == buffer[p].era[2] && \
               AT(0) != AT(2) && AT(1) != AT(2))
-#define MAY3 (buffer[p].n > 3 && buffer[p].era[0] == buffer[p].era[3] && \
-              AT(0) != AT(3) && AT(1) != AT(3) && AT(2) != AT(3))
+#else
+#define MAY2 false
+#endif
 
 /* The memory side of processor p: lets stores arrive. */
 proctype arrivals(byte p) {
@@ -57,7 +63,7 @@ end:
     do
     :: atomic {
         MAY0;
-        if :: i = 0 :: MAY1 -> i = 1 :: MAY2 -> i = 2 :: MAY3 -> i = 3 fi;
+        if :: i = 0 :: MAY1 -> i = 1 :: MAY2 -> i = 2 fi;
         memory[AT(i)] = buffer[p].value[i];
         do
         :: i + 1 < buffer[p].n ->
@@ -108,12 +114,14 @@ end:
 #define FENCE_R2(p) fence(p)
 #endif
 
-/* Publish the commit prepared in `next`: crowded or not, whatever a reader asked for. */
+/* Publish the commit prepared in `next`: in a crowd always, or whenever readers asked. */
 inline publish(p, a, last, next) {
     FENCE_R2(p);
     if
     :: next = next | KEEP(last) << 2
+#ifdef REGISTER
     :: skip
+#endif
     fi;
     store(p, a, next);
     last = next
@@ -121,7 +129,7 @@ inline publish(p, a, last, next) {
 #define NEXT(h) ((NUMBER(h) + 1) << 8 | STEP(h) << 4 | (SLOT(h) ^ STEP(h)))
 
 #ifdef REGISTER
-#define COMMITS 6
+#define COMMITS 5
 #define HEAD    0
 #define FIRST(h)  (1 + SLOT(h)) /* the group's two words, both hold the commit's number */
 #define SECOND(h) (5 + SLOT(h))
@@ -183,7 +191,7 @@ init { atomic { run arrivals(0); run writer(); run reader() } }
 #endif
 
 #ifdef CUT
-#define COMMITS 3
+#define COMMITS 2
 #define HEAD(w)    (w)
 #define SEEN(w, h) (2 + 4 * (w) + SLOT(h)) /* the other's number before this commit */
 
@@ -252,10 +260,10 @@ init {
 #ifdef OWNER
 #define CLAIMS 6
 #define GENERATION 0
-#define ENTRY_X(h) (1 + SLOT(h)) /* which register has x, and which has y */
+#define ENTRY_X(h) (1 + SLOT(h)) /* which claim x belongs to, and y */
 #define ENTRY_Y(h) (5 + SLOT(h))
-#define VALUE_X(r) (9 + 2 * (r)) /* claim n goes to register n % 2, freed by claim n - 1 */
-#define VALUE_Y(r) (10 + 2 * (r))
+#define VALUE_X(n) (9 + 2 * ((n) % 2)) /* claim n uses what claim n - 1 has freed */
+#define VALUE_Y(n) (10 + 2 * ((n) % 2))
 #ifdef NO_O1 /* mutation: a register is used again before all see that it was freed */
 #define FENCE_O1(p) skip
 #else
@@ -270,17 +278,17 @@ again:
     :: NUMBER(last) < CLAIMS ->
         now = NUMBER(last) + 1;
         FENCE_O1(0);
-        store(0, VALUE_X(now % 2), now);
-        store(0, VALUE_Y(now % 2), now);
+        store(0, VALUE_X(now), now);
+        store(0, VALUE_Y(now), now);
         if :: !killed -> killed = true; goto dead :: skip fi;
         next = NEXT(last);
 #ifdef IN_PLACE /* mutation: the present directory is changed, not a copy beside it */
         next = (next & ~3) | SLOT(last);
 #endif
         FENCE_R1(0);
-        store(0, ENTRY_X(next), now % 2);
+        store(0, ENTRY_X(next), now);
         if :: !killed -> killed = true; goto dead :: skip fi;
-        store(0, ENTRY_Y(next), now % 2);
+        store(0, ENTRY_Y(next), now);
         if :: !killed -> killed = true; goto dead :: skip fi;
         publish(0, GENERATION, last, next)
     :: else -> goto end
@@ -304,7 +312,7 @@ proctype reader() {
 #ifndef NO_C1 /* mutation: entries are used before it is known that they belong together */
     if :: memory[GENERATION] == g -> skip :: else -> goto end fi;
 #endif
-    assert(rx == NUMBER(g) % 2 && ry == rx); /* addresses are computed from these */
+    assert(rx == NUMBER(g) && ry == rx); /* addresses are computed from these */
     if
     :: x = memory[VALUE_X(rx)]; y = memory[VALUE_Y(ry)]
     :: y = memory[VALUE_Y(ry)]; x = memory[VALUE_X(rx)]
