@@ -29,8 +29,6 @@ VERBS = (
 )
 """The verbs in the order of the help; each stands in a file of its name."""
 
-_INTERRUPTED = 130
-
 
 def build() -> typer.Typer:
     """Return the application with all verbs."""
@@ -57,14 +55,12 @@ def build() -> typer.Typer:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
+    options.chosen.json = options.chosen.debug = False
     try:
         build()(args=argv, standalone_mode=True)
     except PbonetError as error:
         _tell(error)
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.stderr.write("pbonet: interrupted\n")
-        sys.exit(_INTERRUPTED)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
@@ -77,5 +73,5 @@ def _tell(error: PbonetError) -> None:
     else:
         sys.stderr.write(f"pbonet: {error}\n")
     if options.chosen.debug:
-        sys.stderr.write(error.debug and f"{error.debug.rstrip()}\n")
+        sys.stderr.write(f"{error.debug.rstrip()}\n" if error.debug else "")
         sys.stderr.write("".join(traceback.format_exception(error)))

@@ -7,25 +7,27 @@ the subsystem. So a command runs in a thread of its own while the terminal is re
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from prompt_toolkit import PromptSession
+from prompt_toolkit.application import create_app_session
 from prompt_toolkit.completion import Completer, Completion
 from prompt_toolkit.history import FileHistory, History, InMemoryHistory
 from prompt_toolkit.input import create_input
 from prompt_toolkit.input.typeahead import store_typeahead
 from prompt_toolkit.key_binding import KeyBindings
 from prompt_toolkit.keys import Keys
+from prompt_toolkit.output import create_output
 from prompt_toolkit.patch_stdout import patch_stdout
 
 from pbonet.errors import PbonetError
 from pbonet.master import render
 from pbonet.master.completion import complete
 from pbonet.master.desk import Desk
+from pbonet.master.interfaces import print_line
 from pbonet.master.network import Port
 from pbonet.master.watching import Listener
 from pbonet.xm import messages as m
@@ -59,6 +61,7 @@ class Prompt:
         source: Where keys come from; the terminal by default.
         screen: Where the prompt goes; the terminal by default.
         history: Where lines are kept; by default a file in the user's state folder.
+        say: Prints a line above the prompt, from whatever thread.
     """
 
     def __init__(
@@ -69,10 +72,13 @@ class Prompt:
         source: Input | None = None,
         screen: Output | None = None,
         history: History | None = None,
+        say: Callable[[str], None] | None = None,
     ) -> None:
+        self._say = say or print_line
         self._subsystem = subsystem
         self._debug = debug
         self._input = source or create_input()
+        self._screen = screen or create_output()
         self._back = threading.Event()
         self._desk = Desk(subsystem, hand_over=self._hand_over)
         self._bar = _Toolbar(subsystem)
@@ -85,7 +91,7 @@ class Prompt:
             bottom_toolbar=self._bar.text,
             refresh_interval=_POLL / 2,
             input=self._input,
-            output=screen,
+            output=self._screen,
         )
 
     def run(self) -> None:
@@ -93,7 +99,10 @@ class Prompt:
         self._listener.open()
         self._bar.open()
         try:
-            with patch_stdout(raw=True):
+            with (
+                create_app_session(input=self._input, output=self._screen),
+                patch_stdout(raw=True),
+            ):
                 while not self._desk.ended:
                     self._turn()
         finally:
@@ -114,18 +123,20 @@ class Prompt:
         try:
             reply = self._desk.execute(line)
         except PbonetError as error:
-            say(render.error(error, debug=self._debug))
+            self._say(render.error(error, debug=self._debug))
         except Exception as error:  # noqa: BLE001 - the prompt outlives any command
-            say(f"ERROR> it failed inside pbonet: {type(error).__name__}: {error}")
+            self._say(
+                f"ERROR> it failed inside pbonet: {type(error).__name__}: {error}"
+            )
             if self._debug:
-                say(traceback.format_exc().rstrip())
+                self._say(traceback.format_exc().rstrip())
         else:
             if reply is None:
                 return
             for warning in reply.warnings:
-                say(render.warning(warning))
+                self._say(render.warning(warning))
             if text := render.text(reply.command, reply.data):
-                say(text)
+                self._say(text)
 
     # -- while a command runs ---------------------------------------------------------
 
@@ -149,26 +160,20 @@ class Prompt:
                 threading.Thread(target=self.execute, args=("stop",)).start()
             elif press.key == Keys.ControlC:
                 self._back.set()
-                say("the command goes on; F12 stops the subsystem")
+                self._say("the command goes on; F12 stops the subsystem")
             else:
                 ahead.append(press)
         store_typeahead(self._input, ahead)
 
     def _hand_over(self, portname: str) -> None:
         """Let a program on the network steer until it ends, or Ctrl-C takes it back."""
-        with Port(self._subsystem, portname, told=say) as port:
-            say(f"port {portname} waits for a client; Ctrl-C takes control back")
+        with Port(self._subsystem, portname, told=self._say) as port:
+            self._say(f"port {portname} waits for a client; Ctrl-C takes control back")
             port.serve(self._back)
 
     def _heard(self, event: m.Event) -> None:
         """Print an event above the prompt; called in zenoh's thread."""
-        say(render.event(event))
-
-
-def say(text: str) -> None:
-    """Print a line above the prompt, whole, from whatever thread."""
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
+        self._say(render.event(event))
 
 
 def _bindings() -> KeyBindings:

@@ -1,0 +1,238 @@
+"""The verbs: made of the command table, documented, with data and proper status."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from pbonet import cli
+from pbonet.cli import build, main
+from pbonet.errors import StateError
+from pbonet.master.commands import COMMANDS, Scope
+
+OWN = {"stop", "check"}
+"""Verbs that take more than the command of their name."""
+PUMA = Path(__file__).parents[2] / "examples" / "puma"
+ASKED = (
+    *("agent", "run", "sbs", "spawn", "on", "off", "kill", "clear", "set", "get"),
+    *("freq", "reconfig", "status", "display", "module", "check", "describe", "new"),
+    *("stop", "doctor", "events"),
+)
+
+
+@pytest.fixture(scope="module")
+def app():
+    return typer.main.get_command(build())
+
+
+@pytest.fixture
+def call(capsys):
+    """Run a command line in this process; return status, output, errors."""
+
+    def run(*argv):
+        with pytest.raises(SystemExit) as caught:
+            main([str(word) for word in argv])
+        told = capsys.readouterr()
+        return caught.value.code or 0, told.out, told.err
+
+    return run
+
+
+def options_of(command):
+    return {name for param in command.params for name in param.opts}
+
+
+def test_every_verb_that_was_asked_for_is_there(app):
+    assert set(ASKED) <= set(app.commands)
+    assert set(app.commands) == set(cli.VERBS)
+
+
+def test_every_command_of_the_table_is_a_verb_too(app):
+    for command in COMMANDS:
+        if command.scope is Scope.EVERYWHERE:
+            assert command.name in app.commands, command.name
+            arguments = {param.name for param in app.commands[command.name].params}
+            if command.name not in OWN:
+                assert {arg.name for arg in command.args} <= arguments, command.name
+
+
+def test_every_verb_has_help_json_and_debug(app):
+    verbs = {**app.commands, **app.commands["new"].commands}
+    for name, command in verbs.items():
+        if name == "new":
+            continue
+        assert command.help, name
+        assert "--debug" in options_of(command), name
+        if name != "agent":
+            assert "--json" in options_of(command), name
+        for param in command.params:
+            assert param.help or param.name == "help", (name, param.name)
+
+
+def test_verbs_that_change_can_take_over(app):
+    for command in COMMANDS:
+        if command.scope is Scope.EVERYWHERE and command.name != "stop":
+            has = "--take-over" in options_of(app.commands[command.name])
+            assert has == command.changes, command.name
+
+
+def test_verbs_hold_no_logic():
+    """A verb's file defines one function, and imports pbonet's parts inside it."""
+    for path in Path(cli.__file__).parent.glob("*.py"):
+        if path.stem in {"__init__", "__main__", "options", "table"}:
+            continue
+        tree = ast.parse(path.read_text())
+        functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
+        assert len(functions) <= 2, path.name
+        assert not any(isinstance(n, ast.While | ast.Try) for n in ast.walk(tree))
+
+
+def test_user_error_is_told_without_a_stack(call):
+    status, out, err = call("describe", "dif")
+    assert (status, out) == (1, "")
+    assert err.startswith("pbonet: the library has no module dif")
+    assert "did you mean diff?" in err
+    assert "Traceback" not in err
+
+
+def test_debug_adds_the_stack(call):
+    status, _, err = call("describe", "dif", "--debug")
+    assert status == 1
+    assert "Traceback" in err
+
+
+def test_error_is_data_with_json(call):
+    status, out, err = call("describe", "dif", "--json")
+    assert (status, err) == (1, "")
+    assert json.loads(out)["error"]["code"] == "MODULE_LOAD"
+
+
+def test_wrong_usage_is_status_two(call):
+    assert call("spawn")[0] == 2
+    assert call("nonsense")[0] == 2
+
+
+def test_interrupt_is_status_130(call, monkeypatch):
+    def interrupt(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pbonet.master.checking.check_file", interrupt)
+    status, out, err = call("check", PUMA / "puma.job")
+    assert (status, out, err) == (130, "", "")
+
+
+def test_version(call):
+    status, out, _ = call("--version")
+    assert status == 0
+    assert out.startswith("pbonet 0.")
+
+
+def test_check_takes_every_kind_of_file(call, tmp_path):
+    agent = tmp_path / "agent.toml"
+    agent.write_text('name = "arm0"\n')
+    rmod = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    files = [PUMA / "puma.svar", PUMA / "puma.sbs", PUMA / "puma.job", rmod, agent]
+    status, out, _ = call("check", *files)
+    assert status == 0
+    assert out.count(": legal\n") == 5
+    assert "job teleop of 4 tasks" in out
+
+
+def test_check_of_an_illegal_job_names_tasks_ports_and_remedy(call, tmp_path):
+    for name in ("puma.svar", "puma.sbs"):
+        (tmp_path / name).write_text((PUMA / name).read_text())
+    text = (PUMA / "puma.job").read_text()
+    text = text.replace("TASK  grav_comp  arm1\n", "").replace(" grav_comp\n", "\n")
+    (tmp_path / "bad.job").write_text(text)
+    status, out, _ = call("check", tmp_path / "bad.job")
+    assert status == 1
+    assert "puma_pidg" in out
+    assert "T_GRAV" in out
+    assert "grav_comp" in out
+    status, out, _ = call("check", tmp_path / "bad.job", "--json")
+    assert status == 1
+    found = json.loads(out)[0]
+    assert found["legal"] is False
+    assert found["errors"][0]["code"] == "VERIFICATION"
+
+
+def test_check_compares_an_rmod_with_its_module(call, tmp_path):
+    source = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    rmod = tmp_path / "mine.rmod"
+    text = source.read_text().replace("EOF", "\nLOCAL\nTAU       0.01\nEOF")
+    for old, new, what in (
+        ("INVAR     Z", "INVAR     Z W", "W"),
+        ("TAU ", "TAO ", "did you mean tau?"),
+        ("MODULE    diff", "MODULE    dif", "did you mean diff?"),
+        ("FREQ", "FREK", "did you mean FREQ?"),
+    ):
+        assert old in text
+        rmod.write_text(text.replace(old, new, 1))
+        status, out, _ = call("check", rmod)
+        assert status == 1, new
+        assert what in out, out
+
+
+def test_describe_shows_ports_and_parameters(call):
+    status, out, _ = call("describe", "diff")
+    assert status == 0
+    assert "parameters" in out
+    info = json.loads(call("describe", "diff", "--json")[1])
+    assert {port["name"] for port in info["ports"]} >= {"Z", "Z^"}
+
+
+def test_new_module_is_written_once(call, tmp_path):
+    words = ["new", "module", "squash", "--in", "Z:6:rad", "--out", "Y:6:rad"]
+    words += ["--folder", tmp_path]
+    status, out, _ = call(*words)
+    assert status == 0
+    assert (tmp_path / "squash.py").exists()
+    assert len(out.splitlines()) == 3
+    status, _, err = call(*words)
+    assert status == 1
+    assert "a file stands there already" in err
+    assert call(*words, "--force")[0] == 0
+    assert call("check", tmp_path / "squash.rmod", "--library", tmp_path)[0] == 0
+
+
+def test_job_runs_in_virtual_time(call, tmp_path):
+    kept = tmp_path / "run.npz"
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.2", "--record", kept]
+    status, out, _ = call(*words)
+    assert status == 0
+    assert "0.2 s of virtual time are over" in out
+    assert kept.exists()
+    status, out, _ = call(*words, "--json")
+    outcome = json.loads(out)
+    assert {task["task"]: task["cycles"] for task in outcome["tasks"]} == {
+        "puma_pidg": 100,
+        "grav_comp": 50,
+        "qrdiff": 20,
+        "jttrace": 10,
+    }
+
+
+def test_negative_numbers_are_values(monkeypatch, call):
+    given = {}
+
+    def run(_file, command, args, place):
+        given.update(args)
+        raise StateError("seen", where=command, got=str(place.domain))
+
+    monkeypatch.setattr("pbonet.master.oneshot.run", run)
+    status, _, err = call("write", "a.sbs", "T_REF", "-1.5", "2", "--domain", "lab")
+    assert status == 1
+    assert given == {"variable": "T_REF", "value": [-1.5, 2.0]}
+    assert "got lab" in err
+
+
+def test_doctor_finds_nothing_that_fails(call):
+    status, out, _ = call("doctor", "--domain", "nobody-here")
+    assert status == 0
+    assert out.splitlines()[0].startswith("PASS pbonet ")
+    found = json.loads(call("doctor", "--json", "--domain", "nobody-here")[1])
+    assert {one["level"] for one in found} <= {"PASS", "WARN"}
