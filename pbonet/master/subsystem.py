@@ -356,9 +356,11 @@ class Subsystem:
         wanted = None if names is None else list(names)
         for name in wanted or ():
             self._must_be_variable(name)
-        return self.fleet.call(
-            self.sbs.keeper, m.Display(names=wanted), list[m.VarValue]
-        )
+        request = m.Display(names=wanted)
+        values = self.fleet.call(self.sbs.keeper, request, list[m.VarValue])
+        if wanted is None:
+            return values
+        return sorted(values, key=lambda value: wanted.index(value.name))
 
     def write(self, name: str, values: Iterable[float]) -> m.VarValue:
         """Set a variable that no task writes.

@@ -1,0 +1,228 @@
+"""Verbs as processes: they come, act, leave, and the tasks go on."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pbonet.master.network import Port
+from pbonet.master.subsystem import Subsystem
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def pbonet(world, agents, puma):
+    """Run a verb on the PUMA subsystem; two fake agents are there."""
+    agents("arm0", "arm1")
+
+    def run(verb, *words, file=True, stdin=None):
+        command = [sys.executable, "-m", "pbonet.cli", verb]
+        command += [str(puma)] if file else []
+        command += [*map(str, words), "--domain", world.domain]
+        return subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            input=stdin,
+            timeout=50,
+            check=False,
+        )
+
+    return run
+
+
+@pytest.fixture
+def standing(pbonet, world, puma):
+    """The same with the robot OFF and the trace ON, as a master left them."""
+    arm = Subsystem(puma, domain=world.domain).open()
+    arm.spawn("puma_pidg", "arm0")
+    arm.spawn("jttrace", "arm1")
+    arm.control("jttrace", "on")
+    arm.detach()
+    return pbonet
+
+
+def test_subsystem_is_assembled_by_verbs_alone(pbonet, agents):
+    for words in (
+        ("spawn", "puma_pidg", "arm0"),
+        ("spawn", "jttrace", "arm1", "25"),
+        ("on", "jttrace"),
+    ):
+        done = pbonet(*words)
+        assert (done.returncode, done.stderr) == (0, ""), words
+    assert agents["arm1"].tasks["jttrace"].state == "ON"
+    table = pbonet("status", "jttrace", "--fields", "rmod,state,refF").stdout
+    assert [line.split() for line in table.splitlines()] == [
+        ["rmod", "state", "refF"],
+        ["jttrace", "ON", "25"],
+    ]
+
+
+def test_status_is_data_with_json(standing):
+    data = json.loads(standing("status", "--json").stdout)
+    assert {t["task"]: t["fields"]["state"] for t in data["tasks"]} == {
+        "puma_pidg": "OFF",
+        "jttrace": "ON",
+    }
+    assert [rtpu["rtpu"] for rtpu in data["rtpus"]] == ["arm0", "arm1"]
+    assert data["warnings"] == []
+
+
+def test_refusal_has_status_one_and_no_stack(standing):
+    done = standing("on", "jttrace")
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr.startswith("pbonet: arm1/jttrace: the signal on is not valid")
+    assert "Traceback" not in done.stderr
+    data = json.loads(standing("on", "jttrace", "--json").stdout)
+    assert data["error"]["code"] == "STATE"
+
+
+def test_parameters_rate_and_signals(standing, agents):
+    task = agents["arm0"].tasks["puma_pidg"]
+    assert standing("set", "puma_pidg", "KD", "1", "-2.5").returncode == 0
+    assert task.params["KD"] == "1 -2.5"
+    assert "KD" in standing("get", "puma_pidg").stdout
+    assert standing("freq", "puma_pidg", "250").stdout == "puma_pidg: 250 Hz\n"
+    assert task.freq == 250.0
+    assert standing("reconfig", "jttrace:off", "jttrace:kill").returncode == 0
+    assert "jttrace" not in agents["arm1"].tasks
+
+
+def test_verb_without_agents_says_so_at_once(run_dir, puma):
+    done = subprocess.run(
+        [sys.executable, "-m", "pbonet.cli", "status", str(puma), "--domain", "none"],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=50,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"pbonet: {run_dir}")
+    assert "no agent of domain none runs on this machine" in done.stderr
+
+
+def test_verb_is_refused_while_a_master_lives_unless_it_takes_over(
+    pbonet, world, puma, agents
+):
+    with Subsystem(puma, domain=world.domain) as arm:
+        done = pbonet("spawn", "puma_pidg")
+        assert done.returncode == 1
+        assert "another master steers the subsystem" in done.stderr
+        assert pbonet("status").returncode == 0  # looking is free
+        assert pbonet("spawn", "puma_pidg", "--take-over").returncode == 0
+        assert list(agents["arm0"].tasks) == ["puma_pidg"]
+        arm.detach()
+
+
+def test_verb_asks_the_master_that_serves_the_port(pbonet, world, puma, agents):
+    with Subsystem(puma, domain=world.domain) as arm:
+        with Port(arm, arm.name, handover=False):
+            assert pbonet("spawn", "puma_pidg").stdout == "puma_pidg OFF\n"
+            done = pbonet("spawn", "nobody")
+            assert done.returncode == 1
+            assert "there is no RMOD nobody" in done.stderr
+        assert arm.status("puma_pidg").state == "OFF"
+    assert agents["arm0"].tasks == {}
+
+
+def test_stop_needs_no_file_and_no_claim(standing, world, puma, agents):
+    with Subsystem(puma, domain=world.domain, take_over=True) as arm:
+        arm.detach()
+    done = standing("stop", file=False)
+    assert (done.returncode, done.stdout) == (0, "turned off: jttrace\n")
+    assert agents["arm0"].tasks == agents["arm1"].tasks == {}
+    assert json.loads(standing("stop", "puma", "--json", file=False).stdout) == {
+        "off": [],
+        "killed": [],
+        "rtpus": ["arm0", "arm1"],
+        "warnings": [],
+    }
+    assert standing("stop", puma, file=False).stdout == "nothing was ON\n"
+
+
+def test_variables_once_again_and_as_csv(standing):
+    assert standing("write", "T_GRAV", "1", "2", "3", "4", "5", "-6").returncode == 0
+    once = standing("display", "T_GRAV").stdout.splitlines()
+    assert once[1].split()[-6:] == ["1", "2", "3", "4", "5", "-6"]
+    text = standing("display", "T_GRAV", "NDOF", "--csv", "--count", "3").stdout
+    rows = list(csv.reader(io.StringIO(text)))
+    assert len(rows) == 4
+    assert rows[0][:3] == ["time (s)", "T_GRAV[0] (none)", "T_GRAV[1] (none)"]
+    assert [float(cell) for cell in rows[1][1:7]] == [1, 2, 3, 4, 5, -6]
+    assert rows[0][-3:] == ["NDOF (none)", "NDOF age (s)", "NDOF writer"]
+    lines = standing(
+        "display", "--watch", "--json", "--count", "2", "--every", "0.05"
+    ).stdout.splitlines()
+    assert [len(json.loads(line)["variables"]) for line in lines] == [7, 7]
+    done = standing("display", "T_GRAF")
+    assert "did you mean T_GRAV?" in done.stderr
+
+
+def test_script_from_standard_input(pbonet, agents):
+    text = "# two tasks\nspawn puma_pidg arm0\n\nspawn jttrace arm1\non\nwait 0.01\n"
+    done = pbonet("sbs", "--leave", stdin=text)
+    assert done.returncode == 0
+    assert done.stdout.splitlines() == ["puma_pidg OFF", "jttrace OFF", "jttrace ON"]
+    assert agents["arm1"].tasks["jttrace"].state == "ON"
+
+
+def test_script_stops_at_the_first_error_and_finishes(pbonet, agents, tmp_path):
+    script = tmp_path / "arm.cmd"
+    script.write_text("spawn puma_pidg arm0\nspawn nobody\nspawn jttrace arm1\n")
+    done = pbonet("sbs", "--script", script)
+    assert done.returncode == 1
+    assert f"{script}:2: ERROR> there is no RMOD nobody" in done.stderr
+    assert done.stdout == "puma_pidg OFF\n"
+    assert agents["arm0"].tasks == agents["arm0"].claims == {}
+    going = pbonet("sbs", "--script", script, "--keep-going", "--json")
+    assert going.returncode == 1
+    replies = [json.loads(line) for line in going.stdout.splitlines()]
+    assert [reply.get("command") for reply in replies] == ["spawn", None, "spawn"]
+    assert replies[1]["place"] == f"{script}:2"
+
+
+def test_script_that_is_missing_is_said_before_anything_is_done(pbonet, agents):
+    done = pbonet("sbs", "--script", "no/such/file")
+    assert done.returncode == 1
+    assert "no/such/file: the script cannot be read" in done.stderr
+    assert agents["arm0"].requests == []
+
+
+def test_modules_and_events_are_listed(pbonet):
+    out = pbonet("module").stdout
+    assert "puma_pidg" in out
+    assert "RMODs: " in out
+    assert "parameters" in pbonet("module", "diff").stdout
+    assert pbonet("events").stdout == "no events\n"
+
+
+@pytest.mark.usefixtures("standing")
+def test_looking_verb_ends_when_its_reader_does(world, puma):
+    """``pbonet display --csv | head`` does not hang or complain."""
+    words = ["display", str(puma), "--csv", "--every", "0.01"]
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "pbonet.cli", *words, "--domain", world.domain],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    assert shown.stdout.readline().startswith("time (s)")
+    shown.stdout.close()
+    deadline = time.monotonic() + 30
+    while shown.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert "Traceback" not in shown.stderr.read()
+    shown.stderr.close()
