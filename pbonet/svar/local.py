@@ -41,6 +41,7 @@ class LocalTable(native.LocalTable):
     _arrays: dict[str, NDArray[Any]]
     _places: dict[str, tuple[int, int]]
     _groups: tuple[layout.Group, layout.Group]
+    _written: dict[str, tuple[int, int]]
     _registers: list[int]
     _owner: int
 
@@ -81,6 +82,11 @@ class LocalTable(native.LocalTable):
         self = cls(arena, data, _aligned(size) if keep else None, largest)
         self._task, self._table, self._variables = task, table.name, variables
         self._groups = groups
+        self._written = {
+            variables[index].name: (which, place)
+            for which, group in enumerate(groups)
+            for place, index in enumerate(group.indices)
+        }
         self._places = {variables[i].name: (i, at) for i, at in places.items()}
         self._arrays = {
             variables[i].name: _view(variables[i], data, at) for i, at in places.items()
@@ -218,16 +224,15 @@ class LocalTable(native.LocalTable):
         Raises:
             UnknownVariableError: The task does not write it.
         """
-        index = self._places.get(name, (-1, 0))[0]
-        for which, group in enumerate(self._groups):
-            if index in group.indices:
-                place = group.indices.index(index)
-                return self.write_one(which, place, now_ns or native.now_ns(), cycle)
-        raise UnknownVariableError(
-            f"{self._task} does not write {name}",
-            where=self._table,
-            remedy="name it in OUTVAR of the task's .rmod file",
-        )
+        try:
+            which, place = self._written[name]
+        except KeyError:
+            raise UnknownVariableError(
+                f"{self._task} does not write {name}",
+                where=self._table,
+                remedy="name it in OUTVAR of the task's .rmod file",
+            ) from None
+        return self.write_one(which, place, now_ns or native.now_ns(), cycle)
 
     def close(self) -> None:
         """Give everything up; values stand, the registers may be used again."""
