@@ -44,7 +44,7 @@ test: setup  ## Run every test
 	$(BIN)/python -m pytest
 
 bench: setup  ## Measure everything that docs/benchmarks publishes
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python -m benchmarks.run
 
 docs: setup  ## Build the documentation
 	$(BIN)/sphinx-build --fail-on-warning --keep-going -q -b html docs docs/_build/html
