@@ -290,7 +290,8 @@ def run_units(**env: str) -> subprocess.CompletedProcess[str]:
     root = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     tests = [
-        str(root / "tests" / "unit" / f"test_svar_{n}.py") for n in ("local", "table")
+        str(root / "tests" / "unit" / f"test_svar_{n}.py")
+        for n in ("guards", "local", "table")
     ]
     return subprocess.run(
         [*command, "-W", "ignore:PBONET_PURE:RuntimeWarning", *tests],

@@ -1,0 +1,164 @@
+"""What a commit is judged by: FINITE, LIMIT clip, LIMIT error, for every type."""
+
+import os
+
+import numpy as np
+import pytest
+
+from pbonet.config.model import Limit, Variable
+from pbonet.svar import Flags, Table
+
+ME = os.getpid()
+NARROW = [
+    "char",
+    "short",
+    "int",
+    "int64",
+    "byte",
+    "word",
+    "unsigned",
+    "uint64",
+    "float",
+    "double",
+]
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
+
+
+@pytest.fixture
+def table():
+    variables = [Variable(name="V0", type="double", nelem=3)]
+    with Table.create("arm", variables) as made:
+        yield made
+
+
+def fill(local, **values):
+    for name, value in values.items():
+        local.array(name)[:] = value
+
+
+@pytest.mark.parametrize("kind", ["float", "double"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("nelem", [1, 2, 7, 64])
+def test_non_finite_is_refused_wherever_it_stands(kind, bad, nelem):
+    variables = [Variable(name=f"X{i}", type=kind, nelem=nelem) for i in range(3)]
+    names = [v.name for v in variables]
+    with Table.create("guard", variables) as table:
+        task = table.local("t", ME, outvar=names)
+        fill(task, X0=1, X1=2, X2=3)
+        task.claim()
+        largest = np.finfo(variables[0].dtype).max
+        for name in names:
+            for element in {0, nelem // 2, nelem - 1}:
+                task.array(name)[element] = bad
+                assert task.commit() == Flags.COMMIT_NONFINITE
+                assert task.blamed == (name, element)
+                assert np.isfinite(table.read(name)).all()
+                task.array(name)[element] = largest
+                assert task.commit() == 0
+                task.array(name)[element] = -largest
+                assert task.commit() == 0
+                task.array(name)[element] = 0.0
+        assert task.counters.refused == 3 * len({0, nelem // 2, nelem - 1})
+
+
+def test_claim_of_a_non_finite_value_claims_nothing(table):
+    task = table.local("t", ME, outvar=["V0"])
+    fill(task, V0=np.nan)
+    assert task.claim() == Flags.COMMIT_NONFINITE
+    assert not task.claimed
+    assert table.info("V0").owner is None
+
+
+def test_finite_no_lets_nan_pass():
+    variables = [Variable(name="X", type="double", nelem=2, finite=False)]
+    with Table.create("nan", variables) as table:
+        task = table.local("t", ME, outvar=["X"])
+        fill(task, X=np.nan)
+        assert task.claim() == 0
+        assert np.isnan(table.read("X")).all()
+
+
+@pytest.mark.parametrize("kind", NARROW)
+def test_clip_brings_values_inside(kind):
+    low = 0 if kind in {"byte", "word", "unsigned", "uint64"} else -5
+    variable = Variable(
+        name="X", type=kind, nelem=3, min=(low,) * 3, max=(5, 5, 5), limit=Limit.CLIP
+    )
+    with Table.create("clip", [variable]) as table:
+        task = table.local("t", ME, outvar=["X"])
+        top = 100
+        fill(task, X=[low, top, 3])
+        assert task.claim() == 0
+        assert table.read("X").tolist() == [low, 5, 3]
+        assert task.array("X").tolist() == [low, 5, 3]
+        assert task.counters.clipped == 1
+        if low:
+            fill(task, X=-100)
+            assert task.commit() == 0
+            assert table.read("X").tolist() == [low] * 3
+
+
+@pytest.mark.parametrize("kind", NARROW)
+def test_limit_error_refuses(kind):
+    variable = Variable(
+        name="X", type=kind, nelem=2, min=(1, 1), max=(5, 5), limit=Limit.ERROR
+    )
+    with Table.create("limit", [variable]) as table:
+        task = table.local("t", ME, outvar=["X"])
+        fill(task, X=[1, 5])
+        assert task.claim() == 0
+        fill(task, X=[1, 6])
+        assert task.commit() == Flags.COMMIT_LIMIT
+        assert task.blamed == ("X", 1)
+        fill(task, X=[0, 5])
+        assert task.commit() == Flags.COMMIT_LIMIT
+        assert task.blamed == ("X", 0)
+        assert table.read("X").tolist() == [1, 5]
+
+
+def test_min_and_max_alone_are_for_information():
+    variable = Variable(name="X", type="double", min=(0.0,), max=(1.0,))
+    with Table.create("info", [variable]) as table:
+        task = table.local("t", ME, outvar=["X"])
+        fill(task, X=9)
+        assert task.claim() == 0
+        assert table.read("X").tolist() == [9]
+
+
+def test_infinity_is_an_error_even_where_a_limit_would_clip_it():
+    variable = Variable(
+        name="X", type="double", min=(0.0,), max=(1.0,), limit=Limit.CLIP
+    )
+    with Table.create("both", [variable]) as table:
+        task = table.local("t", ME, outvar=["X"])
+        fill(task, X=np.inf)
+        assert task.claim() == Flags.COMMIT_NONFINITE
+
+
+def test_nan_passes_limits_where_finite_no_admits_it():
+    variable = Variable(
+        name="X", type="double", min=(0.0,), max=(1.0,), limit=Limit.ERROR, finite=False
+    )
+    with Table.create("both", [variable]) as table:
+        task = table.local("t", ME, outvar=["X"])
+        fill(task, X=np.nan)
+        assert task.claim() == 0
+        fill(task, X=np.inf)
+        assert task.commit() == Flags.COMMIT_LIMIT
+
+
+def test_structs_and_booleans_are_not_judged():
+    variables = [
+        Variable(name="S", type="struct[8]", nelem=2),
+        Variable(name="B", type="bool", nelem=3),
+    ]
+    with Table.create("raw", variables) as table:
+        task = table.local("t", ME, outvar=["S", "B"])
+        task.array("S").view(np.float64)[:] = np.nan
+        fill(task, B=[True, False, True])
+        assert task.claim() == 0
+        assert table.read("B").tolist() == [True, False, True]
