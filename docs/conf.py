@@ -1,6 +1,13 @@
 """Sphinx: MyST pages beside generated ones; warnings are errors (``make docs``)."""
 
+import sys as _sys
 from importlib.metadata import version as _version
+from pathlib import Path as _Path
+
+_sys.path.insert(0, str(_Path(__file__).parent))
+from figures import draw as _draw
+
+_draw(_Path(__file__).parent / "_generated")
 
 project = "pbonet"
 author = "the pbonet founders"
