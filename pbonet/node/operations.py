@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from pbonet.errors import (
     NodeError,
     PbonetError,
+    ProtocolError,
     Severity,
     StateError,
     SvarFullError,
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from .state import Rtpu
 
 KEPT_ANSWERS = 1000
+LONGEST = 3600.0
+"""Seconds that anybody may ask to wait."""
 LARGEST_LIST = 900_000
 """Bytes of events in one answer; the asker goes on from the last number it got."""
 _UNCLAIMED = m.Hello | m.Claim | m.Status | m.Display | m.Modules | m.Stop | m.Events
@@ -133,6 +136,8 @@ class Operations:
 
     def _check(self, request: m.AnyRequest) -> None:
         """Refuse what needs a claim and has none, and what comes during a stop."""
+        if isinstance(request, m.Spawn | m.Control | m.Reconfig):
+            _check_timeout(request.timeout)
         if isinstance(request, _UNCLAIMED):
             return
         if isinstance(request, m.Freq | m.Get) and getattr(request, "hz", None) is None:
@@ -321,7 +326,8 @@ class Operations:
 
     async def _stop(self, request: m.Stop) -> Result:
         names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())
-        stopped = await control.stop(self._rtpu, names, request.timeout, request.order)
+        limit = request.timeout if 0 <= request.timeout <= LONGEST else LONGEST
+        stopped = await control.stop(self._rtpu, names, limit, request.order)
         return stopped, []
 
     # -- the rest ----------------------------------------------------------------------
@@ -338,3 +344,17 @@ class Operations:
                 break
             chosen.append(event)
         return chosen, []
+
+
+def _check_timeout(timeout: float) -> None:
+    """Refuse a time limit that is none.
+
+    Raises:
+        ProtocolError: It is negative, too long, or no number.
+    """
+    if not 0 <= timeout <= LONGEST:
+        raise ProtocolError(
+            "this is no time limit",
+            expected=f"0 to {LONGEST:g} s",
+            got=f"{timeout:g}",
+        )

@@ -1,7 +1,7 @@
 """What every process of a node does with itself and with its fellows.
 
 Process identities that survive the reuse of a number, the parent-death signal, the
-environment that must stand before exec, locked memory.
+environment that must stand before exec.
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
-PR_SET_TIMERSLACK = 29
-MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -28,10 +26,11 @@ EXEC_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
-    # Temporaries of 800 kB cost 360 page faults a cycle without these three.
+    # Temporaries of 800 kB cost 360 page faults a cycle without these three. The pad is
+    # populated in every task, so it is no larger than the temporaries of one cycle.
     "MALLOC_MMAP_MAX_": "0",
     "MALLOC_TRIM_THRESHOLD_": "18446744073709551615",
-    "MALLOC_TOP_PAD_": "67108864",
+    "MALLOC_TOP_PAD_": "8388608",
     "MALLOC_ARENA_MAX": "1",
     "PYTHONUNBUFFERED": "1",
 }
@@ -47,18 +46,6 @@ def set_parent_death_signal(which: signal.Signals, parent: int) -> bool:
 def set_title(title: str) -> None:
     """Set the name that ``ps -o comm`` and ``top`` show, at most 15 bytes."""
     _libc.prctl(PR_SET_NAME, ctypes.c_char_p(title.encode()[:15]), 0, 0, 0)
-
-
-def set_timer_slack(nanoseconds: int) -> None:
-    """Set how late the kernel may wake this thread; 50 microseconds unless told."""
-    _libc.prctl(PR_SET_TIMERSLACK, nanoseconds, 0, 0, 0)
-
-
-def lock_memory() -> str:
-    """Lock pages as they are touched; return why not, or an empty string."""
-    if _libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0:
-        return ""
-    return os.strerror(ctypes.get_errno())
 
 
 def settle_memory() -> None:

@@ -16,6 +16,7 @@ from pbonet.errors import (
     ParameterError,
     PbonetError,
     PortError,
+    ProtocolError,
     StateError,
     SvarOwnerError,
     TaskError,
@@ -343,3 +344,11 @@ def test_nothing_is_left_of_a_spawn_that_failed(arm, nodes, shared_memory):
     assert nodes.state("arm0").tasks == []
     assert arm.status() == {}
     assert arm.spawn("a", "counts").state == "OFF"
+
+
+@pytest.mark.parametrize("limit", [-1.0, 1e9, float("nan")])
+def test_time_limits_are_checked(arm, limit):
+    arm.spawn("a", "counts")
+    request = m.Control(task="a", signal="on", timeout=limit)
+    arm.refused(ProtocolError, arm.ask, request)
+    assert arm.status("a").state == "OFF"
