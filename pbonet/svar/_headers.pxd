@@ -99,6 +99,7 @@ cdef extern from "local.h" nogil:
     int64_t pb_now()
     int pb_copy_in(pb_local *l, pb_plan *p)
     int pb_judge(pb_local *l, pb_outputs *o)
+    uint64_t pb_committed(const pb_outputs *o)
     int pb_commit(pb_local *l, pb_outputs *o, int64_t now_ns, uint64_t cycle)
     int pb_commit_one(pb_local *l, pb_outputs *o, uint32_t i, int64_t now_ns, uint64_t cycle)
     int pb_read_one(pb_local *l, uint32_t v, uint64_t at)

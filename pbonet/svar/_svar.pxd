@@ -33,6 +33,8 @@ cdef class LocalTable:
     cdef size_t out_bytes
     cdef unsigned long long *consumed  # pairs: register uid, sequence
     cdef int n_consumed                # number of pairs
+    cdef readonly unsigned long long out_uid     # register of the out-vars; 0: none
+    cdef readonly unsigned long long out_number  # number of its last commit there
     cdef int c_copy_in(self) noexcept nogil
     cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil
     cdef bint c_illegal(self) noexcept nogil

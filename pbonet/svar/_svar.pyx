@@ -272,6 +272,8 @@ cdef class LocalTable:
         code = pb_claim(table(self.arena), &o.group, local(self).data + o.first,
                         pb_stamp(now, cycle), which == PB_GROUP_CONSTS, &rival)
         o.live = o.live or code == 0
+        if which == PB_GROUP_VARS:
+            self.out_uid, self.out_number = o.group.uid, pb_committed(o)
         return code, rival
 
     def give(self, unsigned which, unsigned reg, bint leave) -> int:
@@ -291,6 +293,7 @@ cdef class LocalTable:
     cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil:
         self.cycles = cycle
         self.flags = pb_commit(local(self), local(self).outputs + PB_GROUP_VARS, now_ns, cycle)
+        self.out_number = pb_committed(local(self).outputs + PB_GROUP_VARS)
         return self.flags
 
     cdef bint c_illegal(self) noexcept nogil:

@@ -108,6 +108,11 @@ static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     return result == PB_CONSISTENT ? 0 : PB_COPY_TORN | PB_COPY_LOST;
 }
 
+/* The number of the last commit of a group; 0 when it has no register. */
+static inline uint64_t pb_committed(const struct pb_outputs *o) {
+    return o->group.reg ? pb_number(pb_write_last(&o->group.reg->head)) : 0;
+}
+
 /* Send a group out; returns flags, and leaves the table alone when any is set. */
 static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, int64_t now_ns,
                             uint64_t cycle) {

@@ -326,6 +326,21 @@ def test_stale_inputs_are_flagged_and_still_brought():
         assert reader.counters.stale == 2
 
 
+def test_every_commit_has_a_register_and_a_number(table):
+    writer = table.local("w", ME, outvar=["V0"])
+    reader = table.local("r", ME, invar=["V0"])
+    assert (writer.out_uid, writer.out_number) == (0, 0)
+    writer.claim()
+    for number in range(1, 9):
+        reader.copy_in()
+        assert reader.consumed == [(writer.out_uid, writer.out_number)]
+        assert writer.out_number == number
+        writer.commit()
+    fill(writer, V0=np.nan)
+    writer.commit()
+    assert writer.out_number == 9, "what was refused has no number"
+
+
 def test_consumed_names_register_and_sequence_of_every_group(table):
     one = table.local("one", ME, outvar=["V0", "V1"])
     two = table.local("two", ME, outvar=["V2"])

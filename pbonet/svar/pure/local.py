@@ -64,7 +64,7 @@ class LocalTable:
         self.groups = [Group(), Group()]
         for group in self.groups:
             group.data = data.data
-        self.flags = self.cycles = 0
+        self.flags = self.cycles = self.out_uid = 0
         self.pairs: list[tuple[int, int]] = []
         self.fault = 0, 0
         names = "copies retries torn lost stale commits refused clipped"
@@ -113,6 +113,8 @@ class LocalTable:
             return 0, 0
         answer = self.arena.claim(group, (now, cycle), constants=which == OUT_CONSTS)
         group.live = group.live or answer[0] == 0
+        if which == VARS:
+            self.out_uid = self.register_uid(VARS)
         return answer
 
     def give(self, which: int, reg: int, leave: bool) -> int:  # noqa: FBT001
@@ -257,6 +259,11 @@ class LocalTable:
         value[at : at + size] = group.value(at, size)
         self._send(group, bytes(value), (now, cycle))
         return 0
+
+    @property
+    def out_number(self) -> int:
+        """Number of the last commit of the out-vars, once they were claimed."""
+        return self.arena.reg(self.groups[VARS].reg, 0) >> 8 if self.out_uid else 0
 
     @property
     def illegal(self) -> bool:
