@@ -80,6 +80,8 @@ class Account(Struct, kw_only=True):
     """Releases without a cycle of their own."""
     late: int = 0
     """Cycles that ended after their deadline."""
+    given_up: int = 0
+    """Missed ones that were not begun, because MINC could no longer be granted."""
     overruns: int = 0
     """How often the reserve was used up: E, or the capacity."""
     cpu_ns: int = 0
@@ -166,6 +168,7 @@ def _account_data(account: Account) -> dict[str, object]:
         "cycles": account.cycles,
         "missed": account.missed,
         "late": account.late,
+        "given_up": account.given_up,
         "overruns": account.overruns,
         "cpu_ns": account.cpu_ns,
         "first_miss_ns": account.first_miss_ns,

@@ -15,97 +15,21 @@ repeated to the last nanosecond.
 
 from __future__ import annotations
 
-from collections import deque
 from heapq import heapify, heappop, heappush
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
-
-from .criticality import INSIDE, OUTSIDE
 from .outcome import Account, Outcome, Segment
 from .servers import ServerKind
-from .urgency import NEVER, urgency
+from .simtasks import BACKGROUND, Job, PeriodicTask, ServerTask, check, poisson
+from .urgency import urgency
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Sequence
 
-SERVER = 6
-"""Criticality of a server with capacity left (section 6.5.2.1)."""
-EXHAUSTED = 4
-"""Criticality of a server that has used its capacity up."""
-BACKGROUND = 1
-"""Criticality of work that is not real-time (section 6.5.2)."""
-_RELEASE, _REFILL, _ARRIVAL = range(3)
-_KINDS = 3
+__all__ = ["Core", "PeriodicTask", "ServerTask", "poisson", "simulate"]
 
-
-class PeriodicTask(Struct, frozen=True, kw_only=True):
-    """A task that the clock releases."""
-
-    name: str
-    period_ns: int
-    cost: int | Callable[[], int]
-    """CPU nanoseconds of a cycle; asked anew at the begin of each when it can be
-    called."""
-    crit: int = INSIDE
-    priority: int = 0
-    deadline_ns: int = 0
-    """Relative; 0 means the period."""
-    offset_ns: int = 0
-    """Shifts the grid of releases, which else are multiples of the period."""
-    effective_ns: int = 0
-    """E of a soft task: the reserve in each period; 0 for none."""
-    drop_crit: int = OUTSIDE
-    """Criticality of a soft task that has used E up."""
-
-
-class ServerTask(Struct, frozen=True, kw_only=True):
-    """A task that serves events in the order in which they arrive."""
-
-    name: str
-    kind: ServerKind
-    arrivals: Iterable[tuple[int, int]]
-    """Instant and CPU nanoseconds of each event, in order of time."""
-    capacity_ns: int = 0
-    period_ns: int = 0
-    crit: int = SERVER
-    drop_crit: int | None = EXHAUSTED
-    """Criticality without capacity; None: it waits for more."""
-    priority: int = 0
-    offset_ns: int = 0
-
-
-class _Job:
-    """The state of one task."""
-
-    __slots__ = (
-        "account", "active", "arrivals", "base", "begun", "budget", "coming", "cost",
-        "crit", "deadline", "dl", "drop", "full", "index", "kind", "left", "limited",
-        "name", "own_dl", "period", "pieces", "priority", "queue", "rel", "slice_end",
-        "stamp", "value",
-    )  # fmt: skip
-
-    def __init__(self, index: int, account: Account, kind: ServerKind | None) -> None:
-        self.index, self.account, self.kind = index, account, kind
-        self.name = account.name
-        self.active = self.begun = self.limited = False
-        """Ready to run; its cycle has begun; runs on its reserve."""
-        self.base = self.crit = account.crit
-        self.drop: int | None = None
-        self.priority = self.stamp = 0
-        self.period, self.deadline = account.period_ns, account.deadline_ns
-        self.rel, self.dl, self.own_dl = 0, NEVER, NEVER
-        self.left = -1
-        """CPU time that the cycle under way still needs; -1 before it begins."""
-        self.budget = self.full = 0
-        self.cost: Callable[[], int] | None = None
-        self.value = 0
-        self.arrivals: Iterator[tuple[int, int]] = iter(())
-        self.coming: tuple[int, int] | None = None
-        self.queue: deque[tuple[int, int]] = deque()
-        self.pieces: deque[list[int]] = deque()
-        """Capacity in use of a sporadic server: when it comes back, and how much."""
-        self.slice_end = -1
+_RELEASE, _REFILL, _ARRIVAL, _LATEST = range(4)
+_KINDS = 4
 
 
 class Core:
@@ -131,11 +55,11 @@ class Core:
     ) -> None:
         self.now_ns = self._start = start_ns
         self._keep = keep
-        self._jobs: list[_Job] = []
+        self._jobs: list[Job] = []
         self._events: list[tuple[int, int]] = []
         self._ready: list[tuple[int, int, int, int]] = []
         self._segments: list[tuple[str, int, int, int]] = []
-        _check(tasks, servers, start_ns)
+        check(tasks, servers, start_ns)
         for task in tasks:
             self._add_task(task)
         for server in servers:
@@ -150,9 +74,9 @@ class Core:
             deadline_ns=task.deadline_ns or task.period_ns,
             misses_ns=[], releases_ns=[], responses_ns=[],
         )  # fmt: skip
-        job = _Job(len(self._jobs), account, None)
+        job = Job(len(self._jobs), account, None)
         job.priority, job.full = task.priority, task.effective_ns
-        job.drop = task.drop_crit
+        job.drop, job.least = task.drop_crit, task.least_ns
         if callable(task.cost):
             job.cost = task.cost
         else:
@@ -170,7 +94,7 @@ class Core:
             server=True,
             misses_ns=[], releases_ns=[], responses_ns=[],
         )  # fmt: skip
-        job = _Job(len(self._jobs), account, server.kind)
+        job = Job(len(self._jobs), account, server.kind)
         job.priority, job.drop = server.priority, server.drop_crit
         job.arrivals = iter(server.arrivals)
         self._jobs.append(job)
@@ -190,7 +114,7 @@ class Core:
         behind = (task.offset_ns - self._start) % task.period_ns
         return self._start + behind
 
-    def _plan(self, when: int, kind: int, job: _Job) -> None:
+    def _plan(self, when: int, kind: int, job: Job) -> None:
         heappush(self._events, (when, job.index * _KINDS + kind))
 
     # -- time passes ------------------------------------------------------------------
@@ -223,7 +147,7 @@ class Core:
             tasks={job.name: job.account for job in self._jobs},
         )
 
-    def _compute(self, job: _Job, stop: int) -> None:
+    def _compute(self, job: Job, stop: int) -> None:
         """Run the most urgent task until its cycle ends, its reserve, or `stop`."""
         if job.left < 0:
             self._begin(job)
@@ -247,7 +171,7 @@ class Core:
         elif job.limited and not job.budget:
             self._exhaust(job)
 
-    def _segment(self, job: _Job, start: int, end: int) -> None:
+    def _segment(self, job: Job, start: int, end: int) -> None:
         segments = self._segments
         if segments:
             name, began, last, crit = segments[-1]
@@ -256,7 +180,7 @@ class Core:
                 return
         segments.append((job.name, start, end, job.crit))
 
-    def _begin(self, job: _Job) -> None:
+    def _begin(self, job: Job) -> None:
         if job.kind is not None:
             job.left = job.queue[0][1]
             return
@@ -264,7 +188,7 @@ class Core:
         job.own_dl = job.dl
         job.left = job.value if job.cost is None else max(0, job.cost())
 
-    def _finish(self, job: _Job) -> None:
+    def _finish(self, job: Job) -> None:
         account, now = job.account, self.now_ns
         account.cycles += 1
         job.left = -1
@@ -279,7 +203,7 @@ class Core:
         job.active = job.begun = False
         job.stamp += 1
 
-    def _rank(self, job: _Job) -> None:
+    def _rank(self, job: Job) -> None:
         """Put the task into the queue of ready ones where it belongs now."""
         job.active = True
         job.stamp += 1
@@ -300,10 +224,12 @@ class Core:
             self._release(job)
         elif kind == _REFILL:
             self._refill(job)
-        else:
+        elif kind == _ARRIVAL:
             self._arrive(job)
+        else:
+            self._give_up(job)
 
-    def _release(self, job: _Job) -> None:
+    def _release(self, job: Job) -> None:
         now, account = self.now_ns, job.account
         account.releases += 1
         if self._keep:
@@ -320,8 +246,23 @@ class Core:
             job.budget, job.limited, job.crit = job.full, True, job.base
         self._rank(job)
         self._plan(now + job.period, _RELEASE, job)
+        if job.least:
+            self._plan(max(now, job.dl - job.least) + 1, _LATEST, job)
 
-    def _exhaust(self, job: _Job) -> None:
+    def _give_up(self, job: Job) -> None:
+        """The latest start is over: a cycle that has not begun is not begun."""
+        if not job.active or job.begun or self.now_ns + job.least <= job.dl:
+            return
+        account = job.account
+        account.missed += 1
+        account.given_up += 1
+        self._unmet(account, self.now_ns)
+        if self._keep:
+            account.misses_ns.append(self.now_ns)
+        job.active = False
+        job.stamp += 1
+
+    def _exhaust(self, job: Job) -> None:
         """The reserve is used up: E of a soft task, the capacity of a server."""
         job.account.overruns += 1
         job.limited = False
@@ -334,12 +275,12 @@ class Core:
 
     # -- servers ----------------------------------------------------------------------
 
-    def _next_arrival(self, job: _Job) -> None:
+    def _next_arrival(self, job: Job) -> None:
         job.coming = next(job.arrivals, None)
         if job.coming is not None:
             self._plan(max(job.coming[0], self.now_ns), _ARRIVAL, job)
 
-    def _arrive(self, job: _Job) -> None:
+    def _arrive(self, job: Job) -> None:
         job.account.releases += 1
         if self._keep:
             job.account.releases_ns.append(self.now_ns)
@@ -349,7 +290,7 @@ class Core:
             self._serve(job)
         self._next_arrival(job)
 
-    def _serve(self, job: _Job) -> None:
+    def _serve(self, job: Job) -> None:
         """Make a server ready that has events, if it may run at all."""
         if not job.queue:
             return
@@ -362,7 +303,7 @@ class Core:
             return
         self._rank(job)
 
-    def _served(self, job: _Job) -> None:
+    def _served(self, job: Job) -> None:
         """An event was served to its end."""
         if job.queue:
             if job.limited and not job.budget:
@@ -374,7 +315,7 @@ class Core:
             job.budget = 0
         job.limited = job.limited and job.budget > 0
 
-    def _refill(self, job: _Job) -> None:
+    def _refill(self, job: Job) -> None:
         """Give capacity back: the whole of it, or one piece of a sporadic server."""
         now = self.now_ns
         if job.kind is ServerKind.SPORADIC:
@@ -391,7 +332,7 @@ class Core:
             job.limited = True
             self._serve(job)
 
-    def _use(self, job: _Job, start: int, end: int) -> None:
+    def _use(self, job: Job, start: int, end: int) -> None:
         """Note that a sporadic server ran on its capacity.
 
         A stretch without a break comes back whole, one period after it began.
@@ -404,39 +345,6 @@ class Core:
             job.pieces.append([start + job.period, end - start])
             self._plan(start + job.period, _REFILL, job)
         job.slice_end = end
-
-
-def _check(
-    tasks: Iterable[PeriodicTask], servers: Iterable[ServerTask], start_ns: int
-) -> None:
-    """Raise ValueError for what cannot be simulated."""
-    names: set[str] = set()
-    everyone: list[PeriodicTask | ServerTask] = [*tasks, *servers]
-    for task in everyone:
-        if task.name in names:
-            msg = f"two tasks are named {task.name}"
-            raise ValueError(msg)
-        names.add(task.name)
-        urgency(task.crit, 0, task.priority)
-        if task.drop_crit is not None:
-            urgency(task.drop_crit, 0, 0)
-        _check_times(task)
-    if start_ns < 0:
-        msg = f"time cannot begin at {start_ns} ns"
-        raise ValueError(msg)
-
-
-def _check_times(task: PeriodicTask | ServerTask) -> None:
-    if isinstance(task, ServerTask):
-        refilled = task.kind is not ServerKind.BACKGROUND
-        if refilled and not 0 < task.capacity_ns <= task.period_ns:
-            msg = f"{task.name}: the capacity is above zero, at most the period"
-            raise ValueError(msg)
-        return
-    cost = 0 if callable(task.cost) else task.cost
-    if task.period_ns <= 0 or min(cost, task.deadline_ns, task.effective_ns) < 0:
-        msg = f"{task.name}: a period is above zero, other times are not below it"
-        raise ValueError(msg)
 
 
 def simulate(
@@ -463,23 +371,3 @@ def simulate(
     core = Core(tasks, servers, start_ns=start_ns, keep=keep)
     core.run_until(until_ns)
     return core.outcome()
-
-
-def poisson(
-    source: Callable[[], float], rate: float, cost: Callable[[], int], until_ns: int
-) -> Iterator[tuple[int, int]]:
-    """Yield events of a Poisson process.
-
-    Args:
-        source: Returns exponentially distributed numbers of mean 1, such as
-            ``functools.partial(random.Random(7).expovariate, 1.0)``.
-        rate: Events a second, above zero.
-        cost: Returns the CPU nanoseconds of the next event.
-        until_ns: No event is later.
-    """
-    now = 0.0
-    while True:
-        now += source() / rate * 1e9
-        if now > until_ns:
-            return
-        yield round(now), cost()

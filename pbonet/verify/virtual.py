@@ -20,7 +20,7 @@ from pbonet.sched.outcome import Outcome
 from pbonet.sched.servers import ServerKind
 from pbonet.sched.simulate import PeriodicTask, ServerTask, simulate
 
-from .demands import SERVER_TYPES, effective, is_periodic, ns
+from .demands import SERVER_TYPES, effective, is_periodic, least, ns
 from .order import user_priorities
 from .timing import criticalities
 
@@ -242,6 +242,7 @@ class _Builder(Struct, kw_only=True):
             cost=self._cost(task),
             crit=assigned.crit,
             priority=self.priorities.get(task.name, 0),
+            least_ns=ns(least(task).seconds or 0.0),
             effective_ns=ns(soft.seconds or 0.0) if soft else 0,
             drop_crit=min(criticality.OUTSIDE, assigned.crit),
         )
@@ -255,8 +256,7 @@ class _Builder(Struct, kw_only=True):
         profile = task.profile
         if profile is not None:
             return lambda: profile.draw_ns(source)
-        least = task.minc if task.minc is not None else task.rmod.minc or 0.0
-        low, high = ns(least), ns(task.worst)
+        low, high = ns(least(task).seconds or 0.0), ns(task.worst)
         return lambda: source.randint(min(low, high), high)
 
     def _server(

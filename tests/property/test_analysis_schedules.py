@@ -272,6 +272,7 @@ def test_the_critical_set_never_misses(sets, pair, data) -> None:
                 cost=one.cost_ns + (data.draw(st.integers(0, 9)) if soft else 0),
                 crit=5 if one.name in inside else 3,
                 effective_ns=one.cost_ns if soft else 0,
+                least_ns=data.draw(st.integers(0, one.cost_ns)),
                 offset_ns=data.draw(st.integers(0, 29)),
             )
         )

@@ -102,6 +102,20 @@ def test_a_cycle_without_cost_ends_at_once() -> None:
     assert account.responses_ns == [0, 0]
 
 
+def test_a_cycle_is_not_begun_when_its_least_time_cannot_be_granted() -> None:
+    """Section 6.3, the third kind: others get the time at once."""
+    hog = PeriodicTask(name="hog", period_ns=100, cost=6, crit=6)
+    late = PeriodicTask(name="late", period_ns=10, cost=6, least_ns=5)
+    other = PeriodicTask(name="other", period_ns=100, cost=4, crit=3)
+    outcome = simulate([hog, late, other], until_ns=20)
+    account = outcome.tasks["late"]
+    assert (account.missed, account.given_up, account.first_miss_ns) == (1, 1, 6)
+    assert account.responses_ns == [6]
+    assert outcome.tasks["other"].responses_ns == [10]
+    just = PeriodicTask(name="late", period_ns=10, cost=4, least_ns=4)
+    assert simulate([hog, just], until_ns=20).missing == set()
+
+
 def test_offsets_shift_the_grid() -> None:
     task = PeriodicTask(name="a", period_ns=10, cost=1, offset_ns=13)
     assert simulate([task], until_ns=30).tasks["a"].releases_ns == [3, 13, 23]
