@@ -13,6 +13,7 @@ import importlib.util
 import keyword
 import sys
 import types
+from functools import cached_property
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -28,7 +29,7 @@ from pbonet.errors import (
 from pbonet.pbo import ModuleInfo, PortBasedObject, describe, source_version
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 BUILT_IN = "pbonet.modules"
 """The package of the modules that pbonet brings."""
@@ -71,8 +72,19 @@ class Library:
     @property
     def shelves(self) -> tuple[Shelf, ...]:
         """The folders in the order in which they are searched."""
-        own = [Shelf(folder, _package_name(folder)) for folder in self.folders]
-        return (*_packaged(BUILT_IN), *own, *_registered())
+        return tuple(self._search())
+
+    def _search(self) -> Iterator[Shelf]:
+        """Yield the folders; those of installed packages only if all else fails."""
+        yield from _packaged(BUILT_IN)
+        for folder in self.folders:
+            yield Shelf(folder, _package_name(folder))
+        yield from self._installed
+
+    @cached_property
+    def _installed(self) -> list[Shelf]:
+        """The folders of registered packages, which take milliseconds to find."""
+        return _registered()
 
     def load(self, module: str) -> LoadedModule:
         """Run a module's code, unless the same text was run before, and describe it.
@@ -85,7 +97,7 @@ class Library:
                 names file and line.
             DeclarationError: Its class body is wrong.
         """
-        shelf, path = self._find(_checked(module), ".py")
+        shelf, path = self._find(_checked(module))
         source = _read(path)
         version = source_version(source)
         known = self._loaded.get((str(path), version))
@@ -104,7 +116,7 @@ class Library:
         Raises:
             ModuleLoadError: There is none of that name.
         """
-        return self._find(_checked(module), ".py")[1]
+        return self._find(_checked(module))[1]
 
     def find_rmod(self, name: str) -> Path:
         """Return the file of an RMOD.
@@ -113,11 +125,10 @@ class Library:
             ConfigFileError: There is none of that name.
         """
         wanted = name.removesuffix(".rmod")
-        if wanted == Path(wanted).name and wanted not in {"", ".", ".."}:
-            for shelf in self.shelves:
-                path = shelf.folder / f"{wanted}.rmod"
-                if path.is_file():
-                    return path
+        located = wanted != Path(wanted).name or wanted in {"", ".", ".."}
+        found = None if located else self._look_for(f"{wanted}.rmod")
+        if found is not None:
+            return found[1]
         raise ConfigFileError(
             f"the library has no RMOD {name}",
             expected=f"{wanted}.rmod in {self._places()}",
@@ -141,14 +152,20 @@ class Library:
         }
         return tuple(sorted(names))
 
-    def _find(self, name: str, suffix: str) -> tuple[Shelf, Path]:
-        for shelf in self.shelves:
-            path = shelf.folder / f"{name}{suffix}"
+    def _look_for(self, file: str) -> tuple[Shelf, Path] | None:
+        """Return the first folder that has a file of that name, and its path."""
+        for shelf in self._search():
+            path = shelf.folder / file
             if path.is_file():
                 return shelf, path
+        return None
+
+    def _find(self, name: str) -> tuple[Shelf, Path]:
+        if found := self._look_for(f"{name}.py"):
+            return found
         raise ModuleLoadError(
             f"the library has no module {name}",
-            expected=f"{name}{suffix} in {self._places()}",
+            expected=f"{name}.py in {self._places()}",
             remedy=did_you_mean(name, self.modules()) or self._missing(),
         )
 
@@ -188,6 +205,7 @@ def _read(path: Path) -> bytes:
             "the module's file cannot be read",
             where=str(path),
             got=error.strerror or str(error),
+            remedy="check its permissions",
         ) from None
 
 
@@ -291,7 +309,7 @@ def _beside(path: Path, error: BaseException) -> str:
     name = error.name if isinstance(error, ModuleNotFoundError) else None
     if name and (path.parent / f"{name}.py").is_file():
         return f"write `from . import {name}`: the folder is a package"
-    return ""
+    return "correct it there and try again"
 
 
 def _is_module(
@@ -322,4 +340,7 @@ def _only_class(
         where=str(path),
         expected="one, or one that is named like the file",
         got=names or "none",
+        remedy="put each class into a file of its own"
+        if own
+        else "derive its class from pbonet.PortBasedObject",
     )

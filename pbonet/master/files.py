@@ -145,8 +145,8 @@ class Files:
             path = folder / f"{name}.rmod"
             if Path(name).name == name and path.exists():
                 return path
-        if name in self.library.rmods():
-            return Path(self.library.find_rmod(name))
+        with contextlib.suppress(ConfigFileError):
+            return self.library.find_rmod(name)
         raise self._unknown(name, self.rmods())
 
     def _unknown(self, name: str, known: Iterable[str]) -> ConfigFileError:

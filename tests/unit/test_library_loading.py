@@ -105,7 +105,7 @@ def fails(folder, text):
 def test_a_syntax_error_is_named_with_file_and_line(folder):
     assert fails(folder, "\n\ndef cycle(self)\n    pass\n") == (
         f"{folder}/wrong.py:3: the code of module wrong does not load "
-        "(got expected ':': `def cycle(self)`)"
+        "(got expected ':': `def cycle(self)`); correct it there and try again"
     )
 
 
@@ -138,13 +138,16 @@ def test_a_wrong_class_body_is_a_declaration_error(folder):
 def test_a_file_without_a_module_class(folder):
     assert fails(folder, "from pbonet import PortBasedObject\n") == (
         f"{folder}/wrong.py: module wrong must define one class that derives from "
-        "PortBasedObject (expected one, or one that is named like the file, got none)"
+        "PortBasedObject (expected one, or one that is named like the file, got none); "
+        "derive its class from pbonet.PortBasedObject"
     )
 
 
 def test_of_two_classes_the_one_that_is_named_like_the_file(folder):
     two = GOOD + GOOD.replace("Ramp", "Rampe").replace('"Y"', '"Z"')
-    assert fails(folder, two).endswith("got Ramp, Rampe)")
+    assert fails(folder, two).endswith(
+        "got Ramp, Rampe); put each class into a file of its own"
+    )
     (folder / "ramp.py").write_text(two)
     assert Library([folder]).load("ramp").cls.__name__ == "Ramp"
 
@@ -228,6 +231,21 @@ def test_installed_packages_add_modules(tmp_path, monkeypatch):
     assert loaded.cls.__module__ == "robot_parts.ramp"
     assert importlib.import_module("robot_parts.ramp").Ramp is loaded.cls
     del sys.modules["robot_parts.ramp"], sys.modules["robot_parts"]
+
+
+def test_installed_packages_are_looked_up_last_and_once(folder, monkeypatch):
+    asked = []
+    monkeypatch.setattr(library, "entry_points", lambda **_: asked.append(1) or [])
+    shelf = Library([folder])
+    shelf.load("ramp")
+    shelf.load("diff")
+    shelf.find_rmod("fast_ramp")
+    assert asked == []
+    for _ in range(2):
+        with pytest.raises(ModuleLoadError):
+            shelf.load("nowhere")
+        shelf.rmods()
+    assert asked == [1]
 
 
 def test_an_installed_package_that_does_not_import_is_told(monkeypatch):
