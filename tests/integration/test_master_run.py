@@ -1,0 +1,243 @@
+"""``pbonet run``: the whole thing from one command, and nothing left behind."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from watching import processes_of, wait_for
+
+from pbonet.master.embedded import assign_cores
+from pbonet.master.live import Screen
+from pbonet.master.recording import Recording
+from pbonet.master.sim import Simulation
+from pbonet.xm import rundir, session
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def run(nodes, puma):
+    """Start ``pbonet run`` on the PUMA job; it is ended with the test."""
+    started = []
+
+    def start(*words, job=None):
+        file = str(job or puma.with_suffix(".job"))
+        command = [sys.executable, "-m", "pbonet.cli", "run", file]
+        process = subprocess.Popen(
+            [*command, *map(str, words), "--domain", nodes.domain],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def verb(nodes, puma):
+    """Run another verb beside it."""
+
+    def call(name, *words, file=True):
+        command = [sys.executable, "-m", "pbonet.cli", name]
+        command += [str(puma)] if file else []
+        return subprocess.run(
+            [*command, *words, "--domain", nodes.domain],
+            capture_output=True,
+            text=True,
+            cwd=ROOT,
+            timeout=50,
+            check=False,
+        )
+
+    return call
+
+
+def until_on(process):
+    """Read what it says until the job is ON."""
+    for line in process.stdout:
+        if " is ON: " in line:
+            return
+    pytest.fail(process.stderr.read())
+
+
+def left_of(nodes):
+    """Return processes of this test beside those of the kit."""
+    return [
+        command
+        for _, command in processes_of("PBONET_RUN_DIR", str(nodes.folder))
+        if "pbonet.cli run" not in command
+    ]
+
+
+def test_run_for_a_time_leaves_nothing_and_records_every_cycle(
+    run, nodes, tmp_path, shared_memory
+):
+    kept = tmp_path / "run.npz"
+    process = run("--seconds", "1.5", "--record", kept, "--json")
+    out, err = process.communicate(timeout=50)
+    assert process.returncode == 0, err
+    outcome = json.loads(out)
+    assert outcome["reason"] == "1.5 s are over"
+    tasks = {task["task"]: task for task in outcome["tasks"]}
+    assert set(tasks) == {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
+    servo = tasks["puma_pidg"]
+    assert servo["cycles"] + servo["missed"] == pytest.approx(750, rel=0.1)
+    assert servo["jitter_exact"]
+    assert 0 < servo["jitter_p50"] <= servo["jitter_p99"] <= servo["jitter_max"]
+    assert "nobody runs arm0: embedded agent on core" in err
+    assert left_of(nodes) == []
+    assert list(shared_memory.iterdir()) == []
+    recording = Recording.load(kept)
+    assert recording.about["lost"] == {}
+    cycles = recording.arrays("puma_pidg")["cycle"]
+    assert len(cycles) >= servo["cycles"]
+    assert np.all(np.diff(cycles) == 1)  # every one of them
+    assert recording.writer("T_GRAV") == "grav_comp"
+
+
+@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_turns_everything_off_in_order(run, nodes, which):
+    process = run()
+    until_on(process)
+    process.send_signal(which)
+    out, err = process.communicate(timeout=50)
+    assert process.returncode == 0, err
+    assert "interrupted" in out
+    assert left_of(nodes) == []
+
+
+def test_interrupt_during_the_start_undoes_it(run, nodes):
+    process = run()
+    for line in process.stdout:
+        if "embedded agent" in line and "arm1" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=50)
+    assert left_of(nodes) == []
+
+
+def test_killed_run_takes_its_agents_with_it(run, nodes, shared_memory):
+    process = run()
+    until_on(process)
+    assert left_of(nodes)
+    process.kill()
+    process.communicate()
+    wait_for(lambda: not left_of(nodes), "the end of the embedded agents", 20.0)
+    assert list(shared_memory.iterdir()) == []
+
+
+def test_verbs_steer_a_run_and_stop_ends_it(run, verb):
+    process = run()
+    until_on(process)
+    done = verb("set", "puma_pidg", "kd", "200", "190", "60", "12", "11", "12")
+    assert done.returncode == 0, done.stderr
+    assert "200 190 60" in verb("get", "puma_pidg", "kd").stdout
+    assert verb("off", "grav_comp").returncode == 0
+    data = json.loads(verb("status", "--json").stdout)
+    state = {task["task"]: task["fields"]["state"] for task in data["tasks"]}
+    assert state["grav_comp"] == "OFF"
+    assert any(rtpu["illegal"] for rtpu in data["rtpus"])
+    assert verb("on", "grav_comp").returncode == 0
+    done = verb("stop", "puma", file=False)
+    assert done.returncode == 0
+    assert "puma_pidg" in done.stdout
+    out, err = process.communicate(timeout=50)
+    assert process.returncode == 0, err
+    assert "stopped from elsewhere" in out
+
+
+def test_agent_that_is_there_is_used_and_stays(run, nodes):
+    nodes.agent_process("arm1")
+    process = run("--seconds", "0.5")
+    out, err = process.communicate(timeout=50)
+    assert process.returncode == 0, err
+    assert "nobody runs arm0" in out
+    assert "nobody runs arm1" not in out
+    wait_for(
+        lambda: session.rtpus(nodes.session, nodes.domain) == ["arm1"], "arm1 alone"
+    )
+
+
+def test_without_embedding_a_missing_rtpu_is_an_error(run):
+    process = run("--no-embed", "--seconds", "1")
+    _, err = process.communicate(timeout=50)
+    assert process.returncode == 1
+    assert "no agent of domain" in err
+    assert "Traceback" not in err
+
+
+def test_illegal_job_is_refused_and_nothing_is_left(run, nodes, puma):
+    job = puma.with_suffix(".job")
+    text = job.read_text().replace("TASK  grav_comp  arm1\n", "")
+    job.write_text(text.replace(" puma_pidg grav_comp\n", " puma_pidg\n"))
+    process = run("--seconds", "1")
+    _, err = process.communicate(timeout=50)
+    assert process.returncode == 1
+    assert "T_GRAV" in err
+    assert "grav_comp" in err
+    assert "Traceback" not in err
+    assert left_of(nodes) == []
+
+
+def test_job_that_fails_in_init_is_rolled_back(run, nodes, puma):
+    library = ROOT / "tests" / "misbehaving"
+    (puma.parent / "bad.rmod").write_text(
+        "MODULE raises_in_init\nDESC bad\nSVARALIAS Y=T_GRAV\nINCONST none\n"
+        "OUTCONST none\nINVAR none\nOUTVAR Y\nTASKTYPE periodic\nFREQ 50\nEOF\n"
+    )
+    job = puma.with_suffix(".job")
+    job.write_text(job.read_text().replace("grav_comp", "bad"))
+    process = run("--seconds", "1", "--library", library)
+    _, err = process.communicate(timeout=50)
+    assert process.returncode == 1
+    assert "init" in err
+    assert left_of(nodes) == []
+
+
+def test_run_in_virtual_time_needs_no_agents(run, nodes):
+    process = run("--sim", "--seconds", "0.2")
+    out, _ = process.communicate(timeout=50)
+    assert process.returncode == 0
+    assert "virtual time" in out
+    assert rundir.live_agents(nodes.domain) == []
+
+
+def test_first_core_is_left_to_housekeeping():
+    assert assign_cores(["a", "b"], [0, 1]) == {"a": 1, "b": 1}
+    assert assign_cores(["a", "b", "c"], {2, 0, 1}) == {"a": 1, "b": 2, "c": 1}
+    assert assign_cores(["a", "b"], [3]) == {"a": 3, "b": 3}
+    assert assign_cores([], [0]) == {}
+
+
+def test_live_table_shows_every_task(puma):
+    """The view of a terminal, drawn into a file."""
+    simulation = Simulation(puma.with_suffix(".job"))
+    simulation.start()
+    out = io.StringIO()
+    with Screen(Console(file=out, width=150, force_terminal=True)) as screen:
+        screen.say("begun [not a tag]")
+        for _ in range(3):
+            simulation.advance(0.1)
+            screen.show(0.1, simulation.status(), [])
+        screen.show(0.4, [], [])
+    simulation.stop()
+    text = out.getvalue()
+    assert "begun [not a tag]" in text
+    for task in ("puma_pidg", "grav_comp", "qrdiff", "jttrace"):
+        assert task in text
+    assert "Ctrl-C turns everything off" in text
