@@ -138,7 +138,7 @@ def _load(configuration: Configuration, rtpu: RtpuEntry) -> Load:
     inside = {name for name in periodic if assigned[name].in_set}
     if rtpu.scheduler is Scheduler.EDF and used <= bound * (1 + MAX_FAULT):
         inside = set(periodic)
-    proven = _guaranteed(tasks, rtpu, assigned, inside)
+    proven = _guaranteed(tasks, rtpu, assigned, inside, configuration.limit)
     order = sorted(periodic, key=lambda name: (-(periodic[name].hz or 0.0), name))
     return Load(
         rtpu=rtpu.name,
@@ -157,16 +157,17 @@ def _guaranteed(
     rtpu: RtpuEntry,
     assigned: dict[str, Assigned],
     inside: set[str],
+    limit: float,
 ) -> set[str]:
     """Return the periodic tasks that are proven to keep their deadlines."""
     asked, reserved = demands(tasks), servers(tasks)
     levels = {name: given.crit for name, given in assigned.items()}
-    if rtpu.scheduler is Scheduler.RM:
-        return level_guaranteed(asked, levels, reserved)
+    by_rule = rtpu.scheduler is not Scheduler.RM and _by_rule(tasks, levels, inside)
+    if not by_rule:
+        proven = level_guaranteed(asked, levels, reserved)
+        return {name for name in proven if _room(name, tasks, levels, limit)}
     if rtpu.scheduler is Scheduler.EDF and not edf_schedulable(asked, reserved):
         return set()
-    if not _by_rule(tasks, levels, inside):
-        return level_guaranteed(asked, levels, reserved)
     return inside
 
 
@@ -175,6 +176,8 @@ def _by_rule(tasks: Sequence[Task], levels: dict[str, int], inside: set[str]) ->
 
     A CRIT in an RMOD may make it otherwise; then each level has to be looked at.
     """
+    if not any(t.rmod.crit is not None for t in tasks if is_periodic(t)):
+        return True
     lowest = min((levels[name] for name in inside), default=0)
     return (
         all(
@@ -184,6 +187,19 @@ def _by_rule(tasks: Sequence[Task], levels: dict[str, int], inside: set[str]) ->
         )
         and len({levels[name] for name in inside}) <= 1
     )
+
+
+def _room(
+    name: str, tasks: Sequence[Task], levels: dict[str, int], limit: float
+) -> bool:
+    """Return whether a task, those level with it and those above are within `limit`."""
+    used = 0.0
+    for task in tasks:
+        if is_server(task):
+            used += (task.rmod.capacity or 0.0) * (task.hz or 0.0)
+        elif levels[task.name] >= levels[name]:
+            used += (reserve(task) or 0.0) * (task.hz or 0.0)
+    return used <= limit * (1 + MAX_FAULT)
 
 
 def check_loads(configuration: Configuration) -> Iterator[Problem]:

@@ -149,6 +149,22 @@ def test_a_fixed_criticality_may_spoil_the_critical_set() -> None:
     assert "t1 and t2 and t3 and t4 may miss deadlines" in texts(config)[0]
 
 
+def test_nothing_is_guaranteed_beyond_the_limit() -> None:
+    for crit in (None, 20):
+        heavy = task("a", freq=999, maxc=0.001, critical=True, info=None, crit=crit)
+        config = configuration(heavy, rtpus=[rtpu()], limit=0.95)
+        assert only(config).guaranteed == ()
+        assert "too busy for the CRITICAL a" in texts(config)[0]
+        assert texts(configuration(heavy, rtpus=[rtpu()])) == []
+
+
+def test_a_fixed_criticality_may_guarantee_what_the_rule_would_not() -> None:
+    """The slow task of Figure 6.1, above all others: then it is t3 that may miss."""
+    config = figure_6_1("MUF", crit=6, critical=True, info=None)
+    assert only(config).guaranteed == ("t4",)
+    assert "t1 and t2 and t3 may miss deadlines" in texts(config)[0]
+
+
 def test_a_transformation_is_proposed() -> None:
     (change,) = only(figure_6_1("MUF", critical=True)).transformations
     assert (change.name, change.factor) == ("t4", 2)
