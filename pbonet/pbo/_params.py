@@ -220,7 +220,12 @@ def decode_params(
         if about is None:
             raise _unknown(cls, key, place)
         if about.name in values:
-            raise ParameterError(f"parameter {about.name} is given twice", where=place)
+            raise ParameterError(
+                f"parameter {about.name} is given twice",
+                where=place,
+                expected="one line for each parameter, in capitals or not",
+                remedy="remove one of them",
+            )
         values[about.name] = _decode(about, line.words, place)
     for field in structs.fields(kind):
         if field.required and field.name not in values:
@@ -265,7 +270,10 @@ def _decode(about: Param, words: tuple[str, ...], where: str) -> Any:  # noqa: A
             f"parameter {about.name} has the wrong number of values",
             where=where,
             expected=str(about),
-            got=f"{len(words)} values" if len(words) != 1 else "1 value",
+            got=_values(len(words)),
+            remedy="give at least one"
+            if about.count == ANY_COUNT
+            else f"give {_values(expected)}",
         )
     values = tuple(_word(about, word, where) for word in words)
     value = values if about.count else values[0]
@@ -294,9 +302,12 @@ def _word(about: Param, word: str, where: str) -> float | str:
 
 
 def _hint(kind: str) -> str:
-    if kind == "bool":
-        return "write yes or no"
-    return "write it without a decimal point" if kind == "int" else ""
+    hints = {"bool": "write yes or no", "int": "write it without a decimal point"}
+    return hints.get(kind, "write numbers as in 2.5, -3 or 1e-3")
+
+
+def _values(count: int) -> str:
+    return "1 value" if count == 1 else f"{count} values"
 
 
 def _check(
@@ -314,6 +325,7 @@ def _check(
             where=place,
             expected=str(about),
             got=repr(value),
+            remedy="give a value of that type",
         )
     if about.choices and value not in about.choices:
         near = did_you_mean(str(value), about.choices)
@@ -322,7 +334,7 @@ def _check(
             where=place,
             expected=about.type_text,
             got=repr(value),
-            remedy=near,
+            remedy=near or "choose one of these",
         )
     if about.type not in {"int", "float"}:
         return
@@ -335,6 +347,7 @@ def _check(
                 where=place,
                 expected=str(about) if about.bounds else f"{about}, finite",
                 got=f"{one:g}",
+                remedy="choose a value within the bounds",
             )
 
 
@@ -369,7 +382,8 @@ def _unknown(cls: type[Any], key: str, where: str) -> ParameterError:
         f"{_owner(cls)} has no parameter {key}",
         where=where,
         expected=f"one of {', '.join(names)}" if names else "no parameters at all",
-        remedy=did_you_mean(key.lower(), names),
+        remedy=did_you_mean(key.lower(), names)
+        or ("name one of these, or remove it" if names else "remove it"),
     )
 
 

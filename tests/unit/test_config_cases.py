@@ -66,6 +66,7 @@ def test_local_values_that_the_module_does_not_take(name: str) -> None:
     with pytest.raises(ParameterError) as caught:
         decode_params(cls, record.local, where=record.file)
     assert str(caught.value) == (CASES / f"{name}.txt").read_text().rstrip("\n")
+    assert caught.value.remedy
 
 
 @pytest.mark.parametrize("name", cases("valid"))

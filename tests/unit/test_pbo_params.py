@@ -85,12 +85,12 @@ FAULTS = [
     (
         "KP stiff",
         "law.rmod:11:1: a value of parameter kp is not a float (expected float in "
-        'N*m/rad, >= 0, got "stiff")',
+        'N*m/rad, >= 0, got "stiff"); write numbers as in 2.5, -3 or 1e-3',
     ),
     (
         "KP nan",
         "law.rmod:11:1: a value of parameter kp is not a float (expected float in "
-        'N*m/rad, >= 0, got "nan")',
+        'N*m/rad, >= 0, got "nan"); write numbers as in 2.5, -3 or 1e-3',
     ),
     (
         "AXES 6.0",
@@ -105,44 +105,58 @@ FAULTS = [
     (
         "KP -0.5",
         "law.rmod:11:1: parameter kp is out of bounds (expected float in N*m/rad, "
-        ">= 0, got -0.5)",
+        ">= 0, got -0.5); choose a value within the bounds",
     ),
     (
         "KP 1e999",
         "law.rmod:11:1: parameter kp is out of bounds (expected float in N*m/rad, "
-        ">= 0, got inf)",
+        ">= 0, got inf); choose a value within the bounds",
     ),
     (
         "LIMIT 1 0 2",
         "law.rmod:11:1: parameter limit is out of bounds (value 2 of 3) (expected one "
-        "or more float in N*m, > 0, got 0)",
+        "or more float in N*m, > 0, got 0); choose a value within the bounds",
     ),
     (
         "OFFSET 1 2",
         "law.rmod:11:1: parameter offset has the wrong number of values (expected 3 "
-        "float in m, got 2 values)",
+        "float in m, got 2 values); give 3 values",
     ),
     (
         "LIMIT",
         "law.rmod:11:1: parameter limit has the wrong number of values (expected one "
-        "or more float in N*m, > 0, got 0 values)",
+        "or more float in N*m, > 0, got 0 values); give at least one",
     ),
     (
         "KP 1 2",
         "law.rmod:11:1: parameter kp has the wrong number of values (expected float in "
-        "N*m/rad, >= 0, got 2 values)",
+        "N*m/rad, >= 0, got 2 values); give 1 value",
     ),
     (
         "PORT",
         "law.rmod:11:1: parameter port has the wrong number of values (expected str, "
-        "got 0 values)",
+        "got 0 values); give 1 value",
     ),
     (
         "MODE cubik",
         "law.rmod:11:1: parameter mode has no such choice (expected one of linear, "
         "cubic, got 'cubik'); did you mean cubic?",
     ),
-    ("kp 1\nKP 2", "law.rmod:12:1: parameter kp is given twice"),
+    (
+        "MODE square",
+        "law.rmod:11:1: parameter mode has no such choice (expected one of linear, "
+        "cubic, got 'square'); choose one of these",
+    ),
+    (
+        "GAIN 1",
+        "law.rmod:11:1: module Law has no parameter GAIN (expected one of kp, axes, "
+        "mode, limit, offset, port, quiet); name one of these, or remove it",
+    ),
+    (
+        "kp 1\nKP 2",
+        "law.rmod:12:1: parameter kp is given twice (expected one line for each "
+        "parameter, in capitals or not); remove one of them",
+    ),
 ]
 
 
@@ -177,7 +191,7 @@ def test_values_are_checked_when_made_in_python():
         Gains(kp="1", axes=1)
     assert str(caught.value) == (
         "Gains.kp: parameter kp has the wrong type (expected float in N*m/rad, >= 0, "
-        "got '1')"
+        "got '1'); give a value of that type"
     )
 
 
@@ -246,7 +260,8 @@ def test_a_module_without_parameters_has_none():
     with pytest.raises(ParameterError) as caught:
         decode_params(Bare, local("KP 1"))
     assert str(caught.value) == (
-        "law.rmod:11:1: module Bare has no parameter KP (expected no parameters at all)"
+        "law.rmod:11:1: module Bare has no parameter KP (expected no parameters at "
+        "all); remove it"
     )
 
 
