@@ -67,9 +67,10 @@ def load(path: str | Path) -> str:
 
 
 def _similar_file(path: Path) -> str:
-    """Return a hint when the folder holds a file of nearly that name."""
+    """Return a hint when the folder holds a file of that kind with nearly the name."""
     try:
-        names = [entry.name for entry in path.parent.iterdir()]
+        beside = path.parent.iterdir()
+        names = [entry.name for entry in beside if entry.suffix == path.suffix]
     except (OSError, ValueError):
         return ""
     near = difflib.get_close_matches(path.name, names, n=1)

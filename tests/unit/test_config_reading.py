@@ -74,6 +74,13 @@ def test_a_missing_file_names_the_nearest_one(tmp_path: Path) -> None:
     )
 
 
+def test_a_missing_file_is_not_one_of_another_kind(tmp_path: Path) -> None:
+    (tmp_path / "arm.sbs").touch()
+    with pytest.raises(ConfigFileError) as caught:
+        config.read_svar(tmp_path / "arm.svar")
+    assert caught.value.remedy == "check the path and its permissions"
+
+
 def test_a_missing_folder() -> None:
     with pytest.raises(ConfigFileError) as caught:
         config.read_job("no/such/folder/a.job")
