@@ -44,7 +44,8 @@ static inline void rt_disarm(struct rt_state *s)
     s->next_ns = 0;
 }
 
-/* Take over a changed configuration; one half written is left for its writer's kick. */
+/* Take over a changed configuration; one half written is left for its writer's kick.
+ * Returns what there is: 0 nothing, 1 settings, 2 another process too, without a level. */
 static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
 {
     /* SYNC POINT: pairs with the two writes of `gen` around a change in table.h. */
@@ -60,6 +61,9 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
         return 0;
+    int news = pid == s->pid ? 1 : 2;
+    if (news == 2)
+        s->level = 0;
     s->gen = gen;
     s->pid = pid;
     s->kind = kind;
@@ -67,7 +71,7 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     s->priority = priority;
     s->period = period;
     s->deadline = deadline;
-    return 1;
+    return news;
 }
 
 static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
@@ -118,9 +122,11 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     }
     if (!(life & 1))
         return;
-    if (rt_latch_config(&slot->config, s))
+    int news = rt_latch_config(&slot->config, s);
+    if (news)
         rt_emit(t, RT_CONFIG, i,
-                (uint32_t)s->crit | (uint32_t)s->priority << 8 | (uint32_t)s->kind << 24,
+                (uint32_t)s->crit | (uint32_t)s->priority << 8 |
+                    (uint32_t)s->kind << 24 | (uint32_t)(news == 2) << 31,
                 s->period, s->deadline);
     if (!s->dead && atomic_load(&slot->config.dead) == life) {
         rt_emit(t, RT_DEAD, i, 0, 0, 0);

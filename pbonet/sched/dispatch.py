@@ -42,7 +42,8 @@ class Event(IntEnum):
     LIFE = 2
     """Input: the slot was allocated (arg odd) or freed (arg even)."""
     CONFIG = 3
-    """Input: period a, relative deadline b (0: period), arg packed by `pack`."""
+    """Input: period a, relative deadline b (0: period), arg packed by `pack`; its bit
+    31 tells of another process, which holds no level."""
     DEAD = 4
     """Input: the task's process is gone."""
     MODE = 5
@@ -175,7 +176,9 @@ class Dispatcher:
                 state.period, state.deadline = record.a, record.b
                 state.crit = record.arg & 0xFF
                 state.priority = record.arg >> 8 & 0xFFFF
-                state.kind = record.arg >> 24
+                state.kind = record.arg >> 24 & 0x7F
+                if record.arg >> 31:
+                    state.level = 0
             case Event.DEAD:
                 state.dead = True
                 _disarm(state)

@@ -224,3 +224,13 @@ def test_all_run_on_the_core_they_are_pinned_to(host) -> None:
     task.until("cycles", 3)
     assert os.sched_getaffinity(task.pid) == {CORE}
     task.end()
+
+
+@needs_fifo
+def test_a_process_named_after_the_task_was_armed_gets_its_level(host) -> None:
+    """A task arms itself as soon as it is forked, before its pid is known here."""
+    task = host.spawn("idle", period_ns=2 * MS)
+    task.until("cycles", 5)
+    assert os.sched_getscheduler(task.pid) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    assert os.sched_getparam(task.pid).sched_priority == task.status()["level"] >= 4
+    task.end()
