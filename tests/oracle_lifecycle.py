@@ -165,9 +165,11 @@ class Oracle:
         return True
 
     def _kill(self) -> None:
-        # 3.6: off and then kill from ON; kill alone from OFF and from ERROR.
-        if self.state == ON and not self._turn_off():
-            return
+        # 3.6: off and then kill from ON; kill alone from OFF and from ERROR. The kill
+        # signal leads to NOT-CREATED: no answer of error saves a task from it, and
+        # kill must free what init took (3.5) however off went.
+        if self.state == ON:
+            self._turn_off()
         self._kill_quietly()
 
     def _kill_quietly(self) -> None:

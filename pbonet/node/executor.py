@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pbonet.errors import (
     DeclarationError,
     MethodError,
+    PbonetError,
     PortError,
     StateError,
     SvarError,
@@ -36,13 +37,26 @@ from .failures import (
     Raised,
     RefusedError,
     StepFailed,
+    add_remedy,
+    answered,
     bad_answer,
     contained,
     is_answer,
     method_error,
     refused,
 )
-from .lifecycle import ANSWERED, RULES, Event, Failure, Rule, Step, rule, signal_event
+from .lifecycle import (
+    NOT_MADE,
+    RULES,
+    Event,
+    Failure,
+    Outcome,
+    Rule,
+    Step,
+    outcome,
+    rule,
+    signal_event,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -188,11 +202,6 @@ class Executor:
 
     # -- cycling ----------------------------------------------------------------------
 
-    @property
-    def law(self) -> Callable[[float], object]:
-        """What a cycle calls: `cycle`, or the choice between it and ``stable``."""
-        return self.instance.cycle if self._illegal is None else self._choose
-
     def cycle(self, dt: float, now: int | None = None) -> State:
         """Do one cycle here, in Python: copies, the module's law, copies.
 
@@ -216,7 +225,7 @@ class Executor:
             for do in self._wakeup:
                 do()
         except RAISED as error:
-            self.fault(contained(error))
+            self.fault(error, self._method)
         finally:
             if counted is not None:
                 counted.release = None
@@ -238,7 +247,7 @@ class Executor:
         try:
             self._steps(found, found.steps)
         except StepFailed as failed:
-            self._ask_and_obey(found, failed.cause, str(failed.step))
+            self.fault(failed.cause, str(failed.step))
         return self.state
 
     def fault(self, error: BaseException, method: str = "cycle") -> State:
@@ -252,7 +261,9 @@ class Executor:
             method: Which method raised it: ``cycle``, ``stable`` or ``sync``.
         """
         event = Event.SYNC if method == "sync" else Event.WAKEUP
-        self._ask_and_obey(rule(self.state, event), contained(error), method)
+        cause = contained(error)
+        found = rule(self.state, event, where=self.task.name)
+        self._put_right(found, cause, self._described(cause, method))
         return self.state
 
     # -- one event --------------------------------------------------------------------
@@ -270,7 +281,7 @@ class Executor:
         task = self.task
         task.state = self.state
         task.nextstate = found.to
-        task.on_fail = self._ask if found.failure is Failure.ERROR else None
+        task.on_fail = self._on_fail if found.failure is Failure.ERROR else None
 
     def _steps(self, found: Rule, steps: tuple[Step, ...]) -> None:
         """Take the steps of a rule, and go to its end or where an answer sends."""
@@ -280,7 +291,7 @@ class Executor:
                 self.task.on_fail = None
             try:
                 result = self._do[step]()
-                end = self._end(found, step, result) if found.answers else None
+                end = answered(found, step, result) if found.answers else None
             except RAISED as error:
                 raise StepFailed(step, contained(error)) from None
             if end is not None:
@@ -288,22 +299,11 @@ class Executor:
                 return
         self._go(found.to)
 
-    @staticmethod
-    def _end(found: Rule, step: Step, answer: object) -> State | None:
-        """Return where the answer of a method ends the rule, None to go on."""
-        if not step.is_method:
-            return None
-        if answer is not None and not isinstance(answer, Answer):
-            raise bad_answer(step, answer, found)
-        if answer not in found.answers:
-            raise bad_answer(step, answer, found)
-        return found.answers[answer]
-
     def _go(self, state: State) -> None:
         """Be in `state`."""
         task = self.task
         self.state = task.state = task.nextstate = state
-        task.on_fail = self._ask if state is State.ON else None
+        task.on_fail = self._on_fail if state is State.ON else None
         self._method = "cycle"
 
     # -- failures ---------------------------------------------------------------------
@@ -313,61 +313,68 @@ class Executor:
         if isinstance(failed.cause, RefusedError) and self.state in _ALIVE:
             self._go(self.state)
             raise failed.cause.error from None
-        method = self._described(failed.cause, str(failed.step))
+        failure = self._described(failed.cause, str(failed.step))
         if failed.step is Step.KILL or found.failure is Failure.GO_ON:
             self._go(found.to)
         elif found.failure is Failure.KILL:
-            self._kill_after(method)
+            self._follow(NOT_MADE, failure)
         elif found.failure is Failure.REPORT:
             self._go(self.state)
-        elif self._ask_and_obey(found, failed.cause, str(failed.step)):
-            return
-        raise method from failed.cause
+        else:
+            left = self._put_right(found, failed.cause, failure)
+            if left is None:
+                return
+            failure = left
+        if self.state is State.NOT_CREATED and found.failure is not Failure.KILL:
+            add_remedy(failure, "the task has ended all the same")
+        raise failure from failed.cause
 
-    def _kill_after(self, method: MethodError) -> None:
-        """Run `kill` behind a failed `init`."""
-        self.task.on_fail = None
-        self.task.nextstate = State.NOT_CREATED
-        try:
-            self._do[Step.KILL]()
-        except RAISED as error:
-            second = self._described(contained(error), "kill")
-            method.remedy = "; ".join(filter(None, [method.remedy, str(second)]))
-        self._go(State.NOT_CREATED)
+    def _put_right(
+        self, found: Rule, error: Raised, failure: MethodError
+    ) -> MethodError | None:
+        """Ask `error` unless it was asked, and obey.
 
-    def _ask_and_obey(self, found: Rule, error: Raised, method: str) -> bool:
-        """Ask `error` unless it was asked, and obey; True when it answered CONTINUE."""
+        Returns:
+            What is still wrong; None when it answered CONTINUE and that went well.
+        """
         answer = error.answer if isinstance(error, TaskFailure) else None
         if answer is None:
-            self._method = method
-            answer = self._ask(error)
-        if answer is not Answer.CONTINUE:
-            self._obey(answer)
-            return False
-        try:
+            answer = self._ask(error, failure)
+        if answer is Answer.CONTINUE:
             self.task.nextstate = found.to
-            self._steps(found, found.resume)
-        except StepFailed as failed:
-            second = self._described(failed.cause, str(failed.step))
-            if failed.step is Step.KILL:
-                self._go(found.to)
+            try:
+                self._steps(found, found.resume)
+            except StepFailed as failed:
+                failure = self._described(failed.cause, str(failed.step))
+                if failed.step is Step.KILL:
+                    self._go(found.to)
+                    return failure
+                answer = Answer.ERROR
             else:
-                self._obey(Answer.ERROR)
-            raise second from failed.cause
-        return True
+                return None
+        self._follow(outcome(found, answer), failure)
+        return failure
 
-    def _obey(self, answer: Answer) -> None:
-        outcome = ANSWERED[answer]
-        for step in outcome.steps:
-            self._do[step]()
-        self._go(outcome.to)
-        if outcome.to is State.ERROR:
+    def _follow(self, after: Outcome, failure: MethodError) -> None:
+        """Go where an outcome leads; what fails on the way is told with `failure`."""
+        self.task.on_fail = None
+        self.task.nextstate = after.to
+        for step in after.steps:
+            try:
+                self._do[step]()
+            except RAISED as error:
+                self._also(failure, contained(error), str(step))
+        self._go(after.to)
+        if after.to is State.ERROR:
             self.task.signal(Signal.ERROR, self.task.errmsg)
 
-    def _ask(self, error: Raised) -> Answer:
+    def _on_fail(self, error: MethodError) -> Answer:
+        """Have ``self.task.fail()`` ask the module's `error`."""
+        return self._ask(error, self._described(error, self._method))
+
+    def _ask(self, error: Raised, failure: MethodError) -> Answer:
         """Run the module's `error`; an error in there is the answer ERROR."""
         task, before = self.task, self.task.on_fail
-        described = self._described(error, self._method)
         shown = error.error if isinstance(error, TaskFailure) else error
         task.on_fail = None
         try:
@@ -375,8 +382,7 @@ class Executor:
             if not is_answer(answer):
                 raise bad_answer("error", answer, None)
         except RAISED as second:
-            also = self._described(contained(second), "error")
-            task.errmsg = f"{described}; and then {also}"
+            self._also(failure, contained(second), "error")
             return Answer.ERROR
         finally:
             task.on_fail = before
@@ -384,12 +390,21 @@ class Executor:
 
     def _described(self, error: Raised, method: str) -> MethodError:
         """Return `error` as the error of a method, and note it in the context."""
+        asked = isinstance(error, TaskFailure) and error.answer is not None
+        if asked and self.failure is not None:
+            return self.failure  # it was noted when `error` was asked
         described = method_error(error, method, self.task.name)
         self.task.errmsg = str(described)
         self.failure = described
         if not isinstance(error, TaskFailure | MethodError):
             self.task.errnum = 1
         return described
+
+    def _also(self, failure: MethodError, error: Raised, method: str) -> None:
+        """Note in `failure` what failed because of it."""
+        second = method_error(error, method, self.task.name)
+        add_remedy(failure, f"and then {second}")
+        self.task.errmsg = str(failure)
 
     def _call(self, event: Event, step: Step, *args: object) -> object:
         """Call `set` or `get`, which have arguments and change no state."""
@@ -407,7 +422,7 @@ class Executor:
 
     def _actions(self) -> dict[Step, Callable[[], object]]:
         copies, instance = self._copies, self.instance
-        law = self.law
+        law = instance.cycle if self._illegal is None else self._choose
         return {
             Step.COPY_IN_CONSTS: self._copy_in_consts,
             Step.COPY_OUT_CONSTS: self._copy_out_consts,
@@ -428,8 +443,10 @@ class Executor:
 
     def _choose(self, dt: float) -> None:
         if self._illegal is not None and self._illegal():
+            self._method = "stable"
             self.instance.stable(dt)
         else:
+            self._method = "cycle"
             self.instance.cycle(dt)
 
     def _accept(self, flags: int) -> None:
@@ -438,21 +455,20 @@ class Executor:
             raise refused(flags, self._copies.blamed)
 
     def _copy_in_consts(self) -> None:
-        """Copy in-consts in; refuse other sizes, and put the old values back."""
+        """Copy in-consts in; the old ones come back when that fails or does not fit."""
         arrays = memory(self.instance).arrays
         ports = type(self.instance).__interface__.ports
-        before = {
-            port.attr: arrays[port.attr].copy()
-            for port in ports
-            if port.kind is Kind.INCONST
-        }
-        self._accept(self._copies.copy_in_consts())
+        names = [port.attr for port in ports if port.kind is Kind.INCONST]
+        before = {attr: arrays[attr].copy() for attr in names}
         try:
+            self._accept(self._copies.copy_in_consts())
             check_sizes(self.instance, Kind.INCONST)
-        except PortError as error:
+        except PbonetError as error:
             for attr, values in before.items():
                 arrays[attr][...] = values
-            raise RefusedError(error) from None
+            if isinstance(error, PortError):
+                raise RefusedError(error) from None
+            raise
 
     def _copy_out_consts(self) -> None:
         check_sizes(self.instance, Kind.OUTCONST)

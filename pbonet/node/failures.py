@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import traceback
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeGuard
 
 from pbonet.errors import MethodError, PbonetError, SvarError
 from pbonet.pbo import Answer, TaskFailure
 
 if TYPE_CHECKING:
+    from pbonet.pbo import State
+
     from .lifecycle import Rule, Step
 
 RAISED = (Exception, SystemExit, TaskFailure)
@@ -76,9 +78,22 @@ def refused(flags: int, blamed: tuple[str, int]) -> SvarError:
     return SvarError(text, remedy="the table keeps its last values")
 
 
-def is_answer(answer: object) -> bool:
+def is_answer(answer: object) -> TypeGuard[Answer]:
     """Tell whether a module, typed or not, returned an `Answer`."""
     return isinstance(answer, Answer)
+
+
+def answered(found: Rule, step: Step, answer: object) -> State | None:
+    """Return where what a step gave ends its rule, None to go on.
+
+    Raises:
+        MethodError: A method gave an answer that the rule does not have.
+    """
+    if not step.is_method:
+        return None
+    if (answer is None or is_answer(answer)) and answer in found.answers:
+        return found.answers[answer]
+    raise bad_answer(step, answer, found)
 
 
 def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
@@ -120,6 +135,11 @@ def method_error(error: Raised, method: str, task: str) -> MethodError:
         remedy=remedy,
         debug=_trace(error),
     )
+
+
+def add_remedy(error: PbonetError, text: str) -> None:
+    """Add `text` at the end of an error's message."""
+    error.remedy = f"{error.remedy}; {text}" if error.remedy else text
 
 
 def _trace(error: BaseException) -> str:

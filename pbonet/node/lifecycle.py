@@ -18,7 +18,7 @@ from pbonet.pbo import Answer, State
 
 
 class Event(StrEnum):
-    """What a task reacts to; the first and the last four come from outside."""
+    """What a task reacts to; all but `WAKEUP` and `SYNC` are sent by somebody."""
 
     SPAWN = "spawn"
     ON = "on"
@@ -85,7 +85,14 @@ class Failure(StrEnum):
     REPORT = "report"
     """The failure is reported and the state stays."""
     GO_ON = "go on"
-    """The failure is reported, and the rule goes on to its end all the same."""
+    """The failure is reported, and the task is where the rule ends all the same."""
+
+
+class Outcome(Struct, frozen=True):
+    """What follows one answer of `error`: steps, whatever fails in them, and an end."""
+
+    steps: tuple[Step, ...]
+    to: State
 
 
 class Rule(Struct, frozen=True, kw_only=True):
@@ -100,8 +107,11 @@ class Rule(Struct, frozen=True, kw_only=True):
     """What the method may return: a state ends the rule there, None goes on."""
     resume: tuple[Step, ...] = ()
     """After a failure that `error` answers with CONTINUE: steps on the way to `to`."""
+    answered: Mapping[Answer, Outcome] = {}
+    """What follows the other answers of `error` where that is not in `ANSWERED`."""
 
 
+_ENDED = Outcome((Step.RELEASE, Step.KILL), State.NOT_CREATED)
 _REINIT = (Step.COPY_IN_CONSTS, Step.REINIT, Step.COPY_OUT_CONSTS)
 
 
@@ -142,6 +152,7 @@ RULES: Mapping[tuple[State, Event], Rule] = {
         to=State.NOT_CREATED,
         failure=Failure.ERROR,
         resume=(Step.COMMIT, Step.RELEASE, Step.KILL),
+        answered={Answer.OFF: _ENDED, Answer.ERROR: _ENDED},
     ),
     (State.OFF, Event.KILL): Rule(
         steps=(Step.KILL,), to=State.NOT_CREATED, failure=Failure.GO_ON
@@ -167,18 +178,21 @@ RULES: Mapping[tuple[State, Event], Rule] = {
 """State and event, and what follows; an event without a rule is not valid there."""
 
 
-class Outcome(Struct, frozen=True):
-    """What follows one answer of `error`."""
-
-    steps: tuple[Step, ...]
-    to: State
-
-
 ANSWERED: Mapping[Answer, Outcome] = {
     Answer.OFF: Outcome((Step.RELEASE,), State.OFF),
     Answer.ERROR: Outcome((Step.RELEASE,), State.ERROR),
 }
 """What follows OFF and ERROR; CONTINUE is followed by the rule's own `resume`."""
+
+
+NOT_MADE = Outcome((Step.KILL,), State.NOT_CREATED)
+"""What follows a failed `init`; `error` is not asked."""
+
+
+def outcome(found: Rule, answer: Answer) -> Outcome:
+    """Return what follows OFF or ERROR of `error` behind a failure in a rule."""
+    return found.answered.get(answer) or ANSWERED[answer]
+
 
 FROM_OUTSIDE = (Event.ON, Event.OFF, Event.KILL, Event.CLEAR, Event.REINIT)
 """Signals that a master sends to a task that exists (section 4.5.3)."""
@@ -231,6 +245,7 @@ _REMEDIES: Mapping[tuple[State, Event], str] = {
     (State.OFF, Event.OFF): "it is OFF already",
     (State.ERROR, Event.ON): "remove the cause of its error, then send clear",
     (State.ERROR, Event.OFF): "it does not cycle; send clear or kill",
+    (State.OFF, Event.WAKEUP): "turn it on first",
     (State.OFF, Event.CLEAR): "it has no error",
     (State.ON, Event.CLEAR): "it has no error",
 }
@@ -262,18 +277,19 @@ def _ends(found: Rule) -> str:
 
 def _failing(found: Rule) -> str:
     if found.failure is Failure.KILL:
-        return f"**kill** → {State.NOT_CREATED}"
+        return _way(NOT_MADE)
     if found.failure is Failure.REPORT:
         return "reported; the state stays"
     if found.failure is Failure.GO_ON:
         return f"reported → {found.to}"
-    ways: list[str] = []
-    for answer, outcome in ANSWERED.items():
-        steps = " → ".join(str(step) for step in outcome.steps)
-        ways.append(f"{answer}: {steps} → {outcome.to}")
+    ways = [f"{answer}: {_way(outcome(found, answer))}" for answer in ANSWERED]
     steps = "".join(f"{_step_text(step)} → " for step in found.resume)
     ways.append(f"{Answer.CONTINUE}: {steps}{found.to}")
     return "**error** answers " + "; ".join(ways)
+
+
+def _way(after: Outcome) -> str:
+    return " → ".join([*map(_step_text, after.steps), str(after.to)])
 
 
 def arrows() -> dict[tuple[State, State], list[str]]:
@@ -285,9 +301,9 @@ def arrows() -> dict[tuple[State, State], list[str]]:
     for (state, event), one in RULES.items():
         ends = {f"{event}: {answer}": end for answer, end in one.answers.items()}
         if one.failure is Failure.ERROR:
-            ends |= {f"error: {answer}": end.to for answer, end in ANSWERED.items()}
+            ends |= {f"error: {answer}": outcome(one, answer).to for answer in ANSWERED}
         for label, end in ends.items():
-            if end is None or end is state:
+            if end is None or end in {state, State.NOT_CREATED}:
                 continue
             labels = found.setdefault((state, end), [])
             if label not in labels:

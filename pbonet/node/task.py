@@ -302,9 +302,8 @@ class Host:
             f"the task ends: {reason}",
             cycle=self.time.cyclecount,
         )
-        for _ in range(2):  # an `off` that fails within `kill` leads to ERROR
-            if self.executor.state is not State.NOT_CREATED:
-                self._obey("kill")
+        if self.executor.state is not State.NOT_CREATED:
+            self._obey("kill")
         self._over = True
 
     def _close(self) -> None:

@@ -145,13 +145,14 @@ WALKS = [
 
 
 def walks():
-    """Yield the walks, with each script at each step; errors are cleared on the way."""
+    """Yield the walks, with each script at each step; errors end in clear or kill."""
     for walk in WALKS:
         yield [(signal, {}) for signal in walk]
         for place, script in itertools.product(range(len(walk)), FEW):
             told = [(signal, {}) for signal in walk]
             told[place] = (walk[place], script)
-            after = [("reinit", script), ("clear", script), ("clear", {})]
+            after = [("reinit", script), ("clear", script)]
+            after += [("clear", {})] * (place % 2)
             yield [*told[: place + 1], *after, ("kill", script), *told[place + 1 :]]
 
 
@@ -177,6 +178,14 @@ def mutants():
         for end in State:
             if end is not rule.to and event is not lifecycle.Event.WAKEUP:
                 yield f"{state} {event} to {end}", state, event, {"to": end}
+        for answer, after in rule.answered.items():
+            for less in [after.steps[1:], after.steps[:-1]]:
+                other = lifecycle.Outcome(less, after.to)
+                change = {"answered": {**rule.answered, answer: other}}
+                yield f"{state} {event} {answer} only {less}", state, event, change
+            change = {k: v for k, v in rule.answered.items() if k is not answer}
+            name = f"{state} {event} {answer} as ever"
+            yield name, state, event, {"answered": change}
         if rule.answers:
             deaf = dict.fromkeys(rule.answers)
             yield f"{state} {event} deaf", state, event, {"answers": deaf}

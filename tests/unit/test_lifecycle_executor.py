@@ -2,25 +2,18 @@
 
 from typing import Annotated as A
 
-import numpy as np
 import pytest
+from lifecycle_probe import Scale, boom, make
 
 from pbonet import (
-    Answer,
-    InConst,
     InVar,
-    OutConst,
-    OutVar,
-    Params,
     PortBasedObject,
     Signal,
     State,
     Vector,
-    param,
 )
 from pbonet.errors import (
     DeclarationError,
-    DeviceError,
     MethodError,
     ParameterError,
     PortError,
@@ -28,177 +21,7 @@ from pbonet.errors import (
     SvarOwnerError,
 )
 from pbonet.node.executor import Executor
-from pbonet.node.failures import refused
-from pbonet.pbo import TaskFailure
 from pbonet.testing import Bench
-
-
-class Gain(Params):
-    gain: A[float, param("none", "factor", ge=0, le=10)] = 1.0
-
-
-class Scale(PortBasedObject[Gain]):
-    """Multiply, and do what a test puts into the hooks."""
-
-    ndof: A[int, InConst("NDOF", "1", "none", "size")]
-    dim: A[int, OutConst("DIM", "1", "none", "size again")]
-    x: A[Vector, InVar("X", "ndof", "m", "input")]
-    y: A[Vector, OutVar("Y", "ndof", "m", "output")]
-    level: A[float, OutVar("LEVEL", "1", "none", "how many cycles")]
-
-    hooks = {}  # noqa: RUF012 - each test makes a class of its own
-
-    def init(self):
-        self.dim = self.ndof
-        self.run("init")
-
-    def on(self):
-        return self.run("on")
-
-    def cycle(self, dt):  # noqa: ARG002
-        self.y[:] = self.params.gain * self.x
-        self.level = self.level + 1
-        self.run("cycle")
-
-    def stable(self, dt):  # noqa: ARG002
-        self.level = -1.0
-
-    def off(self):
-        self.run("off")
-
-    def kill(self):
-        self.run("kill")
-
-    def sync(self):
-        self.run("sync")
-
-    def error(self, error):
-        self.last = error
-        return self.run("error") or Answer.ERROR
-
-    def reinit(self):
-        self.run("reinit")
-
-    def set(self, name, value):  # noqa: ARG002
-        self.run("set")
-
-    def get(self, name):
-        return 2 * getattr(self.params, name)
-
-    def run(self, method):
-        hook = self.hooks.get(method)
-        return hook(self) if hook else None
-
-
-def make(**hooks):
-    made = type("Scale", (Scale,), {"hooks": hooks, "__module__": __name__})
-    return Bench(made, ndof=2, name="scale")
-
-
-def boom(_):
-    raise ZeroDivisionError("division by zero")
-
-
-def test_an_error_in_a_method_names_task_method_and_cause():
-    bench = make(on=boom)
-    with pytest.raises(MethodError) as caught:
-        bench.on()
-    error = caught.value
-    assert str(error) == "scale.on: ZeroDivisionError: division by zero"
-    assert f"{__file__}" in error.debug
-    assert "in boom" in error.debug
-    assert isinstance(error.__cause__, ZeroDivisionError)
-    assert bench.task.errmsg == str(error)
-    assert bench.task.errnum == 1
-    assert bench.executor.failure is error or str(bench.executor.failure) == str(error)
-    assert isinstance(bench.module.last, ZeroDivisionError)
-
-
-def test_the_master_is_told_that_a_task_is_in_error():
-    bench = make(cycle=boom)
-    bench.on()
-    bench.step(check=False)
-    (notice,) = bench.notices()
-    assert notice.bits == Signal.ERROR
-    assert notice.text == "scale.cycle: ZeroDivisionError: division by zero"
-
-
-def test_a_failure_with_parts_keeps_them():
-    def no_device(_):
-        raise DeviceError("no ball", expected="/dev/ball", got="nothing", remedy="plug")
-
-    with pytest.raises(MethodError) as caught:
-        make(on=no_device).on()
-    assert str(caught.value) == (
-        "scale.on: no ball (expected /dev/ball, got nothing); plug"
-    )
-
-
-def test_fail_carries_text_and_number():
-    bench = make(cycle=lambda self: self.task.fail("slip", 42))
-    bench.on()
-    with pytest.raises(MethodError, match=r"^scale\.cycle: slip$"):
-        bench.step()
-    assert bench.task.errnum == 42
-    assert isinstance(bench.module.last, MethodError)
-    assert bench.log.count("error") == 1
-
-
-def test_sys_exit_in_a_module_ends_nothing():
-    def leave(_):
-        raise SystemExit(3)
-
-    bench = make(cycle=leave)
-    bench.on()
-    with pytest.raises(MethodError, match="SystemExit: 3"):
-        bench.step()
-    assert bench.state is State.ERROR
-
-
-def test_a_read_only_input_gives_a_remedy():
-    def write(self):
-        self.x[0] = 1.0
-
-    bench = make(cycle=write)
-    bench.on()
-    with pytest.raises(MethodError, match="inputs are written by their producers"):
-        bench.step()
-
-
-def test_an_error_in_error_is_told_too():
-    bench = make(cycle=boom, error=lambda _: 1 / 0)
-    bench.on()
-    bench.step(check=False)
-    assert bench.state is State.ERROR
-    assert bench.task.errmsg == (
-        "scale.cycle: ZeroDivisionError: division by zero; and then "
-        "scale.error: ZeroDivisionError: division by zero"
-    )
-
-
-def test_answers_that_cannot_be_given_are_errors():
-    with pytest.raises(MethodError) as caught:
-        make(on=lambda _: Answer.CONTINUE).on()
-    assert str(caught.value) == (
-        "scale.on: on gave an answer that it cannot give "
-        "(expected None or Answer.OFF, got Answer.CONTINUE)"
-    )
-    with pytest.raises(MethodError, match=r"expected None or Answer.OFF, got True"):
-        make(on=lambda _: True).on()
-    bench = make(cycle=boom, error=lambda _: "OFF!")
-    bench.on()
-    bench.step(check=False)
-    assert "Answer.OFF or Answer.CONTINUE or Answer.ERROR" in bench.task.errmsg
-    assert bench.state is State.ERROR
-
-
-def test_a_failed_init_kills_and_tells_both():
-    with pytest.raises(MethodError) as caught:
-        make(init=boom, kill=boom)
-    assert str(caught.value) == (
-        "scale.init: ZeroDivisionError: division by zero; "
-        "scale.kill: ZeroDivisionError: division by zero"
-    )
 
 
 def test_a_task_is_created_once():
@@ -206,53 +29,6 @@ def test_a_task_is_created_once():
     bench.kill()
     with pytest.raises(StateError, match="a task is created once"):
         bench.executor.spawn()
-
-
-def test_a_non_finite_output_is_an_error_that_names_it():
-    def poison(self):
-        self.y[1] = np.nan
-
-    bench = make(cycle=poison)
-    bench.on()
-    with pytest.raises(MethodError) as caught:
-        bench.step()
-    assert caught.value.what == (
-        "an output is not a finite number: element 2 of Y; the table keeps its last "
-        "values"
-    )
-    assert bench.outputs.y.tolist() == [0.0, 0.0]
-
-
-def test_refused_flags_in_words():
-    assert str(refused(8, ("", 0))).startswith("no whole set of inputs was had; ")
-    assert str(refused(32 | 2, ("Y", 0))).startswith(
-        "an output is outside its limits: element 1 of Y; "
-    )
-
-
-def test_what_a_native_loop_raises_is_handed_in():
-    bench = make(error=lambda _: Answer.OFF)
-    bench.on()
-    assert bench.executor.fault(ValueError("from the loop")) is State.OFF
-    assert bench.task.errmsg == "scale.cycle: ValueError: from the loop"
-    assert not bench.table.owned
-
-
-def test_a_failure_whose_error_was_asked_is_not_asked_again():
-    bench = make(cycle=lambda self: self.task.fail("slip"))
-    bench.on()
-    with pytest.raises(TaskFailure) as caught:
-        bench.module.cycle(0.1)
-    assert bench.log.count("error") == 1
-    assert bench.executor.fault(caught.value) is State.ERROR
-    assert bench.log.count("error") == 1
-
-
-def test_a_failure_of_sync_says_so():
-    bench = make(sync=boom)
-    bench.on()
-    assert bench.sync() is State.ERROR
-    assert bench.task.errmsg.startswith("scale.sync: ")
 
 
 def test_a_module_turns_itself_off():
@@ -402,36 +178,9 @@ def test_a_critical_task_needs_stable():
     )
 
 
-def test_the_law_of_an_ordinary_task_is_the_method_itself():
-    bench = make()
-    assert bench.executor.law == bench.module.cycle
-    assert Executor.law.__doc__
-
-
 def test_a_cycle_outside_on_is_refused():
     with pytest.raises(StateError, match="signal wakeup is not valid in state OFF"):
         make().step()
-
-
-def test_what_fails_again_behind_continue_ends_in_error():
-    def poison(self):
-        self.y[0] = np.inf
-
-    bench = make(off=poison, error=lambda _: Answer.CONTINUE)
-    bench.on()
-    with pytest.raises(MethodError, match="an output is not a finite number"):
-        bench.off()
-    assert bench.state is State.ERROR
-    assert not bench.table.owned
-    assert bench.log[-4:] == ["out-vars out", "error", "out-vars out", "disown"]
-
-
-def test_a_kill_that_fails_behind_continue_ends_the_task():
-    bench = make(off=boom, kill=boom, error=lambda _: Answer.CONTINUE)
-    bench.on()
-    with pytest.raises(MethodError, match=r"^scale\.kill: ZeroDivisionError"):
-        bench.kill()
-    assert bench.state is State.NOT_CREATED
 
 
 def test_a_wrong_size_of_an_in_const_prevents_creation():
