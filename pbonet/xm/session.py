@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import time
 from typing import TYPE_CHECKING
 
 import zenoh
@@ -25,6 +26,10 @@ if TYPE_CHECKING:
 
 LEASE_MS = 400
 """After this long without a sign a peer is lost; shorter leases gave false losses."""
+OPEN_MS = 500
+"""After this long an agent that hangs is passed over for the next; zenoh's ten seconds
+would keep a master from all the others, and from stopping them."""
+_OPEN_PAUSE = 0.05
 PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")
 TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
@@ -120,21 +125,23 @@ def client(
         )
     config = _config(
         mode="client",
-        connect={
-            "endpoints": endpoints,
-            "timeout_ms": round(timeout * 1000),
-            "exit_on_failure": True,
-        },
+        # With a time limit zenoh would spend all of it on the first endpoint.
+        connect={"endpoints": endpoints, "timeout_ms": 0, "exit_on_failure": True},
     )
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as error:
-        raise UnreachableError(
-            f"no agent of domain {domain} answers",
-            where=" ".join(endpoints),
-            got=_first_line(error),
-            remedy="is an agent running there, and does it listen on that address?",
-        ) from None
+    deadline = time.monotonic() + timeout
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            if time.monotonic() < deadline:
+                time.sleep(_OPEN_PAUSE)
+                continue
+            raise UnreachableError(
+                f"no agent of domain {domain} answers",
+                where=" ".join(endpoints),
+                got=_first_line(error),
+                remedy="is an agent running there, and does it listen on that address?",
+            ) from None
 
 
 def local_endpoints(domain: str) -> list[str]:
@@ -173,6 +180,7 @@ def _config(
         },
         "transport": {
             "shared_memory": {"enabled": False},
+            "unicast": {"open_timeout": OPEN_MS},
             "link": {"tx": {"lease": LEASE_MS, "keep_alive": 4}},
         },
         "queries_default_timeout": 2000,
