@@ -119,10 +119,19 @@ class Reader:
         text: The text; bytes are decoded as a file's would be.
         file: Its name, for messages.
         keywords: Every keyword the format knows beside DEFINE and EOF.
+        stray: What to do about a keyword that is like none of them.
     """
 
-    def __init__(self, text: str | bytes, file: str, keywords: Iterable[str]) -> None:
+    def __init__(
+        self,
+        text: str | bytes,
+        file: str,
+        keywords: Iterable[str],
+        *,
+        stray: str = "correct the keyword or remove the line",
+    ) -> None:
         self.file = file
+        self._stray = stray
         self.keywords = (*keywords, "DEFINE", "EOF")
         self.text = (
             decode(text, file) if isinstance(text, bytes) else _clean(text, file)
@@ -187,7 +196,7 @@ class Reader:
             expected=" or ".join(expected),
             remedy=nearest(line.keyword, expected, self.keywords)
             or _format_of(line.keyword)
-            or "correct the keyword or remove the line",
+            or self._stray,
         )
 
     def _cut_short(self) -> ConfigError:

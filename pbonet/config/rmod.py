@@ -51,7 +51,12 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
     Raises:
         ConfigError: It says something that cannot be.
     """
-    reader = Reader(text, file, (*GRAMMAR.keywords, "LOCAL"))
+    reader = Reader(
+        text,
+        file,
+        (*GRAMMAR.keywords, "LOCAL"),
+        stray="correct it; a parameter of the module stands below a line LOCAL",
+    )
     name = _name(file)
     block = read_block(reader, GRAMMAR)
     ports = {keyword: _ports(block[keyword]) for keyword in LISTS}

@@ -49,7 +49,10 @@ class Findings(Struct, kw_only=True):
         """Return the findings as lines for a terminal."""
         lines = [f"ERROR> {PbonetError.from_wire(error)}" for error in self.errors]
         lines += [f"WARNING> {text}" for text in self.warnings]
-        verdict = "legal" if self.legal else f"{len(self.errors)} faults"
+        verdict = "legal"
+        if self.errors:
+            count = len(self.errors)
+            verdict = "1 fault" if count == 1 else f"{count} faults"
         return [*lines, f"{self.file}: {self.about or self.kind}: {verdict}"]
 
 
@@ -85,15 +88,24 @@ def check_file(path: str | Path, libraries: Iterable[str | Path] = ()) -> Findin
 
 def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
     """Compare an RMOD with its module: ports, parameters, CRITICAL."""
-    loaded = library.load(rmod.module)
+    try:
+        loaded = library.load(rmod.module)
+    except PbonetError as error:
+        error.where = error.where or str(rmod.places["MODULE"])
+        raise
     task = verify.Task(rmod=rmod, info=loaded.info, rtpu="")
     table = SvarFile(file="", defines={}, variables=())
     alone = verify.check(verify.Configuration(svar=table, tasks=(task,)))
     _take(found, [problem for problem in alone if problem.code in _BY_ITSELF])
     try:
-        decode_params(loaded.cls, rmod.local, where=rmod.file)
+        decode_params(loaded.cls, rmod.local, where=_local(rmod))
     except PbonetError as error:
         found.errors.append(error.to_wire())
+
+
+def _local(rmod: Rmod) -> str:
+    """Return the place where parameters that are missing should stand."""
+    return str(rmod.places.get("LOCAL", rmod.file))
 
 
 def _check_job(found: Findings, files: Files) -> None:
@@ -104,7 +116,7 @@ def _check_job(found: Findings, files: Files) -> None:
         try:
             rmod = files.rmod(wanted.rmod).record
             loaded = files.library.load(rmod.module)
-            decode_params(loaded.cls, rmod.local, where=rmod.file)
+            decode_params(loaded.cls, rmod.local, where=_local(rmod))
         except PbonetError as error:
             error.where = error.where or str(wanted.place or job.file)
             found.errors.append(error.to_wire())

@@ -168,6 +168,7 @@ def test_check_compares_an_rmod_with_its_module(call, tmp_path):
         ("INVAR     Z", "INVAR     Z W", "W"),
         ("TAU ", "TAO ", "did you mean tau?"),
         ("MODULE    diff", "MODULE    dif", "did you mean diff?"),
+        ("MODULE    diff", "MODULE    dif", f"{rmod}:1:1: the library has no module"),
         ("FREQ", "FREK", "did you mean FREQ?"),
     ):
         assert old in text
@@ -175,6 +176,10 @@ def test_check_compares_an_rmod_with_its_module(call, tmp_path):
         status, out, _ = call("check", rmod)
         assert status == 1, new
         assert what in out, out
+        assert "fault" in out.splitlines()[-1]
+    rmod.write_text(text.replace("TAU       0.01", "").replace("diff", "gain"))
+    out = call("check", rmod)[1].splitlines()
+    assert f"ERROR> {rmod}:10:1: module Gain needs parameter gain" in out[-2]
 
 
 def test_describe_shows_ports_and_parameters(call):
