@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 OFF_SHARE = 0.6
 """Of the time for a stop, what turning OFF may take; the rest is for ending."""
+RECONFIGURATION = "reconfiguration"
 LEAST = 0.05
 """Seconds that each task gets for its `off`, however many there are."""
 
@@ -88,8 +89,7 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     """Kill a task, by force if it does not go by itself; return warnings.
 
     Raises:
-        PbonetError: Its `off` failed, and it stands in ERROR now; or its `kill` failed,
-            and it is gone all the same.
+        PbonetError: Its `off` or its `kill` failed; it is gone all the same.
     """
     start = time.monotonic()
     failed: PbonetError | None = None
@@ -102,10 +102,6 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
         return []
     except PbonetError as error:
         failed = error
-        if task.state is not State.NOT_CREATED:
-            task.stopping = False
-            _note(rtpu, task, lifecycle.Event.KILL, error)
-            raise
     left = max(limit - (time.monotonic() - start), 0.0)
     said_good_bye = task.state is State.NOT_CREATED
     by_itself = await task.end(END_TIME if said_good_bye else left)
@@ -138,6 +134,7 @@ def _note(
         task.warnings = 0
         task.warning = ""
     rtpu.settle(task)
+    rtpu.flags.relieve()
     rtpu.events.add(
         Severity.ERROR if error else Severity.INFO,
         "SIGNAL_FAILED" if error else "STATE",
@@ -152,7 +149,11 @@ async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
     subsystem = request.subsystem
     result = Reconfigured(done=0)
     flag = asyncio.get_running_loop().call_later(
-        _shortest_period(rtpu, subsystem), _raise_for_reconfig, rtpu, subsystem
+        _shortest_period(rtpu, subsystem),
+        rtpu.flags.up,
+        subsystem,
+        RECONFIGURATION,
+        "a reconfiguration takes longer than a cycle",
     )
     try:
         for i, (name, signal) in enumerate(request.items):
@@ -165,18 +166,18 @@ async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
         result.error = error.to_wire()
     finally:
         flag.cancel()
-        rtpu.clear_flag(subsystem, "reconfiguration")
+        rtpu.flags.down(subsystem, RECONFIGURATION)
     return result
 
 
 def _has_heir(rtpu: Rtpu, task: Task, rest: Sequence[tuple[str, str]]) -> bool:
     """Return whether a task that is turned on later in the list takes an output."""
-    mine = {task.facts.rmod.svar_name(port) for port in task.facts.rmod.outvar}
+    mine = set(task.facts.outputs)
     for name, signal in rest:
         heir = rtpu.tasks.get((task.facts.subsystem, name))
         if heir is None or signal != "on":
             continue
-        if mine & {heir.facts.rmod.svar_name(p) for p in heir.facts.rmod.outvar}:
+        if mine & set(heir.facts.outputs):
             return True
     return False
 
@@ -184,15 +185,6 @@ def _has_heir(rtpu: Rtpu, task: Task, rest: Sequence[tuple[str, str]]) -> bool:
 def _shortest_period(rtpu: Rtpu, subsystem: str) -> float:
     running = [t.freq for t in rtpu.of(subsystem) if t.state is State.ON and t.freq]
     return 1.0 / max(running, default=1.0)
-
-
-def _raise_for_reconfig(rtpu: Rtpu, subsystem: str) -> None:
-    opened = rtpu.tables.get(subsystem)
-    if opened is not None:
-        opened.table.raise_illegal(
-            "a reconfiguration takes longer than a cycle",
-            rtpu.raiser("reconfiguration"),
-        )
 
 
 async def stop(
@@ -274,15 +266,9 @@ async def _all_ended(tasks: Sequence[Task], deadline: float) -> list[bool]:
 async def _end(task: Task, deadline: float) -> bool:
     """Kill one task until `deadline`, then by force; return whether it obeyed."""
     task.stopping = True
-    for _ in range(2):  # an `off` that fails within `kill` leaves the task in ERROR
-        left = deadline - time.monotonic()
-        with contextlib.suppress(PbonetError):
-            await task.command(
-                "kill", lambda n: wire.Signal(n, "kill"), max(left, LEAST)
-            )
-            break
-        if task.state is not State.ERROR:
-            break
+    left = deadline - time.monotonic()
+    with contextlib.suppress(PbonetError):
+        await task.command("kill", lambda n: wire.Signal(n, "kill"), max(left, LEAST))
     good_bye = task.state is State.NOT_CREATED and task.spawned.done()
     left = deadline - time.monotonic()
     return await task.end(max(left, END_TIME if good_bye else LEAST))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 F_SETPIPE_SZ = 1031
+FORK_TIME = 10.0
 START_TIME = 20.0
 """Seconds that a fork server may take to import everything, on a busy machine."""
 
@@ -181,10 +182,10 @@ class Spawner:
         request = wire.Fork(n, kind, title)
         try:
             socket.send_fds(control, [wire.encode(request)], fds)
-            return await answer
-        except OSError as error:
+            return await asyncio.wait_for(answer, FORK_TIME)
+        except (OSError, TimeoutError) as error:
             raise NodeError(
-                "the fork server does not take requests", got=str(error)
+                "the fork server does not fork", got=str(error) or "no answer"
             ) from None
         finally:
             self._waiting.pop(n, None)

@@ -69,7 +69,7 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
         raise
     rtpu.tombs.pop(key, None)
     await _wait_until_off(rtpu, task, request.timeout)
-    rtpu.clear_flag(*key)
+    rtpu.flags.down(*key)
     return task
 
 

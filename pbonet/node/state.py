@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import time
 from typing import TYPE_CHECKING
 
 import pbonet
+from pbonet.config.model import TaskType
 from pbonet.errors import (
+    NodeError,
     PbonetError,
     RealTimeError,
     Severity,
@@ -17,12 +18,15 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.pbo import State
+from pbonet.sched.records import Mode
 
 from . import _rt, leftovers, ranking, runtime, status, wire
 from ._ring import Ring
 from .claims import Claims
+from .flags import Flags
 from .spawner import Spawner
 from .tables import Tables
+from .tasks import describe_end
 from .tasktalk import INTERRUPT
 
 if TYPE_CHECKING:
@@ -59,6 +63,7 @@ class Rtpu:
         self.slot_owner = f"{config.domain}/{config.name}"
         self.claims = Claims(config.name, epoch=time.time_ns() // 1_000_000)
         self.tables = Tables(config.domain, changed=self.save)
+        self.flags = Flags(config.name, self.tables)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}
         """The last status of tasks that died, until they are killed or spawned anew."""
@@ -233,6 +238,10 @@ class Rtpu:
             task.error = str(PbonetError.from_wire(notice.error))
         if notice.state:
             self.settle(task)
+        elif not task.budget.take(time.monotonic_ns()):
+            return
+        if held := task.budget.told():
+            notice.text = f"[{held} notices held back before this one] {notice.text}"
         self.events.add(
             severity,
             notice.code,
@@ -246,68 +255,66 @@ class Rtpu:
     def settle(self, task: Task) -> None:
         """Bring error text and illegal-configuration flag in line with the state."""
         if task.state is State.ERROR:
-            self.raise_flag(task, "is in ERROR")
+            self._raise_flag(task, "is in ERROR")
             return
         task.error = ""
-        self.clear_flag(task.facts.subsystem, task.name)
+        self.flags.down(task.facts.subsystem, task.name)
 
-    def raise_flag(self, task: Task, how: str) -> None:
-        """Raise the flag for a task that others may depend on (section 3.10)."""
-        opened = self.tables.get(task.facts.subsystem)
-        if opened is not None and task.facts.rmod.outvar:
-            opened.table.raise_illegal(f"{task.name} {how}", self.raiser(task.name))
-
-    def clear_flag(self, subsystem: str, name: str) -> None:
-        """Withdraw what was raised for a task; harmless when nothing was."""
-        opened = self.tables.get(subsystem)
-        if opened is not None:
-            opened.table.clear_illegal(self.raiser(name))
-
-    def raiser(self, name: str) -> str:
-        """Return who a flag's entry belongs to."""
-        return f"{self.name}/{name}"
+    def _raise_flag(self, task: Task, how: str) -> None:
+        """Raise the flag for a task if others may depend on it."""
+        if outputs := task.facts.outputs:
+            cause = f"{task.name} {how}"
+            self.flags.up(task.facts.subsystem, task.name, cause, outputs)
 
     def ended(self, task: Task, code: int) -> None:
         """Clean up after a task's process, however it ended."""
-        from .tasks import describe_end
-
         key = (task.facts.subsystem, task.name)
-        was_on = self.core.snapshot(task.facts.slot).mode != 0
-        last = self.status_of(task)
-        task.last_status = last
+        was_on = self.core.snapshot(task.facts.slot).mode is not Mode.OFF
+        task.last_status = self.status_of(task)
         self.core.died(task.facts.slot)
         self.core.free(task.facts.slot)
-        opened = self.tables.get(task.facts.subsystem)
-        if opened is not None:
-            opened.table.reap(task.name)
-        if task.facts.ring:
-            with contextlib.suppress(PbonetError, OSError):
-                Ring.attach(task.facts.ring).destroy()
-        self.tasks.pop(key, None)
-        self.told.pop(key, None)
-        self.spawned.pop(key, None)
+        self._reap(task)
+        for kept in (self.tasks, self.told, self.spawned):
+            kept.pop(key, None)
         if not task.stopping:
-            text = f"the task ended by itself: {describe_end(code)}"
-            last.error, last.tid = text, 0
-            self.tombs[key] = last
-            if was_on:
-                self.raise_flag(task, "has died")
-            trace = task.child.crash_text()
-            self.events.add(
-                Severity.ERROR,
-                "TASK_DIED",
-                f"{text}\n{trace}" if trace else text,
-                subsystem=key[0],
-                task=key[1],
-                cycle=last.cycle,
-            )
+            self._died(task, code, was_on=was_on)
         self.rank()
         self.save()
+
+    def _reap(self, task: Task) -> None:
+        """Free what a dead task held in shared memory."""
+        opened = self.tables.get(task.facts.subsystem)
+        try:
+            if opened is not None:
+                opened.table.reap(task.name)
+            Ring.attach(task.facts.ring).destroy()
+        except NodeError:
+            pass  # it ended before it had a ring, or removed it
+        except (PbonetError, OSError) as error:
+            self.events.add(Severity.ERROR, "INTERNAL", f"after {task.name}: {error}")
+
+    def _died(self, task: Task, code: int, *, was_on: bool) -> None:
+        """Report a task that ended unasked, and remember its last status."""
+        text = f"the task ended by itself: {describe_end(code)}"
+        last = task.last_status or self.status_of(task)
+        last.error, last.tid = text, 0
+        self.tombs[task.facts.subsystem, task.name] = last
+        if was_on:
+            self._raise_flag(task, "has died")
+        trace = task.child.crash_text()
+        self.events.add(
+            Severity.ERROR,
+            "TASK_DIED",
+            f"{text}\n{trace}" if trace else text,
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=last.cycle,
+        )
 
     def bury(self, subsystem: str, name: str) -> None:
         """Forget a task that died, and what was raised for it."""
         self.tombs.pop((subsystem, name), None)
-        self.clear_flag(subsystem, name)
+        self.flags.down(subsystem, name)
 
     def forget(self, subsystem: str) -> None:
         """Forget all tasks of a subsystem that died."""
@@ -315,8 +322,6 @@ class Rtpu:
             self.bury(*key)
 
     def _forks_died(self, code: int) -> None:
-        from .tasks import describe_end
-
         self.events.add(
             Severity.ERROR,
             "FORK_SERVER_DIED",
@@ -324,13 +329,15 @@ class Rtpu:
             "off and ends",
         )
         for task in self.tasks.values():
-            task.child.send_signal(INTERRUPT)  # those that wait in `sync`
+            if task.facts.rmod.tasktype is TaskType.SYNCHRONOUS:
+                task.child.send_signal(INTERRUPT)  # it may wait in `sync`
 
     async def _watch_quietly(self) -> None:
         """Look after what nobody reports."""
         led = True
         while True:
             await asyncio.sleep(WATCH_PERIOD)
+            self.flags.relieve()
             for subsystem in self.tables.vanished():
                 self.events.add(
                     Severity.ERROR,

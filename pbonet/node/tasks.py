@@ -20,6 +20,7 @@ from pbonet.errors import NoAnswerError, Severity, StateError, TaskDiedError, Ta
 from pbonet.pbo import State
 
 from . import wire
+from .events import LineBudget
 from .output import Lines
 
 if TYPE_CHECKING:
@@ -47,7 +48,12 @@ class Facts(msgspec.Struct, kw_only=True):
     text: str
     """The RMOD's text, for masters that come later."""
     slot: int
-    ring: str = ""
+    ring: str
+
+    @property
+    def outputs(self) -> list[str]:
+        """The variables that the task writes in its cycles."""
+        return [self.rmod.svar_name(port) for port in self.rmod.outvar]
 
 
 class Ready(msgspec.Struct, kw_only=True):
@@ -93,6 +99,8 @@ class Task:
         """Its status as it ended."""
         self.stopping = False
         """True once its end is wanted, so that the end is no event."""
+        self.budget = LineBudget(rate=50.0, burst=200.0)
+        """How many notices of the module become events."""
         self.lock = asyncio.Lock()
         self.gone = asyncio.Event()
         self._wake = wake

@@ -93,7 +93,6 @@ class TestRaising:
         assert arm.control("bad", "clear").state == "OFF"
         assert arm.status("bad").error == ""
         assert arm.rtpu_status().illegal == []
-        assert arm.on("bad").state == "ON"
 
     def test_in_off(self, arm):
         arm.spawn("bad", "raises_in_off")
@@ -105,9 +104,9 @@ class TestRaising:
     def test_in_off_within_kill(self, arm):
         tid = arm.spawn("bad", "raises_in_off").tid
         arm.on("bad")
-        arm.refused(MethodError, arm.kill, "bad")
-        assert arm.status("bad").state == "ERROR"
-        assert arm.kill("bad").state == "NOT-CREATED"
+        error = arm.refused(MethodError, arm.kill, "bad")
+        assert "off does not work" in str(error)
+        assert "bad" not in arm.status()  # gone all the same
         assert not alive(tid)
 
     def test_in_kill(self, arm):
@@ -172,6 +171,15 @@ class TestDying:
         assert arm.on("other").state == "ON"  # the dead one's claim is gone
         arm.kill("other")
         assert arm.spawn("bad", module).state == "OFF"
+        assert arm.rtpu_status().illegal == []
+
+    def test_an_heir_relieves_the_flag(self, arm):
+        arm.spawn("bad", "dies_by_sigkill")
+        arm.spawn("heir", "counts", out="Y0")
+        arm.on("bad")
+        arm.wait_event("TASK_DIED", "bad")
+        assert arm.rtpu_status().illegal == ["bad has died (arm0/bad)"]
+        arm.on("heir")
         assert arm.rtpu_status().illegal == []
 
     def test_in_init(self, arm):
@@ -293,6 +301,17 @@ def test_a_task_that_prints_a_lot_never_waits(arm):
     assert any("line 0 of cycle 1" in text for text in texts)
     assert any("held back: printed too fast" in text for text in texts)
     assert len(texts) < 1000
+
+
+def test_a_task_that_warns_always_floods_nobody(arm):
+    arm.spawn("bad", "warns_always", freq=500.0)
+    arm.on("bad")
+    status = arm.wait_cycles("bad", 500)
+    assert status.warn >= 490
+    told = arm.events("WARNING", "bad") + arm.events("SIGNAL", "bad")
+    assert len(told) < 400
+    assert any("notices held back" in event.text for event in told)
+    assert arm.off("bad").state == "OFF"
 
 
 def test_a_deaf_task_is_killed_all_the_same(arm):
