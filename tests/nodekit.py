@@ -225,12 +225,13 @@ class Nodes:
         self.agents[name] = agent
         return agent
 
-    def agent_process(self, name, **more):
+    def agent_process(self, name, *, wait=True, **more):
         """Start an agent as a process of its own and wait until it answers."""
         config = msgspec.json.encode(self.config(name, **more)).decode()
         process = subprocess.Popen([sys.executable, "-c", AGENT, config])
         self.processes[name] = process
-        self.wait_agent(name, process)
+        if wait:
+            self.wait_agent(name, process)
         return process
 
     def wait_agent(self, name, process=None):

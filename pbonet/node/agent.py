@@ -8,6 +8,7 @@ agent that starts within it takes over.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import platform
@@ -27,6 +28,7 @@ from pbonet.xm.messages import AgentInfo
 from . import leftovers, wire
 from .server import Server
 from .supervise import RtpuLink, choose_core
+from .twins import Twins
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -79,6 +81,7 @@ class Agent:
         self._lock: rundir.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._server: Server | None = None
+        self._twins: Twins | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._link: RtpuLink | None = None
         self._over = threading.Event()
@@ -125,6 +128,13 @@ class Agent:
         self._server = Server(self._session, self.config.domain, self.name, self)
         self._server.start()
         self._refuse_duplicate()
+        self._twins = Twins(
+            self._session,
+            keys.rtpu(self.config.domain, self.name, "sbs"),
+            os.getpid(),
+            self._met_twin,
+        )
+        self._twins.start()
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
         )
@@ -178,7 +188,22 @@ class Agent:
         self._over.set()
         return link
 
+    def _met_twin(self, other: AgentInfo) -> None:
+        """Report another agent of this name, which a new link has brought to sight."""
+        text = (
+            f"another agent {other.name} runs on {other.host}, process {other.pid}; "
+            "requests reach either: stop one of them"
+        )
+        log.error("%s: %s", self.name, text)
+        link = self._link
+        if link is not None:
+            with contextlib.suppress(NodeError):
+                link.send(wire.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
+
     def _leave(self) -> None:
+        if self._twins is not None:
+            self._twins.stop()
+            self._twins = None
         if self._restarter is not None:
             self._restarter.join()
         if self._server is not None:

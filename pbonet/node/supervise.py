@@ -256,7 +256,9 @@ class RtpuLink:
             if ready.error is None:
                 return
             self._reap()
-            raise PbonetError.from_wire(ready.error)
+            error = PbonetError.from_wire(ready.error)
+            error.debug = error.debug or self._log()
+            raise error
         if process is not None:
             process.kill()
             code = process.wait()

@@ -86,6 +86,26 @@ def test_second_agent_of_one_name_elsewhere_is_refused(nodes, monkeypatch):
     monkeypatch.setenv("PBONET_RUN_DIR", str(nodes.folder))
 
 
+def test_namesakes_that_meet_later_say_so(nodes, monkeypatch):
+    """A hub that comes up last joins two machines, each with an arm0."""
+    first, hub = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    nodes.agent("arm0", listen=(first,))
+    other = nodes.folder / "other"
+    other.mkdir(mode=0o700)
+    monkeypatch.setenv("PBONET_RUN_DIR", str(other))
+    twin = nodes.agent_process("arm0", wait=False, connect=(hub,))
+    wait_for(lambda: nodes.state("arm0"), "the second one's RTPU process", 30.0)
+    monkeypatch.setenv("PBONET_RUN_DIR", str(nodes.folder))
+    nodes.agent("hub", listen=(hub,), connect=(first,))
+
+    def said():
+        events = nodes.client().call("arm0", m.Events(), list[m.Event])
+        return [event for event in events if event.code == "DUPLICATE_NAME"]
+
+    text = wait_for(said, "the event")[0].text
+    assert f"process {os.getpid()};" in text or f"process {twin.pid};" in text
+
+
 @pytest.mark.parametrize("name", ["", "a/b", "a*", "-a", "x" * 32, "a b"])
 def test_names_that_cannot_be_keys_are_refused(nodes, name):
     with pytest.raises(NodeError, match="no name for an RTPU"):
