@@ -14,6 +14,8 @@ from libc.string cimport memset
 
 from pbonet.errors import NodeError, RealTimeError
 
+MADV_POPULATE_WRITE = 23  # Linux 5.14; MAP_POPULATE makes pages present to read only
+
 
 def _path(str name) -> str:
     folder = os.environ.get("PBONET_SHM_DIR", "/dev/shm")
@@ -155,9 +157,9 @@ cdef Ring _map_ring(str name, str path, int fd):
     cdef Ring self = Ring.__new__(Ring)
     cdef unsigned char[::1] view
     self.name, self.path, self.fd = name, path, fd
-    # Present from the start: a page fault belongs to no cycle.
-    flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
-    self.memory = mmap.mmap(fd, os.fstat(fd).st_size, flags)
+    self.memory = mmap.mmap(fd, os.fstat(fd).st_size)
+    with contextlib.suppress(OSError):  # present from the start: no cycle shall fault
+        self.memory.madvise(MADV_POPULATE_WRITE)
     view = self.memory
     self.view = view
     self.r = <ring *>&view[0]

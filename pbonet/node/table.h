@@ -176,6 +176,13 @@ static inline int rt_map_file(struct rt_map *map)
     return 0;
 }
 
+/* Make the pages present for writing, so that no turn and no cycle faults; MAP_POPULATE
+ * would do so for reading only. Kernels before 5.14 refuse, and fault once a page. */
+static inline void rt_prefault(struct rt_map *map)
+{
+    madvise(map->table, sizeof(struct rt_table), 23 /* MADV_POPULATE_WRITE */);
+}
+
 static inline int rt_check(const struct rt_table *t, const struct stat *s)
 {
     if (t->magic != RT_MAGIC)
@@ -212,7 +219,7 @@ static inline int rt_open_locked(struct rt_map *map, const char *path, int core)
     }
     if (error)
         return error;
-    madvise(map->table, sizeof(struct rt_table), 23 /* MADV_POPULATE_WRITE */);
+    rt_prefault(map);
     map->member = rt_join(map->table);
     return map->member < 0 ? map->member : 0;
 }
@@ -266,6 +273,8 @@ static inline int rt_attach_user(struct rt_map *map, const char *path)
         error = rt_check(map->table, &s);
     if (error)
         rt_unmap(map);
+    else
+        rt_prefault(map);
     return error;
 }
 

@@ -100,6 +100,10 @@ class Task:
         self.slot = _rt.Slot(self.table, order["slot"])
         _rt.pin(order["core"])
         _rt.set_timer_slack()
+        if order.get("settled"):
+            _rt.lock_memory()
+            _rt.populate_pages()
+            _rt.prefault_stack()
         self.ring = _rt.Ring.attach(order["ring"])
         self.order = order
         self.notes = array.array("q")

@@ -226,6 +226,17 @@ def test_all_run_on_the_core_they_are_pinned_to(host) -> None:
     task.end()
 
 
+@pytest.mark.skipif(
+    not _rt.probe().lock_memory, reason="the memlock limit is too small"
+)
+def test_a_settled_task_takes_no_page_faults(host) -> None:
+    task = host.spawn("busy", {"ns": 50_000}, order={"settled": True}, period_ns=2 * MS)
+    warm = task.until("cycles", 130)["faults"]
+    last = task.until("cycles", 700)
+    task.end()
+    assert last["faults"] == warm
+
+
 @needs_fifo
 def test_a_process_named_after_the_task_was_armed_gets_its_level(host) -> None:
     """A task arms itself as soon as it is forked, before its pid is known here."""
