@@ -27,7 +27,10 @@ def command(
     name: A[str | None, typer.Option(help="The RTPU's name.")] = None,
     core: A[int | None, typer.Option(help="The core it owns.", min=0)] = None,
     config: A[Path | None, typer.Option(help="An agent.toml.")] = None,
-    domain: A[str | None, typer.Option(help="The domain.", metavar="NAME")] = None,
+    domain: A[
+        str | None,
+        typer.Option(help="The domain.", envvar="PBONET_DOMAIN", metavar="NAME"),
+    ] = None,
     listen: A[
         list[str] | None, typer.Option(help="Listen there.", metavar="ENDPOINT")
     ] = None,

@@ -96,20 +96,29 @@ class Crew:
                 freq = source.record.freq or 0.0
                 self.picture.add(Member(source=source, rtpu=rtpu, freq=freq))
 
-    def refresh(self) -> list[m.RtpuStatus]:
+    def refresh(self, *, strict: bool = True) -> list[m.RtpuStatus]:
         """Ask the RTPUs how the tasks stand now; return their status.
+
+        Args:
+            strict: Whether every RTPU must answer, because a judgement is to rest on
+                it. Else those that do not are told as warnings, and their tasks stay
+                as they were last seen.
 
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
         results, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus)
-        rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
-        statuses = [results[name] for name in self.fleet.names]
+        if strict or not results:
+            rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
+        self.tell(map(str, errors))
+        statuses = [results[name] for name in self.fleet.names if name in results]
         there = [task for rtpu in statuses for task in rtpu.tasks]
         for status in there:
             self.note(status)
-        for gone in set(self.picture.names) - {status.task for status in there}:
-            self.picture.remove(gone)
+        names = {status.task for status in there}
+        for member in list(self.picture):
+            if member.rtpu in results and member.name not in names:
+                self.picture.remove(member.name)
         self._flag_up = any(
             UNFED in cause for rtpu in statuses for cause in rtpu.illegal
         )
@@ -137,7 +146,7 @@ class Crew:
         """
         member = self.picture.get(task)
         if member is None:
-            self.refresh()
+            self.refresh(strict=False)
             member = self.picture.find(task)
         return member.rtpu
 

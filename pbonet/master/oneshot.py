@@ -17,7 +17,13 @@ import zenoh
 from msgspec import Struct
 
 from pbonet.config.library import Library
-from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
+from pbonet.errors import (
+    NoAnswerError,
+    NodeError,
+    PbonetError,
+    UnreachableError,
+    did_you_mean,
+)
 from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, Reply, convert
 from pbonet.master.files import Files
@@ -82,6 +88,22 @@ def run(
     return Reply(
         command=reply.command, data=reply.data, warnings=[*opening, *reply.warnings]
     )
+
+
+def _must_be_known(client: rpc.Client, rtpus: Sequence[str], name: str) -> None:
+    """Refuse a name that no RTPU knows: it may be a typing error, and nothing stopped.
+
+    Raises:
+        NodeError: No RTPU knows such a subsystem, and some know others.
+    """
+    infos, _ = client.call_all({rtpu: m.Hello() for rtpu in rtpus}, m.AgentInfo)
+    known = {subsystem for info in infos.values() for subsystem in info.claims}
+    if known and name not in known:
+        raise NodeError(
+            f"no RTPU knows a subsystem {name}, so nothing was stopped",
+            got="subsystems: " + ", ".join(sorted(known)),
+            remedy=did_you_mean(name, known) or "'pbonet stop' stops them all",
+        )
 
 
 def _ask_master(
@@ -174,6 +196,7 @@ def stop(
 
     Raises:
         UnreachableError: No agent can be reached.
+        NodeError: No RTPU knows the subsystem.
         SeveralError: Several RTPUs did not confirm; of one, its own error.
     """
     client = rpc.Client(
@@ -187,6 +210,9 @@ def stop(
         results, errors = client.call_all(
             requests, m.Stopped, timeout=timeout + rpc.ANSWER_TIME
         )
+        nothing = not any(one.off or one.killed for one in results.values())
+        if name is not None and nothing:
+            _must_be_known(client, rtpus, name)
     except zenoh.ZError as error:
         raise UnreachableError(
             "the connection to the agents is closed", got=str(error)

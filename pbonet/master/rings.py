@@ -7,7 +7,7 @@ wants them all must take them out in time. What a full ring dropped is counted.
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from pbonet.errors import PbonetError
 from pbonet.master.recording import Recording
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 PERIOD: Final = 0.05
 """Seconds between two looks; a ring of 1 MiB holds seconds of a 1 kHz task."""
+
+
+Hook: TypeAlias = "Callable[[str, list[Any]], None]"
+"""Takes a task's name and its records."""
 
 
 class RingReader(Protocol):
@@ -51,6 +55,8 @@ class Drain:
         subsystem: It is open.
         open_ring: Opens a ring by the name that a task's status gives.
         about: What should be known about the run.
+        hook: Called with a task's name and its records, in the drain's thread.
+        keep: Keep them in the recording too.
     """
 
     def __init__(
@@ -58,8 +64,13 @@ class Drain:
         subsystem: Subsystem,
         open_ring: Callable[[str], RingReader],
         about: dict[str, Any],
+        *,
+        hook: Hook | None = None,
+        keep: bool = True,
     ) -> None:
         self.recording = Recording(about)
+        self._hook = hook
+        self._keep = keep
         self.lost: dict[str, int] = {}
         """Records that each task's ring had to drop."""
         self._subsystem = subsystem
@@ -121,6 +132,9 @@ class Drain:
     def _take_all(self) -> None:
         variables = self._subsystem.files.table.variables
         for task, followed in list(self._rings.items()):
-            if records := followed.reader.drain():
+            records = followed.reader.drain()
+            if records and self._keep:
                 record = self.recording.task(task, variables, followed.outputs)
                 record.take(records)
+            if records and self._hook is not None:
+                self._hook(task, records)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from pbonet.config.library import Library
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, Severity
 from pbonet.master import live, render, summary
 from pbonet.master.embedded import Embedded
 from pbonet.master.files import Files
@@ -29,12 +29,15 @@ if TYPE_CHECKING:
     from pbonet.master.live import View
     from pbonet.master.oneshot import Place
     from pbonet.master.recording import Recording
-    from pbonet.master.rings import RingReader
+    from pbonet.master.rings import Hook, RingReader
     from pbonet.xm.messages import RtpuStatus
 
 _PERIOD: Final = 0.5
 """Seconds between two looks at the status."""
 _SIM_SECONDS: Final = 10.0
+_PATIENCE: Final = 10
+"""For so many looks an RTPU may be out of reach: its agent may be restarted."""
+_ELSEWHERE: Final = "stopped from elsewhere"
 _FORCE: Final = 2
 """At this many interrupts everything is stopped at once."""
 
@@ -97,8 +100,9 @@ class Run:
         view: Where it is shown.
         seconds: How long; None: until interrupted, or stopped from elsewhere.
         embed: Start agents for RTPUs that nobody runs.
-        open_ring: Opens a task's ring; then every cycle is recorded.
-        each: Called at every look with the seconds passed and the status.
+        open_ring: Opens a task's ring; then every cycle is taken out of it.
+        hook: Called with a task's name and its records as they come.
+        keep: Keep every cycle for the outcome's recording.
 
     Raises:
         ConfigError: A file is missing or wrong.
@@ -113,7 +117,8 @@ class Run:
         seconds: float | None = None,
         embed: bool = True,
         open_ring: Callable[[str], RingReader] | None = None,
-        each: Callable[[float, list[RtpuStatus]], None] | None = None,
+        hook: Hook | None = None,
+        keep: bool = True,
     ) -> None:
         self._path = path
         self._place = place
@@ -121,9 +126,12 @@ class Run:
         self._seconds = seconds
         self._embed = embed
         self._open_ring = open_ring
-        self._each = each
+        self._hook = hook
+        self._keep = keep
+        self._missing = 0
         self._interrupts = Interrupts()
         self._reason = ""
+        self._faults: list[str] = []
         self.files = Files(path, Library(place.libraries))
         self.job = self.files.read_job()
 
@@ -167,7 +175,7 @@ class Run:
             warned=lambda text: self._view.say(render.warning(text)),
         )
         subsystem.open()
-        faults: list[str] = []
+        faults = self._faults
         statuses: list[RtpuStatus] = []
         drain: Drain | None = None
         begin = time.monotonic()
@@ -208,7 +216,9 @@ class Run:
             "kernel": platform.release(),
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         }
-        drain = Drain(subsystem, self._open_ring, about)
+        drain = Drain(
+            subsystem, self._open_ring, about, hook=self._hook, keep=self._keep
+        )
         for rtpu in drain.elsewhere:
             self._view.say(f"{rtpu} is another machine's; its cycles are not recorded")
         drain.start()
@@ -250,9 +260,10 @@ class Run:
                     last = statuses
                 if drain is not None:
                     drain.follow([task for one in statuses for task in one.tasks])
-                self._view.show(passed, statuses, listener.take())
-                if self._each is not None:
-                    self._each(passed, statuses)
+                events = listener.take()
+                self._view.show(passed, statuses, events)
+                fatal = [e.text for e in events if e.severity >= Severity.FATAL]
+                self._faults += fatal
                 if self._over(statuses, passed):
                     break
                 left = _PERIOD
@@ -278,22 +289,30 @@ class Run:
             port.close()
 
     def _look(self, subsystem: Subsystem) -> list[RtpuStatus]:
-        """Return the status; an RTPU that does not give it ends the run."""
+        """Return the status; an RTPU that stays away ends the run."""
         try:
-            return subsystem.rtpu_status()
+            statuses = subsystem.rtpu_status()
         except PbonetError as error:
-            self._reason = str(error)
-            self._interrupts.wished.set()
-            return []
+            statuses = []
+            self._view.say(render.warning(str(error)))
+        there = {rtpu.rtpu for rtpu in statuses}
+        lost = [name for name in subsystem.fleet.names if name not in there]
+        self._missing = self._missing + 1 if lost else 0
+        if self._missing > _PATIENCE:
+            self._reason = f"{' and '.join(lost)} cannot be reached"
+            self._faults.append(self._reason)
+        return statuses
 
     def _over(self, statuses: list[RtpuStatus], passed: float) -> bool:
         """Tell whether the run is over, and note why."""
+        if self._reason:
+            return True
         if self._interrupts.wished.is_set():
-            self._reason = self._reason or "interrupted"
+            self._reason = "interrupted"
         elif self._seconds is not None and passed >= self._seconds:
             self._reason = f"{self._seconds:g} s are over"
-        elif not any(rtpu.tasks for rtpu in statuses):
-            self._reason = "stopped from elsewhere"
+        elif not self._missing and not any(rtpu.tasks for rtpu in statuses):
+            self._reason = "its tasks are gone" if self._faults else _ELSEWHERE
         return bool(self._reason)
 
 
@@ -339,6 +358,7 @@ def run(
     embed: bool = True,
     record: str | Path | None = None,
     open_ring: Callable[[str], RingReader] | None = None,
+    hook: Hook | None = None,
     quiet: bool = False,
 ) -> Outcome:
     """Run a job, in real or virtual time, and say what it came to.
@@ -350,7 +370,8 @@ def run(
         sim: In virtual time.
         embed: Start agents for RTPUs that nobody runs.
         record: A file for every cycle of every task (``.npz``).
-        open_ring: Opens a task's ring; needed to record in real time.
+        open_ring: Opens a task's ring; needed to record in real time, and for `hook`.
+        hook: Called with a task's name and its records as they come, in real time.
         quiet: Leave standard output to the caller.
 
     Raises:
@@ -360,9 +381,16 @@ def run(
     if sim:
         outcome = simulate(path, place, view, seconds)
     else:
-        ring = open_ring if record is not None else None
+        wanted = record is not None or hook is not None
         outcome = Run(
-            path, place, view, seconds=seconds, embed=embed, open_ring=ring
+            path,
+            place,
+            view,
+            seconds=seconds,
+            embed=embed,
+            open_ring=open_ring if wanted else None,
+            hook=hook,
+            keep=record is not None,
         ).run()
     view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
     view.say(summary.text(outcome.tasks))

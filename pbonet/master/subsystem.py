@@ -160,7 +160,7 @@ class Subsystem:
         try:
             if not self.watch:
                 crew.take(take_over=self._take_over)
-            crew.refresh()
+            crew.refresh(strict=False)
         except BaseException:
             fleet.drop()
             client.close()
@@ -238,7 +238,7 @@ class Subsystem:
             PbonetError: A method of the module failed.
         """
         check_signal(signal)
-        with self._changing() as crew:
+        with self._changing(strict=signal == "on") as crew:
             crew.picture.find(task)
             if signal == "on":
                 crew.judge(verify.signal(task, signal))
@@ -263,10 +263,11 @@ class Subsystem:
         """
         for _, signal in items:
             check_signal(signal)
-        with self._changing() as crew:
+        judged = any(signal == "on" for _, signal in items)
+        with self._changing(strict=judged) as crew:
             for task, _ in items:
                 crew.picture.find(task)
-            if any(signal == "on" for _, signal in items):
+            if judged:
                 crew.judge(verify.reconfig(items))
             try:
                 return crew.send(items)
@@ -314,7 +315,7 @@ class Subsystem:
             UnknownTaskError: There is no such task.
             ParameterError: No such parameter, or a value that it does not take.
         """
-        with self._changing() as crew:
+        with self._changing(strict=False) as crew:
             rtpu = crew.picture.find(task).rtpu
             request = m.Set(task=task, name=name, value=local_words(value))
             return self.fleet.call(
@@ -340,12 +341,14 @@ class Subsystem:
         return [task for rtpu in self.rtpu_status() for task in rtpu.tasks]
 
     def rtpu_status(self) -> list[m.RtpuStatus]:
-        """Return the status of every RTPU and of the subsystem's tasks there.
+        """Return the status of every RTPU that answers, and of the tasks there.
+
+        Those that do not answer are told as warnings.
 
         Raises:
-            SeveralError: Several agents do not answer; of one, its own error.
+            SeveralError: None answers, of several; of one, its own error.
         """
-        return self.crew.refresh()
+        return self.crew.refresh(strict=False)
 
     def display(self, names: Iterable[str] | None = None) -> list[m.VarValue]:
         """Return values of variables with their age, writer and unit.
@@ -369,7 +372,7 @@ class Subsystem:
             UnknownVariableError: The table has no such variable.
             SvarOwnerError: A task writes it.
         """
-        with self._changing():
+        with self._changing(strict=False):
             self._must_be_variable(name)
             request = m.Write(name=name, values=[float(value) for value in values])
             return self.fleet.call(self.sbs.keeper, request, m.VarValue)
@@ -445,14 +448,16 @@ class Subsystem:
         self.stopped.set()
         stopped, errors = self.crew.stop()
         rpc.raise_all(f"{len(errors)} RTPUs did not confirm the stop", errors)
+        if self.fleet.claimed:
+            self.crew.settle()
         return stopped
 
     def _warn(self, text: str) -> None:
         """Hand a warning to whoever listens now."""
         self.warned(text)
 
-    def _changing(self) -> _Changing:
-        return _Changing(self.crew, self._busy)
+    def _changing(self, *, strict: bool = True) -> _Changing:
+        return _Changing(self.crew, self._busy, strict=strict)
 
     def _must_be_variable(self, name: str) -> None:
         known = [variable.name for variable in self.files.table.variables]
@@ -467,15 +472,16 @@ class Subsystem:
 class _Changing:
     """One command at a time, by a master that holds the claim, on a fresh picture."""
 
-    def __init__(self, crew: Crew, busy: threading.RLock) -> None:
+    def __init__(self, crew: Crew, busy: threading.RLock, *, strict: bool) -> None:
         self._crew = crew
         self._busy = busy
+        self._strict = strict
 
     def __enter__(self) -> Crew:
         self._crew.fleet.must_be_claimed()
         self._busy.acquire()
         try:
-            self._crew.refresh()
+            self._crew.refresh(strict=self._strict)
         except BaseException:
             self._busy.release()
             raise

@@ -180,7 +180,7 @@ def _config(
         },
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": {"open_timeout": OPEN_MS},
+            "unicast": {"open_timeout": OPEN_MS if mode == "client" else 10_000},
             "link": {"tx": {"lease": LEASE_MS, "keep_alive": 4}},
         },
         "queries_default_timeout": 2000,

@@ -149,6 +149,10 @@ def test_stop_needs_no_file_and_no_claim(standing, world, puma, agents):
         "warnings": [],
     }
     assert standing("stop", puma, file=False).stdout == "nothing was ON\n"
+    wrong = standing("stop", "pumas", file=False)
+    assert wrong.returncode == 1
+    assert "no RTPU knows a subsystem pumas, so nothing was stopped" in wrong.stderr
+    assert "did you mean puma?" in wrong.stderr
 
 
 def test_variables_once_again_and_as_csv(standing):

@@ -190,22 +190,31 @@ def test_tasks_outlive_a_killed_master_and_the_next_takes_them_up(two, puma):
         arm.control("grav_comp", "on")
 
 
-def test_stopped_agent_is_a_clear_error_in_time(arm, two):
+@pytest.mark.parametrize("hung", ["arm0", "arm1"])
+def test_agent_that_hangs_keeps_nobody_from_the_other(arm, two, puma, hung):
+    """Also the one through which the master reaches the others."""
+    other = {"arm0": "arm1", "arm1": "arm0"}[hung]
     arm.spawn("puma_pidg", "arm0")
-    two.processes["arm1"].send_signal(signal.SIGSTOP)
+    arm.spawn("jttrace", "arm1")
+    arm.control("jttrace", "on")
+    two.processes[hung].send_signal(signal.SIGSTOP)
     try:
-        wait_for(lambda: "arm1" not in arm.fleet.client.rtpus(), "loss of arm1")
+        wait_for(lambda: arm.fleet.client.rtpus() == [other], f"loss of {hung}")
         begin = time.monotonic()
-        with pytest.raises(UnreachableError, match="arm1"):
-            arm.spawn("jttrace", "arm1")
+        with pytest.raises(UnreachableError, match=hung):
+            arm.spawn("qrdiff", hung)
         assert time.monotonic() - begin < 2.0  # what the issue promises
-        with pytest.raises(UnreachableError, match="arm1"):
+        begin = time.monotonic()
+        with Subsystem(puma, domain=two.domain, watch=True) as watcher:
+            assert {status.rtpu for status in watcher.status_all()} == {other}
+        assert time.monotonic() - begin < 2.0
+        with pytest.raises(UnreachableError, match=hung):
             arm.stop()
-        assert "puma_pidg" not in arm.picture
+        assert {member.rtpu for member in arm.picture} == {hung}
     finally:
-        two.processes["arm1"].send_signal(signal.SIGCONT)
-    wait_for(lambda: "arm1" in arm.fleet.client.rtpus(), "return of arm1")
-    assert states(arm) == {}
+        two.processes[hung].send_signal(signal.SIGCONT)
+    wait_for(lambda: len(arm.fleet.client.rtpus()) == 2, f"return of {hung}")
+    assert {status.rtpu for status in arm.status_all()} == {hung}
 
 
 def rmod(module, out="T_GRAV", freq=50):

@@ -363,6 +363,28 @@ def test_stop_reaches_the_others_when_one_agent_is_gone(arm, agents):
     assert agents["arm0"].tasks == {}
 
 
+def test_lost_rtpu_keeps_nobody_from_looking_and_turning_off(arm, agents):
+    arm.start("puma")
+    agents["arm0"].close()
+    arm.heard.clear()
+    assert {status.rtpu for status in arm.status_all()} == {"arm1"}
+    assert any(text.startswith("arm0: no agent of this name") for text in arm.heard)
+    assert "puma_pidg" in arm.picture  # as it was last seen
+    assert arm.control("jttrace", "off").state == "OFF"
+    arm.reconfig([("qrdiff", "off"), ("qrdiff", "kill")])
+    with pytest.raises(UnreachableError, match="arm0"):
+        arm.control("jttrace", "on")  # nothing can be judged now
+    assert agents["arm1"].tasks["jttrace"].state == "OFF"
+
+
+def test_stop_lets_the_flag_down(arm, agents):
+    arm.spawn("puma_pidg", "arm0")
+    arm.control("puma_pidg", "on")
+    assert agents["arm0"].flags == [UNFED]
+    arm.stop()
+    assert agents["arm0"].flags == []
+
+
 def test_stop_ends_a_start_that_is_under_way(arm, agents):
     import threading
 
