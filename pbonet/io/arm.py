@@ -12,19 +12,24 @@ hold it and slips when it cannot, exactly and without chatter, at any step.
 
 from __future__ import annotations
 
-from math import ceil, isfinite
-from typing import TYPE_CHECKING
+from functools import cache
+from importlib import import_module
+from math import ceil, inf, isfinite
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .chain import Chain
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     from .puma560 import ArmData
 
     Floats = NDArray[np.float64]
+    Bounds = Sequence[tuple[float, float]]
 
 
 class SimulatedArm:
@@ -51,9 +56,9 @@ class SimulatedArm:
         self._q = np.zeros(data.ndof)
         self._qd = np.zeros(data.ndof)
         self._torque = np.zeros(data.ndof)
-        self._diagonal = np.diag_indices(data.ndof)
-        self._viscous = data.viscous
-        self._friction = np.stack([-data.coulomb_down, data.coulomb_up])
+        self._damping = np.diag(data.viscous)
+        columns = (data.lower, data.upper, -data.coulomb_down, data.coulomb_up)
+        self._limits = np.stack(columns, axis=1).tolist()
 
     @property
     def q(self) -> Floats:
@@ -105,54 +110,53 @@ class SimulatedArm:
         The friction f lies between its bounds, and is at one of them while v' is not
         zero. An end stop is a bound without end.
         """
-        stiff = self.chain.mass_matrix(self._q)
-        push = stiff @ self._qd
-        push += h * (self._torque - self.chain.bias(self._q, self._qd))
-        matrix = stiff.copy()
-        matrix[self._diagonal] += h * self._viscous
-        low, high = h * self._friction
-        low[self._q <= self.data.lower] = -np.inf
-        high[self._q >= self.data.upper] = np.inf
-        self._qd[:] = solve_with_friction(matrix, push, low, high, self._qd)
+        mass = self.chain.mass_matrix(self._q)
+        bias = self.chain.bias(self._q, self._qd)
+        push = mass @ self._qd + h * (self._torque - bias)
+        # a handful of numbers: plain Python is faster here than numpy's calls would be
+        bounds = [
+            (-inf if q <= lower else h * down, inf if q >= upper else h * up)
+            for q, (lower, upper, down, up) in zip(
+                self._q.tolist(), self._limits, strict=True
+            )
+        ]
+        matrix = mass + h * self._damping
+        self._qd[:] = solve_with_friction(matrix, push, bounds, self._qd)
         self._q += h * self._qd
-        np.clip(self._q, self.data.lower, self.data.upper, out=self._q)
+        np.minimum(self._q, self.data.upper, out=self._q)
+        np.maximum(self._q, self.data.lower, out=self._q)
 
 
 def solve_with_friction(
-    matrix: Floats, push: Floats, low: Floats, high: Floats, guess: Floats
+    matrix: Floats, push: Floats, bounds: Bounds, guess: Floats
 ) -> Floats:
     """Return the velocity v with matrix v + f = push and Coulomb friction f.
 
-    f[i] = high[i] where v[i] > 0, low[i] where v[i] < 0, and between them where v[i] is
-    0. For a symmetric positive definite matrix there is exactly one such v. Signs are
-    guessed and corrected all at once, which takes one or two rounds as a rule; should
-    that go round in circles, only the first wrong sign is corrected, which ends for
-    certain (the principal pivoting of Judice and Pires 1994).
+    With bounds (low, high), f[i] = high where v[i] > 0, low where v[i] < 0, and between
+    them where v[i] is 0. For a symmetric positive definite matrix there is exactly one
+    such v. Signs are guessed and corrected all at once, which takes one or two rounds
+    as a rule; should that go round in circles, only the first wrong sign is corrected,
+    which ends for certain (the principal pivoting of Judice and Pires 1994).
 
     Args:
         matrix: Symmetric positive definite, n by n.
         push: n momenta.
-        low: Bounds of the friction, at most 0; minus infinity is a stop.
-        high: Bounds of the friction, at least 0; infinity is a stop.
+        bounds: n times the bounds of the friction: one at most 0, or minus infinity
+            for a stop, and one at least 0, or infinity for a stop.
         guess: A velocity whose signs are likely right.
     """
-    # a handful of numbers: plain Python is faster here than numpy's calls would be
-    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
-    slack = [1e-12 * (1.0 + abs(value)) for value in push.tolist()]
-    signs = [(value > 0.0) - (value < 0.0) for value in guess.tolist()]
+    moving: list[float] = guess.tolist()
+    signs = [(value > 0.0) - (value < 0.0) for value in moving]
+    signs = [  # nothing moves into a stop
+        sign if isfinite(bound[sign > 0]) else 0
+        for sign, bound in zip(signs, bounds, strict=True)
+    ]
+    pushes = push.tolist()
     rounds = 0
     while True:
-        signs = [
-            sign if isfinite(bound[sign > 0]) else 0
-            for sign, bound in zip(signs, bounds, strict=True)
-        ]
         velocity, friction = _with_signs(matrix, push, bounds, signs)
-        better = [
-            _corrected(*row)
-            for row in zip(
-                signs, velocity.tolist(), friction.tolist(), bounds, slack, strict=True
-            )
-        ]
+        rows = zip(signs, velocity.tolist(), friction, bounds, pushes, strict=True)
+        better = [_corrected(*row) for row in rows]
         if better == signs:
             return velocity
         if rounds > _ALL_AT_ONCE:
@@ -171,39 +175,47 @@ def _corrected(
     velocity: float,
     friction: float,
     bounds: tuple[float, float],
-    slack: float,
+    push: float,
 ) -> int:
     """Return the sign that a joint's velocity should have been given."""
     if sign:
         return 0 if velocity * sign < 0 else sign
     low, high = bounds
+    slack = 1e-12 * (1.0 + abs(push))
     return (friction > high + slack) - (friction < low - slack)
 
 
 def _with_signs(
-    matrix: Floats,
-    push: Floats,
-    bounds: list[tuple[float, float]],
-    signs: list[int],
-) -> tuple[Floats, Floats]:
+    matrix: Floats, push: Floats, bounds: Bounds, signs: list[int]
+) -> tuple[Floats, list[float]]:
     """Return velocity and friction if the joints slip, or stick, as `signs` say."""
-    slipping = zip(signs, bounds, strict=True)
-    friction = np.array([bound[sign > 0] if sign else 0.0 for sign, bound in slipping])
+    friction = [
+        bound[sign > 0] if sign else 0.0
+        for sign, bound in zip(signs, bounds, strict=True)
+    ]
+    load = push - np.array(friction)
+    if all(signs):
+        return _solve(matrix, load), friction
     stuck = [i for i, sign in enumerate(signs) if not sign]
-    if not stuck:
-        return _solve(matrix, push - friction), friction
-    reduced, load = matrix.copy(), push - friction
-    for i in stuck:
-        reduced[i, :] = 0.0
-        reduced[:, i] = 0.0
-        reduced[i, i] = 1.0
-        load[i] = 0.0
+    reduced = matrix.copy()
+    reduced[stuck, :] = 0.0
+    reduced[:, stuck] = 0.0
+    reduced[stuck, stuck] = 1.0
+    load[stuck] = 0.0
     velocity = _solve(reduced, load)
-    needed = push - matrix @ velocity
+    needed = (push - matrix @ velocity).tolist()
     for i in stuck:
         friction[i] = needed[i]
     return velocity, friction
 
 
 def _solve(matrix: Floats, load: Floats) -> Floats:
-    return np.asarray(np.linalg.solve(matrix, load), dtype=np.float64)
+    """Return matrix^-1 load; by Cholesky, as the matrix is positive definite."""
+    solution: Floats = _cholesky()(matrix).solve(load)
+    return solution.ravel()  # it takes a load of one number for a matrix
+
+
+@cache
+def _cholesky() -> Any:  # noqa: ANN401 - it has no stubs
+    """Return Eigen's LLT, which pinocchio brings; numpy's takes five times as long."""
+    return import_module("eigenpy").LLT

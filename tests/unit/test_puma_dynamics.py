@@ -338,8 +338,9 @@ def test_friction_solver_finds_the_one_solution(seed):
     high[rng.random(n) < 0.15] = np.inf
     low[rng.random(n) < 0.15] = -np.inf
     expected = by_enumeration(matrix, push, low, high)
+    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
     for guess in (np.zeros(n), rng.normal(size=n), -np.ones(n)):
-        got = solve_with_friction(matrix, push, low, high, guess)
+        got = solve_with_friction(matrix, push, bounds, guess)
         assert got == pytest.approx(expected, abs=1e-9)
 
 
