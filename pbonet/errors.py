@@ -43,7 +43,6 @@ from a task to the master without losing anything.
 
 from __future__ import annotations
 
-import difflib
 from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar, TypedDict
 
@@ -372,5 +371,7 @@ _BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ``did you mean NAME?`` for the nearest known name, or an empty string."""
+    import difflib  # only where something is wrong
+
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
     return f"did you mean {near[0]}?" if near else ""

@@ -256,15 +256,17 @@ def _run(shelf: Shelf, path: Path, source: bytes, version: str) -> types.ModuleT
     setattr(python, _VERSION, version)
     sys.modules[name] = python
     try:
-        exec(compile(source, str(path), "exec"), python.__dict__)  # noqa: S102
+        code = compile(source, str(path), "exec", dont_inherit=True)
+        exec(code, python.__dict__)  # noqa: S102
     except BaseException as error:
         if before is None:
             del sys.modules[name]
         else:
             sys.modules[name] = before
-        if isinstance(error, DeclarationError) or not isinstance(
-            error, Exception | SystemExit
-        ):
+        if isinstance(error, DeclarationError):
+            error.where = f"{path}: {error.where}"
+            raise
+        if not isinstance(error, Exception | SystemExit):
             raise
         raise _broken(module, path, error) from error
     return python

@@ -7,6 +7,7 @@ reading and writing of files.
 from __future__ import annotations
 
 import keyword
+import sys
 from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
@@ -16,7 +17,7 @@ from pbonet.config.model import Rmod, TaskType
 from pbonet.config.types import element_type
 from pbonet.errors import ConfigError, did_you_mean
 from pbonet.pbo import METHODS
-from pbonet.ports import Kind, parse_shape, shape_text
+from pbonet.ports import NAME_FORM, Kind, name_fault, parse_shape, shape_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -31,6 +32,7 @@ _CLASSES = {
     Kind.OUTVAR: "OutVar",
 }
 _RESERVED = frozenset({*METHODS, "params", "task", "name", "freq", "clock", "critical"})
+_IMPORTED = frozenset({"pbonet", "numpy", "pytest"})
 _WIDTH = 88
 
 
@@ -52,6 +54,8 @@ class NewPort(Struct, frozen=True, kw_only=True):
         word = f"{head}d{tail}" if hat else head
         word = "".join(c if c.isalnum() or c == "_" else "_" for c in word.lower())
         word = word.lstrip("_") or "port"
+        if not word[0].isalpha():
+            word = f"port_{word}"
         if keyword.iskeyword(word) or word in _RESERVED:
             word += "_"
         return word
@@ -112,6 +116,8 @@ def _variable(name: str, svar: SvarFile | None) -> Variable | None:
 
 
 def _check(port: NewPort, text: str) -> None:
+    if fault := name_fault(port.name):
+        raise ConfigError(fault, where=text, expected=NAME_FORM, got=f'"{port.name}"')
     try:
         parse_shape(port.shape)
     except ValueError as error:
@@ -183,6 +189,12 @@ def _check_name(name: str) -> None:
             where=name,
             expected="lower-case letters, digits and underscores, a letter first",
         )
+    if name in sys.stdlib_module_names or name in _IMPORTED:
+        raise ConfigError(
+            f"a file {name}.py would hide the package of that name from Python",
+            where=name,
+            remedy="choose another name for the module",
+        )
 
 
 def _check_ports(ports: Sequence[NewPort]) -> None:
@@ -195,7 +207,10 @@ def _check_ports(ports: Sequence[NewPort]) -> None:
                 if other != port.name
                 else f"port {port.name} is named twice",
                 where=port.name,
-                remedy="leave one out, and write it by hand under another attribute",
+                remedy="leave one out, and write it by hand under another attribute"
+                if other != port.name
+                else "leave one out; an output holds what was written last, so it need "
+                "not be read as well",
             )
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 from msgspec import Struct, structs
@@ -13,6 +12,9 @@ from msgspec import Struct, structs
 from pbonet.ports import Kind, Port, shape_text
 
 from ._object import PortBasedObject
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 class ParamInfo(Struct, frozen=True, kw_only=True):
@@ -54,6 +56,8 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
 
 def source_version(source: bytes) -> str:
     """Return the version of a module: the first 12 hex digits of its SHA-256."""
+    import hashlib  # brings OpenSSL, which no module needs
+
     return hashlib.sha256(source).hexdigest()[:12]
 
 
@@ -121,8 +125,8 @@ def local_text(value: Any) -> str:  # noqa: ANN401 - whatever a parameter holds
     """Return a parameter's value as the words of a LOCAL line."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, tuple):
-        values = cast("tuple[object, ...]", value)
+    if isinstance(value, tuple | list):
+        values = cast("Sequence[object]", value)
         return " ".join(local_text(one) for one in values)
     return str(value)
 

@@ -16,7 +16,7 @@ from typing import Annotated as A
 
 from msgspec import Struct
 
-from pbonet.errors import did_you_mean
+from pbonet.errors import DeclarationError, did_you_mean
 from pbonet.ports import MARKS, Declared, Declaring, Port, attribute, here, make_port
 
 from ._params import Params
@@ -78,6 +78,15 @@ class PortBasedObject(Generic[P]):
 
     params: P
     task: TaskContext
+
+    def __init__(self, *_: object, **__: object) -> None:
+        """Refuse: the runtime makes modules, because only it has their ports."""
+        name = type(self).__name__
+        raise DeclarationError(
+            "a module is not made by calling its class",
+            where=name,
+            remedy=f"put it on a bench: `Bench({name}, ...)`, of pbonet.testing",
+        )
 
     def __init_subclass__(cls, *, abstract: bool = False, **settings: Any) -> None:  # noqa: ANN401
         """Read and check the declarations of one module."""
@@ -269,8 +278,13 @@ def _ports(cls: type, body: Declaring) -> tuple[Port, ...]:
         inherited = getattr(base, "__interface__", Interface((), ()))
         ports.update({port.attr: port for port in inherited.ports})
     names = {port.name: port.attr for port in ports.values()}
+    for attr, value in vars(cls).items():
+        if _is_mark(value):
+            raise _misplaced(body, attr, value)
     for attr, hint in body.annotations(MARKS):
         declared = _mark(body, attr, hint)
+        if declared is None and attr == "params":
+            _refuse_params(body, hint)
         if declared is None:
             continue
         if attr in ports or attr in {*METHODS, "params", "task"}:
@@ -289,6 +303,8 @@ def _ports(cls: type, body: Declaring) -> tuple[Port, ...]:
 
 def _mark(body: Declaring, attr: str, hint: object) -> Declared | None:
     """Return what declares a port in an annotation, None when it is none."""
+    if _is_mark(hint):
+        raise _misplaced(body, attr, hint)
     if get_origin(hint) is not A:
         return None
     marks = [word for word in get_args(hint)[1:] if _is_mark(word)]
@@ -299,9 +315,32 @@ def _mark(body: Declaring, attr: str, hint: object) -> Declared | None:
             attr,
             "a port is declared once, with its four words",
             expected='A[type, InVar("NAME", "shape", "unit", "doc")]',
-            got=", ".join(getattr(mark, "__name__", repr(mark)) for mark in marks),
+            got=", ".join(map(_shown, marks)),
         )
     return marks[0]
+
+
+def _misplaced(body: Declaring, attr: str, mark: object) -> DeclarationError:
+    return body.error(
+        attr,
+        "a port is declared in an annotation, together with its type",
+        expected=f'{attr}: A[type, InVar("NAME", "shape", "unit", "doc")]',
+        got=_shown(mark),
+    )
+
+
+def _refuse_params(body: Declaring, hint: object) -> None:
+    name = getattr(hint, "__name__", str(hint))
+    raise body.error(
+        "params",
+        "the class of the parameters stands in brackets behind the base class",
+        expected=f"class {body.cls.__name__}(PortBasedObject[{name}])",
+        got=f"params: {name}",
+    )
+
+
+def _shown(mark: object) -> str:
+    return getattr(mark, "__name__", repr(mark))
 
 
 def _is_mark(word: object) -> bool:
@@ -346,7 +385,7 @@ def _methods(cls: type, body: Declaring, *, abstract: bool) -> tuple[str, ...]:
         written = [name for name, value in vars(cls).items() if callable(value)]
         raise body.error(
             "",
-            "a module has a method cycle",
+            "the module has no method cycle",
             expected="def cycle(self, dt: float) -> None",
             remedy=did_you_mean("cycle", written)
             or "or say `abstract=True` behind the base class",

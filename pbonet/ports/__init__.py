@@ -8,6 +8,7 @@ module's ports, and makes the attributes through which a module uses them.
 from ._attributes import SCALARS, ArrayPort, InScalar, OutScalar, attribute, view
 from ._declare import (
     MARKS,
+    NAME_FORM,
     Declared,
     InConst,
     InVar,
@@ -19,6 +20,7 @@ from ._declare import (
     Vector,
     accepts,
     make_port,
+    name_fault,
     wanted,
 )
 from ._shapes import parse_shape, shape_text, solve_shapes
@@ -26,6 +28,7 @@ from ._source import Declaring, here
 
 __all__ = [
     "MARKS",
+    "NAME_FORM",
     "SCALARS",
     "ArrayPort",
     "Declared",
@@ -44,6 +47,7 @@ __all__ = [
     "attribute",
     "here",
     "make_port",
+    "name_fault",
     "parse_shape",
     "shape_text",
     "solve_shapes",

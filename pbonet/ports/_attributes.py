@@ -161,8 +161,13 @@ def _right(wrong: str, attr: str) -> str:
 def _mistyped(
     port: Port, instance: object, value: object, error: Exception
 ) -> PortError:
-    size = getattr(value, "size", 1)
-    remedy = "assign one number, such as `float(x[0])`" if size != 1 else str(error)
+    remedy = ""
+    if hasattr(value, "__len__") and not isinstance(value, str):
+        remedy = f"assign one number, such as `{port.type}(x[0])`"
+    elif port.type == "int" and isinstance(value, float):
+        remedy = "convert it: `round(x)`, or `int(x)` to cut"
+    elif isinstance(error, ValueError):
+        remedy = "it does not fit the type of the variable in the .svar file"
     return PortError(
         f"{port.kind} {port.name} takes a plain {port.type}",
         where=f"{type(instance).__name__}.{port.attr}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin, overload
 
 import numpy as np
 from msgspec import Struct
@@ -22,6 +22,12 @@ Matrix = NDArray[np.float64]
 
 NAME_LENGTH = 15
 """The longest name of a variable (Stewart 1994, section 5.5.2)."""
+NAME_FORM = (
+    f"a letter or _, then letters, digits and any of _ ^ ' ., at most {NAME_LENGTH} in "
+    "all"
+)
+SHAPES = '"1", "6", "ndof" or "ndof,4"'
+_WORDS = ("name", "shape", "unit", "doc")
 
 
 class Kind(StrEnum):
@@ -67,38 +73,57 @@ class Port(Struct, frozen=True):
 class Declared:
     """What stands in a port's annotation; `make_port` turns it into a `Port`.
 
+    Type checkers count the words. What is wrong with them otherwise is said when the
+    class is made, because only then the place is known.
+
     Args:
         name: The port's name in ``.rmod`` and ``.svar`` files, at most 15 characters.
         shape: ``"1"`` for a scalar, else sizes with commas between: ``"6"``,
             ``"ndof"``, ``"ndof,4"``. A word is the attribute of an integer constant
             of the same module, or any other name; one word means one size.
-        unit: The unit, such as ``rad/s``; ``none`` for a pure number.
+        unit: The unit, such as ``rad/s``; ``none`` for a pure number. A constant that
+            is one integer may leave it out.
         doc: What the port carries, in a few words.
     """
 
-    __slots__ = ("doc", "name", "shape", "unit")
+    __slots__ = ("words",)
     kind: ClassVar[Kind]
+    words: tuple[object, ...]
 
-    def __init__(self, name: str, shape: str, unit: str, doc: str) -> None:
-        self.name = name
-        self.shape = shape
-        self.unit = unit
-        self.doc = doc
+    if TYPE_CHECKING:
+
+        def __init__(self, name: str, shape: str, unit: str, doc: str, /) -> None: ...
+
+    else:
+
+        def __init__(self, *words: object) -> None:
+            self.words = words
 
     def __repr__(self) -> str:
         """Return the declaration as it is written."""
-        words = ", ".join(repr(w) for w in (self.name, self.shape, self.unit, self.doc))
-        return f"{type(self).__name__}({words})"
+        return f"{type(self).__name__}({', '.join(map(repr, self.words))})"
 
 
-class InConst(Declared):
+class _Constant(Declared):
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __init__(self, name: str, shape: str, doc: str, /) -> None: ...
+        @overload
+        def __init__(self, name: str, shape: str, unit: str, doc: str, /) -> None: ...
+        def __init__(self, *words: str) -> None: ...
+
+
+class InConst(_Constant):
     """A constant that another task produces; read before `init` and `reinit`."""
 
     __slots__ = ()
     kind = Kind.INCONST
 
 
-class OutConst(Declared):
+class OutConst(_Constant):
     """A constant that this module produces; written after `init` and `reinit`."""
 
     __slots__ = ()
@@ -168,25 +193,39 @@ def make_port(body: Declaring, attr: str, kind: object, declared: Declared) -> P
         DeclarationError: Anything about it is wrong.
     """
     _check_attr(body, attr)
-    _check_words(body, attr, declared)
+    name, size, unit, doc = _four_words(body, attr, kind, declared)
+    if fault := name_fault(name):
+        raise body.error(attr, fault, expected=NAME_FORM, got=_counted(name))
     try:
-        shape = parse_shape(declared.shape)
+        shape = parse_shape(size)
     except ValueError as error:
         raise body.error(
             attr,
             f"the shape {error}",
-            expected='"1", "6", "ndof" or "ndof,4"',
-            got=f'"{declared.shape}"',
+            expected=SHAPES,
+            got=f'"{size}"',
         ) from None
     return Port(
         attr=attr,
-        name=declared.name,
+        name=name,
         kind=declared.kind,
         shape=shape,
-        unit=declared.unit,
-        doc=declared.doc,
+        unit=unit,
+        doc=doc,
         type=_type(body, attr, kind, shape),
     )
+
+
+def name_fault(name: str) -> str:
+    """Return what is wrong with the name of a port, an empty string if nothing is."""
+    fits = _NAME.fullmatch(name) and len(name) <= NAME_LENGTH
+    if fits and name.lower() != "none":
+        return ""
+    return "the port's name cannot stand in an .rmod file"
+
+
+def _counted(name: str) -> str:
+    return f'"{name}" ({len(name)} characters)'
 
 
 def _check_attr(body: Declaring, attr: str) -> None:
@@ -205,29 +244,39 @@ def _check_attr(body: Declaring, attr: str) -> None:
         )
 
 
-def _check_words(body: Declaring, attr: str, declared: Declared) -> None:
-    for word in ("name", "shape", "unit", "doc"):
-        value = getattr(declared, word)
-        if not isinstance(value, str) or not value.strip():
-            raise body.error(
-                attr,
-                f"the port has no {word}",
-                expected=f"{type(declared).__name__}(name, shape, unit, doc)",
-                got=repr(declared),
-                remedy='write "none" for the unit of a pure number'
-                if word == "unit"
-                else "",
-            )
-    name = declared.name
-    fits = _NAME.fullmatch(name) and len(name) <= NAME_LENGTH
-    if not fits or name.lower() == "none":
+def _four_words(
+    body: Declaring, attr: str, kind: object, declared: Declared
+) -> tuple[str, ...]:
+    """Return name, shape, unit and doc; a constant that counts has no unit."""
+    words = declared.words
+    counts = declared.kind.is_const and kind is int and words[1:2] == ("1",)
+    if counts and len(words) == len(_WORDS) - 1:
+        words = (*words[:2], "none", words[2])
+    expected = f"{type(declared).__name__}({', '.join(_WORDS)})"
+    if len(words) != len(_WORDS):
         raise body.error(
             attr,
-            "the port's name cannot stand in an .rmod file",
-            expected="a letter or _, then letters, digits and any of _ ^ ' ., "
-            f"at most {NAME_LENGTH} in all",
-            got=f'"{name}" ({len(name)} characters)',
+            "a port is declared with four words",
+            expected=expected,
+            got=repr(declared),
+            remedy='write "none" for the unit of a pure number'
+            if len(words) < len(_WORDS)
+            else "",
         )
+    for word, value in zip(_WORDS, words, strict=True):
+        if isinstance(value, str) and value.strip():
+            continue
+        empty = isinstance(value, str) or value is None
+        raise body.error(
+            attr,
+            f"the port has no {word}" if empty else f"the port's {word} is no text",
+            expected=SHAPES if word == "shape" and not empty else expected,
+            got=repr(declared),
+            remedy='write "none" for the unit of a pure number'
+            if word == "unit"
+            else "",
+        )
+    return tuple(str(word) for word in words)
 
 
 def _type(body: Declaring, attr: str, kind: object, shape: tuple[Any, ...]) -> str:

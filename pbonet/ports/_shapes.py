@@ -188,6 +188,7 @@ def _solved(sizes: _Sizes, port: Port) -> tuple[int, ...]:
             f"the size of port {port.attr} ({port.name}) cannot be known",
             where=sizes.where,
             expected=f"a size for {' and '.join(sorted(set(names)))}",
-            remedy="connect a constant of that size, or a port that has it alone",
+            remedy="connect a constant that is the size, or a port that has it alone; "
+            f"on a bench, say `{names[0]}=...`",
         )
     return tuple(d if isinstance(d, int) else sizes[d] for d in port.shape)

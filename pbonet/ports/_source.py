@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import linecache
+import re
 from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import DeclarationError
@@ -39,7 +40,10 @@ class Declaring:
 
     def place(self, attr: str = "") -> str:
         """Return ``module.Class.attr (line N)``, or ``(source unknown)`` for N."""
-        name = f"{self.cls.__module__}.{self.cls.__qualname__}"
+        outer, _, module = self.cls.__module__.partition(".")
+        if not outer.startswith("_") or not module:  # a library's folder has no name
+            module = self.cls.__module__
+        name = f"{module}.{self.cls.__qualname__}"
         if attr:
             name += f".{attr}"
         line = self._find(attr)
@@ -52,9 +56,9 @@ class Declaring:
     def annotations(self, marks: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
         """Yield every annotation of this class body, strings evaluated.
 
-        A string that cannot be evaluated is no fault unless it contains one of
-        `marks`: a module may annotate private attributes with names that only a type
-        checker knows.
+        A string that cannot be evaluated is no fault unless it is an ``Annotated`` or
+        contains one of `marks`: a module may annotate other attributes with names that
+        only a type checker knows.
         """
         try:
             own = inspect.get_annotations(self.cls)
@@ -68,18 +72,19 @@ class Declaring:
             try:
                 value = eval(hint, dict(self._globals), names)  # noqa: S307
             except Exception as error:  # noqa: BLE001 - it may be anything
-                if any(mark in hint for mark in marks):
+                if _ANNOTATED.search(hint) or any(mark in hint for mark in marks):
                     raise self.error(
                         attr,
                         "the annotation cannot be evaluated",
                         got=f"{type(error).__name__}: {error}",
-                        remedy=_RUN_TIME,
+                        remedy=_RUN_TIME if isinstance(error, NameError) else "",
                     ) from None
             else:
                 yield attr, value
 
     def _find(self, attr: str) -> int:
         """Return the line of `attr` (or of the class) in the source, 0 if unknown."""
+        linecache.checkcache(self._file)
         lines = linecache.getlines(self._file)
         try:
             tree = ast.parse("".join(lines))
@@ -99,7 +104,10 @@ class Declaring:
         return near.lineno
 
 
-_RUN_TIME = "import the names of annotations at run time, not under TYPE_CHECKING"
+_ANNOTATED = re.compile(r"\b(A|Annotated)\[")
+_RUN_TIME = (
+    "correct the name, or import it at run time and not under TYPE_CHECKING only"
+)
 
 
 def _names(node: ast.stmt) -> set[str]:

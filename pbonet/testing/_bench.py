@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections import deque
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
@@ -279,8 +280,17 @@ def _shapes(
         for port in ports
         if port.attr in values and np.size(values[port.attr]) > 1
     }
-    constants = {word: int(values[word]) for word in symbols if word in values}
+    constants = {word: _size(word, values[word]) for word in symbols & values.keys()}
     return solve_shapes(ports, nelem, constants, where=module.__name__)
+
+
+def _size(word: str, value: Any) -> int:  # noqa: ANN401 - whatever was given
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise PortError(
+            f"the size {word} is a whole number", where="Bench", got=repr(value)
+        ) from None
 
 
 def _params(

@@ -84,6 +84,8 @@ class Wrong(PortBasedObject):
 
 
 InVar("Q", "ndof", "rad")  # error
+InConst("NDOF", "1", "degrees of freedom")
+InConst("NDOF", "1")  # error
 param("rad")  # error
 Gains(kp=1.0)
 Gains()  # error

@@ -132,7 +132,28 @@ def test_a_wrong_class_body_is_a_declaration_error(folder):
     (folder / "wrong.py").write_text(GOOD.replace('"none", "value"', '"", "value"'))
     with pytest.raises(DeclarationError) as caught:
         Library([folder]).load("wrong")
-    assert ".wrong.Ramp.y (line 8): the port has no unit" in str(caught.value)
+    assert str(caught.value).startswith(
+        f"{folder}/wrong.py: wrong.Ramp.y (line 8): the port has no unit"
+    )
+
+
+def test_a_file_that_was_corrected_is_shown_as_it_is_now(folder):
+    wrong = GOOD.replace('"none", "value"', '"", "value"')
+    for lines in ("", "\n\n\n"):
+        (folder / "wrong.py").write_text(lines + wrong)
+        with pytest.raises(DeclarationError) as caught:
+            Library([folder]).load("wrong")
+    assert "wrong.Ramp.y (line 11)" in str(caught.value)
+
+
+def test_code_means_what_it_means_when_it_is_imported(folder):
+    """No ``from __future__`` of the library's own reaches it."""
+    (folder / "ramp.py").write_text(GOOD + "\n    speed: int = 3\n")
+    cls = Library([folder]).load("ramp").cls
+    assert cls.__annotations__["speed"] is int
+    assert "NameError: name 'OutVra'" in fails(
+        folder, GOOD.replace("OutVar(", "OutVra(")
+    )
 
 
 def test_a_file_without_a_module_class(folder):

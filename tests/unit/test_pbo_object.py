@@ -116,7 +116,7 @@ def alone(self):
 
 def test_cycle_must_be_there():
     assert refuse({}) == (
-        "somewhere.Made (source unknown): a module has a method cycle (expected "
+        "somewhere.Made (source unknown): the module has no method cycle (expected "
         "def cycle(self, dt: float) -> None); or say `abstract=True` behind the base "
         "class"
     )
@@ -149,6 +149,33 @@ def test_a_constructor_is_refused():
     assert refuse({"cycle": cycle, "__init__": cycle}) == (
         "somewhere.Made.__init__ (source unknown): a module has no __init__: its ports "
         "do not exist yet when it runs; write `def init(self) -> None:` instead"
+    )
+
+
+def test_a_class_is_not_called():
+    for make in (Law, PortBasedObject, lambda: Law(3, gains=1)):
+        with pytest.raises(DeclarationError, match="is not made by calling its class"):
+            make()
+    with pytest.raises(DeclarationError) as caught:
+        Law()
+    assert str(caught.value) == (
+        "Law: a module is not made by calling its class; put it on a bench: "
+        "`Bench(Law, ...)`, of pbonet.testing"
+    )
+
+
+def test_parameters_stand_in_brackets():
+    with pytest.raises(DeclarationError) as caught:
+
+        class Wrong(PortBasedObject):
+            params: Gains
+
+            def cycle(self, dt):
+                pass
+
+    assert str(caught.value).endswith(
+        "the class of the parameters stands in brackets behind the base class "
+        "(expected class Wrong(PortBasedObject[Gains]), got params: Gains)"
     )
 
 

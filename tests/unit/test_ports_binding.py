@@ -131,9 +131,25 @@ def test_an_input_is_read_only(law):
 
 
 MISTYPED = [
-    ("count", 1.5, "takes a plain int (expected int, got float 1.5)"),
-    ("count", 40_000, "takes a plain int (expected int, got int 40000)"),
+    (
+        "count",
+        1.5,
+        "takes a plain int (expected int, got float 1.5); convert it: `round(x)`, or "
+        "`int(x)` to cut",
+    ),
+    (
+        "count",
+        40_000,
+        "takes a plain int (expected int, got int 40000); it does not fit the type of "
+        "the variable in the .svar file",
+    ),
     ("level", "a", "takes a plain float (expected float, got str 'a')"),
+    (
+        "level",
+        [1.0],
+        "takes a plain float (expected float, got list [1.0]); assign one number, such "
+        "as `float(x[0])`",
+    ),
     (
         "level",
         np.zeros(2),
@@ -147,7 +163,7 @@ MISTYPED = [
 def test_a_scalar_takes_its_own_type(law, attr, value, sentence):
     with pytest.raises(PortError) as caught:
         setattr(law, attr, value)
-    assert f"Law.{attr}: out-var {attr.upper()} {sentence}" in str(caught.value)
+    assert str(caught.value) == f"Law.{attr}: out-var {attr.upper()} {sentence}"
 
 
 def refused(**changed):

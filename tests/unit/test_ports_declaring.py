@@ -105,8 +105,38 @@ FAULTS = [
         "q",
         Vector,
         ("Q", "n", "rad", 3),
-        "the port has no doc (expected InVar(name, shape, unit, doc), "
+        "the port's doc is no text (expected InVar(name, shape, unit, doc), "
         "got InVar('Q', 'n', 'rad', 3))",
+    ),
+    (
+        "q",
+        Vector,
+        ("Q", 6, "rad", "position"),
+        'the port\'s shape is no text (expected "1", "6", "ndof" or "ndof,4", '
+        "got InVar('Q', 6, 'rad', 'position'))",
+    ),
+    (
+        "q",
+        Vector,
+        ("Q", "n", "rad"),
+        "a port is declared with four words (expected InVar(name, shape, unit, doc), "
+        "got InVar('Q', 'n', 'rad')); "
+        'write "none" for the unit of a pure number',
+    ),
+    (
+        "q",
+        Vector,
+        (*Q, "more"),
+        "a port is declared with four words (expected InVar(name, shape, unit, doc), "
+        "got InVar('Q', 'n', 'rad', 'position', 'more'))",
+    ),
+    (
+        "q",
+        int,
+        ("Q", "1", "position"),
+        "a port is declared with four words (expected InVar(name, shape, unit, doc), "
+        "got InVar('Q', '1', 'position')); "
+        'write "none" for the unit of a pure number',
     ),
     (
         "q",
@@ -223,17 +253,57 @@ def test_a_name_that_does_not_exist_at_run_time_is_told():
     assert str(caught.value).endswith(
         f"Wrong.lost (line {line_of('lost:')}): the annotation cannot be evaluated "
         "(got NameError: name 'Vectr' is not defined); "
-        "import the names of annotations at run time, not under TYPE_CHECKING"
+        "correct the name, or import it at run time and not under TYPE_CHECKING only"
     )
 
 
-def test_a_port_with_a_word_too_few_is_told():
-    with pytest.raises(
-        DeclarationError, match="missing 1 required positional argument"
-    ):
+def test_a_misspelt_kind_of_port_is_told():
+    with pytest.raises(DeclarationError, match="name 'Invar' is not defined"):
 
         class Wrong(Idle, PortBasedObject):
-            q: "A[Vector, InVar('Q', 'n', 'rad')]"
+            q: "A[Vector, Invar('Q', 'n', 'rad', 'position')]"  # noqa: F821
+
+
+def test_other_errors_in_annotations_are_told():
+    with pytest.raises(DeclarationError) as caught:
+
+        class Wrong(Idle, PortBasedObject):
+            q: "A[Vector, InVar('Q', 'n', 'rad', 1 / 0)]"
+
+    assert caught.value.got == "ZeroDivisionError: division by zero"
+    assert not caught.value.remedy
+
+
+@pytest.mark.parametrize("kind", [InConst, OutConst])
+def test_an_integer_constant_may_leave_out_its_unit(kind):
+    class Arm(Idle, PortBasedObject):
+        ndof: A[int, kind("NDOF", "1", "degrees of freedom")]
+
+    (port,) = interface(Arm).ports
+    assert (port.shape, port.unit, port.doc) == ((), "none", "degrees of freedom")
+    for other in (A[float, kind("K", "1", "m")], A[Vector, kind("K", "n", "m")]):
+        with pytest.raises(DeclarationError, match="declared with four words"):
+            type("M", (Idle, PortBasedObject), {"__annotations__": {"k": other}})
+
+
+MISPLACED = [
+    {"q": InVar(*Q)},
+    {"__annotations__": {"q": Vector}, "q": InVar(*Q)},
+    {"__annotations__": {"q": InVar(*Q)}},
+    {"__annotations__": {"q": InVar}},
+]
+
+
+@pytest.mark.parametrize("body", MISPLACED)
+def test_a_port_outside_an_annotation_is_told(body):
+    with pytest.raises(DeclarationError) as caught:
+        type("Made", (Idle, PortBasedObject), {"__module__": "some", **body})
+    got = "InVar" if body.get("__annotations__") == {"q": InVar} else repr(InVar(*Q))
+    assert str(caught.value) == (
+        "some.Made.q (source unknown): a port is declared in an annotation, together "
+        'with its type (expected q: A[type, InVar("NAME", "shape", "unit", "doc")], '
+        f"got {got})"
+    )
 
 
 def test_one_name_is_one_port():

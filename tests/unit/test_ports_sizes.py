@@ -126,7 +126,8 @@ FAULTS = [
         {"J": 12},
         {},
         "the size of port j (J) cannot be known (expected a size for m and n); connect "
-        "a constant of that size, or a port that has it alone",
+        "a constant that is the size, or a port that has it alone; on a bench, say "
+        "`m=...`",
     ),
     (
         "q:n",

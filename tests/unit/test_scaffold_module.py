@@ -189,8 +189,24 @@ REFUSED = [
     ),
     (
         lambda: scaffold("law", ports(IV, "Q:6:rad", OV, "Q:6:rad")),
-        "Q: port Q is named twice; leave one out, and write it by hand under another "
-        "attribute",
+        "Q: port Q is named twice; leave one out; an output holds what was written "
+        "last, so it need not be read as well",
+    ),
+    (
+        lambda: read_port("A-B:6:rad", IV),
+        "A-B:6:rad: the port's name cannot stand in an .rmod file (expected a letter "
+        "or _, then letters, digits and any of _ ^ ' ., at most 15 in all, got "
+        '"A-B")',
+    ),
+    (
+        lambda: scaffold("signal", []),
+        "signal: a file signal.py would hide the package of that name from Python; "
+        "choose another name for the module",
+    ),
+    (
+        lambda: scaffold("pbonet", []),
+        "pbonet: a file pbonet.py would hide the package of that name from Python; "
+        "choose another name for the module",
     ),
     (
         lambda: scaffold("law", ports(IV, "Q:6:rad", OV, "q:6:rad")),
@@ -221,6 +237,7 @@ ATTRS = {
     "class": "class_",
     "A.B'": "a_b_",
     "__": "port",
+    "_1A": "port_1a",
     "FREQ": "freq_",
 }
 
