@@ -43,6 +43,9 @@ T = TypeVar("T")
 ANSWER_TIME: Final = 2.0
 """Seconds in which an agent answers whatever happens, or is not there."""
 
+_ALONE_TIME: Final = 1.2
+"""When nobody at all can be reached, the agent through which we reach the others has
+gone; in this time zenoh finds the next."""
 _PROBE_TIME: Final = 1.0
 _RETRY_PAUSE: Final = 0.05
 _TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
@@ -191,6 +194,7 @@ class Client:
         payload = self._codec.pack(request)
         end = time.monotonic() + timeout + 0.5
         give_up = time.monotonic() + ANSWER_TIME
+        alone = time.monotonic() + _ALONE_TIME
         while True:
             waiter = self._get(rtpu, payload, end - time.monotonic())
             self._watch(rtpu, waiter, end)
@@ -199,10 +203,13 @@ class Client:
                 return self._answer(rtpu, request, reply.ok.payload.to_bytes())
             if reply is not None:  # zenoh's own time-out
                 raise _no_answer(rtpu, timeout)
-            self._must_be_there(rtpu)
-            if time.monotonic() > min(give_up, end):
+            names = self.rtpus()
+            now = time.monotonic()
+            if rtpu not in names and (names or now > alone):
+                raise unreachable(rtpu, self.domain, names)
+            if now > min(give_up, end):
                 raise _no_answer(rtpu, ANSWER_TIME)
-            time.sleep(_RETRY_PAUSE)  # it starts up, or its link is being restored
+            time.sleep(_RETRY_PAUSE)  # it starts up, or our own link is being restored
 
     def _get(self, rtpu: str, payload: bytes, timeout: float) -> _Waiter:
         waiter = _Waiter()

@@ -79,6 +79,24 @@ def test_agent_that_dies_with_the_request_is_unreachable(client, agents):
     killer.join()
 
 
+def test_loss_of_the_agent_we_are_connected_to_is_outlived(client, agents):
+    agents["arm0"].close()  # the first endpoint, so the one we use
+    assert client.call("arm1", m.Hello(), m.AgentInfo).name == "arm1"
+    with pytest.raises(UnreachableError, match="can be reached: arm1"):
+        client.call("arm0", m.Hello(), m.AgentInfo)
+
+
+def test_nobody_left_is_said_within_the_time(world, agents):
+    agents("arm0")
+    client = rpc.Client(session.client(world.domain), world.domain, "tester")
+    agents["arm0"].close()
+    start = time.monotonic()
+    with pytest.raises(UnreachableError, match="can be reached: none"):
+        client.call("arm0", m.Hello(), m.AgentInfo)
+    assert time.monotonic() - start < 2.0  # the same promise
+    client.close()
+
+
 def test_refusal_keeps_its_class_and_says_where(client):
     with pytest.raises(UnknownTaskError) as caught:
         client.call("arm0", m.Status(task="pid"), m.RtpuStatus)
