@@ -8,12 +8,15 @@ import sys
 import textwrap
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
 import pytest
+from watching import wait_for
 
 from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
 from pbonet.master import oneshot
+from pbonet.master.interfaces import Script
 from pbonet.master.network import Port
 from pbonet.master.subsystem import Subsystem
 from pbonet.xm import keys, rpc, rundir, session
@@ -107,6 +110,25 @@ def foreign(world, *commands, hang=False):
     )
 
 
+def foreign_when_served(world, *commands):
+    """Start such a program as soon as the port is there."""
+
+    def start():
+        opened = session.client(world.domain)
+        wait_for(
+            lambda: session.alive(opened, keys.network(world.domain, "chimera")), "port"
+        )
+        opened.close()
+        client = foreign(world, *commands)
+        client.communicate(timeout=30)
+        return client
+
+    pool = ThreadPoolExecutor(1)
+    future = pool.submit(start)
+    pool.shutdown(wait=False)
+    return future
+
+
 def test_foreign_program_assembles_steers_and_hands_back(arm, port, world):
     client = foreign(
         world,
@@ -128,6 +150,19 @@ def test_foreign_program_assembles_steers_and_hands_back(arm, port, world):
     assert answers[4]["error"]["code"] == "STATE"
     assert port.told_lines == ["onika has control", "onika has ended; control is back"]
     assert [member.name for member in arm.picture] == ["puma_pidg", "jttrace"]
+
+
+def test_interface_goes_on_when_the_program_ends(arm, world, capfd):
+    """A script hands control over, and has it back for the lines that follow."""
+    client = foreign_when_served(world, {"line": "spawn puma_pidg"}, {"line": "quit"})
+    script = Script(arm)
+    failed = script.run("s", ["network chimera", "spawn jttrace arm1", "on"])
+    assert not failed
+    assert client.result().returncode == 0
+    out, err = capfd.readouterr()
+    assert out.splitlines() == ["jttrace OFF", "jttrace ON"]
+    assert "port chimera waits for a client" in err
+    assert "onika has ended; control is back" in err
 
 
 def test_loss_of_the_program_hands_control_back(port, world):
