@@ -44,8 +44,10 @@ def nodes(monkeypatch, tmp_path):
     try:
         yield kit
     finally:
-        kit.close()
-    kit.check_folder()
+        try:
+            kit.close()
+        finally:
+            kit.check_folder()
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ masters: each claims one RTPU, opens the table and sends requests under its clai
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -288,14 +289,14 @@ class Nodes:
 
     def close(self):
         """End everything that was started, in order where that still works."""
-        self.forget_session()
-        for agent in self.agents.values():
-            agent.stop()
-        for process in self.processes.values():
-            if process.poll() is None:
-                process.send_signal(signal.SIGTERM)
-        for process in self.processes.values():
-            process.wait(30.0)
+        with contextlib.ExitStack() as everything:
+            for process in self.processes.values():
+                everything.callback(process.wait, 30.0)
+            for process in self.processes.values():
+                everything.callback(process.send_signal, signal.SIGTERM)
+            for agent in self.agents.values():
+                everything.callback(agent.stop)
+            everything.callback(self.forget_session)
 
     def check_folder(self):
         """Fail when processes or files are left."""
