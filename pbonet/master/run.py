@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pbonet.master.oneshot import Place
     from pbonet.master.recording import Recording
     from pbonet.master.rings import Hook, RingReader
+    from pbonet.master.sim import Simulation
     from pbonet.xm.messages import RtpuStatus
 
 _PERIOD: Final = 0.5
@@ -60,12 +61,24 @@ class Outcome(Struct, kw_only=True):
         return int(bool(self.faults) or any(task.error for task in self.tasks))
 
 
-class Interrupts:
-    """Turns SIGINT and SIGTERM into the wish to end; a second one stops at once."""
+_SLICE: Final = 0.05
+"""Seconds of virtual time between two looks at whether to end."""
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
-    def __init__(self) -> None:
+
+class Interrupts:
+    """Turns SIGINT and SIGTERM into the wish to end; a second one stops at once.
+
+    Args:
+        once: A second one acts as if nobody caught signals, which ends a module that
+            hangs in this very process.
+    """
+
+    def __init__(self, *, once: bool = False) -> None:
         self.wished = threading.Event()
         self.count = 0
+        self._once = once
+        self._before: list[Any] = []
         self.force: Callable[[], object] | None = None
         """Called in a thread of its own by the second interrupt."""
 
@@ -73,6 +86,8 @@ class Interrupts:
         """Take a signal."""
         self.count += 1
         self.wished.set()
+        if self._once:
+            self._give_back()
         if self.count == _FORCE and self.force is not None:
             threading.Thread(target=self.force, daemon=True).start()
 
@@ -82,13 +97,15 @@ class Interrupts:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        which = (signal.SIGINT, signal.SIGTERM)
-        before = [signal.signal(one, self.take) for one in which]
+        self._before = [signal.signal(one, self.take) for one in _SIGNALS]
         try:
             yield
         finally:
-            for one, handler in zip(which, before, strict=True):
-                signal.signal(one, handler)
+            self._give_back()
+
+    def _give_back(self) -> None:
+        for one, handler in zip(_SIGNALS, self._before, strict=True):
+            signal.signal(one, handler)
 
 
 class Run:
@@ -328,25 +345,40 @@ def simulate(
 
     wanted = _SIM_SECONDS if seconds is None else seconds
     simulation = Simulation(path, place.libraries)
+    interrupts = Interrupts(once=True)
     begin = time.monotonic()
-    simulation.start()
-    try:
-        simulation.advance(wanted)
-        statuses = simulation.status()
-    finally:
-        simulation.stop()
+    with interrupts.caught():
+        simulation.start()
+        names = ", ".join(simulation.states())
+        view.say(f"job {simulation.job.name} is ON in virtual time: {names}")
+        try:
+            passed = _advance(simulation, wanted, interrupts)
+            statuses = simulation.status()
+        finally:
+            simulation.stop()
     for event in simulation.events:
         view.say(event)
-    view.say(f"{wanted:g} s of virtual time took {time.monotonic() - begin:.2f} s")
-    about: dict[str, Any] = {"seconds": wanted, "events": simulation.events}
+    view.say(f"{passed:g} s of virtual time took {time.monotonic() - begin:.2f} s")
+    about: dict[str, Any] = {"seconds": passed, "events": simulation.events}
     simulation.recording.about |= about
     return Outcome(
         job=simulation.job.name,
-        seconds=wanted,
+        seconds=passed,
         tasks=summary.summarize(statuses),
-        reason=f"{wanted:g} s of virtual time are over",
+        reason="interrupted"
+        if interrupts.count
+        else f"{wanted:g} s of virtual time are over",
         recording=simulation.recording,
     )
+
+
+def _advance(simulation: Simulation, seconds: float, interrupts: Interrupts) -> float:
+    """Let virtual time pass until it is over or interrupted; return how much did."""
+    begin_ns = simulation.now_ns
+    end_ns = begin_ns + round(seconds * 1e9)
+    while simulation.now_ns < end_ns and not interrupts.wished.is_set():
+        simulation.advance(min(_SLICE, (end_ns - simulation.now_ns) * 1e-9))
+    return (simulation.now_ns - begin_ns) * 1e-9
 
 
 def run(

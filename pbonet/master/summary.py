@@ -23,7 +23,7 @@ HEAD = (
 
 
 class TaskSummary(Struct, frozen=True, kw_only=True):
-    """One task's figures since it was turned on; times in seconds."""
+    """One task's figures since it was turned on; times in seconds, None if unknown."""
 
     task: str
     rtpu: str
@@ -49,9 +49,13 @@ class TaskSummary(Struct, frozen=True, kw_only=True):
 def summarize(
     rtpus: Iterable[RtpuStatus], recording: Recording | None = None
 ) -> list[TaskSummary]:
-    """Return a summary of each task."""
+    """Return a summary of each task; what takes no virtual time is None."""
     delays = {} if recording is None else _delays(recording)
-    return [_task(task, delays) for rtpu in rtpus for task in rtpu.tasks]
+    return [
+        _task(task, delays, virtual=rtpu.backend == "inline")
+        for rtpu in rtpus
+        for task in rtpu.tasks
+    ]
 
 
 def _delays(recording: Recording) -> dict[str, Any]:
@@ -64,8 +68,12 @@ def _delays(recording: Recording) -> dict[str, Any]:
     return found
 
 
-def _task(status: TaskStatus, delays: Mapping[str, Any]) -> TaskSummary:
+def _task(
+    status: TaskStatus, delays: Mapping[str, Any], *, virtual: bool
+) -> TaskSummary:
     fields: dict[str, Any] = profile(status).fields
+    if virtual:
+        fields |= dict.fromkeys(("avgC", "maxC", "avgU", "xfer"))
     exact = status.task in delays
     quantiles: list[float | None] = [
         float(np.quantile(delays[status.task], share))
@@ -85,7 +93,7 @@ def _task(status: TaskStatus, delays: Mapping[str, Any]) -> TaskSummary:
         utilization=fields["avgU"],
         jitter_p50=quantiles[0],
         jitter_p99=quantiles[1],
-        jitter_max=status.jitter_max if status.cycle else None,
+        jitter_max=status.jitter_max if status.cycle and not virtual else None,
         jitter_exact=exact,
         transfer=fields["xfer"],
         warnings=status.warn,

@@ -213,6 +213,7 @@ def test_job_runs_in_virtual_time(call, tmp_path):
     assert kept.exists()
     status, out, _ = call(*words, "--json")
     outcome = json.loads(out)
+    assert outcome["tasks"][0]["cpu_avg"] is None, "not simulated"
     assert {task["task"]: task["cycles"] for task in outcome["tasks"]} == {
         "puma_pidg": 100,
         "grav_comp": 50,
