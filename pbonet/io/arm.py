@@ -189,6 +189,8 @@ def _with_signs(
     matrix: Floats, push: Floats, bounds: Bounds, signs: list[int]
 ) -> tuple[Floats, list[float]]:
     """Return velocity and friction if the joints slip, or stick, as `signs` say."""
+    if not any(signs):
+        return np.zeros_like(push), push.tolist()
     friction = [
         bound[sign > 0] if sign else 0.0
         for sign, bound in zip(signs, bounds, strict=True)
@@ -196,17 +198,15 @@ def _with_signs(
     load = push - np.array(friction)
     if all(signs):
         return _solve(matrix, load), friction
-    stuck = [i for i, sign in enumerate(signs) if not sign]
-    reduced = matrix.copy()
-    reduced[stuck, :] = 0.0
-    reduced[:, stuck] = 0.0
-    reduced[stuck, stuck] = 1.0
-    load[stuck] = 0.0
-    velocity = _solve(reduced, load)
-    needed = (push - matrix @ velocity).tolist()
-    for i in stuck:
-        friction[i] = needed[i]
-    return velocity, friction
+    free = np.array(signs, dtype=np.float64) ** 2  # 1 for who slips, 0 for who sticks
+    reduced = matrix * free * free[:, None]
+    reduced.ravel()[:: len(free) + 1] += 1.0 - free
+    velocity = _solve(reduced, load * free)
+    needed: list[float] = (push - matrix @ velocity).tolist()
+    return velocity, [
+        slip if sign else stick
+        for sign, slip, stick in zip(signs, friction, needed, strict=True)
+    ]
 
 
 def _solve(matrix: Floats, load: Floats) -> Floats:
