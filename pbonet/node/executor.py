@@ -279,7 +279,6 @@ class Executor:
 
     def _enter(self, found: Rule) -> None:
         task = self.task
-        task.state = self.state
         task.nextstate = found.to
         task.on_fail = self._on_fail if found.failure is Failure.ERROR else None
 
@@ -341,7 +340,6 @@ class Executor:
         if answer is None:
             answer = self._ask(error, failure)
         if answer is Answer.CONTINUE:
-            self.task.nextstate = found.to
             try:
                 self._steps(found, found.resume)
             except StepFailed as failed:

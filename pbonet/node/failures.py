@@ -89,8 +89,6 @@ def answered(found: Rule, step: Step, answer: object) -> State | None:
     Raises:
         MethodError: A method gave an answer that the rule does not have.
     """
-    if not step.is_method:
-        return None
     if (answer is None or is_answer(answer)) and answer in found.answers:
         return found.answers[answer]
     raise bad_answer(step, answer, found)

@@ -72,14 +72,15 @@ def test_the_state_while_a_method_runs():
 
 
 def test_counts_begin_anew_when_the_task_is_turned_on():
-    bench = make(cycle=lambda self: self.task.warn("hot"))
+    bench = make(cycle=lambda self: self.task.warn("hot", 5))
     bench.on()
     bench.step(n=3)
     assert (bench.task.cyclecount, bench.task.nwarnings) == (3, 3)
     bench.off()
-    assert bench.task.nwarnings == 3
+    assert (bench.task.nwarnings, bench.task.errmsg, bench.task.errnum) == (3, "hot", 5)
     bench.on()
     assert (bench.task.cyclecount, bench.task.nwarnings) == (0, 0)
+    assert (bench.task.errmsg, bench.task.errnum) == ("", 0)
 
 
 def test_a_parameter_is_set_between_two_cycles():
@@ -176,6 +177,15 @@ def test_a_critical_task_needs_stable():
         "Bare: a CRITICAL task needs a module with stable(); write `def stable(self, "
         "dt: float) -> None`, or take CRITICAL out of the .rmod file"
     )
+
+
+def test_the_time_of_a_cycle_is_its_release():
+    bench = make(cycle=lambda self: seen.append(self.task.now))
+    seen = []
+    bench.on()
+    bench.executor.cycle(0.1, now=3)
+    assert seen == [3]
+    assert bench.task.now == bench.clock.now_ns, "between cycles it is the clock's"
 
 
 def test_a_cycle_outside_on_is_refused():

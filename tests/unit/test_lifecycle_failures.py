@@ -52,6 +52,7 @@ def test_a_failure_with_parts_keeps_them():
     assert str(caught.value) == (
         "scale.on: no ball (expected /dev/ball, got nothing); plug"
     )
+    assert "in no_device" in caught.value.debug
 
 
 def test_fail_carries_text_and_number():
@@ -96,11 +97,30 @@ def test_an_error_in_error_is_told_too():
     )
 
 
-def test_a_failure_is_not_hidden_by_one_in_error():
-    bench = make(cycle=boom, error=boom)
+def slip(self):
+    self.task.fail("slip")
+
+
+@pytest.mark.parametrize("cycle", [boom, slip])
+@pytest.mark.parametrize("error", [boom, slip])
+def test_a_failure_is_not_hidden_by_one_in_error(cycle, error):
+    bench = make(cycle=cycle, error=error)
     bench.on()
     with pytest.raises(MethodError, match=r"^scale\.cycle: .* then scale\.error: "):
         bench.step()
+    assert bench.log.count("error") == 1
+
+
+def test_error_is_asked_about_each_failure():
+    def twice(self):
+        slip(self)
+        slip(self)
+
+    bench = make(cycle=twice, error=lambda _: Answer.CONTINUE)
+    bench.on()
+    assert bench.step() is State.ON
+    assert bench.log.count("error") == 2
+    assert bench.log[-1] == "out-vars out"
 
 
 def test_a_failure_of_stable_says_so():
@@ -124,6 +144,9 @@ def test_answers_that_cannot_be_given_are_errors():
     )
     with pytest.raises(MethodError, match=r"expected None or Answer.OFF, got True"):
         make(on=lambda _: True).on()
+    for other in ("OFF", [], {}):
+        with pytest.raises(MethodError, match=r"on gave an answer that it cannot give"):
+            make(on=lambda _, other=other: other).on()
     bench = make(cycle=boom, error=lambda _: "OFF!")
     bench.on()
     bench.step(check=False)
@@ -160,6 +183,13 @@ def test_refused_flags_in_words():
     assert str(refused(32 | 2, ("Y", 0))).startswith(
         "an output is outside its limits: element 1 of Y; "
     )
+
+
+def test_a_task_that_owns_nothing_gives_nothing_up():
+    bench = make(on=boom, error=lambda _: Answer.OFF)
+    with pytest.raises(MethodError):
+        bench.on()
+    assert bench.log[-2:] == ["on", "error"]
 
 
 def test_what_a_native_loop_raises_is_handed_in():
@@ -221,6 +251,24 @@ def test_no_answer_saves_a_task_from_kill(answer):
     assert seen == [([7.0, 7.0], State.NOT_CREATED)]
     assert bench.outputs.y.tolist() == [0.0, 0.0], "what off left is discarded"
     assert Signal.ERROR not in Signal(bench.task.signals), "it never was in ERROR"
+
+
+@pytest.mark.parametrize("off", [None, boom])
+def test_error_is_not_asked_about_kill(off):
+    bench = make(off=off, kill=lambda self: self.task.fail("no"))
+    bench.on()
+    bench.forget()
+    with pytest.raises(MethodError, match=r"scale\.kill: no"):
+        bench.kill()
+    assert bench.state is State.NOT_CREATED
+    assert bench.log.count("error") == (1 if off else 0)
+
+
+def test_kill_knows_that_init_has_failed():
+    seen = []
+    with pytest.raises(MethodError):
+        make(init=boom, kill=lambda self: seen.append(self.task.nextstate))
+    assert seen == [State.NOT_CREATED]
 
 
 def test_a_kill_whose_methods_all_fail_tells_all():

@@ -1,5 +1,6 @@
 """What `pbonet new module` writes, and that it passes what this project passes."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -113,6 +114,16 @@ def test_it_passes_mypy_strict(folder):
     config = ("--config-file", ROOT / "pyproject.toml", "--strict")
     cache = ("--cache-dir", ROOT / ".mypy_cache")
     assert not run(folder, "mypy", *config, *cache, *files, MYPYPATH=str(ROOT))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_it_passes_pyright_strict(folder):
+    settings = {"include": ["."], "extraPaths": [str(ROOT)]}
+    settings |= {"typeCheckingMode": "strict", "pythonVersion": "3.11"}
+    config = folder / "pyrightconfig.json"
+    config.write_text(json.dumps(settings))
+    assert not run(folder, "pyright", "--pythonpath", sys.executable, "-p", config)
 
 
 @pytest.mark.slow
