@@ -145,9 +145,9 @@ class PortBasedObject(Generic[P]):
     def kill(self) -> None:
         """Give back what `init` took: called last in the life of a task.
 
-        Called on the signal kill (behind `off` when the task was ON), and after an
-        `init` that failed anywhere, so it first looks whether a resource is there.
-        Nothing is copied before or after.
+        Called on the signal kill (behind `off` when the task was ON, however that
+        went), and after an `init` that failed anywhere, so it first looks whether a
+        resource is there. Nothing is copied before or after.
         """
 
     def error(self, error: Exception) -> Answer:  # noqa: ARG002 - for modules
@@ -166,6 +166,7 @@ class PortBasedObject(Generic[P]):
             an exception, with what follows the method; the outputs of a cycle that
             raised are discarded.
             `Answer.ERROR` (the default): the task waits in ERROR for an operator.
+            On the way of the signal kill, `kill` follows whatever is answered.
         """
         return Answer.ERROR
 

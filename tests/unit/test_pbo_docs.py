@@ -1,5 +1,6 @@
 """What docs/modules.md shows is run as it stands there."""
 
+import os
 import re
 import subprocess
 import sys
@@ -60,6 +61,46 @@ def test_the_rmod_of_the_page_configures_the_module_of_the_page(folder):
     params = decode_params(loaded.cls, rmod.local)
     assert (params.kp, params.kd, params.limit) == (40.0, 4.0, 20.0)
     assert set(rmod.invar) == {p.name for p in loaded.info.ports if p.kind == "in-var"}
+
+
+SVAR = """
+NAME NDOF
+TYPE int
+DESC degrees of freedom
+UNITS none
+NELEM 1
+INIT 6
+"""
+VECTOR = """
+NAME {}
+TYPE double
+DESC one value a joint
+UNITS {}
+NELEM 6
+"""
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_write_modules(tmp_path):
+    vectors = {"Q_REF": "rad", "Q_MEZ": "rad", "T_REF": "N*m"}
+    text = SVAR + "".join(VECTOR.format(*item) for item in vectors.items())
+    (tmp_path / "arm.svar").write_text(text + "EOF\n")
+    (shown,) = re.findall(r"<!-- commands -->\n```\n(.*?)```", PAGE, re.DOTALL)
+    (said,) = re.findall(r"`(pbonet describe .*?)`", PAGE)
+    for command in [*shown.splitlines(), said]:
+        done = subprocess.run(
+            [sys.executable, "-m", "pbonet.cli", *command.split()[1:]],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+    assert (
+        "in-var    Q_REF  q_ref  float64[ndof]  rad   one value a joint" in done.stdout
+    )
+    assert Library([tmp_path]).load("hold_on").info.ports[0].shape == (6,)
 
 
 def test_the_fault_is_told_as_shown():
