@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks import rtbench
 from pbonet.master.embedded import Embedded
-from pbonet.master.subsystem import Subsystem
+from pbonet.master import Subsystem
 from pbonet.node._ring import Record, Ring
 
 RATE = 1000.0

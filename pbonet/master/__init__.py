@@ -1,1 +1,25 @@
-"""master."""
+"""The master: it assembles, steers and watches a subsystem (Stewart 1994, chapter 4).
+
+`Subsystem` is the autonomous interface of section 4.4.4. The prompt, the verbs, scripts
+and the network interface are made of one command table and act on it. This package
+loads zenoh when `Subsystem` is first asked for, so that tools which only judge files
+start quickly.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pbonet.master.subsystem import Subsystem
+
+__all__ = ["Subsystem"]
+
+
+def __getattr__(name: str) -> object:
+    """Load `Subsystem` when it is asked for."""
+    if name != "Subsystem":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from pbonet.master.subsystem import Subsystem
+
+    return Subsystem

@@ -1,1 +1,5 @@
-"""sched."""
+"""The mathematics of scheduling: no clock, no process (Stewart 1994, chapter 6).
+
+Urgency and ranks, criticalities for MUF, EDF and RM, the twin of the native dispatcher,
+analysis of task sets and servers, and a simulator in virtual time.
+"""
