@@ -41,13 +41,13 @@ def task(
     name: str,
     *,
     alias: Mapping[str, str] | None = None,
-    info: ModuleInfo | None | bool = True,
+    info: ModuleInfo | bool | None = True,
     rtpu: str = "arm0",
     freq: float | None = 100.0,
     tasktype: TaskType = TaskType.PERIODIC,
     **rest,
 ) -> verify.Task:
-    """Return a task; `invar` and so on are texts, and its class has just these ports."""
+    """Return a task; `invar` and so on are texts; its class has just these ports."""
     lists = {key: tuple(str(rest.pop(key, "")).split()) for key in LISTS}
     if info is True:
         info = module(*(port(key, p) for key, ports in lists.items() for p in ports))
