@@ -16,9 +16,9 @@ from pbonet.config import read_any
 from pbonet.config.library import Library
 from pbonet.config.model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
 from pbonet.errors import PbonetError
-from pbonet.master.crew import UTILIZATION
 from pbonet.master.files import Files
 from pbonet.pbo import decode_params
+from pbonet.sched.criticality import PLANNED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -129,7 +129,7 @@ def _check_job(found: Findings, files: Files) -> None:
         svar=files.table,
         rtpus=files.sbs.rtpus,
         producers=files.producers(),
-        limit=UTILIZATION,
+        limit=PLANNED,
     )
     if len(tasks) == len(job.tasks):  # else one fault would be told as many
         _take(found, verify.judge(empty, verify.job(tasks)).problems)

@@ -17,6 +17,7 @@ from pbonet.master import modules
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
 from pbonet.pbo import State
+from pbonet.sched.criticality import PLANNED
 from pbonet.xm import messages as m
 from pbonet.xm import rpc
 
@@ -39,8 +40,6 @@ SIGNALS = {
 }
 """What may be sent to a task, and the state that it leads to; None: as before."""
 
-UTILIZATION = 0.95
-"""Share of a core that may be planned; above it the kernel throttles all (6.2.3)."""
 UNFED = "equation 2: an input of a task that is ON has no writer"
 """The cause under which a master raises the illegal-configuration flag (3.10)."""
 
@@ -243,7 +242,7 @@ class Crew:
             on=frozenset(member.name for member in self.picture if member.is_on),
             rtpus=self.files.sbs.rtpus,
             producers=self.files.producers() if producers else {},
-            limit=UTILIZATION,
+            limit=PLANNED,
         )
 
     def with_infos(self, members: Iterable[Member]) -> None:

@@ -25,9 +25,9 @@ from pbonet.master.picture import Member
 from pbonet.master.recording import STABLE, Recording, TaskRecord
 from pbonet.master.simtable import MemoryCopies, MemoryTable
 from pbonet.node.executor import Executor
-from pbonet.node.ranking import Wish, rank
 from pbonet.node.taskports import check_ports
 from pbonet.pbo import BoundedOutbox, Counted, State, TaskContext, bind, decode_params
+from pbonet.sched.criticality import PLANNED
 from pbonet.sched.dispatch import Dispatcher, Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
 from pbonet.xm import messages as m
@@ -329,22 +329,11 @@ class Simulation:
     def _rank(self, priorities: dict[str, int]) -> None:
         for entry in self._files.sbs.rtpus:
             turns = self._turns[entry.name]
-            wishes = [
-                Wish(
-                    name=task.name,
-                    freq=task.member.freq,
-                    maxc=task.member.rmod.maxc,
-                    rmod_crit=task.member.rmod.crit,
-                    priority=priorities[task.name],
-                )
-                for task in turns.tasks
-            ]
-            ranks = rank(
-                entry.scheduler, wishes, minfreq=entry.minfreq, maxfreq=entry.maxfreq
-            )
+            tasks = [task.member.task for task in turns.tasks]
+            assigned = verify.criticalities(tasks, entry, limit=PLANNED)
             for task in turns.tasks:
-                given = ranks[task.name]
-                task.crit, task.priority = given.crit, given.priority
+                task.crit = assigned[task.name].crit
+                task.priority = priorities[task.name]
                 turns.configure(task)
 
     # -- running ----------------------------------------------------------------------

@@ -72,6 +72,8 @@ async def control(
     if event is lifecycle.Event.KILL:
         return await kill(rtpu, task, limit, arg=arg)
     lifecycle.rule(task.state, event, where=task.name)
+    if event is lifecycle.Event.ON:
+        rtpu.rank(joining=task)
     try:
         await task.command(
             signal,

@@ -1,34 +1,34 @@
 """Which criticality and priority each task of an RTPU has (Stewart 1994, 6.2.3, 4.5.1).
 
-The scheduler's rule fills in what neither the RMOD nor the master says; all tasks of
-the RTPU count, of whichever subsystem, because they share its core.
+The rule is the one by which a configuration is verified, `pbonet.verify.criticalities`;
+here it is applied to what runs. All tasks of the RTPU count, of whichever subsystem,
+because they share its core, and so no master could do it.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from pbonet.sched.criticality import Assigned, Timing, edf, muf, rate_monotonic
+from pbonet.sched.criticality import PLANNED
+from pbonet.verify import Task, criticalities
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-LIMIT = 0.95
-"""Share of the core that the critical set may use: above it the kernel throttles."""
-SLOWEST = 1e6
-"""Seconds; stands for the period of a task that has none."""
+    from pbonet.config.model import Rmod, RtpuEntry
 
 
 class Wish(Struct, kw_only=True):
     """What is known of one task before it is ranked."""
 
     name: str
+    rmod: Rmod
     freq: float
     """Hz; 0 where the task is not periodic."""
-    maxc: float | None = None
-    rmod_crit: int | None = None
+    on: bool = True
+    """Whether it is ON, or about to be."""
     told: tuple[int | None, int] | None = None
     """Criticality (None: the rule's) and priority that the master gave."""
     spawn_crit: int | None = None
@@ -43,47 +43,37 @@ class Ranked(Struct, frozen=True):
     assumed: bool
 
 
-def rank(
-    scheduler: str, wishes: Iterable[Wish], *, minfreq: float, maxfreq: float
-) -> dict[str, Ranked]:
+def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
     """Return what every task is ranked by.
 
+    The tasks that are ON share the core among themselves. One that is OFF takes nothing
+    from them, and is ranked as if all were ON.
+
     Args:
-        scheduler: ``MUF``, ``EDF`` or ``RM``.
+        rtpu: Says which scheduler it has, and its range of frequencies.
         wishes: Every task of the RTPU.
-        minfreq: Hz; lowest rate that RM tells apart.
-        maxfreq: Hz; highest rate that RM tells apart.
     """
     wishes = list(wishes)
-    timings = [
-        Timing(
-            name=wish.name,
-            period=1.0 / wish.freq if wish.freq > 0 else SLOWEST,
-            maxc=wish.maxc,
-            crit=_fixed(wish),
+    everything = [(wish.on, _task(wish, rtpu.name)) for wish in wishes]
+    running = [task for on, task in everything if on]
+    assigned = criticalities([task for _, task in everything], rtpu, limit=PLANNED)
+    if len(running) < len(everything):
+        assigned |= criticalities(running, rtpu, limit=PLANNED)
+    return {
+        wish.name: Ranked(
+            crit=assigned[wish.name].crit,
+            priority=wish.priority if wish.told is None else wish.told[1],
+            assumed=assigned[wish.name].assumed,
         )
         for wish in wishes
-    ]
-    assigned = _rule(scheduler, timings, minfreq, maxfreq)
-    return {wish.name: _ranked(wish, assigned[wish.name]) for wish in wishes}
+    }
 
 
-def _rule(
-    scheduler: str, timings: list[Timing], minfreq: float, maxfreq: float
-) -> dict[str, Assigned]:
-    if scheduler == "EDF":
-        return edf(timings)
-    if scheduler == "RM":
-        return rate_monotonic(timings, minfreq, maxfreq)
-    return muf(timings, LIMIT)
+def _task(wish: Wish, rtpu: str) -> Task:
+    """Return a task as the rule takes it, with the criticality that somebody fixed.
 
-
-def _fixed(wish: Wish) -> int | None:
-    """Return the criticality that somebody fixed: the master before the RMOD."""
+    The master's word goes before the RMOD's.
+    """
     told = wish.told[0] if wish.told is not None else wish.spawn_crit
-    return wish.rmod_crit if told is None else told
-
-
-def _ranked(wish: Wish, assigned: Assigned) -> Ranked:
-    priority = wish.priority if wish.told is None else wish.told[1]
-    return Ranked(assigned.crit, priority, assigned.assumed)
+    rmod = wish.rmod if told is None else structs.replace(wish.rmod, crit=told)
+    return Task(rmod=rmod, rtpu=rtpu, freq=wish.freq or None, task=wish.name)

@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 import pbonet
-from pbonet.config.model import TaskType
+from pbonet.config.model import RtpuEntry, Scheduler, TaskType
 from pbonet.errors import (
     NodeError,
     PbonetError,
@@ -190,30 +190,43 @@ class Rtpu:
             remedy="spawn it again" if tomb else did_you_mean(name, known),
         )
 
-    def rank(self) -> None:
-        """Rank all tasks anew and tell the dispatcher."""
+    def rank(self, joining: Task | None = None) -> None:
+        """Rank all tasks anew and tell the dispatcher what has changed.
+
+        Args:
+            joining: A task that is about to be turned on; it counts already.
+        """
+        wishes = [
+            self._wish(key, task, on=task is joining or task.state is State.ON)
+            for key, task in self.tasks.items()
+        ]
+        ranked = ranking.rank(self._entry(), wishes)
+        before, self.ranks = self.ranks, {k: ranked["/".join(k)] for k in self.tasks}
+        for key, rank in self.ranks.items():
+            if before.get(key) != rank:
+                slot = self.tasks[key].facts.slot
+                self.core.configure(slot, crit=rank.crit, priority=rank.priority)
+
+    def _entry(self) -> RtpuEntry:
+        """Return what those who use the RTPU say of it, taken together."""
         entries = [self.claims.get(subsystem) for subsystem in self.busy()]
         known = [entry for entry in entries if entry is not None]
-        scheduler = known[0].scheduler if known else "MUF"
-        wishes = [self._wish(key, task) for key, task in self.tasks.items()]
-        ranked = ranking.rank(
-            scheduler,
-            wishes,
-            minfreq=min((entry.minfreq for entry in known), default=1.0),
-            maxfreq=max((entry.maxfreq for entry in known), default=1000.0),
+        if not known:
+            return RtpuEntry(name=self.name)
+        return RtpuEntry(
+            name=self.name,
+            scheduler=Scheduler(known[0].scheduler),
+            minfreq=min(entry.minfreq for entry in known),
+            maxfreq=max(entry.maxfreq for entry in known),
         )
-        self.ranks = {key: ranked["/".join(key)] for key in self.tasks}
-        for key, task in self.tasks.items():
-            rank = self.ranks[key]
-            self.core.configure(task.facts.slot, crit=rank.crit, priority=rank.priority)
 
-    def _wish(self, key: Key, task: Task) -> ranking.Wish:
+    def _wish(self, key: Key, task: Task, *, on: bool) -> ranking.Wish:
         crit, priority = self.spawned.get(key, (None, 0))
         return ranking.Wish(
             name="/".join(key),
+            rmod=task.facts.rmod,
             freq=task.freq,
-            maxc=task.facts.rmod.maxc,
-            rmod_crit=task.facts.rmod.crit,
+            on=on,
             told=self.told.get(key),
             spawn_crit=crit,
             priority=priority,
@@ -253,7 +266,8 @@ class Rtpu:
         )
 
     def settle(self, task: Task) -> None:
-        """Bring error text and illegal-configuration flag in line with the state."""
+        """Bring ranks, error text and the flag in line with a task's state."""
+        self.rank()
         if task.state is State.ERROR:
             self._raise_flag(task, "is in ERROR")
             return

@@ -1,6 +1,6 @@
 """Makes the status of tasks and of the RTPU from shared memory; touches no task.
 
-Stewart 1994, section 4.4.1, lists the fields; `docs/status.md` says what each means.
+Stewart 1994, section 4.4.1, lists the fields; `docs/commands.md` says what each means.
 """
 
 from __future__ import annotations

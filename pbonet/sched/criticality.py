@@ -28,6 +28,10 @@ RM_LEVELS = 62
 """Criticalities 1 to 62; 0 and 63 are reserved (section 4.5.1)."""
 
 
+PLANNED = 0.95
+"""Share of a core that may be planned; above it the kernel throttles all of it."""
+
+
 class Timing(Struct, frozen=True, kw_only=True):
     """What the rules need to know of a task."""
 

@@ -1,14 +1,40 @@
-"""Which criticality a task gets: the rule fills in what nobody says."""
+"""Which criticality a task gets: the rule of verification fills in what nobody says."""
 
+import pytest
+
+from pbonet.config import parse_rmod
+from pbonet.config.model import RtpuEntry, Scheduler
 from pbonet.node.ranking import Ranked, Wish, rank
 
+RMOD = """
+MODULE counts
+DESC none
+INCONST none
+OUTCONST none
+INVAR none
+OUTVAR none
+TASKTYPE periodic
+{lines}
+EOF
+"""
 
-def ranked(*wishes, scheduler="MUF", minfreq=1.0, maxfreq=1000.0):
-    return rank(scheduler, wishes, minfreq=minfreq, maxfreq=maxfreq)
+
+def wish(name, freq, *, lines=(), **more):
+    """Return a task; `freq` in Hz, `lines` go into its RMOD."""
+    text = RMOD.format(lines="\n".join([f"FREQ {freq:g}", *lines]))
+    return Wish(name=name, rmod=parse_rmod(text, f"{name}.rmod"), freq=freq, **more)
+
+
+def ranked(*wishes, **entry):
+    return rank(RtpuEntry(name="arm0", **entry), wishes)
+
+
+def crits(*wishes, **entry):
+    return {name: one.crit for name, one in ranked(*wishes, **entry).items()}
 
 
 def test_muf_assumes_what_it_does_not_know():
-    found = ranked(Wish(name="a", freq=100.0, maxc=0.001), Wish(name="b", freq=50.0))
+    found = ranked(wish("a", 100.0, lines=["MAXC 0.001"]), wish("b", 50.0))
     assert found == {
         "a": Ranked(5, 0, assumed=False),
         "b": Ranked(5, 0, assumed=True),
@@ -16,40 +42,59 @@ def test_muf_assumes_what_it_does_not_know():
 
 
 def test_muf_leaves_out_what_does_not_fit():
-    found = ranked(
-        Wish(name="a", freq=100.0, maxc=0.006), Wish(name="b", freq=50.0, maxc=0.01)
-    )
-    assert [found[name].crit for name in "ab"] == [5, 3]
+    a, b = wish("a", 100.0, lines=["MAXC 0.006"]), wish("b", 50.0, lines=["MAXC 0.01"])
+    assert crits(a, b) == {"a": 5, "b": 3}
+
+
+def test_what_is_off_takes_nothing_from_what_is_on():
+    """`a` would fill the core; while it is OFF, `b` and `c` are the critical set."""
+    a = wish("a", 100.0, lines=["MAXC 0.009"], on=False)
+    b, c = (wish(name, 50.0, lines=["MAXC 0.008"]) for name in "bc")
+    assert crits(a, b, c) == {"a": 5, "b": 5, "c": 5}
+    a.on = True
+    assert crits(a, b, c) == {"a": 5, "b": 3, "c": 3}
+    c.on = False
+    assert crits(a, b, c)["c"] == 3  # as if all were ON
+
+
+@pytest.mark.parametrize(("maxc", "crit"), [("0.0094", 5), ("0.0096", 3)])
+def test_the_core_is_planned_up_to_its_limit(maxc, crit):
+    assert crits(wish("a", 100.0, lines=[f"MAXC {maxc}"])) == {"a": crit}
 
 
 def test_rm_goes_by_rate():
-    found = ranked(
-        Wish(name="slow", freq=1.0), Wish(name="fast", freq=1000.0), scheduler="RM"
+    found = crits(wish("a", 1.0), wish("b", 1000.0), scheduler=Scheduler.RM)
+    assert found == {"a": 1, "b": 62}
+
+
+def test_rm_tells_rates_apart_within_its_range_alone():
+    found = crits(
+        *(
+            wish(name, freq)
+            for name, freq in zip("abcd", (5, 10, 100, 500), strict=True)
+        ),
+        scheduler=Scheduler.RM,
+        minfreq=10.0,
+        maxfreq=100.0,
     )
-    assert (found["slow"].crit, found["fast"].crit) == (1, 62)
+    assert found == {"a": 1, "b": 1, "c": 62, "d": 62}
 
 
 def test_edf_gives_all_the_same():
-    found = ranked(
-        Wish(name="a", freq=1.0), Wish(name="b", freq=500.0), scheduler="EDF"
-    )
-    assert found["a"].crit == found["b"].crit
+    found = crits(wish("a", 1.0), wish("b", 500.0), scheduler=Scheduler.EDF)
+    assert found["a"] == found["b"]
 
 
 def test_who_is_asked_first():
     """The master's last word, then the spawn, then the RMOD, then the rule."""
-    wish = Wish(name="a", freq=10.0, maxc=0.001, rmod_crit=20, priority=7)
-    assert ranked(wish)["a"] == Ranked(20, 7, assumed=False)
-    wish.spawn_crit = 30
-    assert ranked(wish)["a"].crit == 30
-    wish.told = (40, 8)
-    assert ranked(wish)["a"] == Ranked(40, 8, assumed=False)
-    wish.told = (None, 9)
-    assert ranked(wish)["a"] == Ranked(20, 9, assumed=False)
-
-
-def test_a_task_without_a_frequency():
-    assert ranked(Wish(name="a", freq=0.0))["a"].crit == 5
+    one = wish("a", 10.0, lines=["MAXC 0.001", "CRIT 20"], priority=7)
+    assert ranked(one)["a"] == Ranked(20, 7, assumed=False)
+    one.spawn_crit = 30
+    assert ranked(one)["a"].crit == 30
+    one.told = (40, 8)
+    assert ranked(one)["a"] == Ranked(40, 8, assumed=False)
+    one.told = (None, 9)
+    assert ranked(one)["a"] == Ranked(20, 9, assumed=False)
 
 
 def test_nobody():
