@@ -12,10 +12,10 @@ Sources, by what is taken from them:
     reported for the PUMA 560 robot", IEEE Conf. Robotics and Automation, San Diego,
     1994, pp. 1608-1613: the same quantities in the frames of Paul's table (which are
     used here), motor inertias, gear ratios, viscous and Coulomb friction.
-[WC]
-    L. Wang, C. Chen, "A combined optimization method for solving the inverse kinematics
-    problem of mechanical manipulators", IEEE Trans. Robotics and Automation 7(4), 1991:
-    the joint limits.
+[FGL]
+    K. S. Fu, R. C. Gonzalez, C. S. G. Lee, "Robotics: Control, Sensing, Vision, and
+    Intelligence", McGraw-Hill, 1987, section 2.2: the joint limits. Lee's link twists
+    are the negative of Paul's, so that joints 2 and 3 count the other way there.
 
 Notes. Link 1 turns about its own axis only, so that its mass was never measured and is
 zero here; it has no influence. Frame 0 stands at the shoulder. The inertia that [AKB]
@@ -137,6 +137,6 @@ PUMA560 = ArmData(
     motor_coulomb_up=_array(0.395, 0.126, 0.132, 11.2e-3, 9.26e-3, 3.96e-3),
     motor_coulomb_down=_array(0.435, 0.071, 0.105, 16.9e-3, 14.5e-3, 10.5e-3),
     torque=_array(97.6, 186.4, 89.4, 24.2, 20.1, 21.3),  # [AKB]
-    lower=_degrees(-160, -45, -225, -110, -100, -266),  # [WC]
+    lower=_degrees(-160, -45, -225, -110, -100, -266),  # [FGL]
     upper=_degrees(160, 225, 45, 170, 100, 266),
 )

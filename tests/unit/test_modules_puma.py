@@ -11,8 +11,8 @@ from test_puma_dynamics import newton_euler
 
 import pbonet.modules
 from pbonet import Params, State
+from pbonet.config import read_rmod, read_svar
 from pbonet.config.library import Library
-from pbonet.config.rmod import read_rmod
 from pbonet.errors import MethodError
 from pbonet.io.puma560 import PUMA560
 from pbonet.modules.grav_comp import GravComp
@@ -103,6 +103,25 @@ def test_another_arm_only_needs_other_constants() -> None:
     bench.reinit(dh=longer)
     bench.step()
     assert bench.outputs.t_grav[1] == pytest.approx(9.81 * 0.55 * np.cos(0.4))
+
+
+def test_ranges_in_the_example_s_table_are_the_arm_s() -> None:
+    file = LIBRARY.parents[1] / "examples" / "puma" / "puma.svar"
+    table = {variable.name: variable for variable in read_svar(file).variables}
+    for name, low, high in (
+        ("Q_REF", PUMA560.lower, PUMA560.upper),
+        ("Q_MEZ", PUMA560.lower, PUMA560.upper),
+        ("T_GRAV", -PUMA560.torque, PUMA560.torque),
+    ):
+        assert table[name].min == pytest.approx(tuple(low), abs=1e-6)
+        assert table[name].max == pytest.approx(tuple(high), abs=1e-6)
+    speed = configured("puma_pidg").speed  # type: ignore[attr-defined]
+    assert table["Q^_REF"].max == speed
+    steering = configured("jttrace")
+    assert all(steering.lower > PUMA560.lower)  # type: ignore[attr-defined]
+    assert all(steering.upper < PUMA560.upper)  # type: ignore[attr-defined]
+    assert configured("jtball").lower == steering.lower  # type: ignore[attr-defined]
+    assert configured("jtball").upper == steering.upper  # type: ignore[attr-defined]
 
 
 # -------------------------------------------------------------------------- puma_pidg
