@@ -157,8 +157,8 @@ def main(argv: list[str] | None = None) -> None:
         run(told.seconds, file, sim=told.sim)
     recording = Recording.load(file)
     plot(recording, told.plot)
-    tasks = task_table(recording) if told.old else []  # a run has just said it
-    lines = ["", *tasks, "", *joint_table(recording), ""]
+    tasks = [*task_table(recording), ""] if told.old else []  # a run has said it
+    lines = ["", *tasks, *joint_table(recording), ""]
     lines += [f"every cycle: {file}", f"plot:        {told.plot}", ""]
     sys.stdout.write("\n".join(lines))
 
