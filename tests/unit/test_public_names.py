@@ -25,8 +25,6 @@ def test_no_network_is_loaded_before_it_is_asked_for(name: str) -> None:
 
 def test_a_name_that_the_master_does_not_have_is_an_attribute_error() -> None:
     master = importlib.import_module("pbonet.master")
-    with pytest.raises(
-        AttributeError, match=r"'pbonet\.master' has no attribute 'Boss'"
-    ):
+    with pytest.raises(AttributeError, match="no attribute 'Boss'"):
         _ = master.Boss
     assert master.Subsystem.__module__ == "pbonet.master.subsystem"
