@@ -122,6 +122,16 @@ def test_sys_exit_while_loading_ends_nothing(folder):
     assert not [name for name in sys.modules if name.endswith(".wrong")]
 
 
+def test_what_does_not_load_leaves_what_did(folder):
+    shelf = Library([folder])
+    cls = shelf.load("ramp").cls
+    for wrong in ("1/0", "class Ramp:", GOOD.replace('"none"', '""')):
+        (folder / "ramp.py").write_text(wrong)
+        with pytest.raises((ModuleLoadError, DeclarationError)):
+            shelf.load("ramp")
+        assert sys.modules[cls.__module__].Ramp is cls
+
+
 def test_null_bytes_are_told(folder):
     (folder / "wrong.py").write_bytes(b"x = 1\0")
     with pytest.raises(ModuleLoadError, match=r"source code .* null bytes"):

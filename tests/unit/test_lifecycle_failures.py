@@ -178,6 +178,17 @@ def test_a_non_finite_output_is_an_error_that_names_it():
     assert bench.outputs.y.tolist() == [0.0, 0.0]
 
 
+def test_outputs_that_are_refused_behind_on_are_not_owned():
+    def poison(self):
+        self.y[1] = np.nan
+
+    bench = make(on=poison, error=lambda _: Answer.OFF)
+    with pytest.raises(MethodError, match="not a finite number: element 2 of Y"):
+        bench.on()
+    assert bench.state is State.OFF
+    assert not bench.table.owned
+
+
 def test_refused_flags_in_words():
     assert str(refused(8, ("", 0))).startswith("no whole set of inputs was had; ")
     assert str(refused(32 | 2, ("Y", 0))).startswith(

@@ -326,6 +326,17 @@ def test_a_port_is_declared_once():
     )
 
 
+def test_a_port_is_of_one_kind():
+    with pytest.raises(DeclarationError) as caught:
+
+        class Wrong(Idle, PortBasedObject):
+            q: A[Vector, InVar(*Q), OutVar(*Q)]
+
+    assert caught.value.got == (
+        "InVar('Q', 'n', 'rad', 'position'), OutVar('Q', 'n', 'rad', 'position')"
+    )
+
+
 def test_an_inherited_port_is_not_declared_again():
     class Joints(Idle, PortBasedObject):
         q: A[Vector, InVar("Q", "n", "rad", "position")]
