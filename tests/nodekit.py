@@ -274,6 +274,15 @@ class Nodes:
         """Return what an RTPU process has written down about itself."""
         return leftovers.read(rundir.Places(self.domain, name).state)
 
+    def wait_restarted(self, name, old):
+        """Wait until the agent has another RTPU process than `old`; return its info."""
+
+        def there():
+            info = self.client().call(name, m.Hello(), m.AgentInfo)
+            return info if info.rtpu_pid not in {0, old} else None
+
+        return wait_for(there, f"another RTPU process of {name}", 30.0)
+
     def fork_server(self, name):
         """Return the process id of an RTPU's fork server."""
         rtpu = self.state(name).pid
@@ -303,6 +312,21 @@ class Nodes:
         clean_folder(self.folder, "PBONET_RUN_DIR")
 
 
+def level(pid):
+    """Return the level that a process has in SCHED_FIFO, 1 for those that have none."""
+    return max(os.sched_getparam(pid).sched_priority, 1)
+
+
+def wait_hung(master, task):
+    """Wait until a task hangs in its tenth cycle, which three releases have passed."""
+
+    def hung():
+        status = master.status(task)
+        return status.cycle == 9 and status.ptime * status.ref_f > 13
+
+    wait_for(hung, f"the cycle in which {task} hangs")
+
+
 def alive(pid):
     """Tell whether a process runs and is no zombie."""
     try:
@@ -316,4 +340,14 @@ def wait_gone(pids, limit=10.0):
     wait_for(lambda: not any(map(alive, pids)), f"the end of {pids}", limit)
 
 
-__all__ = ["Master", "Nodes", "alive", "json", "processes_of", "shutil", "wait_gone"]
+__all__ = [
+    "Master",
+    "Nodes",
+    "alive",
+    "json",
+    "level",
+    "processes_of",
+    "shutil",
+    "wait_gone",
+    "wait_hung",
+]

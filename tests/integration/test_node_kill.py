@@ -5,19 +5,33 @@ import signal
 import time
 
 import pytest
-from nodekit import Master, alive, wait_gone
+from nodekit import CORE, Master, alive, level, wait_gone, wait_hung
+from reference import Reference
 from watching import wait_for
 
 from pbonet.errors import NodeError, SvarMissingError
-from pbonet.node import leftovers
+from pbonet.node import _rt, leftovers
+from pbonet.node._ring import Ring
 from pbonet.xm import messages as m
 from pbonet.xm import rundir
+
+ABOVE_TASKS = 90
+"""A level above those of all cycles, and below the dispatcher's."""
 
 
 def entries(path):
     """Return what the diary of `counts` says, with times in seconds."""
     lines = [line.split(maxsplit=2) for line in path.read_text().splitlines()]
     return [(int(now) * 1e-9, text) for now, _, text in lines]
+
+
+def check_last_words(books, killed, reference):
+    """Check that each task ran `off` and then `kill`, in time if the machine let it."""
+    stalled = reference.longest() > 0.3
+    for book in books:
+        times = {text: at - killed for at, text in entries(book)}
+        if not stalled:
+            assert times["off False"] < times["kill"] < 1.0
 
 
 def said(path, text):
@@ -49,19 +63,24 @@ class TestAgent:
         _, pids = start_pair(split, tmp_path, freq=40.0)
         rtpu = nodes.state("arm0").pid
         before = split.wait_cycles("t0", 10)
-        nodes.processes["arm0"].kill()
-        nodes.processes["arm0"].wait()
-        nodes.forget_session()
-        nodes.agent_process("arm0")
-        assert nodes.state("arm0").pid == rtpu
-        master = Master(nodes, "arm0", "arm")
-        assert master.epoch > split.epoch
-        assert master.claimed.tasks == ["t0", "t1"]
-        after = master.wait_cycles("t0", 10)
+        ring = Ring.attach(before.ring)
+        with Reference(CORE, level(before.tid)) as reference:
+            nodes.processes["arm0"].kill()
+            nodes.processes["arm0"].wait()
+            nodes.forget_session()
+            nodes.agent_process("arm0")
+            assert nodes.state("arm0").pid == rtpu
+            master = Master(nodes, "arm0", "arm")
+            assert master.epoch > split.epoch
+            assert master.claimed.tasks == ["t0", "t1"]
+            after = master.wait_cycles("t0", 10)
+            assert after.miss - before.miss <= reference.lost(40.0)
         assert [one.tid for one in master.status().values()] == pids
         assert after.on_ns == before.on_ns
-        assert after.miss == before.miss
-        assert after.cycle + after.miss == pytest.approx(40 * after.ptime, abs=2)
+        done = [record.cycle for record in ring.drain()]
+        ring.close()
+        assert done == list(range(done[0], done[-1] + 1))
+        assert done[-1] >= after.cycle > before.cycle
         codes = [event.code for event in master.events()]
         assert "AGENT_GONE" in codes
         assert "AGENT_BACK" in codes
@@ -137,28 +156,12 @@ class TestRtpuProcess:
         books, pids = start_pair(arm, tmp_path)
         old = nodes.state("arm0").pid
         forks = nodes.fork_server("arm0")
-        killed = time.monotonic()
-        os.kill(old, signal.SIGKILL)
-        wait_gone([old, forks, *pids])
-        for book in books:
-            times = {text: at - killed for at, text in entries(book)}
-            assert times["off False"] < 1.0
-            assert times["off False"] < times["kill"] < 1.0
-
-        def restarted():
-            state = nodes.state("arm0")
-            return state is not None and state.pid != old and state.alive
-
-        wait_for(restarted, "another RTPU process")
-        info = wait_for(
-            lambda: (
-                (got := arm.client.call("arm0", m.Hello(), m.AgentInfo)).rtpu_pid
-                and got
-            ),
-            "the agent to have it",
-        )
-        assert info.rtpu_pid != old
-        assert info.claims == {}
+        with Reference(CORE, _rt.COMMAND_LEVEL) as reference:
+            killed = time.monotonic()
+            os.kill(old, signal.SIGKILL)
+            wait_gone([old, forks, *pids])
+            check_last_words(books, killed, reference)
+        assert nodes.wait_restarted("arm0", old).claims == {}
         assert not list(shared_memory.glob("*.svar"))
         assert not list(shared_memory.glob("*.ring"))
         again = nodes.master("arm0", "arm")
@@ -168,15 +171,21 @@ class TestRtpuProcess:
         again.spawn("t0", "counts")
         assert again.on("t0").state == "ON"
 
-    def test_killed_with_a_task_that_hangs(self, arm, nodes):
-        hung = arm.spawn("bad", "hangs_in_c").tid
-        arm.rank_low("bad")
+    def test_killed_with_a_task_that_hangs(self, arm, nodes, tmp_path):
+        """One that never comes back keeps the others from nothing, and is ended."""
+        books, pids = start_pair(arm, tmp_path)
+        hung = arm.spawn("bad", "hangs_in_c", out="Y2").tid
+        arm.ask(m.Rank(tasks={"t0": (1, 0), "t1": (1, 0), "bad": (60, 0)}))
         arm.on("bad")
-        wait_for(lambda: arm.status("bad").ptime > 0.1, "the cycle that hangs")
-        killed = time.monotonic()
-        os.kill(nodes.state("arm0").pid, signal.SIGKILL)
-        wait_gone([hung])
-        assert time.monotonic() - killed < 5.0  # the last resort is at 1 s
+        wait_hung(arm, "bad")
+        old = nodes.state("arm0").pid
+        with Reference(CORE, ABOVE_TASKS) as reference:
+            killed = time.monotonic()
+            os.kill(old, signal.SIGKILL)
+            wait_gone([hung, *pids])
+            check_last_words(books, killed, reference)
+        assert time.monotonic() > killed + 0.9  # the last resort came for the one
+        nodes.wait_restarted("arm0", old)
 
     def test_killed_together_with_its_agent(
         self, split, nodes, tmp_path, shared_memory
@@ -272,15 +281,12 @@ class TestTwoRtpus:
         task = "t1" if victim == "arm0" else "t0"
         before = alive_one.status(task)
         old = nodes.state(victim).pid
-        os.kill(old, signal.SIGKILL)
-
-        def restarted():
-            state = nodes.state(victim)
-            return state is not None and state.pid != old
-
-        wait_for(restarted, "another RTPU process")
-        after = alive_one.wait_cycles(task, 5)
-        assert (after.on_ns, after.miss) == (before.on_ns, before.miss)
+        with Reference(CORE, level(before.tid)) as reference:
+            os.kill(old, signal.SIGKILL)
+            nodes.wait_restarted(victim, old)
+            after = alive_one.wait_cycles(task, 5)
+            assert after.on_ns == before.on_ns
+            assert after.miss - before.miss <= reference.lost(40.0)
         assert len(list(shared_memory.glob("*.svar"))) == 1  # it is still in use
         new = nodes.master(victim, "arm", table=False)
         new.open_table(keep=victim == "arm0")
@@ -299,12 +305,11 @@ class TestForkServer:
     def test_ended(self, arm, nodes, tmp_path, which):
         books, pids = start_pair(arm, tmp_path)
         rtpu = nodes.state("arm0").pid
-        killed = time.monotonic()
-        os.kill(nodes.fork_server("arm0"), which)
-        wait_gone(pids)
-        for book in books:
-            times = {text: at - killed for at, text in entries(book)}
-            assert times["off False"] < times["kill"] < 1.0
+        with Reference(CORE, _rt.COMMAND_LEVEL) as reference:
+            killed = time.monotonic()
+            os.kill(nodes.fork_server("arm0"), which)
+            wait_gone(pids)
+            check_last_words(books, killed, reference)
         event = arm.wait_event("FORK_SERVER_DIED")
         assert which.name in event.text
         wait_for(

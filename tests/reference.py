@@ -1,0 +1,83 @@
+"""A process that does nothing but wake up, to tell a fault from a machine that stalled.
+
+A task that was late proves nothing on a machine that others use as well: the virtual
+machine may have stood still, or somebody else's real-time processes may have had the
+core. A loop on the same core at the same level was late then too; what it lost, a task
+may lose.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Self
+
+PERIOD = 0.005
+LOOP = """
+import json, os, select, sys, time
+core, level, period = map(int, sys.argv[1:])
+os.sched_setaffinity(0, {core})
+try:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))
+except OSError:
+    pass
+late, asked, due = [], False, time.monotonic_ns()
+print(flush=True)
+while True:
+    due += period
+    if (left := due - time.monotonic_ns()) > 0:
+        time.sleep(left * 1e-9)
+    over = time.monotonic_ns() - due
+    if over > period:
+        late.append(over * 1e-9)
+        due += over // period * period
+    if asked:
+        print(json.dumps(late), flush=True)
+        asked = False
+    if select.select([0], [], [], 0)[0]:
+        if not os.read(0, 1):
+            break
+        asked = True
+"""
+
+
+class Reference:
+    """The loop, from entering to leaving the context.
+
+    Args:
+        core: Where.
+        level: Of SCHED_FIFO, where that can be had.
+    """
+
+    def __init__(self, core: int, level: int) -> None:
+        period = round(PERIOD * 1e9)
+        self._process = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", LOOP, *map(str, (core, level, period))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+        )
+        self._process.stdout.readline()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._process.communicate()
+
+    def stalls(self) -> list[float]:
+        """Return by how much it was late so far, in seconds, where that is much."""
+        self._process.stdin.write(b"?")
+        return json.loads(self._process.stdout.readline())
+
+    def longest(self) -> float:
+        """Return the longest stall in seconds."""
+        return max(self.stalls(), default=0.0)
+
+    def lost(self, freq: float) -> int:
+        """Return how many cycles at `freq` Hz may have fallen into the stalls.
+
+        A cycle that a stall only touches may be lost as well, on either side.
+        """
+        return sum(2 + int(stall * freq) for stall in self.stalls())
