@@ -17,6 +17,7 @@ import contextlib
 import logging
 import queue
 import threading
+import time
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
     from pbonet.master.subsystem import Subsystem
 
 _KEPT: Final = 1000
+_TOKEN_TIME: Final = 1.0
+_TOKEN_PAUSE: Final = 0.02
 _LOOK: Final = 0.2
 """Seconds between looks whether serving is to end."""
 
@@ -267,7 +270,7 @@ class Port:
                 remedy="wait for its end; watching and stop are open to everybody",
             )
         token = keys.network_client(self._domain, self.name, client or "NAME")
-        if not client or not self._subsystem.fleet.client.tokens(token):
+        if not client or not self._is_seen(token):
             raise ClaimError(
                 "a client that takes control must be seen to live",
                 where=f"port {self.name}",
@@ -277,6 +280,15 @@ class Port:
             )
         self._holder = client
         self._told(f"{client} has control")
+
+    def _is_seen(self, token: str) -> bool:
+        """Tell whether a token is there; a new one may still be on its way."""
+        deadline = time.monotonic() + _TOKEN_TIME
+        while not self._subsystem.fleet.client.tokens(token):
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(_TOKEN_PAUSE)
+        return True
 
     def _must_hold(self, client: str) -> None:
         if client != self._holder:

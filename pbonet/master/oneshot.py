@@ -9,6 +9,7 @@ that master instead of being refused.
 from __future__ import annotations
 
 import secrets
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ from pbonet.xm import messages as m
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+_PAUSE = 0.05
 _FORWARD_TIME = 60.0
 """Seconds that a command may take which a master carries out for us."""
 
@@ -142,16 +144,18 @@ def ask(
         args={name: value for name, value in args.items() if value is not None},
     )
     key = keys.network(client.domain, port)
-    replies = client.session.get(
-        key, payload=msgspec.msgpack.encode(order), timeout=_FORWARD_TIME
-    )
-    for reply in replies:
-        if reply.ok is None:
-            raise NoAnswerError(
-                f"the master did not answer within {_FORWARD_TIME:g} s", where=key
-            )
-        return _reply(m.Codec().answer(reply.ok.payload.to_bytes()))
-    raise UnreachableError("the master has gone", where=key)
+    payload = msgspec.msgpack.encode(order)
+    deadline = time.monotonic() + rpc.ANSWER_TIME
+    while True:
+        for reply in client.session.get(key, payload=payload, timeout=_FORWARD_TIME):
+            if reply.ok is None:
+                raise NoAnswerError(
+                    f"the master did not answer within {_FORWARD_TIME:g} s", where=key
+                )
+            return _reply(m.Codec().answer(reply.ok.payload.to_bytes()))
+        if not client.tokens(key) or time.monotonic() > deadline:
+            raise UnreachableError("the master has gone", where=key)
+        time.sleep(_PAUSE)  # its port was opened a moment ago
 
 
 def _reply(answer: m.Answer) -> Reply:

@@ -35,11 +35,13 @@ class Fakes(dict):
         super().__init__()
         self.world = world
 
-    def __call__(self, *names):
-        from fakeagent import FakeAgent
+    def __call__(self, *names, apart=False):
+        from fakeagent import FakeAgent, Link
 
-        for name in names:
-            self[name] = FakeAgent(self.world, name)
+        groups = [(name,) for name in names] if apart else [names]
+        for group in groups:
+            link = Link(self.world, *group)
+            self.update({name: FakeAgent(self.world, name, link) for name in group})
         deadline = time.monotonic() + 10.0
         while any(fake.neighbours() != sorted(self) for fake in self.values()):
             assert time.monotonic() < deadline, "the agents do not find each other"

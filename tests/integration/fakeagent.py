@@ -76,8 +76,28 @@ class World:
     """Pairs of RTPU and what it did, in order."""
 
 
+class Link:
+    """A zenoh session that some agents share, closed with the last of them.
+
+    Several routers in one process sometimes make zenoh panic when one of them closes,
+    which agents, each in a process of its own, do not; so they share one router, unless
+    a test is about the loss of a router.
+    """
+
+    def __init__(self, world: World, *names: str) -> None:
+        places = [rundir.Places(world.domain, name) for name in names]
+        endpoints = [one.endpoint for one in places[1:]]
+        self.session = session.agent(places[0], listen=endpoints)
+        self.users = len(names)
+
+    def leave(self) -> None:
+        self.users -= 1
+        if self.users == 0 and not self.session.is_closed():
+            self.session.close()
+
+
 class FakeAgent:
-    def __init__(self, world: World, name: str) -> None:
+    def __init__(self, world: World, name: str, link: Link) -> None:
         self.world = world
         self.name = name
         self.places = rundir.Places(world.domain, name)
@@ -93,7 +113,9 @@ class FakeAgent:
         self.executed: dict[str, bytes] = {}
         self.requests: list[m.Request] = []
         self.codec = m.Codec()
-        self.session = session.agent(self.places)
+        self.link = link
+        self.session = link.session
+        self.closed = False
         self.kept: list[zenoh.Query] = []
         self.queries = self.session.declare_queryable(
             self.key("sbs"), zenoh.handlers.FifoChannel(64)
@@ -113,8 +135,15 @@ class FakeAgent:
         return session.rtpus(self.session, self.world.domain)
 
     def close(self) -> None:
+        if self.closed:
+            return
+        self.closed = True
         if not self.session.is_closed():
-            self.session.close()
+            self.token.undeclare()
+            self.queries.undeclare()
+        for query in self.kept:
+            query.drop()
+        self.link.leave()
         for worker in self.workers:
             worker.join(5)
         self.lock.release()

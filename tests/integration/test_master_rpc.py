@@ -22,7 +22,7 @@ from pbonet.xm import rpc, session
 
 @pytest.fixture
 def client(world, agents):
-    agents("arm0", "arm1")
+    agents("arm0", "arm1", apart=True)
     opened = session.client(world.domain)
     yield rpc.Client(opened, world.domain, "tester")
     opened.close()
