@@ -29,7 +29,9 @@ static inline void rt_on_park(int signal)
     errno = saved;
 }
 
-/* The parent is gone: tell whoever looks, and let SIGALRM end us if nobody does. */
+/* The parent is gone: tell whoever looks, and let SIGALRM end us if nobody does. Nobody
+ * ranks from here on, so all orphans share one level: one that hangs in a cycle would
+ * otherwise keep those below it from turning themselves off. */
 static inline void rt_on_orphan(int signal)
 {
     int saved = errno;
@@ -44,6 +46,7 @@ static inline void rt_on_orphan(int signal)
     sigprocmask(SIG_UNBLOCK, &set, NULL);
     if (!atomic_exchange(&rt_orphan_flag, 1))
         alarm(1);
+    rt_share_level(RT_COMMAND_LEVEL);
     if (slot) {
         atomic_store(&slot->grant.parked, 0);
         rt_request(slot, RT_ASK_ORPHAN);

@@ -102,11 +102,14 @@ static inline void rt_arm(struct rt_task *task)
 }
 
 /* Go to the level of commands, below every cycle; an errno value when refused. Where no
- * dispatcher leads any more, a level that one gave is given back all the same. */
+ * dispatcher leads any more, a level that one gave is given back all the same. An orphan
+ * shares that level with others already. */
 static inline int rt_command_level(const struct rt_task *task)
 {
-    if (atomic_load(&task->table->backend) != RT_FIFO &&
-        (sched_getscheduler(0) & ~SCHED_RESET_ON_FORK) != SCHED_FIFO)
+    int policy = sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
+    if (policy == SCHED_RR)
+        return 0;
+    if (atomic_load(&task->table->backend) != RT_FIFO && policy != SCHED_FIFO)
         return 0;
     return rt_set_level(0, RT_COMMAND_LEVEL);
 }

@@ -63,6 +63,15 @@ static inline int rt_set_level(pid_t pid, int level)
     return sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) ? errno : 0;
 }
 
+/* Let the caller's main thread share `level` with others in slices of time, if it has a
+ * real-time level at all; async-signal-safe. */
+static inline void rt_share_level(int level)
+{
+    struct sched_param param = {.sched_priority = level};
+    if ((sched_getscheduler(0) & ~SCHED_RESET_ON_FORK) == SCHED_FIFO)
+        sched_setscheduler(0, SCHED_RR | SCHED_RESET_ON_FORK, &param);
+}
+
 /* Pin a thread (0: the caller) to a core. */
 static inline int rt_pin(pid_t tid, int core)
 {
