@@ -20,6 +20,7 @@ from pbonet.master.network import Port
 from pbonet.master.rings import Drain
 from pbonet.master.subsystem import Subsystem
 from pbonet.master.watching import Listener
+from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -192,6 +193,7 @@ class Run:
             warned=lambda text: self._view.say(render.warning(text)),
         )
         subsystem.open()
+        self._tell_limits(subsystem)
         faults = self._faults
         statuses: list[RtpuStatus] = []
         drain: Drain | None = None
@@ -221,6 +223,16 @@ class Run:
             faults=faults,
             recording=recording,
         )
+
+    def _tell_limits(self, subsystem: Subsystem) -> None:
+        """Say what the RTPUs cannot guarantee, each thing once."""
+        infos, _ = subsystem.fleet.each(lambda _: m.Hello(), m.AgentInfo)
+        lacking: dict[str, list[str]] = {}
+        for rtpu, info in infos.items():
+            for limit in info.limits:
+                lacking.setdefault(limit, []).append(rtpu)
+        for limit, rtpus in lacking.items():
+            self._view.say(render.warning(f"{', '.join(rtpus)}: {limit}"))
 
     def _drain(self, subsystem: Subsystem) -> Drain | None:
         if self._open_ring is None:

@@ -14,6 +14,7 @@ import os
 import platform
 import signal
 import socket
+import sys
 import threading
 import time
 from typing import TYPE_CHECKING, Self
@@ -355,6 +356,15 @@ class Agent:
         self._over.set()
 
 
+def announce(info: AgentInfo) -> None:
+    """Say on standard output that the RTPU takes commands, and what is reduced."""
+    lines = [f"{info.name}: ready on core {info.core}, scheduling by {info.backend}"]
+    lines += [f"{info.name}: {limit}" for limit in info.limits]
+    with contextlib.suppress(OSError):  # nobody reads it
+        sys.stdout.write("\n".join([*lines, ""]))
+        sys.stdout.flush()
+
+
 def main(config: AgentConfig, *, backend: str = "auto") -> int:
     """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
 
@@ -370,6 +380,7 @@ def main(config: AgentConfig, *, backend: str = "auto") -> int:
     for which in (signal.SIGTERM, signal.SIGINT):
         signal.signal(which, on_signal)
     agent.start()
+    announce(agent.info())
     agent.wait()
     in_order = agent.stop()
     return 0 if in_order and not agent.reason else 1

@@ -247,7 +247,7 @@ class Operations:
 
     async def _spawn(self, request: m.Spawn) -> Result:
         task = await spawning.spawn(self._rtpu, request)
-        notes = task.ready.notes if task.ready else []
+        notes = task.ready.notes if task.ready and self._rtpu.locks_memory else []
         return self._rtpu.status_of(task), list(notes)
 
     async def _control(self, request: m.Control) -> Result:

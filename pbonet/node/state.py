@@ -78,6 +78,7 @@ class Rtpu:
         self.core: _rt.CoreTable
         self.dispatcher: _rt.Dispatcher
         self.limits: list[str] = []
+        self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
         self.claims_changed: Callable[[], None] | None = None
 
@@ -105,7 +106,9 @@ class Rtpu:
         try:
             _rt.lock_memory()
         except RealTimeError as error:
-            self.limits.append(f"memory is not locked: {error}")
+            if probe.lock_memory:  # else it is among the reasons already
+                self.limits.append(f"memory is not locked: {error}")
+        self.locks_memory = probe.lock_memory
         await self.spawner.start()
         self.core = _rt.CoreTable(self.config.core, member=True)
         self.dispatcher = _rt.Dispatcher(self.core, self.config.backend)

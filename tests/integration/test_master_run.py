@@ -18,6 +18,7 @@ from pbonet.master.embedded import assign_cores
 from pbonet.master.live import Screen
 from pbonet.master.recording import Recording
 from pbonet.master.sim import Simulation
+from pbonet.node import _rt
 from pbonet.xm import rundir, session
 
 ROOT = Path(__file__).parents[2]
@@ -100,6 +101,8 @@ def test_run_for_a_time_leaves_nothing_and_records_every_cycle(
     assert servo["jitter_exact"]
     assert 0 < servo["jitter_p50"] <= servo["jitter_p99"] <= servo["jitter_max"]
     assert "nobody runs arm0: embedded agent on core" in err
+    for limit in _rt.probe().reasons:
+        assert err.count(limit) == 1, "what is reduced is said, once for all RTPUs"
     assert left_of(nodes) == []
     assert list(shared_memory.iterdir()) == []
     recording = Recording.load(kept)
