@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import importlib.util
 import shutil
+import subprocess
 import sys
 import sysconfig
 from pathlib import Path
 
 OLDEST = (3, 11)
+COMPILERS = ("cc", "gcc", "clang")
 
 
 def missing() -> list[str]:
@@ -23,14 +25,35 @@ def missing() -> list[str]:
             f"Python {OLDEST[0]}.{OLDEST[1]} or newer is needed, this is "
             f"{sys.version.split()[0]}; run make with PYTHON=/path/to/a/newer/python3"
         )
-    if importlib.util.find_spec("ensurepip") is None:
+    if not has_venv():
         lacks.append("the venv module is incomplete; apt-get install python3-venv")
-    header = Path(sysconfig.get_path("include")) / "Python.h"
-    if not header.exists():
+    if not has_headers():
         lacks.append("Python's C headers are missing; apt-get install python3-dev")
-    if not any(shutil.which(name) for name in ("cc", "gcc", "clang")):
+    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    if compiler is None:
         lacks.append("no C compiler was found; apt-get install gcc libc6-dev")
+    elif not compiles(compiler):
+        lacks.append("the C library's headers are missing; apt-get install libc6-dev")
     return lacks
+
+
+def has_venv() -> bool:
+    """Tell whether a virtual environment with pip can be made."""
+    return importlib.util.find_spec("ensurepip") is not None
+
+
+def has_headers() -> bool:
+    """Tell whether this Python's own C headers are there."""
+    return (Path(sysconfig.get_path("include")) / "Python.h").exists()
+
+
+def compiles(compiler: str) -> bool:
+    """Tell whether a compiler finds the headers of the C library."""
+    command = [compiler, "-fsyntax-only", "-x", "c", "-"]
+    done = subprocess.run(
+        command, input=b"#include <stdlib.h>\n", capture_output=True, check=False
+    )
+    return done.returncode == 0
 
 
 def main() -> int:
