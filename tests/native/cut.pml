@@ -1,23 +1,21 @@
 /* cut.h: two registers with a writer each, killed anywhere, and one reader of both.
  *
- * The word of commit n holds n. Proved for COMMITS_P and COMMITS_Q commits and READS
- * attempts: a cut called consistent existed at one instant between the beginning and the
- * end of the attempt that took it, its groups and those of a cut that is merely called
- * whole are the ones that the first looks named, and nobody waits for anybody.
- * One reader stands for many: readers write nothing, so none can tell that others exist.
+ * The word of commit n holds n. Proved for COMMITS_P and COMMITS_Q commits and one attempt:
+ * a cut called consistent existed at one instant between the beginning and the end of the
+ * attempt; its groups, and those of a cut that is merely called whole, are the ones that the
+ * first looks named; and nobody waits for anybody.
+ * One reader stands for many: readers write nothing but hints (head.pml), on which nothing
+ * depends, so none can tell that others exist.
  *
- * Mutations: NO_WRITE_FENCE (R1), NO_RELEASE (R2), NO_ACQUIRE (R3), NO_CUT_FENCE (C3), WHOLE_WILL_DO (no
- * group need be unchanged), HALF_LOOK (the group looked at first need not), LOOK_AT_ONCE
- * (each register is looked at again before the next one is looked at).
+ * Mutations: NO_WRITE_FENCE (R1), NO_RELEASE (R2), NO_ACQUIRE (R3), NO_CUT_FENCE (C3),
+ * WHOLE_WILL_DO (no group need be unchanged), HALF_LOOK (the group looked at first need not),
+ * LOOK_EACH (each register is looked at again before the next one is looked at).
  */
 #ifndef COMMITS_P
-#define COMMITS_P 5
+#define COMMITS_P 3
 #endif
 #ifndef COMMITS_Q
 #define COMMITS_Q 2
-#endif
-#ifndef READS
-#define READS 1
 #endif
 #define P 0
 #define Q 1
@@ -27,45 +25,45 @@
 #define POOL_OF(cpu) (cpu)
 #define PERFORMED(at) if :: at >= HEAD(P) -> witness() :: else fi
 #define HEAD(r) (8 + (r))
-#define WORD(r, seq) ((r) * 4 + (seq) % 4)
+#define WORD(r, slot) ((r) * 4 + (slot))
+#include "head.pml"
 
 /* Ghost: which pairs of heads stood in memory together since the attempt began. */
 int seen;
-#define PAIR (1 << (mem[HEAD(P)] * (COMMITS_Q + 1) + mem[HEAD(Q)]))
+#define CUT(p, q) (1 << (NUMBER(p) * (COMMITS_Q + 1) + NUMBER(q)))
+#define PAIR CUT(mem[HEAD(P)], mem[HEAD(Q)])
 #define witness() if :: seen -> seen = seen | PAIR :: else fi
 
 #include "weak.pml"
 
+/* A killed writer is one that is scheduled no more: nobody waits for it. */
 inline write_all(r, commits) {
     do
-    :: seq <= commits ->
+    :: NUMBER(last) < commits ->
+        atomic {
+            next = NEXT(last);
 #ifndef NO_WRITE_FENCE
-        release_fence(r); /* R1 */
+            release_fence(r); /* R1 */
 #endif
-        if :: store(r, WORD(r, seq), seq) :: goto killed fi;
+            store(r, WORD(r, SLOT(next)), NUMBER(next))
+        };
+        atomic {
+            if :: next = CROWDED(last, next) :: true fi;
 #ifdef NO_RELEASE
-        if :: store(r, HEAD(r), seq) :: goto killed fi; /* R2 */
+            store(r, HEAD(r), next); /* R2 */
 #else
-        if :: store_release(r, HEAD(r), seq) :: goto killed fi; /* R2 */
+            store_release(r, HEAD(r), next); /* R2 */
 #endif
-        seq++
+            last = next;
+            next = 0
+        }
     :: else -> break
-    od
+    od;
+    last = 0
 }
 
-active proctype WriterP() {
-    byte seq = 1;
-    write_all(P, COMMITS_P);
-killed:
-    seq = 0
-}
-
-active proctype WriterQ() {
-    byte seq = 1;
-    write_all(Q, COMMITS_Q);
-killed:
-    seq = 0
-}
+active proctype WriterP() { short last, next; write_all(P, COMMITS_P) }
+active proctype WriterQ() { short last, next; write_all(Q, COMMITS_Q) }
 
 /* The loads of one attempt, and which of them each waits for. */
 #define LOOK_P 1
@@ -89,7 +87,7 @@ killed:
 #else
 #define AGAIN_WAITS (LOOK_P | LOOK_Q | COPY_P | COPY_Q)
 #endif
-#ifdef LOOK_AT_ONCE
+#ifdef LOOK_EACH
 #undef LOOK_Q_WAITS
 #undef COPY_P_WAITS
 #define LOOK_Q_WAITS AGAIN_P
@@ -99,64 +97,62 @@ killed:
 #define AGAIN_P_WAITS AGAIN_WAITS
 #endif
 #define can(load, waits) !(done & (load)) && (done & (waits)) == (waits)
-#define whole(r) (again[r] - seq[r] < 3)
+#define whole(r) WHOLE(head[r], again[r])
+#define same(r) (again[r] == head[r])
 #if defined(WHOLE_WILL_DO)
 #define SAME (whole(P) && whole(Q))
 #elif defined(HALF_LOOK)
-#define SAME (whole(P) && again[Q] == seq[Q])
+#define SAME (whole(P) && same(Q))
 #else
-#define SAME (again[P] == seq[P] && again[Q] == seq[Q])
+#define SAME (same(P) && same(Q))
 #endif
 
 inline forget() {
     done = 0; seen = 0;
-    seq[P] = 0; again[P] = 0; slot[P] = 0; word[P] = 0;
-    seq[Q] = 0; again[Q] = 0; slot[Q] = 0; word[Q] = 0
+    head[P] = 0; again[P] = 0; slot[P] = 0; word[P] = 0;
+    head[Q] = 0; again[Q] = 0; slot[Q] = 0; word[Q] = 0
 }
 
 inline look(r) {
-    seq[r] = mem[HEAD(r)];
+    head[r] = mem[HEAD(r)];
 #ifdef NO_ACQUIRE
-    if :: slot[r] != seq[r] % 4 -> goto killed :: else fi /* guessed wrong */
+    if :: slot[r] != SLOT(head[r]) -> goto wrong :: else fi /* guessed wrong */
 #else
-    slot[r] = seq[r] % 4
+    slot[r] = SLOT(head[r])
 #endif
 }
 
 #define copy(r) word[r] = mem[WORD(r, slot[r])]
 
 active proctype Reader() {
-    byte reads, done, seq[2], again[2], slot[2], word[2];
-    do
-    :: reads < READS ->
+    byte done, slot[2], word[2];
+    short head[2], again[2];
 #ifdef NO_ACQUIRE
-        if :: slot[P] = 0 :: slot[P] = 1 :: slot[P] = 2 :: slot[P] = 3 fi;
-        if :: slot[Q] = 0 :: slot[Q] = 1 :: slot[Q] = 2 :: slot[Q] = 3 fi;
+    if :: slot[P] = 0 :: slot[P] = 1 :: slot[P] = 2 :: slot[P] = 3 fi;
+    if :: slot[Q] = 0 :: slot[Q] = 1 :: slot[Q] = 2 :: slot[Q] = 3 fi;
 #endif
-        seen = PAIR;
-        do
-        :: atomic { can(LOOK_P, 0) -> look(P); done = done | LOOK_P }
-        :: atomic { can(LOOK_Q, LOOK_Q_WAITS) -> look(Q); done = done | LOOK_Q }
-        :: atomic { can(COPY_P, COPY_P_WAITS) -> copy(P); done = done | COPY_P }
-        :: atomic { can(COPY_Q, COPY_Q_WAITS) -> copy(Q); done = done | COPY_Q }
-        :: atomic { can(AGAIN_P, AGAIN_P_WAITS) -> again[P] = mem[HEAD(P)]; done = done | AGAIN_P }
-        :: atomic { can(AGAIN_Q, AGAIN_WAITS) -> again[Q] = mem[HEAD(Q)]; done = done | AGAIN_Q }
-        :: done && done != ALL -> goto killed
-        :: atomic { done == ALL ->
-            if
-            :: SAME -> assert(seen & (1 << (seq[P] * (COMMITS_Q + 1) + seq[Q])))
-            :: else
-            fi;
-            if
-            :: SAME || whole(P) && whole(Q) -> assert(word[P] == seq[P] && word[Q] == seq[Q])
-            :: else
-            fi;
-            forget();
-            reads++;
-            break }
-        od
-    :: else -> break
+    seen = PAIR;
+    do
+    :: atomic { can(LOOK_P, 0) -> look(P); done = done | LOOK_P }
+    :: atomic { can(LOOK_Q, LOOK_Q_WAITS) -> look(Q); done = done | LOOK_Q }
+    :: atomic { can(COPY_P, COPY_P_WAITS) -> copy(P); done = done | COPY_P }
+    :: atomic { can(COPY_Q, COPY_Q_WAITS) -> copy(Q); done = done | COPY_Q }
+    :: atomic { can(AGAIN_P, AGAIN_P_WAITS) -> again[P] = mem[HEAD(P)]; done = done | AGAIN_P }
+    :: atomic { can(AGAIN_Q, AGAIN_WAITS) -> again[Q] = mem[HEAD(Q)]; done = done | AGAIN_Q }
+    :: atomic { done == ALL ->
+        if
+        :: SAME -> assert(seen & CUT(head[P], head[Q]))
+        :: else
+        fi;
+        if
+        :: SAME || whole(P) && whole(Q) ->
+            assert(word[P] == NUMBER(head[P]) && word[Q] == NUMBER(head[Q]))
+        :: else
+        fi;
+        break }
     od;
-killed:
-    atomic { forget(); reads = 0 }
+#ifdef NO_ACQUIRE
+wrong:
+#endif
+    atomic { forget() }
 }

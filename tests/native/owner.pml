@@ -1,35 +1,42 @@
-/* directory.h, owner.h, cut.h: ownership of two variables x and y goes from task to task
- * while a reader takes cuts; every task may be killed at every step.
+/* directory.h, owner.h, cut.h: two variables x and y go from owner to owner while a reader
+ * takes cuts; whoever claims them may be killed at every step.
  *
- * Register 0 is the keeper's, where y stands at first. x stands in register 1. Task 0 and
- * task 1 each take a register, claim x and y, commit once more, give both up and leave.
- * Whose register 1 is: in the one scenario a third task's, which commits once and may die,
- * so that its register is taken over and used again by task 1; with -DRECLAIM task 0's,
- * which was off meanwhile (somebody else set y) and claims again.
+ * Register 0 is the keeper's, and y stands there; x stands in register 1. Task 0 and task 1
+ * compete: each takes a register, claims x and y, and then commits once more (task 0) or not.
+ *   - Without -DRECLAIM x belongs to a third task that was killed in or behind a commit; what
+ *     it stored is still pending. Task 0 has register 2 already. A dead owner's variable is
+ *     taken over, and register 1, or its place in the arena, is used again by task 1.
+ *   - With -DRECLAIM register 1 is task 0's, which is off (and meanwhile somebody set y): it
+ *     is turned on again, and behind its second commit it gives everything up and leaves.
  *
- * A word tells variable, register and commit number. Proved for one attempt, begun at any
- * time with or without a plan made earlier in the same generation:
+ * A word tells variable, register and commit number. Proved for one attempt of the reader,
+ * begun at any time, with or without a plan that was made earlier in the same generation:
  *   - a plan that is accepted is that of its generation (no address is made of a mixture);
- *   - a cut called consistent existed at one instant of the attempt, and its words and those
- *     of a cut called whole are the ones that their owners committed, whatever was reused;
+ *   - a cut called consistent stood in memory when its last first look was made; its words,
+ *     and those of a cut called whole, are what the owners committed, whatever was reused;
  *   - x and y change hands, and get the new owner's first values, together;
  *   - no task gets what a live task owns; nobody waits for ever, whoever was killed.
  *
+ * -DHINTS lets a writer heed that readers are slow (head.pml); else it always goes to and
+ * fro, which spoils most copies.
+ *
  * Mutations of the writers: NO_RELEASE (R2 on the generation), NO_REUSE_FENCE (O1),
- * PUBLISH_FIRST, ONE_BY_ONE, IN_PLACE, NO_REFUSAL, NO_LOCK, NO_RECOVERY, NO_HANDOVER (L1), SWEEP_NAMED,
- * SWEEP_HELD, RECLAIM_IN_PLACE; of the reader: NO_ACQUIRE (C2), NO_PLAN_FENCE (C1),
- * NO_PLAN_CHECK (C1), NO_CUT_FENCE (C3), NO_GENERATION_CHECK (C4).
+ * NO_HANDOVER (L1), NO_LOCK, NO_RECOVERY (of a dead holder's lock), NO_REFUSAL, PUBLISH_FIRST
+ * (before the commit), ONE_BY_ONE (two generations), IN_PLACE (the present directory is
+ * changed), SWEEP_NAMED, SWEEP_HELD (registers are freed too early), RECLAIM_IN_PLACE (the
+ * first commit goes into a register where variables stand); of the reader: NO_ACQUIRE (C2),
+ * NO_PLAN_FENCE, NO_PLAN_CHECK (C1), NO_GENERATION_CHECK (C4).
  */
 #define X 0
 #define Y 1
 #define GEN 0
-#define DIR(g, v) (1 + (g) % 4 * 2 + (v))
+#define DIR(slot, v) (1 + (slot) * 2 + (v))
 #define HEAD(r) (9 + (r))
 #define BASE(r) (13 + (r))
-#define WORD(b, seq, v) (17 + (b) * 8 + (seq) % 4 * 2 + (v))
+#define WORD(b, slot, v) (17 + (b) * 8 + (slot) * 2 + (v))
+#include "head.pml"
 #define LOCATIONS 49
 #define REGS 4
-#define BASES 4
 #define CPUS 3 /* task 0, task 1, and the third task */
 #define THIRD 2
 #define POOLS 1
@@ -46,7 +53,7 @@ byte shared_from[REGS]; /* the first commit of a register that holds x and y tog
 bool owns[CPUS];
 #define OWNER(g, v) (own[(g) * 2 + (v)] & 3)
 #define PLACE(g, v) (own[(g) * 2 + (v)] >> 2)
-#define STANDS(v) (OWNER(mem[GEN], v) == reg[v] && mem[HEAD(reg[v])] == seq[v])
+#define STANDS(v) (OWNER(NUMBER(mem[GEN]), v) == reg[v] && mem[HEAD(reg[v])] == head[v])
 
 #include "weak.pml"
 
@@ -93,10 +100,10 @@ inline learn(p, r) { before[p] = before[p] | before[task[r]] }
 /* pb_sweep */
 inline sweep(p) {
     d_step {
-        load(p, GEN, g);
-        load(p, DIR(g, X), e_);
+        load(p, GEN, h);
+        load(p, DIR(SLOT(h), X), e_);
         named_ = 1 << REG(e_);
-        load(p, DIR(g, Y), e_);
+        load(p, DIR(SLOT(h), Y), e_);
 #ifdef SWEEP_NAMED
         named_ = 0;
 #else
@@ -121,7 +128,7 @@ inline sweep(p) {
             r++
         :: else -> break
         od;
-        r = 0; g = 0
+        r = 0; h = 0
     }
 }
 
@@ -138,11 +145,11 @@ inline enter(p) {
         :: r < REGS && state[r] != FREE -> r++
         :: else -> break
         od;
+        assert(r < REGS);
         if
-        :: r == REGS -> r = 0; unlock(p); goto out
-        :: r < REGS && !in_use(1) -> b = 1
-        :: r < REGS && !in_use(2) -> b = 2
-        :: r < REGS && !in_use(3) && in_use(2) -> b = 3
+        :: !in_use(1) -> b = 1
+        :: !in_use(2) -> b = 2
+        :: !in_use(3) && in_use(2) -> b = 3
         fi;
 #ifndef NO_REUSE_FENCE
         release_fence(p) /* O1 */
@@ -154,48 +161,57 @@ inline enter(p) {
 
 /* pb_commit_group */
 inline commit(p) {
-    d_step { load(p, HEAD(r), seq); seq++; release_fence(p) }; /* R1 */
-    or_die(store(p, WORD(b, seq, X), VALUE(X, r, seq)));
-    store(p, WORD(b, seq, Y), VALUE(Y, r, seq));
+    d_step { load(p, HEAD(r), h); n = NEXT(h); release_fence(p) }; /* R1 */
+    or_die(store(p, WORD(b, SLOT(n), X), VALUE(X, r, NUMBER(n))));
+    store(p, WORD(b, SLOT(n), Y), VALUE(Y, r, NUMBER(n)));
     or_die(atomic {
-        store_release(p, HEAD(r), seq); /* R2 */
-        if :: !shared_from[r] -> shared_from[r] = seq :: else fi
-    });
-    seq = 0
+#ifdef HINTS
+        if :: n = CROWDED(h, n) :: true fi;
+#endif
+        store_release(p, HEAD(r), n); /* R2 */
+        if :: !shared_from[r] -> shared_from[r] = NUMBER(n) :: else fi;
+        h = 0; n = 0
+    })
 }
 
-/* pb_next and pb_write_end: x and y stand in register `rx` and `ry` from now on. */
+/* pb_next and pb_publish: the next directory, with these two entries. */
 #ifdef NO_RELEASE
 #define publish(p, at, what) store(p, at, what)
 #else
 #define publish(p, at, what) store_release(p, at, what)
 #endif
 #ifdef IN_PLACE
-#define INTO(g) ((g) - 1)
+#define INTO SLOT(h)
 #else
-#define INTO(g) (g)
+#define INTO SLOT(n)
 #endif
 
 inline directory(p, x_entry, y_entry) {
-    d_step { load(p, GEN, g); g++; assert(g < GENS); release_fence(p) }; /* R1 */
-    or_die(store(p, DIR(INTO(g), X), x_entry));
-    or_die(store(p, DIR(INTO(g), Y), y_entry));
+    d_step {
+        load(p, GEN, h);
+        n = NEXT(h);
+        n = CROWDED(h, n);
+        assert(NUMBER(n) < GENS);
+        release_fence(p) /* R1 */
+    };
+    or_die(store(p, DIR(INTO, X), x_entry));
+    or_die(store(p, DIR(INTO, Y), y_entry));
 #ifdef IN_PLACE
     release_fence(p);
-    store(p, DIR(g, X), x_entry);
-    store(p, DIR(g, Y), y_entry);
+    store(p, DIR(SLOT(n), X), x_entry);
+    store(p, DIR(SLOT(n), Y), y_entry);
 #endif
     or_die(atomic {
-        publish(p, GEN, g); /* R2 */
-        own[g * 2] = REG(x_entry) | base[REG(x_entry)] << 2;
-        own[g * 2 + 1] = REG(y_entry) | base[REG(y_entry)] << 2
-    });
-    g = 0
+        publish(p, GEN, n); /* R2 */
+        own[NUMBER(n) * 2] = REG(x_entry) | base[REG(x_entry)] << 2;
+        own[NUMBER(n) * 2 + 1] = REG(y_entry) | base[REG(y_entry)] << 2;
+        h = 0; n = 0
+    })
 }
 
 /* pb_may */
 inline refused(p, v) {
-    load(p, DIR(g, v), e_);
+    load(p, DIR(SLOT(h), v), e_);
     if
     :: !(e_ & LIVE) || REG(e_) == r -> skip
     :: else ->
@@ -210,13 +226,13 @@ inline refused(p, v) {
 inline claim(p) {
     or_die(atomic {
         lock(p);
-        load(p, GEN, g);
+        load(p, GEN, h);
         refused(p, X);
         refused(p, Y);
 #ifdef NO_REFUSAL
         no = 0;
 #endif
-        g = 0
+        h = 0
     });
     if
     :: no -> no = 0; unlock(p); goto out
@@ -227,7 +243,7 @@ inline claim(p) {
     commit(p);
 #endif
 #ifdef ONE_BY_ONE
-    d_step { load(p, GEN, g); load(p, DIR(g, Y), no); g = 0 };
+    d_step { load(p, GEN, h); load(p, DIR(SLOT(h), Y), no); h = 0 };
     directory(p, r | LIVE, no);
     no = 0;
 #endif
@@ -235,7 +251,7 @@ inline claim(p) {
     owns[p] = 1;
 #ifdef RECLAIM
     if
-    :: p == 0 && r != 1 -> or_die(state[1] = LEFT)
+    :: p == 0 && r != 1 -> or_die(state[1] = LEFT) /* what stood there stands no more */
     :: else
     fi;
 #endif
@@ -254,6 +270,7 @@ inline let_go(p) {
     or_die(unlock(p))
 }
 
+/* The register that task 0 has from the beginning. */
 #ifdef RECLAIM
 #define OLD 1
 #else
@@ -261,10 +278,11 @@ inline let_go(p) {
 #endif
 
 proctype Task(byte p) {
-    byte r, b, g, seq, no;
+    byte r, b, no;
+    short h, n;
 #if !defined(RECLAIM) || defined(RECLAIM_IN_PLACE)
     if
-    :: p == 0 -> r = OLD; b = OLD /* taken earlier */
+    :: p == 0 -> r = OLD; b = OLD
     :: else -> enter(p)
     fi;
 #else
@@ -272,14 +290,18 @@ proctype Task(byte p) {
 #endif
     claim(p);
     if
+#ifdef RECLAIM
     :: p == 0 -> commit(p); let_go(p)
+#else
+    :: p == 0 -> commit(p)
+#endif
     :: else
     fi;
     goto out;
 killed:
     alive[p] = false;
 out:
-    atomic { gone[p] = true; r = 0; b = 0; g = 0; seq = 0; no = 0 }
+    atomic { gone[p] = true; r = 0; b = 0; no = 0; h = 0; n = 0 }
 }
 
 /* pb_replan and pb_cut: the loads of one attempt, and which of them each waits for. */
@@ -314,64 +336,53 @@ out:
 #endif
 #define COPY_X_WAITS (LOOK_X | LOOK_Y | BASE_X)
 #define COPY_Y_WAITS (LOOK_X | LOOK_Y | BASE_Y)
-#ifdef NO_CUT_FENCE
-#define AGAIN_WAITS (LOOK_X | LOOK_Y | AGAIN_PLAN)
-#else
 #define AGAIN_WAITS (LOOK_X | LOOK_Y | AGAIN_PLAN | COPY_X | COPY_Y) /* C3 */
-#endif
+#define PLAN (ENTRIES | AGAIN_PLAN)
 #ifdef NO_GENERATION_CHECK
-#define doomed false
-#else /* the generation has passed: the attempt is given up now, not later by C1 or C4 */
-#define doomed ((done & (LOOK_GEN | ENTRIES)) == (LOOK_GEN | ENTRIES) && \
-                !(done & AGAIN_GEN) && mem[GEN] != gen)
+#define DOOMED false
+#else /* C4 will find another generation: the attempt is dropped at once, to save states */
+#define DOOMED ((done & PLAN) == PLAN && !(done & AGAIN_GEN) && mem[GEN] != gen)
 #endif
-#define can(load, waits) !doomed && !(done & (load)) && (done & (waits)) == (waits)
+#define can(load, waits) !DOOMED && !(done & (load)) && (done & (waits)) == (waits)
 
 /* Who computes addresses from a plan must have that of its generation. */
 inline check_plan() {
-    assert(reg[X] == OWNER(gen, X) && place[X] == PLACE(gen, X));
-    assert(reg[Y] == OWNER(gen, Y) && place[Y] == PLACE(gen, Y))
+    assert(reg[X] == OWNER(NUMBER(gen), X) && place[X] == PLACE(NUMBER(gen), X));
+    assert(reg[Y] == OWNER(NUMBER(gen), Y) && place[Y] == PLACE(NUMBER(gen), Y))
 }
 
 inline second_look(v) {
     again = mem[HEAD(reg[v])];
     if
-    :: again - seq[v] >= 3 -> check_plan(); goto finished /* not whole */
-    :: again != seq[v] && again - seq[v] < 3 -> same = false
+    :: !WHOLE(head[v], again) -> check_plan(); goto finished
+    :: WHOLE(head[v], again) && again != head[v] -> same = false
     :: else
     fi;
     again = 0
 }
 
 proctype Reader() {
-    short done;
-    byte gen, slot, again, reg[2], place[2], seq[2], word[2];
+    short done, gen, head[2], again;
+    byte slot, reg[2], place[2];
+    short word[2];
     bool same = true, stood;
 #ifdef NO_ACQUIRE
     if :: slot = 0 :: slot = 1 :: slot = 2 :: slot = 3 fi;
 #endif
     do
-#ifndef NO_GENERATION_CHECK
-    :: atomic { doomed ->
-#ifndef NO_PLAN_CHECK
-        if :: done & AGAIN_PLAN -> check_plan() :: else fi;
-#else
-        check_plan();
-#endif
-        goto finished }
-#endif
+    :: atomic { DOOMED -> check_plan(); goto finished }
     :: atomic { can(LOOK_GEN, 0) ->
         gen = mem[GEN];
         done = done | LOOK_GEN;
 #ifdef NO_ACQUIRE
-        if :: slot != gen % 4 -> goto finished :: else fi; /* guessed wrong */
+        if :: slot != SLOT(gen) -> goto finished :: else fi; /* guessed wrong */
 #else
-        slot = gen % 4;
+        slot = SLOT(gen);
 #endif
         if
         :: !(done & ENTRIES) -> /* the plan was made earlier */
-            reg[X] = OWNER(gen, X); place[X] = PLACE(gen, X);
-            reg[Y] = OWNER(gen, Y); place[Y] = PLACE(gen, Y);
+            reg[X] = OWNER(NUMBER(gen), X); place[X] = PLACE(NUMBER(gen), X);
+            reg[Y] = OWNER(NUMBER(gen), Y); place[Y] = PLACE(NUMBER(gen), Y);
             done = done | ENTRIES | AGAIN_PLAN
         :: true
         fi }
@@ -385,16 +396,18 @@ proctype Reader() {
         if :: mem[GEN] != gen -> goto finished :: else fi
 #endif
        }
-    :: atomic { can(LOOK_X, LOOK_X_WAITS) -> seq[X] = mem[HEAD(reg[X])]; done = done | LOOK_X;
+    :: atomic { can(LOOK_X, LOOK_X_WAITS) -> head[X] = mem[HEAD(reg[X])]; done = done | LOOK_X;
         if
         :: done & ENTRY_Y && reg[Y] == reg[X] -> /* one register for both: one look */
-            seq[Y] = seq[X]; stood = STANDS(X) && STANDS(Y); done = done | LOOK_Y
+            head[Y] = head[X]; stood = STANDS(X) && STANDS(Y); done = done | LOOK_Y
         :: else
         fi }
     :: atomic { can(LOOK_Y, LOOK_Y_WAITS) ->
-        seq[Y] = mem[HEAD(reg[Y])]; stood = STANDS(X) && STANDS(Y); done = done | LOOK_Y }
-    :: atomic { can(COPY_X, COPY_X_WAITS) -> word[X] = mem[WORD(place[X], seq[X], X)]; done = done | COPY_X }
-    :: atomic { can(COPY_Y, COPY_Y_WAITS) -> word[Y] = mem[WORD(place[Y], seq[Y], Y)]; done = done | COPY_Y }
+        head[Y] = mem[HEAD(reg[Y])]; stood = STANDS(X) && STANDS(Y); done = done | LOOK_Y }
+    :: atomic { can(COPY_X, COPY_X_WAITS) ->
+        word[X] = mem[WORD(place[X], SLOT(head[X]), X)]; done = done | COPY_X }
+    :: atomic { can(COPY_Y, COPY_Y_WAITS) ->
+        word[Y] = mem[WORD(place[Y], SLOT(head[Y]), Y)]; done = done | COPY_Y }
     :: atomic { can(AGAIN_X, AGAIN_WAITS) -> second_look(X); done = done | AGAIN_X;
         if :: reg[Y] == reg[X] -> done = done | AGAIN_Y :: else fi }
     :: atomic { can(AGAIN_Y, AGAIN_WAITS) && reg[Y] != reg[X] -> second_look(Y); done = done | AGAIN_Y }
@@ -406,24 +419,27 @@ proctype Reader() {
         done = done | AGAIN_GEN }
     :: atomic { done == ALL ->
         assert(!same || stood);
-        assert(word[X] == VALUE(X, reg[X], seq[X]));
-        assert(word[Y] == VALUE(Y, reg[Y], seq[Y]));
-        assert(reg[X] == reg[Y] ||
-               reg[X] == 1 && reg[Y] == 0 && !(shared_from[1] && shared_from[1] <= seq[X]));
+        assert(word[X] == VALUE(X, reg[X], NUMBER(head[X])));
+        assert(word[Y] == VALUE(Y, reg[Y], NUMBER(head[Y])));
+        assert(reg[X] == reg[Y] || /* together, or as they stood at first */
+               reg[X] == 1 && reg[Y] == 0 &&
+               !(shared_from[1] && shared_from[1] <= NUMBER(head[X])));
         break }
     od;
 finished:
     atomic {
         done = 0; gen = 0; slot = 0; again = 0; same = true; stood = false;
-        reg[X] = 0; place[X] = 0; seq[X] = 0; word[X] = 0;
-        reg[Y] = 0; place[Y] = 0; seq[Y] = 0; word[Y] = 0
+        reg[X] = 0; place[X] = 0; head[X] = 0; word[X] = 0;
+        reg[Y] = 0; place[Y] = 0; head[Y] = 0; word[Y] = 0
     }
 }
+
+#define FIRST (1 << 8 | 1 << 4 | 1) /* the head behind the first commit */
 
 init {
     d_step {
         alive[0] = true; alive[1] = true;
-        mem[GEN] = 1;
+        mem[GEN] = FIRST;
         base[1] = 1; mem[BASE(1)] = 1;
         state[0] = HELD; task[0] = NOBODY;
         state[1] = HELD;
@@ -434,24 +450,23 @@ init {
         state[2] = HELD; task[2] = 0; base[2] = 2; mem[BASE(2)] = 2;
 #endif
         own[2] = 1 | 1 << 2; /* generation 1: x in register 1, y in the keeper's */
-        mem[HEAD(0)] = 1; mem[WORD(0, 1, Y)] = VALUE(Y, 0, 1);
-        mem[HEAD(1)] = 1; mem[WORD(1, 1, X)] = VALUE(X, 1, 1); mem[WORD(1, 1, Y)] = VALUE(Y, 1, 1)
+        mem[HEAD(0)] = FIRST; mem[WORD(0, 1, Y)] = VALUE(Y, 0, 1);
+        mem[HEAD(1)] = FIRST; mem[WORD(1, 1, X)] = VALUE(X, 1, 1);
+        mem[WORD(1, 1, Y)] = VALUE(Y, 1, 1) /* of no meaning: y does not stand here */
     };
     atomic {
 #ifndef RECLAIM /* the third task died in or behind a commit; what it stored is pending */
         if
         :: true
-        :: store(THIRD, WORD(1, 2, X), VALUE(X, 1, 2));
+        :: store(THIRD, WORD(1, SLOT(NEXT(FIRST)), X), VALUE(X, 1, 2));
             if
             :: true
-            :: store_release(THIRD, HEAD(1), 2)
+            :: store_release(THIRD, HEAD(1), NEXT(FIRST))
             fi
         fi;
 #endif
-        run Task(0); run Task(1);
-#ifndef NOREADER
-run Reader()
-#endif
-
+        run Task(0);
+        run Task(1);
+        run Reader()
     }
 }

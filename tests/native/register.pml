@@ -1,20 +1,20 @@
-/* register.h: one writer, killed anywhere, and readers that are killed anywhere.
+/* register.h: one writer, killed anywhere, its successor, and readers.
  *
- * Each word of commit n holds n. Proved for COMMITS commits and READERS readers that read
- * READS times each: no torn and no wrong group passes the second look, no reader goes back
- * in time, and nobody waits for anybody (no end state in which a process stands still).
+ * Proved for COMMITS commits and READERS readers that read READS times each: no torn and no
+ * wrong group passes the second look, no reader goes back in time, and nobody waits for
+ * anybody (no end state in which a process stands still).
  *
- * Mutations: NO_WRITE_FENCE (R1), NO_RELEASE (R2), NO_ACQUIRE (R3), NO_READ_FENCE (R4),
- * NO_SECOND_LOOK, LATE_LOOK (a lap too many passes), THREE_SLOTS (same look), ONE_SLOT.
+ * Mutations: NO_WRITE_FENCE (R1), NO_RELEASE (R2), NO_ACQUIRE (R3), NO_READ_FENCE (R4), and
+ * those of head.pml.
  */
 #ifndef COMMITS
-#define COMMITS 6
+#define COMMITS 5
 #endif
 #ifndef READS
-#define READS 1
+#define READS 2
 #endif
 #ifndef READERS
-#define READERS 2
+#define READERS 1
 #endif
 #define WORDS 2
 #define LOCATIONS 9
@@ -24,46 +24,51 @@
 #define PERFORMED(at) skip
 #include "weak.pml"
 
-#if defined(THREE_SLOTS)
-#define SLOTS 3
-#elif defined(ONE_SLOT)
-#define SLOTS 1
-#else
-#define SLOTS 4
-#endif
+#include "head.pml"
+
 #define HEAD 8
-#define WORD(seq, w) ((seq) % SLOTS * WORDS + (w))
+#define WORD(slot, w) ((slot) * WORDS + (w))
 
-#if defined(NO_SECOND_LOOK)
-#define WHOLE(seq, again) true
-#elif defined(LATE_LOOK)
-#define WHOLE(seq, again) (again - seq < 4)
-#elif defined(ONE_SLOT)
-#define WHOLE(seq, again) (again == seq)
-#else
-#define WHOLE(seq, again) (again - seq < 3)
-#endif
+/* Ghost: who made commit n; its words hold n and that. */
+byte by[COMMITS + 1];
+#define VALUE(n, who) ((n) + 16 * (who))
 
-/* pb_write_begin, pb_copy_out, pb_write_end; any step may be the last. */
+/* pb_write_begin, pb_copy_out, pb_write_end. Once, at any step, the writer is killed; who
+ * writes from then on (as the keeper's register, every lock holder may) begins anew. Later
+ * deaths need no step: a dead writer is one that is scheduled no more. */
 active proctype Writer() {
-    byte seq = 1;
+    short last, next;
+    bool life;
+again:
     do
-    :: seq <= COMMITS ->
+    :: NUMBER(last) < COMMITS ->
+        atomic {
+            next = NEXT(last);
 #ifndef NO_WRITE_FENCE
-        release_fence(0); /* R1 */
+            release_fence(0) /* R1 */
 #endif
-        if :: store(0, WORD(seq, 0), seq) :: goto killed fi;
-        if :: store(0, WORD(seq, 1), seq) :: goto killed fi;
+        };
+        if :: store(0, WORD(SLOT(next), 0), VALUE(NUMBER(next), life)) :: !life -> goto killed fi;
+        if :: store(0, WORD(SLOT(next), 1), VALUE(NUMBER(next), life)) :: !life -> goto killed fi;
+        if
+        :: !life -> goto killed
+        :: atomic {
+            if :: next = CROWDED(last, next) :: true fi;
 #ifdef NO_RELEASE
-        if :: store(0, HEAD, seq) :: goto killed fi; /* R2 */
+            store(0, HEAD, next); /* R2 */
 #else
-        if :: store_release(0, HEAD, seq) :: goto killed fi; /* R2 */
+            store_release(0, HEAD, next); /* R2 */
 #endif
-        seq++
-    :: else -> break
+            by[NUMBER(next)] = life;
+            last = next;
+            next = 0 }
+        fi
+    :: else -> goto end
     od;
 killed:
-    skip
+    atomic { life = true; load(0, HEAD, last); next = 0; goto again };
+end:
+    atomic { last = 0; life = false }
 }
 
 /* The loads of one read, and which of them each waits for. */
@@ -84,34 +89,36 @@ killed:
 #define ALL (LOOK | COPY0 | COPY1 | AGAIN)
 #define can(load, waits) !(done & load) && (done & (waits)) == (waits)
 
+#define RIGHT VALUE(NUMBER(head), by[NUMBER(head)])
+
 inline forget() {
-    done = 0; seq = 0; again = 0; slot = 0; word[0] = 0; word[1] = 0
+    done = 0; head = 0; again = 0; slot = 0; word[0] = 0; word[1] = 0
 }
 
 active [READERS] proctype Reader() {
-    byte reads, done, seq, again, newest, slot, word[WORDS];
+    byte reads, done, newest, slot, word[WORDS];
+    short head, again;
     do
     :: reads < READS ->
 #ifdef NO_ACQUIRE
         if :: slot = 0 :: slot = 1 :: slot = 2 :: slot = 3 fi;
 #endif
         do
-        :: atomic { can(LOOK, 0) -> seq = mem[HEAD]; done = done | LOOK;
+        :: atomic { can(LOOK, 0) -> head = mem[HEAD]; done = done | LOOK;
 #ifdef NO_ACQUIRE
-            if :: slot != seq % SLOTS -> goto killed :: else fi /* guessed wrong */
+            if :: slot != SLOT(head) -> goto wrong :: else fi /* guessed wrong */
 #else
-            slot = seq % SLOTS
+            slot = SLOT(head)
 #endif
            }
         :: atomic { can(COPY0, COPY_WAITS) -> word[0] = mem[WORD(slot, 0)]; done = done | COPY0 }
         :: atomic { can(COPY1, COPY_WAITS) -> word[1] = mem[WORD(slot, 1)]; done = done | COPY1 }
         :: atomic { can(AGAIN, AGAIN_WAITS) -> again = mem[HEAD]; done = done | AGAIN }
-        :: done && done != ALL -> goto killed
         :: atomic { done == ALL ->
-            assert(seq >= newest);
-            newest = seq;
+            assert(NUMBER(head) >= newest);
+            newest = NUMBER(head);
             if
-            :: WHOLE(seq, again) -> assert(word[0] == seq && word[1] == seq)
+            :: WHOLE(head, again) -> assert(word[0] == RIGHT && word[1] == RIGHT)
             :: else
             fi;
             forget();
@@ -120,6 +127,8 @@ active [READERS] proctype Reader() {
         od
     :: else -> break
     od;
-killed:
+#ifdef NO_ACQUIRE
+wrong:
+#endif
     atomic { forget(); newest = 0; reads = 0 }
 }

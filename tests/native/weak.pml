@@ -18,17 +18,17 @@
  * Bound: at most POOL stores are pending at a time; who issues one more waits.
  */
 #ifndef POOL
-#define POOL 6 /* a mask of pending stores is one byte: 8 at most */
+#define POOL 4 /* a mask of pending stores is one byte: 8 at most */
 #endif
 
 typedef Pool {
     byte n;          /* pending stores, in the order of their issue */
     byte loc[POOL];
-    byte val[POOL];
+    short val[POOL];
     byte wait[POOL]; /* bit i: only after pending store i */
 };
 
-byte mem[LOCATIONS];
+short mem[LOCATIONS];
 Pool pool[POOLS];
 byte before[CPUS]; /* pending stores that happened before the process's next step */
 byte fenced[CPUS]; /* those that happened before its last release fence */
@@ -130,7 +130,7 @@ inline perform(p, i) {
     }
 }
 
-#define may_perform(p, i) (i < POOL && i < pool[p].n && !pool[p].wait[i])
+#define may_perform(p, i) (i < pool[p].n && !pool[p].wait[i])
 
 /* The memory: performs one pending store after the other, whenever it likes. */
 active [POOLS] proctype Memory() {
@@ -140,12 +140,16 @@ end:
     :: atomic { may_perform(_pid, 1) -> perform(_pid, 1) }
     :: atomic { may_perform(_pid, 2) -> perform(_pid, 2) }
     :: atomic { may_perform(_pid, 3) -> perform(_pid, 3) }
+#if POOL > 4
     :: atomic { may_perform(_pid, 4) -> perform(_pid, 4) }
+#endif
 #if POOL > 5
     :: atomic { may_perform(_pid, 5) -> perform(_pid, 5) }
 #endif
 #if POOL > 6
     :: atomic { may_perform(_pid, 6) -> perform(_pid, 6) }
+#endif
+#if POOL > 7
     :: atomic { may_perform(_pid, 7) -> perform(_pid, 7) }
 #endif
     od
