@@ -205,7 +205,17 @@ def test_it_never_asks_beyond_the_joint_limits(arm: Arm) -> None:
     seen = arm.run(4.0)
     assert np.all(seen <= PUMA560.upper)
     reference = arm.bench.module._r
-    assert np.all(reference <= PUMA560.upper)
+    assert np.array_equal(reference, PUMA560.upper)
+    assert np.array_equal(arm.bench.module._v, np.zeros(6)), "nor for a velocity there"
+
+
+def test_integral_torque_is_bounded() -> None:
+    """By itself it moves joint 1 if, and only if, it may exceed the dry friction."""
+    for wind, moves in ((0.9, False), (1.1, True)):
+        arm = Arm(kp=0.0, kd=0.0, ki=1000.0, wind=wind * PUMA560.coulomb_up[0])
+        arm.bench.inputs.q_ref = START + np.array([0.1, 0, 0, 0, 0, 0])
+        seen = arm.run(1.0)
+        assert bool(np.abs(seen - START).max() > 0.0) is moves
 
 
 def test_it_follows_a_moving_reference_better_when_told_its_velocity() -> None:
@@ -295,6 +305,22 @@ def test_at_a_handover_it_keeps_moving(arm: Arm) -> None:
     successor.on()
     successor.step(0.002)
     assert successor.outputs.qd == pytest.approx(qd, abs=0.1)
+
+
+def test_a_handover_while_the_flag_is_up_slows_down_softly(arm: Arm) -> None:
+    arm.bench.inputs.q_ref = START + 0.5
+    arm.run(0.3)
+    q, qd = arm.q, arm.qd
+    arm.bench.off(handover=True)
+    successor = Bench(
+        PumaPidg, params=configured("puma_pidg"), q=q, qd=qd, freq=500, critical=True
+    )
+    successor.on()
+    successor.illegal = True
+    for k in range(10):
+        successor.step(0.002)
+        slower = np.abs(qd) - np.abs(successor.outputs.qd)
+        assert np.all(slower < 4.0 * 0.002 * (k + 1) + 0.1)
 
 
 def test_cycles_that_come_too_late_brake_the_arm_and_are_told(arm: Arm) -> None:

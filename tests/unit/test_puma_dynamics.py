@@ -344,8 +344,18 @@ def test_friction_solver_finds_the_one_solution(seed):
         assert got == pytest.approx(expected, abs=1e-9)
 
 
-def test_friction_solver_ends_where_correcting_all_signs_goes_round(monkeypatch):
-    """With single corrections from the start it must still arrive."""
+def test_friction_solver_ends_where_correcting_all_signs_goes_round():
+    """Of this matrix every sign is corrected back and forth for ever."""
+    matrix = np.array([[22.1, -14.0, 3.0], [-14.0, 24.1, 12.0], [3.0, 12.0, 14.1]])
+    push = np.array([-8.0, -5.0, -8.0])
+    low, high = np.array([-4.0, -4.0, -1.0]), np.array([5.0, 0.0, 5.0])
+    bounds = list(zip(low.tolist(), high.tolist(), strict=True))
+    got = solve_with_friction(matrix, push, bounds, np.zeros(3))
+    expected = by_enumeration(matrix, push, low, high)
+    assert got == pytest.approx(expected, abs=1e-9)
+
+
+def test_friction_solver_ends_by_single_corrections_too(monkeypatch):
     monkeypatch.setattr("pbonet.io.arm._ALL_AT_ONCE", -1)
-    test_friction_solver_finds_the_one_solution(7)
-    test_friction_solver_finds_the_one_solution(11)
+    for seed in (7, 11):
+        test_friction_solver_finds_the_one_solution(seed)
