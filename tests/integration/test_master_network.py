@@ -33,6 +33,7 @@ FOREIGN = textwrap.dedent(
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5("transport/shared_memory/enabled", "false")
     session = zenoh.open(config)
     token = session.liveliness().declare_token(
         f"pbonet/{domain}/net/{port}/client/onika"

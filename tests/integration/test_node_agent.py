@@ -62,6 +62,14 @@ def test_no_zenoh_in_the_processes_that_control(nodes):
         assert "zenoh" not in Path(f"/proc/{pid}/maps").read_text()
 
 
+def test_no_shared_memory_of_zenoh(nodes):
+    """Its transport over shared memory would leave files behind a kill."""
+    agent = nodes.agent_process("arm0").pid
+    assert nodes.session
+    for pid in (agent, os.getpid()):
+        assert ".zenoh" not in Path(f"/proc/{pid}/maps").read_text()
+
+
 # -- names ---
 
 

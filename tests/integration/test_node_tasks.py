@@ -41,7 +41,7 @@ def test_life_of_a_task(arm, tmp_path):
     off = arm.off("a")
     assert off.state == "OFF"
     assert arm.value("Y0").values[0] == off.cycle
-    assert arm.on("a").cycle < 20
+    assert arm.on("a").on_ns > off.on_ns  # cycles count from here again
     assert arm.kill("a").state == "NOT-CREATED"
     assert not alive(status.tid)
     assert arm.status() == {}
@@ -61,8 +61,12 @@ def test_status_fields_agree_with_the_kernel(arm):
     assert 0 < last.min_c <= last.tot_c / last.cycle <= last.max_c
     assert last.ptime == pytest.approx((last.now - last.on_ns) * 1e-9)
     assert last.mez_f == pytest.approx(last.cycle / last.ptime)
-    done = last.cycle + last.miss
-    assert done == pytest.approx(500.0 * last.ptime, abs=2)
+
+    def counted():
+        now = arm.status("a")
+        return abs(now.cycle + now.miss - 500.0 * now.ptime) <= 2
+
+    wait_for(counted, "every release to be counted")
     assert sum(last.jitter) >= last.cycle
     assert os.sched_getaffinity(last.tid) == {
         arm.client.call("arm0", m.Hello(), m.AgentInfo).core
@@ -126,9 +130,13 @@ def test_frequency_changes_while_it_runs(arm):
     assert arm.ask(m.Freq(task="a"), float) == 100.0
     assert arm.ask(m.Freq(task="a", hz=400.0), float) == 400.0
     first = arm.wait_cycles("a", 1)
-    last = arm.wait_cycles("a", 100)
-    rate = (last.cycle + last.miss - first.cycle - first.miss) * 1e9
-    assert rate / (last.now - first.now) == pytest.approx(400.0, rel=0.1)
+
+    def rate():
+        last = arm.wait_cycles("a", 100)
+        releases = last.cycle + last.miss - first.cycle - first.miss
+        return releases * 1e9 / (last.now - first.now)
+
+    wait_for(lambda: rate() == pytest.approx(400.0, rel=0.05), "400 Hz")
     for wrong in (0.0, -1.0, 1e9, float("nan"), float("inf")):
         arm.refused(ParameterError, arm.ask, m.Freq(task="a", hz=wrong))
     assert arm.status("a").ref_f == 400.0
@@ -180,7 +188,9 @@ def test_events_of_a_module(arm):
     wait_for(lambda: arm.status("a").state == "OFF", "it turns itself off")
     status = arm.status("a")
     assert (status.warn, status.warning, status.cycle) == (1, "the fifth cycle", 20)
-    assert arm.on("a").warn == 0
+    arm.on("a")
+    wait_for(lambda: arm.status("a").state == "OFF", "it turns itself off again")
+    assert arm.status("a").warn == 1  # not 2: it counts from the last `on`
 
 
 def test_every_cycle_is_in_the_ring(arm):
@@ -217,7 +227,7 @@ def test_many_tasks_at_once(arm):
         arm.wait_cycles(name, 10)
     assert {one.state for one in arm.status().values()} == {"ON"}
     pids = [one.tid for one in arm.status().values()]
-    stopped = arm.stop(order=["t3"])
+    stopped = arm.stop(10.0, order=["t3"])
     assert stopped.off == ["t3", "t7", "t6", "t5", "t4", "t2", "t1", "t0"]
     assert stopped.killed == []
     wait_gone(pids)
