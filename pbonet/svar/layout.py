@@ -67,14 +67,18 @@ def values_of(
             else f"at most {variable.nelem} values",
             got=f"{len(values)} values",
         )
+    lossy = "a value that the type cannot hold exactly"
     try:
         filled[: len(values)] = values
-    except (ValueError, OverflowError) as error:
+        fits = dtype.kind not in "biu" or np.array_equal(filled[: len(values)], values)
+    except (ValueError, OverflowError, TypeError) as error:
+        fits, lossy = False, str(error)
+    if not fits:
         raise SvarLayoutError(
             f"{where} of {variable.name} does not fit",
             expected=f"values of type {variable.type}",
-            got=str(error),
-        ) from None
+            got=lossy,
+        )
     return filled
 
 

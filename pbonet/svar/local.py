@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from pbonet.errors import (
+    SvarError,
     SvarFullError,
     SvarOwnerError,
     UnknownVariableError,
@@ -43,6 +44,7 @@ class LocalTable(native.LocalTable):
     _groups: tuple[layout.Group, layout.Group]
     _written: dict[str, tuple[int, int]]
     _registers: list[int]
+    _closed: bool
     _owner: int
 
     @classmethod
@@ -95,6 +97,7 @@ class LocalTable(native.LocalTable):
             chosen = sorted(wanted)
             at = np.array([places[i] for i in chosen], np.uint64)
             self.set_plan(which, np.array(chosen, np.uint32), at)
+        self._closed = False
         self._take_registers(pid, places)
         return self
 
@@ -203,6 +206,7 @@ class LocalTable(native.LocalTable):
         Raises:
             SvarOwnerError: A live task owns one of the out-vars.
         """
+        self._must_be_open()
         self._judge(*self.ask(VARS))
 
     def release(self) -> None:
@@ -232,10 +236,12 @@ class LocalTable(native.LocalTable):
                 where=self._table,
                 remedy="name it in OUTVAR of the task's .rmod file",
             ) from None
+        self._must_be_open()
         return self.write_one(which, place, now_ns or native.now_ns(), cycle)
 
     def close(self) -> None:
         """Give everything up; values stand, the registers may be used again."""
+        self._closed = True
         for which, register in enumerate(self._registers):
             if register:
                 self._registers[which] = 0
@@ -252,7 +258,22 @@ class LocalTable(native.LocalTable):
     ) -> None:
         self.close()
 
+    def _must_be_open(self) -> None:
+        """Refuse to write once the registers may belong to other tasks.
+
+        Raises:
+            SvarError: The local table was closed.
+        """
+        if self._closed:
+            raise SvarError(
+                "the local table was closed",
+                where=f"{self._table}/{self._task}",
+                expected="to write before close()",
+                remedy="make a new one with Table.local",
+            )
+
     def _take(self, which: int, now_ns: int, cycle: int) -> int:
+        self._must_be_open()
         code, rival = self.take(which, now_ns or native.now_ns(), cycle)
         self._judge(code, rival)
         return self.flags

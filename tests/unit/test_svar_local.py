@@ -9,6 +9,7 @@ import pytest
 
 from pbonet.config.model import Variable
 from pbonet.errors import (
+    SvarError,
     SvarFullError,
     SvarOwnerError,
     UnknownVariableError,
@@ -449,3 +450,27 @@ def test_long_texts_of_a_cause_are_cut(table):
     (cause,) = table.illegal
     assert (len(cause.cause), len(cause.raiser), len(cause.machine)) == (127, 63, 63)
     assert table.clear_illegal("r" * 500, "c" * 500, "m" * 500) == 1
+
+
+def test_a_closed_table_writes_into_nobodys_register(table):
+    gone = table.local("gone", ME, outvar=["V0"], outconst=["V2"])
+    gone.claim()
+    gone.close()
+    heir = table.local("heir", ME, outvar=["V0"])
+    heir.claim()
+    other = table.local("other", ME, outvar=["V1"])
+    fill(other, V1=3)
+    other.claim()
+    fill(gone, V0=99)
+    said = "arm/gone: the local table was closed"
+    for write in (
+        gone.claim,
+        gone.check_claim,
+        gone.copy_out_consts,
+        lambda: gone.write("V0"),
+    ):
+        with pytest.raises(SvarError, match=said):
+            write()
+    assert gone.commit() == Flags.COMMIT_NOT_OWNER
+    assert table.read("V1").tolist() == [3, 3, 3]
+    assert table.info("V1").owner == "other"

@@ -406,3 +406,12 @@ def test_another_users_file_is_refused(table):
 
 def test_full_error_is_an_os_error():
     assert issubclass(SvarFullError, OSError)
+
+
+@pytest.mark.parametrize("value", [1.5, 2**40, "many", None])
+def test_an_integer_is_set_exactly_or_not_at_all(value):
+    with Table.create("exact", [Variable(name="I", type="int")]) as made:
+        made.write("I", [7])
+        with pytest.raises(SvarLayoutError, match="the value of I does not fit"):
+            made.write("I", [value])
+        assert made.read("I").tolist() == [7]
