@@ -4,6 +4,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.h')
 
 .DEFAULT_GOAL := help
@@ -15,18 +16,21 @@ help:  ## Show this list
 setup: $(VENV)/.native  ## Install what is needed into .venv
 
 $(VENV)/.packages: pyproject.toml
-	$(PYTHON) scripts/preflight.py
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade "pip>=25.1"
-	$(BIN)/python -m pip install --quiet "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
-	$(BIN)/python -m pip install --quiet --no-build-isolation \
+	@$(PYTHON) scripts/preflight.py
+	@echo "installing what is needed into $(VENV); this takes some minutes, once"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) "pip>=25.1"
+	$(PIP) "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
+	$(PIP) --no-build-isolation \
 	  --group test --group dev --group typing --group docs \
 	  --editable ".[robot,devices,plot]"
-	touch $@
+	@touch $@
 
+# The packages' step has just built the native parts; only what is newer is built again.
 $(VENV)/.native: $(VENV)/.packages $(NATIVE)
-	$(BIN)/python -m pip install --quiet --no-build-isolation --no-deps --editable .
-	touch $@
+	@test -z "$$(find $(NATIVE) -newer $(VENV)/.packages)" || \
+	  { set -x; $(PIP) --no-build-isolation --no-deps --editable .; }
+	@touch $@
 
 native: $(VENV)/.native  ## Build the native parts again after a change
 
@@ -52,4 +56,4 @@ docs: setup  ## Build the documentation
 clean:  ## Remove what was built
 	rm -rf build docs/_build pbonet.egg-info
 	find pbonet \( -name '*.so' -o -name '*.c' \) -delete
-	rm -f $(VENV)/.native
+	rm -f $(VENV)/.native $(VENV)/.packages
