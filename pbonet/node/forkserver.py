@@ -37,7 +37,7 @@ def main(argv: list[str]) -> int:
     os.sched_setaffinity(0, runtime.housekeeping_cores(int(argv[2])))
     if not runtime.set_parent_death_signal(signal.SIGKILL, parent):
         return 1
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at once, as by SIGTERM
     runtime.set_title("pbonet-forks")
     gc.collect()
     gc.freeze()  # children share these pages for as long as nobody counts references

@@ -47,7 +47,10 @@ class Child:
         self.out = out
         self._crash = crash
         self._spec = spec
-        self._pidfd = os.pidfd_open(pid)
+        try:
+            self._pidfd = os.pidfd_open(pid)
+        except ProcessLookupError:  # it has ended, and the fork server knows already
+            self._pidfd = -1
         self.exited: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def crash_text(self) -> str:
@@ -60,8 +63,9 @@ class Child:
 
     def send_signal(self, which: signal.Signals) -> None:
         """Send a signal to this very process; harmless when it is gone."""
-        with contextlib.suppress(ProcessLookupError):
-            signal.pidfd_send_signal(self._pidfd, which)
+        if self._pidfd >= 0:
+            with contextlib.suppress(ProcessLookupError):
+                signal.pidfd_send_signal(self._pidfd, which)
 
     def close(self) -> None:
         """Close all files of the child; it should have ended."""

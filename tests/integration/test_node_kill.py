@@ -301,7 +301,7 @@ class TestTwoRtpus:
 class TestForkServer:
     """Its end is the end of its tasks, and of nothing else."""
 
-    @pytest.mark.parametrize("which", [signal.SIGKILL, signal.SIGTERM])
+    @pytest.mark.parametrize("which", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
     def test_ended(self, arm, nodes, tmp_path, which):
         books, pids = start_pair(arm, tmp_path)
         rtpu = nodes.state("arm0").pid
