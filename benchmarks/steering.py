@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.master.embedded import Embedded
 from pbonet.master import Subsystem
+from pbonet.master.embedded import Embedded
 from pbonet.node._ring import Record, Ring
 
 RATE = 1000.0
