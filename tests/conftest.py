@@ -13,7 +13,11 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from watching import clean_folder
+
+settings.register_profile("pbonet", deadline=None)  # no test asserts how long it takes
+settings.load_profile("pbonet")
 
 SHM = Path("/dev/shm")  # noqa: S108 - where shared memory is
 

@@ -126,7 +126,7 @@ def test_off_and_on_again_starts_with_a_fresh_release(host) -> None:
     notes = task.end()
     assert task.status()["missed"] == 0 or not FIFO
     assert notes["dts"].count(pytest.approx(0.005)) >= len(notes["dts"]) - 20
-    assert max(notes["dts"]) < 0.03
+    assert max(notes["dts"]) < 0.03 or not FIFO  # else cycles may be missed
 
 
 def test_cpu_time_is_the_kernels_own(host) -> None:
