@@ -165,7 +165,7 @@ class Master:
     def value(self, name):
         return self.ask(m.Display(names=[name]), list[m.VarValue])[0]
 
-    def stop(self, limit=2.0, order=()):
+    def stop(self, limit=5.0, order=()):
         request = m.Stop(timeout=limit, order=list(order))
         return self.ask(request, m.Stopped, limit=limit + 2)
 

@@ -218,8 +218,8 @@ class TestHanging:
     """A method that never comes back costs its own task alone."""
 
     def test_in_init(self, arm):
-        error = arm.refused(NoAnswerError, arm.spawn, "bad", "hangs_in_init", limit=0.5)
-        assert "`init` did not return within 0.5 s" in str(error)
+        error = arm.refused(NoAnswerError, arm.spawn, "bad", "hangs_in_init", limit=3.0)
+        assert "`init` did not return within 3 s" in str(error)
         assert "hangs_in_init.py" in error.debug  # where it stands
         assert "bad" not in arm.status()
 
@@ -254,7 +254,7 @@ def test_stop_is_bounded_and_says_what_was_forced(arm):
         arm.on(name)
     wait_hung(arm, "worse")
     pids = [one.tid for one in arm.status().values()]
-    stopped = arm.stop(1.0)
+    stopped = arm.stop(4.0)
     assert sorted(stopped.killed) == ["bad", "worse"]
     assert "good" in stopped.off
     assert arm.status() == {}

@@ -227,11 +227,29 @@ def test_many_tasks_at_once(arm):
         arm.wait_cycles(name, 10)
     assert {one.state for one in arm.status().values()} == {"ON"}
     pids = [one.tid for one in arm.status().values()]
-    stopped = arm.stop(10.0, order=["t3"])
+    stopped = arm.stop(order=["t3"])
     assert stopped.off == ["t3", "t7", "t6", "t5", "t4", "t2", "t1", "t0"]
     assert stopped.killed == []
     wait_gone(pids)
     assert arm.status() == {}
+
+
+def test_ranks_follow_what_is_on(arm):
+    """`a` and `b` do not fit on the core together; what is OFF takes no share of it."""
+    for name, out, freq, maxc in (("a", "Y0", 100.0, 0.009), ("b", "Y1", 50.0, 0.008)):
+        text = rmod("counts", out, freq).replace("EOF", f"MAXC {maxc}\nEOF")
+        arm.spawn(name, "counts", text=text)
+
+    def crits():
+        return {name: one.crit for name, one in arm.status().items()}
+
+    assert crits() == {"a": 5, "b": 3}
+    arm.on("b")
+    assert crits() == {"a": 5, "b": 5}
+    arm.on("a")
+    assert crits() == {"a": 5, "b": 3}
+    arm.off("a")
+    assert crits()["b"] == 5
 
 
 # -- what cannot be spawned ---
