@@ -390,7 +390,7 @@ def _advance(simulation: Simulation, seconds: float, interrupts: Interrupts) -> 
     end_ns = begin_ns + round(seconds * 1e9)
     while simulation.now_ns < end_ns and not interrupts.wished.is_set():
         simulation.advance(min(_SLICE, (end_ns - simulation.now_ns) * 1e-9))
-    return (simulation.now_ns - begin_ns) * 1e-9
+    return (simulation.now_ns - begin_ns) / 1e9
 
 
 def run(

@@ -26,7 +26,15 @@ from pbonet.master.recording import STABLE, Recording, TaskRecord
 from pbonet.master.simtable import MemoryCopies, MemoryTable
 from pbonet.node.executor import Executor
 from pbonet.node.taskports import check_ports
-from pbonet.pbo import BoundedOutbox, Counted, State, TaskContext, bind, decode_params
+from pbonet.pbo import (
+    BoundedOutbox,
+    Counted,
+    Signal,
+    State,
+    TaskContext,
+    bind,
+    decode_params,
+)
 from pbonet.sched.criticality import PLANNED
 from pbonet.sched.dispatch import Dispatcher, Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
@@ -58,9 +66,14 @@ class SimTask(Struct, kw_only=True, eq=False):
     crit: int = 0
     priority: int = 0
     arms: int = 0
+    on_ns: int = 0
+    """When it was last turned on; 0 for never."""
     last_ns: int = 0
     """The release of the last executed cycle; 0 when there was none since ON."""
     warnings: int = 0
+    """Since it was last turned on."""
+    warning: str = ""
+    """The first of them."""
 
     @property
     def name(self) -> str:
@@ -219,7 +232,9 @@ class Simulation:
         ]
 
     def _status(self, task: SimTask) -> m.TaskStatus:
-        seconds = (self.now_ns - BEGIN_NS) * 1e-9
+        state = task.executor.state
+        until_ns = self.now_ns if state is State.ON else max(task.last_ns, task.on_ns)
+        seconds = (until_ns - task.on_ns) * 1e-9
         cycles = task.source.cyclecount
         info = task.member.info
         return m.TaskStatus(
@@ -230,23 +245,22 @@ class Simulation:
             S="P" if task.member.rmod.tasktype is TaskType.PERIODIC else "Y",
             crit=task.crit,
             priority=task.priority,
-            state=task.executor.state,
+            state=state,
             cycle=cycles,
             miss=0,
             ref_f=task.member.freq,
             mez_f=cycles / seconds if seconds else 0.0,
             mez_t=seconds / cycles if cycles else 0.0,
             ptime=seconds,
+            on_ns=task.on_ns,
             tot_c=0.0,
             tick=1e-9,
             min_c=0.0,
             max_c=0.0,
             last_c=0.0,
             warn=task.warnings,
-            warning=task.executor.task.errmsg if task.warnings else "",
-            error=task.executor.task.errmsg
-            if task.executor.state is State.ERROR
-            else "",
+            warning=task.warning,
+            error=task.executor.task.errmsg if state is State.ERROR else "",
             module=info.name if info else "",
             version=info.version if info else "",
             now=self.now_ns,
@@ -284,7 +298,7 @@ class Simulation:
         loaded = self._library.load(rmod.module)
         check_ports(rmod, loaded.info)
         params = decode_params(loaded.cls, rmod.local, where=rmod.file)
-        copies = self.table.local(member.name, rmod)
+        copies = MemoryCopies(self.table, rmod)
         source = Counted(lambda: self.now_ns)
         outbox = BoundedOutbox()
         context = TaskContext(
@@ -300,7 +314,7 @@ class Simulation:
             copies,
             illegal=(lambda: bool(self.table.causes)) if rmod.critical else None,
         )
-        turns = self._turns_of(member)
+        turns = self._turns[member.rtpu]
         task = SimTask(
             member=member,
             executor=executor,
@@ -316,15 +330,6 @@ class Simulation:
         turns.add(task)
         executor.spawn()
         self._after(task, outbox.drain())
-
-    def _turns_of(self, member: Member) -> _Turns:
-        if member.rtpu not in self._turns:
-            raise NodeError(
-                f"the subsystem has no RTPU {member.rtpu}",
-                where=member.name,
-                expected=" or ".join(self._turns),
-            )
-        return self._turns[member.rtpu]
 
     def _rank(self, priorities: dict[str, int]) -> None:
         for entry in self._files.sbs.rtpus:
@@ -366,13 +371,16 @@ class Simulation:
     def _after(self, task: SimTask, notices: Iterable[Notice]) -> None:
         """Take note of what a task said and of the state it is in now."""
         state = task.executor.state
+        on = state is State.ON
+        if self._turns[task.member.rtpu].mode(task, on=on) and on:
+            task.on_ns, task.last_ns = self.now_ns, 0
+            task.warnings, task.warning = 0, ""
         for notice in notices:
-            task.warnings += 1
+            if notice.bits & Signal.WARNING:
+                task.warnings += 1
+                task.warning = task.warning or notice.text
             if notice.text:
                 self.events.append(f"{self._clock()} {task.name}: {notice.text}")
-        turns = self._turns_of(task.member)
-        if turns.mode(task, on=state is State.ON):
-            task.last_ns = 0
         self._judge()
 
     def _judge(self) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pbonet.config.model import Limit
-from pbonet.errors import SvarOwnerError, UnknownVariableError, did_you_mean
 from pbonet.svar import Flags
 from pbonet.svar.guards import limits_of
 from pbonet.svar.layout import group_of, values_of
@@ -19,9 +18,14 @@ if TYPE_CHECKING:
 
     from pbonet.config.model import Rmod, Variable
 
+    Values = NDArray[Any]
+
 
 class MemoryTable:
-    """Every variable at its INIT value, who owns it, and the illegal flag's causes.
+    """Every variable at its INIT value, and the illegal flag's causes.
+
+    Nobody owns a variable here: a job that gives it two writers is refused before it
+    is simulated.
 
     Args:
         variables: What the ``.svar`` file defines.
@@ -29,82 +33,84 @@ class MemoryTable:
 
     def __init__(self, variables: Sequence[Variable]) -> None:
         self.variables = tuple(variables)
+        self.numbers = {v.name: index for index, v in enumerate(variables)}
         self.values = {v.name: values_of(v, v.init, where="INIT") for v in variables}
-        self.owners: dict[str, str] = {}
         self.causes: set[str] = set()
 
-    def local(self, task: str, rmod: Rmod) -> MemoryCopies:
-        """Return what carries the ports of a task.
 
-        Raises:
-            UnknownVariableError: An RMOD's port stands for no variable of the table.
-        """
-        return MemoryCopies(self, task, rmod)
+class _Pair(NamedTuple):
+    """A variable's copy of a task, and its values in the table."""
 
-    def number(self, name: str) -> int:
-        """Return the index of a variable.
+    variable: Variable
+    local: Values
+    shared: Values
 
-        Raises:
-            UnknownVariableError: There is none of that name.
-        """
-        for index, variable in enumerate(self.variables):
-            if variable.name == name:
-                return index
-        raise UnknownVariableError(
-            f"the table has no variable {name}",
-            remedy=did_you_mean(name, self.values)
-            or "add it to the .svar file, or correct the alias",
-        )
+
+class _Limit(NamedTuple):
+    """A variable whose range is enforced."""
+
+    pair: _Pair
+    low: Values
+    high: Values
+
+
+class _Outputs:
+    """What goes out together, and what it is judged by."""
+
+    def __init__(self, pairs: list[_Pair]) -> None:
+        self.pairs = pairs
+        self.finite = [
+            pair
+            for pair in pairs
+            if pair.variable.finite and pair.local.dtype.kind == "f"
+        ]
+        self.limits = [
+            _Limit(pair, *limits_of(pair.variable))
+            for pair in pairs
+            if pair.variable.limit is not Limit.NONE and pair.local.dtype.kind in "iuf"
+        ]
 
 
 class MemoryCopies:
     """The local table of a task, and its copies; see `pbonet.node.copies.Copies`.
 
     Args:
-        table: The global one.
-        task: The task's name.
-        rmod: Names its ports.
+        table: The global one; it has the variables behind all ports.
+        rmod: Names the task's ports.
     """
 
-    def __init__(self, table: MemoryTable, task: str, rmod: Rmod) -> None:
-        self.task = task
+    def __init__(self, table: MemoryTable, rmod: Rmod) -> None:
         self.blamed = ("", 0)
         self.committed = False
         """Whether a commit has succeeded since this was set to False."""
-        self._table = table
-        self._in_consts = _named(rmod, rmod.inconst)
-        self._out_consts = _named(rmod, rmod.outconst)
-        self._in_vars = _named(rmod, rmod.invar)
         self.out_vars = _named(rmod, rmod.outvar)
-        ports = (self._in_consts, self._out_consts, self._in_vars, self.out_vars)
-        numbers = {name: table.number(name) for names in ports for name in names}
-        self._local = {name: table.values[name].copy() for name in numbers}
-        variables = table.variables
-        self._group = group_of(variables, (numbers[name] for name in self.out_vars))
-        self._checked = [variables[i] for i in self._group.indices]
-        self._checked += [variables[numbers[name]] for name in self._out_consts]
-        self._limits = {
-            v.name: limits_of(v)
-            for v in self._checked
-            if v.limit is not Limit.NONE and v.min and v.max
-        }
+        self._table = table
+        self._local: dict[str, Values] = {}
+        self._in_consts = self._pairs(_named(rmod, rmod.inconst))
+        self._out_consts = _Outputs(self._pairs(_named(rmod, rmod.outconst)))
+        self._in_vars = self._pairs(_named(rmod, rmod.invar))
+        self._out_vars = _Outputs(self._pairs(self.out_vars))
+        numbers = [table.numbers[name] for name in self.out_vars]
+        group = group_of(table.variables, numbers)
+        self._group = np.zeros(group.bytes, np.uint8)
+        self._parts: list[tuple[Values, Values]] = []
+        for index, at in zip(group.indices, group.at, strict=True):
+            raw = self._local[table.variables[index].name].view(np.uint8)
+            self._parts.append((self._group[at : at + raw.size], raw))
 
-    def array(self, name: str) -> NDArray[Any]:
+    def array(self, name: str) -> Values:
         """Return the local copy of a variable, at an address that stays."""
         return self._local[name]
 
     def group(self) -> bytes:
         """Return the out-vars as a group, laid out as a register of the real table."""
-        room = np.zeros(self._group.bytes, np.uint8)
-        variables = self._table.variables
-        for index, at in zip(self._group.indices, self._group.at, strict=True):
-            raw = self._local[variables[index].name].view(np.uint8)
-            room[at : at + raw.size] = raw
-        return room.tobytes()
+        for part, raw in self._parts:
+            part[:] = raw
+        return self._group.tobytes()
 
     def copy_in_consts(self) -> int:
         """Copy the in-consts in."""
-        return self._in(self._in_consts)
+        return _in(self._in_consts)
 
     def copy_out_consts(self, now_ns: int = 0) -> int:
         """Copy the out-consts out."""
@@ -113,80 +119,67 @@ class MemoryCopies:
 
     def copy_in(self) -> int:
         """Copy the in-vars in."""
-        return self._in(self._in_vars)
+        return _in(self._in_vars)
 
     def copy_in_on(self) -> int:
         """Copy the in-vars and the out-vars in."""
-        return self._in((*self._in_vars, *self.out_vars))
+        return _in(self._in_vars) or _in(self._out_vars.pairs)
 
     def check_claim(self) -> None:
-        """Raise when another task owns an out-var.
-
-        Raises:
-            SvarOwnerError: One does.
-        """
-        for name in self.out_vars:
-            owner = self._table.owners.get(name, self.task)
-            if owner != self.task:
-                raise SvarOwnerError(
-                    f"{name} has a writer",
-                    where=self.task,
-                    got=f"owner {owner}",
-                    remedy=f"turn {owner} off first",
-                )
+        """Do nothing: there is no second writer."""
 
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out and own them."""
-        flags = self._out(self.out_vars)
-        if not flags:
-            del now_ns, cycle
-            self._table.owners.update(dict.fromkeys(self.out_vars, self.task))
-        return flags
+        """Copy the out-vars out."""
+        del now_ns, cycle
+        return self._out(self._out_vars)
 
     def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out."""
         del now_ns, cycle
-        flags = self._out(self.out_vars)
+        flags = self._out(self._out_vars)
         self.committed = not flags
         return flags
 
     def release(self) -> None:
-        """Own nothing any more; the values stand."""
-        for name in self.out_vars:
-            if self._table.owners.get(name) == self.task:
-                del self._table.owners[name]
+        """Do nothing: the values stand."""
 
-    def _in(self, names: Iterable[str]) -> int:
+    def _pairs(self, names: Iterable[str]) -> list[_Pair]:
+        pairs: list[_Pair] = []
         for name in names:
-            self._local[name][...] = self._table.values[name]
+            shared = self._table.values[name]
+            local = self._local.setdefault(name, shared.copy())
+            variable = self._table.variables[self._table.numbers[name]]
+            pairs.append(_Pair(variable, local, shared))
+        return pairs
+
+    def _out(self, outputs: _Outputs) -> int:
+        if flags := self._judge(outputs):
+            return flags
+        for _, local, shared in outputs.pairs:
+            shared[...] = local
         return 0
 
-    def _out(self, names: Iterable[str]) -> int:
-        wanted = tuple(names)
-        for variable in self._checked:
-            if variable.name in wanted and (flag := self._judge(variable)):
-                return flag
-        for name in wanted:
-            self._table.values[name][...] = self._local[name]
-        return 0
-
-    def _judge(self, variable: Variable) -> int:
-        """Return the flag of a value that is refused; clip one that may be clipped."""
-        values = self._local[variable.name]
-        if variable.finite and values.dtype.kind == "f":
-            finite = np.isfinite(values)
+    def _judge(self, outputs: _Outputs) -> int:
+        """Return the flag of a value that is refused; clip those that may be."""
+        for variable, local, _ in outputs.finite:
+            finite = np.isfinite(local)
             if not finite.all():
                 self.blamed = (variable.name, int(np.argmin(finite)))
                 return int(Flags.COMMIT_NONFINITE)
-        if variable.name in self._limits:
-            low, high = self._limits[variable.name]
+        for (variable, local, _), low, high in outputs.limits:
             if variable.limit is Limit.CLIP:
-                np.clip(values, low, high, out=values)
-            inside = (values >= low) & (values <= high)
-            if not inside.all():
-                self.blamed = (variable.name, int(np.argmin(inside)))
+                np.clip(local, low, high, out=local)
+            outside = (local < low) | (local > high)  # NaN is not: FINITE judges it
+            if outside.any():
+                self.blamed = (variable.name, int(np.argmax(outside)))
                 return int(Flags.COMMIT_LIMIT)
         return 0
+
+
+def _in(pairs: list[_Pair]) -> int:
+    for _, local, shared in pairs:
+        local[...] = shared
+    return 0
 
 
 def _named(rmod: Rmod, ports: tuple[str, ...]) -> tuple[str, ...]:

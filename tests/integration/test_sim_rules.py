@@ -163,6 +163,52 @@ def test_rates_divide_the_time_and_dt_says_so(shop: Shop) -> None:
     assert arrays["release_ns"][0] > BEGIN_NS
 
 
+def test_time_may_pass_in_pieces(shop: Shop) -> None:
+    whole, pieces = shop.job("source a"), shop.job("source a")
+    whole.start()
+    whole.advance(0.5)
+    pieces.start()
+    for _ in range(100):
+        pieces.advance(0.005)
+    assert pieces.now_ns == whole.now_ns
+    for name, values in whole.recording.arrays("source").items():
+        assert np.array_equal(pieces.recording.arrays("source")[name], values)
+
+
+STEPS = """
+class Steps(PortBasedObject):
+    "Tell dt, and warn of the first two."
+    y: A[float, OutVar("Y", "1", "none", "dt")]
+
+    def cycle(self, dt):
+        self.y = dt
+        if self.task.cyclecount < 2:
+            self.task.warn(f"cycle {self.task.cyclecount}")
+"""
+
+
+def test_turning_on_again_begins_anew(shop: Shop) -> None:
+    shop.module("steps", STEPS, "OUTVAR Y", "FREQ 10")
+    simulation = shop.job("steps a")
+    simulation.start()
+    simulation.advance(1.0)
+    for seconds, cycles in ((7.0, 10), (1.0, 10)):
+        (status,) = simulation.status()[0].tasks
+        assert (status.cycle, status.warn) == (cycles, 2)
+        assert status.ptime == pytest.approx(1.0)
+        assert status.mez_f == pytest.approx(10.0)
+        assert status.warning == simulation.events[0].partition(": ")[2]
+        simulation.signal("steps", "off")
+        simulation.advance(seconds)
+        (status,) = simulation.status()[0].tasks
+        assert (status.cycle, status.state) == (cycles, State.OFF)
+        assert status.ptime == pytest.approx(1.0), "time stands while it is OFF"
+        simulation.signal("steps", "on")
+        simulation.advance(1.0)
+    dts = simulation.recording.arrays("steps")["Y"].ravel()
+    assert dts == pytest.approx(np.full(30, 0.1)), "not the time it was OFF"
+
+
 def test_failed_init_undoes_everything(shop: Shop) -> None:
     shop.module(
         "broken",
@@ -276,6 +322,21 @@ def test_limits_of_variables_hold(
     assert simulation.states() == {"source": state}
     assert simulation.table.values["Y"].tolist() == [last]
     simulation.stop()
+
+
+@pytest.mark.parametrize(("finite", "state"), [("no", State.ON), ("yes", State.ERROR)])
+def test_nan_is_outside_of_no_limit_but_finite_judges_it(
+    shop: Shop, finite: str, state: State
+) -> None:
+    shop.limits = f"MIN 0\nMAX 3\nLIMIT error\nFINITE {finite}"
+    shop.module(
+        "nan", SOURCE.replace("+= 1.0", "= float('nan')"), "OUTVAR Y", "FREQ 100"
+    )
+    simulation = shop.job("nan a")
+    simulation.start()
+    simulation.advance(0.1)
+    assert simulation.states() == {"nan": state}
+    assert np.isnan(simulation.table.values["Y"]).all() == (finite == "no")
 
 
 def test_two_rmods_of_one_module_have_two_lives(shop: Shop) -> None:
