@@ -22,10 +22,10 @@ def sibling(arm):
     """A good neighbour, which misses nothing unless the machine stands still."""
     arm.spawn("good", "counts", out="Y7", freq=40.0)
     arm.on("good")
-    arm.wait_cycles("good", 5)
-    before = arm.status("good")
-    with Reference(CORE, level(before.tid)) as reference:
-        yield before.tid
+    tid = arm.wait_cycles("good", 5).tid
+    with Reference(CORE, level(tid)) as reference:
+        before = arm.status("good")
+        yield tid
         after = arm.wait_cycles("good", 5)
         assert after.state == "ON"
         assert (after.tid, after.on_ns) == (before.tid, before.on_ns)

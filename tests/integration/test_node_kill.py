@@ -65,6 +65,7 @@ class TestAgent:
         before = split.wait_cycles("t0", 10)
         ring = Ring.attach(before.ring)
         with Reference(CORE, level(before.tid)) as reference:
+            before = split.status("t0")
             nodes.processes["arm0"].kill()
             nodes.processes["arm0"].wait()
             nodes.forget_session()
@@ -282,6 +283,7 @@ class TestTwoRtpus:
         before = alive_one.status(task)
         old = nodes.state(victim).pid
         with Reference(CORE, level(before.tid)) as reference:
+            before = alive_one.status(task)
             os.kill(old, signal.SIGKILL)
             nodes.wait_restarted(victim, old)
             after = alive_one.wait_cycles(task, 5)
