@@ -111,7 +111,7 @@ def find_trace(name: str) -> str:
             "there is no such operator trace",
             where=name,
             expected=" or ".join(known),
-            remedy=did_you_mean(name, known),
+            remedy=did_you_mean(name, known) or "name one of these",
         )
     return (_FOLDER / f"{name}{SUFFIX}").read_text(encoding="ascii")
 
@@ -138,6 +138,7 @@ def parse_trace(text: str, name: str) -> tuple[list[_Entry], int]:
                 where=f"{name}{SUFFIX}:{number}",
                 expected="`seconds packet` in the order of time, then `seconds end`",
                 got=line.strip(),
+                remedy="correct the line, or record the trace again",
             )
         last_ns = time_ns
         if packet is None:
@@ -149,6 +150,7 @@ def parse_trace(text: str, name: str) -> tuple[list[_Entry], int]:
             "the operator trace is cut short",
             where=f"{name}{SUFFIX}",
             expected="`seconds end` as its last line",
+            remedy="restore it, or record it again",
         )
     return entries, length_ns
 

@@ -183,7 +183,7 @@ class Recording:
             raise UnknownVariableError(
                 f"no task of the run wrote {variable}",
                 expected=" or ".join(known) or "a run with tasks",
-                remedy=did_you_mean(variable, known),
+                remedy=did_you_mean(variable, known) or "name one that was written",
             )
         return known[variable]
 
@@ -244,6 +244,7 @@ class Recording:
                 where=str(path),
                 expected="a file that `pbonet run --record` wrote",
                 got=str(error),
+                remedy="record the run again",
             ) from None
         recording = Recording(cast("dict[str, Any]", about))
         for key, values in content.items():

@@ -18,7 +18,13 @@ from msgspec import Struct
 from pbonet import verify
 from pbonet.config.library import Library
 from pbonet.config.model import TaskType
-from pbonet.errors import NodeError, PbonetError, StateError, UnknownTaskError
+from pbonet.errors import (
+    NodeError,
+    PbonetError,
+    StateError,
+    UnknownTaskError,
+    did_you_mean,
+)
 from pbonet.io.policy import no_devices
 from pbonet.master.files import Files
 from pbonet.master.picture import Member
@@ -207,6 +213,7 @@ class Simulation:
             raise UnknownTaskError(
                 f"the simulation has no task {name}",
                 expected=" or ".join(self._tasks) or "a job that was started",
+                remedy=did_you_mean(name, self._tasks) or "name a task of the job",
             )
         return self._tasks[name]
 

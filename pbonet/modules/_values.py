@@ -33,5 +33,6 @@ def spread(values: Sequence[float], n: int, name: str) -> Vector:
             f"parameter {name} has the wrong number of values",
             expected=f"{n} values, or one for all" if n > 1 else "1 value",
             got=f"{len(values)} values",
+            remedy="give one for each, or one for all" if n > 1 else "give one",
         )
     return np.broadcast_to(np.asarray(values, dtype=np.float64), (n,)).copy()

@@ -38,6 +38,8 @@ class JoinAverage(PortBasedObject[Weights]):
         total = self.params.first + self.params.second
         if not total:
             raise ParameterError(
-                "both weights are zero", expected="FIRST or SECOND above zero"
+                "both weights are zero",
+                expected="FIRST or SECOND above zero",
+                remedy="raise one of them",
             )
         self._share = self.params.first / total

@@ -86,6 +86,7 @@ class JtBall(PortBasedObject[Steering]):
                 "the ball is either a device or a trace",
                 expected="one of DEVICE and TRACE under LOCAL",
                 got="both" if k.device else "none of them",
+                remedy="remove one" if k.device else "add one",
             )
         if k.trace:
             return RecordedBall(k.trace, repeat=k.repeat)
@@ -99,6 +100,7 @@ class JtBall(PortBasedObject[Steering]):
                 "the ball's axes cannot steer the joints",
                 expected=f"{n} AXES out of 1 to {AXES}, and DEAD below FULL",
                 got=f"AXES {k.axes}, DEAD {k.dead:g}, FULL {k.full:g}",
+                remedy="give each joint an axis, and FULL more than DEAD",
             )
         speed = np.sign(axes) * spread(k.speed, n, "speed")
         limits = spread(k.lower, n, "lower"), spread(k.upper, n, "upper")

@@ -58,6 +58,12 @@ def test_its_file_says_the_same(tmp_path: Path) -> None:
     check(Recording.load(tmp_path / "run.npz"))
 
 
+def test_of_two_writers_the_first_counts() -> None:
+    recording = filled()
+    recording.task("three", VARIABLES, ["B"])
+    assert recording.writer("B") == "two"
+
+
 def test_unknown_variable_offers_the_nearest() -> None:
     with pytest.raises(UnknownVariableError, match="no task of the run wrote BB") as e:
         filled().series("BB")
