@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from pbonet.config.library import Library
-from pbonet.errors import PbonetError, Severity
+from pbonet.errors import PbonetError, SeveralError, Severity
 from pbonet.master import live, render, summary
 from pbonet.master.embedded import Embedded
 from pbonet.master.files import Files
@@ -150,6 +150,7 @@ class Run:
         self._interrupts = Interrupts()
         self._reason = ""
         self._faults: list[str] = []
+        self._unfinished: list[PbonetError] = []
         self.files = Files(path, Library(place.libraries))
         self.job = self.files.read_job()
 
@@ -168,10 +169,17 @@ class Run:
             if self._embed:
                 self._start_agents(agents)
             outcome = self._steer()
-            outcome.faults += [
-                f"the embedded agent of {rtpu} had to be killed"
-                for rtpu in agents.stop()
-            ]
+            ours = {child.rtpu for child in agents.children}
+            killed = agents.stop()
+        outcome.faults += [
+            f"the embedded agent of {rtpu} had to be killed" for rtpu in killed
+        ]
+        for error in self._unfinished:
+            if error.where in ours and error.where not in killed:
+                # Its agent has ended, which turns off and gives back what is there.
+                self._view.say(render.warning(str(error)))
+            else:
+                outcome.faults.append(str(error))
         return outcome
 
     def _start_agents(self, agents: Embedded) -> None:
@@ -194,7 +202,6 @@ class Run:
         )
         subsystem.open()
         self._tell_limits(subsystem)
-        faults = self._faults
         statuses: list[RtpuStatus] = []
         drain: Drain | None = None
         begin = time.monotonic()
@@ -206,12 +213,16 @@ class Run:
         except BaseException:
             with contextlib.suppress(PbonetError):  # the first error is the one to tell
                 subsystem.finish()
+            if drain is not None:
+                drain.stop()
             raise
         passed = time.monotonic() - begin
         try:
             subsystem.finish()
+        except SeveralError as error:
+            self._unfinished += error.errors
         except PbonetError as error:
-            faults.append(str(error))
+            self._unfinished.append(error)
         recording = drain.stop() if drain is not None else None
         if recording is not None:
             recording.about["seconds"] = passed
@@ -220,7 +231,7 @@ class Run:
             seconds=passed,
             tasks=summary.summarize(statuses, recording),
             reason=self._reason,
-            faults=faults,
+            faults=self._faults,
             recording=recording,
         )
 

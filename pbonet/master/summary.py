@@ -81,6 +81,7 @@ def _task(
         else delay_quantile(status.jitter, share)
         for share in (0.5, 0.99)
     ]
+    longest = float(delays[status.task].max()) if exact else status.jitter_max
     return TaskSummary(
         task=status.task,
         rtpu=status.rtpu,

@@ -160,7 +160,7 @@ def test_verbs_steer_a_run_and_stop_ends_it(run, verb):
     assert done.returncode == 0
     assert "puma_pidg" in done.stdout
     out, err = process.communicate(timeout=50)
-    assert process.returncode == 0, err
+    assert process.returncode == 0, out + err
     assert "stopped from elsewhere" in out
 
 
