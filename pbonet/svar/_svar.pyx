@@ -287,6 +287,9 @@ cdef class LocalTable:
     def register_uid(self, unsigned which) -> int:
         return local(self).outputs[which].group.uid
 
+    def register_index(self, unsigned which) -> int:
+        return local(self).outputs[which].group.reg - table(self.arena).regs
+
     cdef int c_copy_in(self) noexcept nogil:
         return copy(self, PB_PLAN_IN)
 

@@ -107,21 +107,17 @@ static inline uint64_t pb_room(const struct pb_table *t, uint64_t bytes) {
     return at + bytes <= t->fixed->size ? at : 0;
 }
 
-/* Take a register for a group of g->bytes; `who` names its writer. `named` is scratch of
- * n_regs bytes. Returns its index, PB_FULL or PB_STUCK. */
-static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
-                           const struct pb_reg *who, uint8_t *named) {
+/* Take a register for a group of g->bytes, under the lock; `who` names its writer. `named`
+ * is scratch of n_regs bytes. Returns its index, or PB_FULL and leaves `g` alone. */
+static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
+                                   const struct pb_reg *who, uint8_t *named) {
     uint64_t stride = pb_stride(g->bytes), slots;
     struct pb_reg *reg = t->regs + 1;
-    if (pb_lock(t->live)) return PB_STUCK;
     pb_sweep(t, named);
     while (reg < t->regs + t->fixed->n_regs &&
            atomic_load_explicit(&reg->state, memory_order_relaxed) != PB_FREE) reg++;
     slots = pb_room(t, PB_SLOTS * stride);
-    if (reg == t->regs + t->fixed->n_regs || !slots) {
-        pb_unlock(t->live);
-        return PB_FULL;
-    }
+    if (reg == t->regs + t->fixed->n_regs || !slots) return PB_FULL;
     /* SYNC POINT O1, partner R4: who reads a field set here also sees the generation that
      * no longer names the register. */
     atomic_thread_fence(memory_order_release);
@@ -141,8 +137,17 @@ static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
     g->reg = reg;
     g->slots = t->base + slots;
     g->stride = stride;
-    pb_unlock(t->live);
     return (int)(reg - t->regs);
+}
+
+/* The same for who does not hold the lock; also returns PB_STUCK. */
+static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
+                           const struct pb_reg *who, uint8_t *named) {
+    int code;
+    if (pb_lock(t->live)) return PB_STUCK;
+    code = pb_take_register(t, g, who, named);
+    pb_unlock(t->live);
+    return code;
 }
 
 #endif

@@ -119,13 +119,6 @@ class LocalTable(native.LocalTable):
             code = self.enter(which, self._owner, pid, self._task.encode())
             if code == FULL:
                 self.close()
-                raise SvarFullError(
-                    f"no register is left for {self._task}",
-                    where=self._table,
-                    expected=f"room for four times {group.bytes} bytes",
-                    remedy="kill tasks that are not needed, or make the table "
-                    "with more `spare`",
-                )
             self._check(code)
             self._registers[which] = code
             self._owner = self._owner or self.register_uid(which)
@@ -276,6 +269,8 @@ class LocalTable(native.LocalTable):
         self._must_be_open()
         code, rival = self.take(which, now_ns or native.now_ns(), cycle)
         self._judge(code, rival)
+        if self._registers[which]:  # a divided group was given a fresh one
+            self._registers[which] = self.register_index(which)
         return self.flags
 
     def _judge(self, code: int, rival: int) -> None:
@@ -297,6 +292,15 @@ class LocalTable(native.LocalTable):
     def _check(self, code: int) -> None:
         if code == STUCK:
             raise files.stuck(self._table)
+        if code == FULL:
+            raise SvarFullError(
+                f"no register is left for {self._task}",
+                where=self._table,
+                expected="room for four times each group of the task, and for a fresh "
+                "one when it is turned on again",
+                remedy="kill tasks that are not needed, or make the table with more "
+                "`spare`",
+            )
 
 
 def _lay_out(

@@ -60,10 +60,34 @@ static inline int pb_ask(const struct pb_table *t, const struct pb_group *g,
     return refused ? PB_RIVAL : 0;
 }
 
-/* Commit the group and take all its variables, as one event. Returns 0, PB_STUCK, or
- * PB_RIVAL with the variable that another live task owns. */
+/* Whether some variables of the group stand in its register and others do not: a commit
+ * there would change the former at once and the latter only with the generation. */
+static inline bool pb_divided(const struct pb_table *t, const struct pb_group *g) {
+    const struct pb_entry *now = pb_directory(t, pb_generation(t));
+    uint32_t here = 0;
+    for (uint32_t i = 0; i < g->n; i++) here += t->regs + now[g->vars[i]].reg == g->reg;
+    return here && here < g->n;
+}
+
+/* Give a divided group a fresh register, which nobody reads yet. Returns 0 or PB_FULL. */
+static inline int pb_renew(const struct pb_table *t, struct pb_group *g) {
+    struct pb_reg who = {.owner = g->reg->owner, .pid = g->reg->pid,
+                         .start = g->reg->start, .space = g->reg->space};
+    uint8_t *named;
+    int code;
+    if (!pb_divided(t, g)) return 0;
+    memcpy(who.task, g->reg->task, sizeof who.task);
+    named = malloc(t->fixed->n_regs);
+    code = named ? pb_take_register(t, g, &who, named) : PB_FULL;
+    free(named);
+    return code < 0 ? code : 0;
+}
+
+/* Commit the group and take all its variables, as one event. Returns 0, PB_STUCK, PB_FULL,
+ * or PB_RIVAL with the variable that another live task owns. */
 static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
                            struct pb_stamp stamp, bool constants, uint32_t *rival) {
+    const struct pb_group old = *g;
     uint64_t head;
     struct pb_entry *next;
     if (pb_lock(t->live)) return PB_STUCK;
@@ -71,14 +95,20 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
         pb_unlock(t->live);
         return PB_RIVAL;
     }
+    if (pb_renew(t, g)) {
+        pb_unlock(t->live);
+        return PB_FULL;
+    }
     pb_commit_group(g, data, stamp);
     next = pb_next(t, &head);
     for (uint32_t i = 0; i < g->n; i++) {
         struct pb_entry mine = {(uint32_t)(g->reg - t->regs), 1, g->at[i]};
-        if (pb_may(t, g, i, data, constants) == PB_TAKE)
+        if (pb_may(t, &old, i, data, constants) == PB_TAKE)
             pb_copy_out(next + g->vars[i], &mine, sizeof mine);
     }
     pb_publish(t, head);
+    if (g->reg != old.reg)
+        atomic_store_explicit(&old.reg->state, PB_LEFT, memory_order_relaxed);
     pb_unlock(t->live);
     return 0;
 }

@@ -196,12 +196,6 @@ def test_every_sync_point_of_the_headers_is_accounted_for():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="pb_claim commits into a register where some of the variables stand: these "
-    "change at once, the others with the generation (docs/svar-model.md)",
-)
 def test_being_turned_on_again_is_one_event(tmp_path):
     program = build("svar_again.c", tmp_path / "again")
     done = subprocess.run([program], check=True, capture_output=True, text=True)

@@ -178,7 +178,7 @@ def test_a_task_may_go_on_and_off_for_ever(table):
         assert reader.copy_in() == 0
         assert reader.array("V0")[0] == n
         assert reader.array("V1")[0] == -n
-    assert len(table.registers()) == 2
+    assert len(table.registers()) == 3  # the one that was left is used next
 
 
 def test_commit_before_claim_is_refused(table):
@@ -474,3 +474,21 @@ def test_a_closed_table_writes_into_nobodys_register(table):
     assert gone.commit() == Flags.COMMIT_NOT_OWNER
     assert table.read("V1").tolist() == [3, 3, 3]
     assert table.info("V1").owner == "other"
+
+
+def test_being_turned_on_again_needs_a_fresh_register_when_a_variable_moved(table):
+    task = table.local("task", ME, outvar=["V0", "V1"])
+    fill(task, V0=1, V1=1)
+    task.claim()
+    first = task.register_index(0)
+    task.release()
+    task.claim()
+    assert task.register_index(0) == first
+    task.release()
+    table.write("V1", [5, 5, 5])
+    fill(task, V0=2, V1=2)
+    task.claim()
+    assert task.register_index(0) != first
+    assert table.read("V0").tolist() == table.read("V1").tolist() == [2, 2, 2]
+    task.close()
+    assert [one.held for one in table.registers()] == [False, False]

@@ -318,14 +318,31 @@ class Arena:
         rival = self.refused(group, constants=constants)
         if rival is not None:
             return RIVAL, rival
+        old = group.reg
+        if not self._renew(group):
+            return FULL, 0
         self.commit(group.reg, group.value(0, group.bytes), stamp)
         changes: dict[int, tuple[int, int, int]] = {}
         for v, at in group:
             value = group.value(at, self.size_of(v))
-            if self._may(group.reg, v, value, constants=constants) == "take":
+            if self._may(old, v, value, constants=constants) == "take":
                 changes[v] = group.reg, 1, at
         self._publish(changes)
+        if group.reg != old:
+            self._set_reg(old, _STATE, LEFT)
         return 0, 0
+
+    def _renew(self, group: Group) -> bool:
+        """Give a group that is divided a fresh register; False when none is left."""
+        here = [self.entry(v)[0] == group.reg for v, _ in group]
+        if all(here) or not any(here):
+            return True
+        at = self.regs + group.reg * _REG_BYTES + _TASK
+        task = bytes(self.map[at : at + _TASK_BYTES]).rstrip(b"\0")
+        who = self.reg(group.reg, _OWNER), self.reg(group.reg, _PID), task
+        code = self.enter(group.bytes, who)
+        group.reg = code if code != FULL else group.reg
+        return code != FULL
 
     def let_go(self, r: int, leave: bool, dead: bool) -> int:  # noqa: FBT001
         """Give up what stands in a register."""

@@ -100,6 +100,10 @@ class LocalTable:
         """Return the uid of a group's register."""
         return self.arena.uid(self.groups[which].reg)
 
+    def register_index(self, which: int) -> int:
+        """Return the index of a group's register."""
+        return self.groups[which].reg
+
     def ask(self, which: int) -> tuple[int, int]:
         """Return what a claim would be answered."""
         refused = self.arena.refused(self.groups[which], constants=which == OUT_CONSTS)
