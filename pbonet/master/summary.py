@@ -94,7 +94,7 @@ def _task(
         utilization=fields["avgU"],
         jitter_p50=quantiles[0],
         jitter_p99=quantiles[1],
-        jitter_max=status.jitter_max if status.cycle and not virtual else None,
+        jitter_max=longest if status.cycle and not virtual else None,
         jitter_exact=exact,
         transfer=fields["xfer"],
         warnings=status.warn,
