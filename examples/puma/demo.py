@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pbonet.errors import PbonetError
 from pbonet.master.recording import STABLE, Recording
 
 Floats = NDArray[np.float64]
@@ -155,7 +156,12 @@ def main(argv: list[str] | None = None) -> None:
     if told.old is None:
         file.parent.mkdir(parents=True, exist_ok=True)
         run(told.seconds, file, sim=told.sim)
-    recording = Recording.load(file)
+    try:
+        recording = Recording.load(file)
+        if not len(tracking(recording)[0]):
+            sys.exit(f"demo: no reference was written in {file}; let it run longer")
+    except PbonetError as error:
+        sys.exit(f"demo: {error}")
     plot(recording, told.plot)
     tasks = [*task_table(recording), ""] if told.old else []  # a run has said it
     lines = ["", *tasks, *joint_table(recording), ""]

@@ -12,6 +12,8 @@ cycle for each variable the task writes, and ``about`` with JSON text.
 from __future__ import annotations
 
 import json
+import os
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 from zipfile import BadZipFile
@@ -34,6 +36,22 @@ COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags"
 CPU time, and the flags of its copies."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
+
+
+_UNREADABLE: Final = (
+    *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError),
+    *(BadZipFile, zlib.error, RuntimeError, MemoryError),
+)
+"""What numpy and zipfile raise for a file that is no recording."""
+
+
+def _unwritable(path: str | Path, why: str) -> ConfigFileError:
+    return ConfigFileError(
+        "the recording cannot be written",
+        where=str(path),
+        got=why,
+        remedy="choose a folder that exists and may be written to",
+    )
 
 
 class TaskRecord:
@@ -206,6 +224,21 @@ class Recording:
         ]
         return min(firsts, default=0)
 
+    @staticmethod
+    def check_path(path: str | Path) -> None:
+        """Refuse a file that cannot be written, before a run is made for it.
+
+        Raises:
+            ConfigFileError: It cannot.
+        """
+        path = Path(path).absolute()
+        if path.is_dir():
+            raise _unwritable(path, "a folder")
+        if not path.parent.is_dir():
+            raise _unwritable(path, f"no folder {path.parent}")
+        if not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise _unwritable(path, "Permission denied")
+
     def save(self, path: str | Path) -> None:
         """Write the file.
 
@@ -220,12 +253,7 @@ class Recording:
             with Path(path).open("wb") as file:
                 np.savez_compressed(file, **content)
         except OSError as error:
-            raise ConfigFileError(
-                "the recording cannot be written",
-                where=str(path),
-                got=error.strerror or str(error),
-                remedy="choose a folder that exists and may be written to",
-            ) from None
+            raise _unwritable(path, error.strerror or str(error)) from None
 
     @staticmethod
     def load(path: str | Path) -> Recording:
@@ -238,7 +266,7 @@ class Recording:
             with Path(path).open("rb") as file, np.load(file) as archive:
                 content: dict[str, NDArray[Any]] = {k: archive[k] for k in archive}
             about = json.loads(str(content.pop("about")))
-        except (OSError, ValueError, KeyError, AttributeError, BadZipFile) as error:
+        except _UNREADABLE as error:
             raise ConfigFileError(
                 "the recording cannot be read",
                 where=str(path),

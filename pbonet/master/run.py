@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import platform
 import signal
 import threading
@@ -17,6 +18,7 @@ from pbonet.master import live, render, summary
 from pbonet.master.embedded import Embedded
 from pbonet.master.files import Files
 from pbonet.master.network import Port
+from pbonet.master.recording import Recording
 from pbonet.master.rings import Drain
 from pbonet.master.subsystem import Subsystem
 from pbonet.master.watching import Listener
@@ -29,7 +31,6 @@ if TYPE_CHECKING:
 
     from pbonet.master.live import View
     from pbonet.master.oneshot import Place
-    from pbonet.master.recording import Recording
     from pbonet.master.rings import Hook, RingReader
     from pbonet.master.sim import Simulation
     from pbonet.xm.messages import RtpuStatus
@@ -398,7 +399,7 @@ def simulate(
 def _advance(simulation: Simulation, seconds: float, interrupts: Interrupts) -> float:
     """Let virtual time pass until it is over or interrupted; return how much did."""
     begin_ns = simulation.now_ns
-    end_ns = begin_ns + round(seconds * 1e9)
+    end_ns = begin_ns + (round(seconds * 1e9) if math.isfinite(seconds) else math.inf)
     while simulation.now_ns < end_ns and not interrupts.wished.is_set():
         simulation.advance(min(_SLICE, (end_ns - simulation.now_ns) * 1e-9))
     return (simulation.now_ns - begin_ns) / 1e9
@@ -432,6 +433,8 @@ def run(
     Raises:
         PbonetError: The job could not be started, or the recording not be written.
     """
+    if record is not None:
+        Recording.check_path(record)
     view = live.view(quiet=quiet)
     if sim:
         outcome = simulate(path, place, view, seconds)

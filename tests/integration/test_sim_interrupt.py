@@ -41,11 +41,11 @@ class Hangs(PortBasedObject):
 
 @pytest.fixture
 def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Start a simulation that would take hours; it ends with the test."""
+    """Start a simulation that has no end but with the test."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*words: object) -> subprocess.Popen[str]:
-        command = [sys.executable, "-c", RUN, "run", "--sim", "--seconds", "100000"]
+        command = [sys.executable, "-c", RUN, "run", "--sim", "--seconds", "inf"]
         process = subprocess.Popen(
             [*command, *map(str, words)],
             cwd=PUMA.parents[1],

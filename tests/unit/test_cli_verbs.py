@@ -222,6 +222,13 @@ def test_job_runs_in_virtual_time(call, tmp_path):
     }
 
 
+def test_record_is_refused_before_the_run(call, tmp_path):
+    kept = tmp_path / "nowhere" / "run.npz"
+    status, out, err = call("run", PUMA / "puma.job", "--sim", "--record", kept)
+    assert (status, out) == (1, "")
+    assert "the recording cannot be written" in err
+
+
 def test_negative_numbers_are_values(monkeypatch, call):
     given = {}
 

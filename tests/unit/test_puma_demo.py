@@ -71,6 +71,17 @@ def test_plot_and_summary_are_made_of_a_recording(
     assert str(picture) in out
 
 
+def test_recording_that_shows_nothing_is_told(demo: ModuleType, tmp_path: Path) -> None:
+    empty = tmp_path / "empty.npz"
+    simulate(EXAMPLE / "puma.job", 0.0).save(empty)
+    with pytest.raises(SystemExit, match="let it run longer"):
+        demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
+    empty.write_bytes(b"")
+    with pytest.raises(SystemExit, match="the recording cannot be read"):
+        demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
+    assert not (tmp_path / "a.png").exists()
+
+
 def test_a_failed_run_ends_the_demo(
     demo: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
