@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
-NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.h')
+NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o -name '*.h')
 
 .DEFAULT_GOAL := help
 .PHONY: help setup native demo check test bench docs clean
