@@ -174,6 +174,12 @@ def test_a_file_without_a_module_class(folder):
     )
 
 
+def test_a_class_that_is_only_imported_does_not_count(folder):
+    assert "(expected one, or one that is named like the file, got none)" in fails(
+        folder, "from .ramp import Ramp\n"
+    )
+
+
 def test_of_two_classes_the_one_that_is_named_like_the_file(folder):
     two = GOOD + GOOD.replace("Ramp", "Rampe").replace('"Y"', '"Z"')
     assert fails(folder, two).endswith(
