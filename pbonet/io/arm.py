@@ -89,7 +89,7 @@ class SimulatedArm:
 
     def command(self, torque: Floats) -> None:
         """Set the motors' torques at the joints, N*m; the drives limit them."""
-        np.clip(torque, -self.data.torque, self.data.torque, out=self._torque)
+        torque.clip(-self.data.torque, self.data.torque, out=self._torque)
         self._since_command = 0.0
 
     def advance(self, dt: float) -> None:

@@ -73,7 +73,7 @@ class JtBall(PortBasedObject[Steering]):
         # a reference that begins beyond a limit may come back, but not go further
         low = np.minimum(self._lower, self.q_ref)
         high = np.maximum(self._upper, self.q_ref)
-        np.clip(self.q_ref + step, low, high, out=self.q_ref)
+        (self.q_ref + step).clip(low, high, out=self.q_ref)
 
     def kill(self) -> None:
         if ball := getattr(self, "_ball", None):

@@ -75,14 +75,14 @@ class PumaPidg(PortBasedObject[Gains]):
     def cycle(self, dt: float) -> None:
         self._sense(dt)
         wish = self.qd_ref + self.params.follow * (self.q_ref - self._r)
-        np.clip(wish, -self._speed, self._speed, out=self._v)
+        wish.clip(-self._speed, self._speed, out=self._v)
         self._servo(dt, self.t_grav)
 
     def stable(self, dt: float) -> None:
         """Slow down and stand, with the arm's own gravity model; trust no input."""
         self._sense(dt)
         step = self.params.slow * dt
-        self._v -= np.clip(self._v, -step, step)
+        self._v -= self._v.clip(-step, step)
         self._servo(dt, self._arm.chain.gravity(self.q))
 
     def off(self) -> None:
@@ -102,7 +102,7 @@ class PumaPidg(PortBasedObject[Gains]):
     def _servo(self, dt: float, gravity: Vector) -> None:
         """Move r by v, and command the torque that takes the arm there."""
         before = self._r.copy()
-        np.clip(before + self._v * dt, PUMA560.lower, PUMA560.upper, out=self._r)
+        (before + self._v * dt).clip(PUMA560.lower, PUMA560.upper, out=self._r)
         self._v[:] = (self._r - before) / dt  # zero at a joint limit
         error = self._r - self.q
         self._integral += self._ki * error * dt
