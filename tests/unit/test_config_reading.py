@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from pbonet import config
@@ -136,16 +137,15 @@ def test_places_are_kept_for_later_faults() -> None:
 
 
 def test_the_types_have_the_sizes_of_the_thesis() -> None:
-    numpy = pytest.importorskip("numpy")
     sizes = {
         "byte": 1, "char": 1, "word": 2, "short": 2, "unsigned": 4, "int": 4,
         "float": 4, "double": 8,
     }  # fmt: skip
     for name, size in sizes.items():
-        assert numpy.dtype(numpy_type(name)).itemsize == size
-    assert numpy.dtype(numpy_type("struct[48]")).itemsize == 48
+        assert np.dtype(numpy_type(name)).itemsize == size
+    assert np.dtype(numpy_type("struct[48]")).itemsize == 48
     for name, kind in TYPES.items():
-        dtype = numpy.dtype(numpy_type(name))
+        dtype = np.dtype(numpy_type(name))
         assert dtype.itemsize == kind.size
         if dtype.kind in "iu":
             limits = numpy.iinfo(dtype)
