@@ -148,10 +148,10 @@ def test_the_types_have_the_sizes_of_the_thesis() -> None:
         dtype = np.dtype(numpy_type(name))
         assert dtype.itemsize == kind.size
         if dtype.kind in "iu":
-            limits = numpy.iinfo(dtype)
+            limits = np.iinfo(dtype)
             assert (limits.min, limits.max) == (kind.low, kind.high)
         elif dtype.kind == "f":
-            assert float(numpy.finfo(dtype).max) == kind.high
+            assert float(np.finfo(dtype).max) == kind.high
     with pytest.raises(ValueError, match="'long' is no type of a state variable"):
         numpy_type("long")
 
