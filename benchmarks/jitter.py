@@ -40,7 +40,7 @@ def run_task(
 
         def body(end: _rt.Slot) -> None:
             local, now = tables.local(0), time.monotonic_ns
-            delays, count = memoryview(out), -WARM_UP
+            delays, count = out.data, -WARM_UP
 
             def cycle(_dt: float) -> None:
                 nonlocal count
@@ -105,7 +105,8 @@ def main() -> None:
     core, tables = _rt.CoreTable(args.core), rtbench.Tables(1)
     dispatcher = _rt.Dispatcher(core)
     level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
-    blocks, missed = [], [0, 0]
+    blocks: list[tuple[dict[str, float], dict[str, float]]] = []
+    missed = [0, 0]
     try:
         with tempfile.TemporaryDirectory() as folder:
             loop = rtbench.compile_loop(Path(folder))

@@ -46,10 +46,12 @@ def measure(
             end.run(lambda _dt: None, tables.local(k), ring=ring)
 
         tasks.append((slot, rtbench.start_task(core, slot, body), ring))
-    for slot, _, _ in tasks:
-        rtbench.wait_for(
-            lambda slot=slot: core.snapshot(slot).cycles >= 10, "tasks run", 30.0
-        )
+    slots = [slot for slot, _, _ in tasks]
+    rtbench.wait_for(
+        lambda: all(core.snapshot(slot).cycles >= 10 for slot in slots),
+        "every task runs",
+        30.0,
+    )
     before = totals(core, tasks)
     wanted = before["cycles"] + RATE * seconds
     rtbench.wait_for(

@@ -53,7 +53,7 @@ def tasks(spread_ns: int, cost_ns: int = 700_000) -> list[PeriodicTask]:
 
 def speed(run: Callable[[], object], seconds: float) -> float:
     """Return virtual seconds by real ones, the median of several runs."""
-    found = []
+    found: list[float] = []
     for _ in range(RUNS):
         begin = time.perf_counter()
         run()
@@ -174,7 +174,7 @@ def serve(load: float, kind: ServerKind, *, rm: bool, seconds: int = 200) -> flo
 
 def main() -> int:
     """Measure, print, and say whether the goal was met."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Speed of virtual time.")
     parser.add_argument("--json", metavar="FILE", help="write the figures there too")
     arguments = parser.parse_args()
     found = {"times real time": speeds()} | {

@@ -58,11 +58,11 @@ MEMCPY_GOAL = 1.5
 class Case(NamedTuple):
     """How many variables of how many elements."""
 
-    count: int
+    arrays: int
     length: int
 
     def __str__(self) -> str:
-        return f"{self.count} x [{self.length}]"
+        return f"{self.arrays} x [{self.length}]"
 
 
 class Result(NamedTuple):
@@ -115,10 +115,10 @@ class Rivals:
     """One case: every contestant as a call without arguments, by direction."""
 
     def __init__(self, case: Case, port: Callable[..., Any], *, finite: bool) -> None:
-        size = 8 * case.count * case.length
-        names = [f"V{i}" for i in range(case.count)]
+        size = 8 * case.arrays * case.length
+        names = [f"V{i}" for i in range(case.arrays)]
         self.table = Table.create(
-            f"bench{os.getpid()}-{case.count}-{case.length}-{int(finite)}",
+            f"bench{os.getpid()}-{case.arrays}-{case.length}-{int(finite)}",
             [
                 Variable(name=n, type="double", nelem=case.length, finite=finite)
                 for n in names
@@ -162,8 +162,8 @@ class Rivals:
         lock = multiprocessing.Lock()
         for direction in ("read", "write"):
             sides = [
-                [shared(8 * case.length).view(np.float64) for _ in range(case.count)],
-                [np.zeros(case.length) for _ in range(case.count)],
+                [shared(8 * case.length).view(np.float64) for _ in range(case.arrays)],
+                [np.zeros(case.length) for _ in range(case.arrays)],
             ]
             if direction == "read":
                 sides.reverse()
@@ -314,7 +314,9 @@ def machine() -> str:
 
 def main() -> None:
     """Run the benchmark and print its table; fail when a goal is missed."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        description="Transfers beside numpy, memcpy and a lock."
+    )
     parser.add_argument("--rounds", type=int, default=60)
     parser.add_argument("--markdown", type=Path, help="also write the table there")
     options = parser.parse_args()

@@ -19,7 +19,7 @@ COMPILERS = ("cc", "gcc", "clang")
 
 def missing() -> list[str]:
     """Return one sentence for each thing that is missing."""
-    lacks = []
+    lacks: list[str] = []
     if sys.version_info < OLDEST:
         lacks.append(
             f"Python {OLDEST[0]}.{OLDEST[1]} or newer is needed, this is "

@@ -15,6 +15,7 @@ import argparse
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,9 +104,10 @@ def plot(recording: Recording, file: Path) -> None:
     import matplotlib.pyplot as plt
 
     time, reference, measured, error = tracking(recording)
-    figure, axes = plt.subplots(
+    drawn: Any = plt.subplots(  # matplotlib's own types are incomplete
         len(JOINTS), 2, figsize=(13, 13), sharex=True, width_ratios=(2, 1)
     )
+    figure, axes = drawn
     for k, name in enumerate(JOINTS):
         left, right = axes[k]
         left.step(

@@ -12,17 +12,14 @@ from ._declare import (
     Declared,
     InConst,
     InVar,
-    Kind,
     Matrix,
     OutConst,
     OutVar,
-    Port,
     Vector,
-    accepts,
     make_port,
     name_fault,
-    wanted,
 )
+from ._port import Kind, Port, accepts, wanted
 from ._shapes import parse_shape, shape_text, solve_shapes
 from ._source import Declaring, here
 

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import PortError
 
-from ._declare import accepts, wanted
+from ._port import accepts, wanted
 from ._source import here
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ._declare import Port
+    from ._port import Port
 
 SCALARS = "_port_scalars"
 """The instance attribute that holds the memoryviews of scalar ports, by attribute."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar, get_args, get_origin, overload
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
+from ._port import Kind, Port
 from ._shapes import parse_shape
 
 if TYPE_CHECKING:
@@ -28,46 +27,6 @@ NAME_FORM = (
 )
 SHAPES = '"1", "6", "ndof" or "ndof,4"'
 _WORDS = ("name", "shape", "unit", "doc")
-
-
-class Kind(StrEnum):
-    """The four kinds of port (Stewart 1994, section 3.5)."""
-
-    INCONST = "in-const"
-    OUTCONST = "out-const"
-    INVAR = "in-var"
-    OUTVAR = "out-var"
-
-    @property
-    def is_input(self) -> bool:
-        """True for a port that somebody else writes."""
-        return self in {Kind.INCONST, Kind.INVAR}
-
-    @property
-    def is_const(self) -> bool:
-        """True for a port that is copied around `init` and `reinit` only."""
-        return self in {Kind.INCONST, Kind.OUTCONST}
-
-
-class Port(Struct, frozen=True):
-    """One port of a module, as plain data."""
-
-    attr: str
-    """The attribute of the module's class."""
-    name: str
-    """As ``.rmod`` and ``.svar`` files spell it."""
-    kind: Kind
-    shape: tuple[int | str, ...]
-    """Empty for a scalar; else numbers and names of sizes."""
-    unit: str
-    doc: str
-    type: str
-    """``float``, ``int`` or ``bool`` for scalars, else such as ``float64[]``."""
-
-    @property
-    def is_scalar(self) -> bool:
-        """True when the port is a plain Python number in the module."""
-        return not self.shape
 
 
 class Declared:
@@ -150,40 +109,10 @@ class OutVar(Declared):
 MARKS = tuple(kind.__name__ for kind in (InConst, OutConst, InVar, OutVar))
 """Names that mark an annotation as a port."""
 
-_SCALARS: dict[object, tuple[str, str]] = {
-    float: ("float", "f"),
-    int: ("int", "iu"),
-    bool: ("bool", "b"),
-}
-_KINDS = dict(_SCALARS.values())
+_SCALARS: dict[object, str] = {float: "float", int: "int", bool: "bool"}
 _ELEMENTS = "biufV"
 """Numpy kinds that a table can hold."""
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_^'.]*")
-
-
-def accepts(port: Port, dtype: str) -> bool:
-    """Tell whether a variable of numpy type `dtype` can stand behind `port`.
-
-    A Python float holds any floating type and an int any integer type; an array port is
-    the very type that its annotation says.
-    """
-    kind = np.dtype(dtype)
-    if port.is_scalar:
-        return kind.kind in _KINDS[port.type]
-    element = np.dtype(port.type.removesuffix("[]"))
-    return kind.kind == "V" if element.kind == "V" else kind == element
-
-
-def wanted(port: Port) -> str:
-    """Return which types of variable `port` accepts, in words."""
-    if port.is_scalar:
-        return {"float": "a floating type", "int": "an integer type"}.get(
-            port.type, "bool"
-        )
-    element = port.type.removesuffix("[]")
-    return {"float64": "double", "float32": "float", "void": "struct"}.get(
-        element, element
-    )
 
 
 def make_port(body: Declaring, attr: str, kind: object, declared: Declared) -> Port:
@@ -282,13 +211,13 @@ def _four_words(
 def _type(body: Declaring, attr: str, kind: object, shape: tuple[Any, ...]) -> str:
     scalar = _SCALARS.get(kind)
     if scalar and not shape:
-        return scalar[0]
+        return scalar
     if scalar:
         raise body.error(
             attr,
             "a port with more than one element is an array",
             expected="Vector or Matrix",
-            got=scalar[0],
+            got=scalar,
         )
     element = _element(kind)
     if element is None:

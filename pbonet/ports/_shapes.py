@@ -11,7 +11,7 @@ from pbonet.errors import PortError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from ._declare import Port
+    from ._port import Port
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 

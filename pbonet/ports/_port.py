@@ -1,0 +1,76 @@
+"""What a port is, as plain data, and which variables can stand behind it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+from msgspec import Struct
+
+_KINDS = {"float": "f", "int": "iu", "bool": "b"}
+"""Types of scalar ports, and the numpy kinds that they hold."""
+
+
+class Kind(StrEnum):
+    """The four kinds of port (Stewart 1994, section 3.5)."""
+
+    INCONST = "in-const"
+    OUTCONST = "out-const"
+    INVAR = "in-var"
+    OUTVAR = "out-var"
+
+    @property
+    def is_input(self) -> bool:
+        """True for a port that somebody else writes."""
+        return self in {Kind.INCONST, Kind.INVAR}
+
+    @property
+    def is_const(self) -> bool:
+        """True for a port that is copied around `init` and `reinit` only."""
+        return self in {Kind.INCONST, Kind.OUTCONST}
+
+
+class Port(Struct, frozen=True):
+    """One port of a module, as plain data."""
+
+    attr: str
+    """The attribute of the module's class."""
+    name: str
+    """As ``.rmod`` and ``.svar`` files spell it."""
+    kind: Kind
+    shape: tuple[int | str, ...]
+    """Empty for a scalar; else numbers and names of sizes."""
+    unit: str
+    doc: str
+    type: str
+    """``float``, ``int`` or ``bool`` for scalars, else such as ``float64[]``."""
+
+    @property
+    def is_scalar(self) -> bool:
+        """True when the port is a plain Python number in the module."""
+        return not self.shape
+
+
+def accepts(port: Port, dtype: str) -> bool:
+    """Tell whether a variable of numpy type `dtype` can stand behind `port`.
+
+    A Python float holds any floating type and an int any integer type; an array port is
+    the very type that its annotation says.
+    """
+    kind = np.dtype(dtype)
+    if port.is_scalar:
+        return kind.kind in _KINDS[port.type]
+    element = np.dtype(port.type.removesuffix("[]"))
+    return kind.kind == "V" if element.kind == "V" else kind == element
+
+
+def wanted(port: Port) -> str:
+    """Return which types of variable `port` accepts, in words."""
+    if port.is_scalar:
+        return {"float": "a floating type", "int": "an integer type"}.get(
+            port.type, "bool"
+        )
+    element = port.type.removesuffix("[]")
+    return {"float64": "double", "float32": "float", "void": "struct"}.get(
+        element, element
+    )
