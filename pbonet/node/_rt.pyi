@@ -194,6 +194,9 @@ class Slot:
     def flags(self) -> int:
         """Flags of the last copy-in and commit."""
     @property
+    def stable(self) -> bool:
+        """Whether `stable` runs in place of `cycle`, or ran last."""
+    @property
     def release_ns(self) -> int:
         """The release of the cycle that runs, or ran last."""
     @property

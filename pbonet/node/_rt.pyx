@@ -459,6 +459,10 @@ cdef class Slot:
         return rt_mode_of(self.live()) != RT_OFF
 
     @property
+    def stable(self) -> bool:
+        return bool(self.cost.stable)
+
+    @property
     def release_ns(self) -> int:
         return self.task.rel_ns
 

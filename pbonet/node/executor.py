@@ -92,6 +92,8 @@ class Executor:
         self.state = State.NOT_CREATED
         self.failure: MethodError | None = None
         """What a method failed with last, whatever `error` made of it."""
+        self.cycling: Callable[[], str] = lambda: "cycle"
+        """Says which method runs now where somebody else does the cycling."""
         self._owns = False
         self._spent = False
         self._dt = 0.0
@@ -368,7 +370,8 @@ class Executor:
 
     def _on_fail(self, error: MethodError) -> Answer:
         """Have ``self.task.fail()`` ask the module's `error`."""
-        return self._ask(error, self._described(error, self._method))
+        method = self.cycling() if self._method == "cycle" else self._method
+        return self._ask(error, self._described(error, method))
 
     def _ask(self, error: Raised, failure: MethodError) -> Answer:
         """Run the module's `error`; an error in there is the answer ERROR."""

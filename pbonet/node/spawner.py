@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 F_SETPIPE_SZ = 1031
 FORK_TIME = 10.0
+ORPHANED = 256
+"""Stands for the exit code of a child that outlived the fork server: nobody tells."""
 START_TIME = 20.0
 """Seconds that a fork server may take to import everything, on a busy machine."""
 
@@ -35,7 +37,8 @@ class Child:
         started: What `runtime.start_time` says; names it together with `pid`.
         sock: The near end of its socket, non-blocking.
         out: The reading end of what it prints, non-blocking.
-        exited: Resolves to its exit code, or to minus the signal that ended it.
+        exited: Resolves to its exit code, to minus the signal that ended it, or to
+            `ORPHANED`.
     """
 
     def __init__(
@@ -264,14 +267,14 @@ def _watch_orphan(child: Child) -> None:
         os.pidfd_open(child.pid) if runtime.is_alive(child.pid, child.started) else -1
     )
     if pidfd < 0:
-        child.exited.set_result(-signal.SIGKILL)
+        child.exited.set_result(ORPHANED)
         return
 
     def ended() -> None:
         loop.remove_reader(pidfd)
         os.close(pidfd)
         if not child.exited.done():
-            child.exited.set_result(-signal.SIGTERM)
+            child.exited.set_result(ORPHANED)
 
     loop.add_reader(pidfd, ended)
 

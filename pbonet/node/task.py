@@ -121,6 +121,7 @@ class Host:
         instance = bind(loaded.cls, params, arrays, self.context)
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.local, illegal=illegal)
+        self.executor.cycling = self._method
         self.executor.spawn()
 
     def settle(self) -> None:
@@ -157,7 +158,7 @@ class Host:
         """Obey messages and cycle until the task is killed or orphaned."""
         while not self._over:
             if self._asked_to_end or _rt.orphaned():
-                self.end(self._asked_to_end or "the RTPU process is gone")
+                self.end(self._asked_to_end or "its parent process is gone")
             elif self.executor.state is State.ON:
                 self._cycle()
             else:
@@ -207,13 +208,19 @@ class Host:
         self.executor.instance.sync()
         self._waiting_outside = False
 
+    def _method(self) -> str:
+        """Return which method the native loop runs, or ran last."""
+        if self._waiting_outside:
+            return "sync"
+        return "stable" if self.slot.stable else "cycle"
+
     def _on_message(self) -> None:
         if self._waiting_outside:
             raise tasktalk.Interrupted
 
     def _fault(self, error: Raised) -> None:
         """Have the executor deal with what a cycle raised, and report it."""
-        method = "sync" if self._waiting_outside else "cycle"
+        method = self._method()
         self._waiting_outside = False
         try:
             self.executor.fault(error, method)

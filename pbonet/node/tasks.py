@@ -22,6 +22,7 @@ from pbonet.pbo import State
 from . import wire
 from .events import LineBudget
 from .output import Lines
+from .spawner import ORPHANED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -312,6 +313,8 @@ def error_of(done: wire.Done) -> PbonetError:
 
 def describe_end(code: int) -> str:
     """Return an exit code in words."""
+    if code == ORPHANED:
+        return "its fork server has ended"
     if code >= 0:
         return f"exit code {code}"
     try:

@@ -318,6 +318,8 @@ class TestForkServer:
             lambda: {s.state for s in arm.status().values()} == {"NOT-CREATED"},
             "both are known to be dead",
         )
+        told = [event.text for event in arm.events("TASK_DIED")]
+        assert told == ["the task ended by itself: its fork server has ended"] * 2
         assert nodes.state("arm0").pid == rtpu
         arm.spawn("t2", "counts", out="Y0")
         assert arm.on("t2").state == "ON"

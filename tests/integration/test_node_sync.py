@@ -52,12 +52,16 @@ def test_commands_end_the_wait(waiting, fifo):
     assert not alive(tid)
 
 
-def test_error_in_sync(waiting, fifo):
+@pytest.mark.parametrize(
+    ("byte", "said"),
+    [(255, "the worst of all bytes"), (254, "the second worst of all bytes")],
+)
+def test_error_in_sync(waiting, fifo, byte, said):
     _, send = fifo
-    send(255)
+    send(byte)
     event = waiting.wait_event("METHOD", "w")
     assert "w.sync" in event.text
-    assert "the worst of all bytes" in event.text
+    assert said in event.text
     assert waiting.status("w").state == "ERROR"
 
 

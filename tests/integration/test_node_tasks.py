@@ -217,6 +217,24 @@ def test_stable_runs_while_the_configuration_is_illegal(arm):
     wait_for(lambda: arm.value("Y0").values == [1.0, 1.0], "cycle again")
 
 
+@pytest.mark.parametrize(
+    ("level", "said"),
+    [
+        (6, "an output is not a finite number: element 1 of Y0"),
+        (7, "ValueError: seven is not stable"),
+        (8, "eight is not stable"),
+    ],
+)
+def test_a_failure_of_stable_names_it(arm, level, said):
+    arm.spawn("a", "holds", invar="X", local={"LEVEL": level}, critical=True)
+    arm.on("a")
+    wait_for(lambda: arm.value("Y0").values == [float(level), 1.0], "cycle")
+    arm.ask(m.Flag(cause="a test", up=True))
+    text = arm.wait_event("METHOD", "a").text
+    assert text.startswith("a.stable: ")
+    assert said in text
+
+
 def test_many_tasks_at_once(arm):
     names = [f"t{i}" for i in range(8)]
     for i, name in enumerate(names):

@@ -2,6 +2,8 @@
 
 from typing import Annotated as A
 
+import numpy as np
+
 from pbonet import Answer, InVar, OutVar, Params, PortBasedObject, Vector, param
 
 
@@ -25,7 +27,11 @@ class Holds(PortBasedObject[Setting]):
         self.y[:] = self.params.level, self.z[0]
 
     def stable(self, dt: float) -> None:
-        self.y[:] = -1.0, self.z[0]
+        if self.params.level == 7.0:
+            raise ValueError("seven is not stable")
+        if self.params.level == 8.0:
+            self.task.fail("eight is not stable")
+        self.y[:] = np.nan if self.params.level == 6.0 else -1.0, self.z[0]
 
     def set(self, name: str, value: object) -> None:
         if value == 9.0:

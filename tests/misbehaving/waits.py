@@ -24,6 +24,8 @@ class Waits(PortBasedObject[Place]):
         self._byte = os.read(self._fd, 1)[0]
         if self._byte == 255:
             raise ValueError("the worst of all bytes")
+        if self._byte == 254:
+            self.task.fail("the second worst of all bytes")
 
     def cycle(self, dt: float) -> None:
         self.y[0] += 1.0
