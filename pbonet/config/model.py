@@ -110,6 +110,8 @@ class Rmod(Struct, frozen=True, kw_only=True):
     capacity: float | None = None
     minc: float | None = None
     maxc: float | None = None
+    effc: float | None = None
+    """E of a soft task (section 6.4), seconds; None: read from its profile."""
     softness: float | None = None
     crit: int | None = None
     rtpu: str | None = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pbonet.errors import did_you_mean
+from pbonet.errors import ConfigError, did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 GRAMMAR = Grammar(
     "MODULE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE [FREQ|PERIOD] "
-    "[CRITICAL|CAPACITY|MINC|MAXC|SOFTNESS|CRIT|RTPU]",
+    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|RTPU]",
     after=("LOCAL", "EOF"),
 )
 LISTS = ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
@@ -66,7 +66,10 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
     )
     freq = _freq(reader, block, tasktype)
     capacity = _capacity(reader, block, tasktype, freq)
-    minc, maxc = _times(reader, block)
+    minc, maxc, effc = _times(reader, block)
+    softness = _softness(reader, block)
+    if block.get("EFFC") and not softness:
+        raise _hard(block["EFFC"])
     local, places = _local(reader)
     reader.finish()
     return Rmod(
@@ -85,7 +88,8 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
         capacity=capacity,
         minc=minc,
         maxc=maxc,
-        softness=_softness(reader, block),
+        effc=effc,
+        softness=softness,
         crit=_crit(reader, block),
         rtpu=_rtpu(block),
         local=local,
@@ -293,23 +297,34 @@ def _capacity(
     return words.real(reader, word, wanted, high=high, open_high=False)
 
 
-def _times(reader: Reader, block: Block) -> tuple[float | None, float | None]:
-    """Return the declared least and greatest execution times in seconds."""
-    found: list[float | None] = []
-    for keyword in ("MINC", "MAXC"):
+def _times(reader: Reader, block: Block) -> list[float | None]:
+    """Return the declared least, greatest and effective execution times in seconds."""
+    found: dict[str, float | None] = {}
+    for keyword in ("MINC", "MAXC", "EFFC"):
         line = block.get(keyword)
         word = words.single(line, "seconds") if line else None
-        found.append(words.real(reader, word, "seconds above 0") if word else None)
-    minc, maxc = found
-    if minc is not None and maxc is not None and minc > maxc:
-        raise fault(
-            "MINC is above MAXC",
-            block["MINC"].place,
-            expected=f"at most {maxc} s, which is MAXC",
-            got=f"{minc} s",
-            remedy="exchange the values or correct one",
-        )
-    return minc, maxc
+        found[keyword] = words.real(reader, word, "seconds above 0") if word else None
+    for low, high in (("MINC", "MAXC"), ("EFFC", "MAXC"), ("MINC", "EFFC")):
+        least, most = found[low], found[high]
+        if least is not None and most is not None and least > most:
+            raise fault(
+                f"{low} is above {high}",
+                block[low].place,
+                expected=f"at most {most} s, which is {high}",
+                got=f"{least} s",
+                remedy="exchange the values or correct one",
+            )
+    return list(found.values())
+
+
+def _hard(line: Line) -> ConfigError:
+    return fault(
+        "EFFC means nothing for a task without SOFTNESS",
+        line.place,
+        expected="a hard task to have MAXC reserved, a soft one EFFC",
+        got="no SOFTNESS above 0",
+        remedy="add SOFTNESS, or remove the line",
+    )
 
 
 def _softness(reader: Reader, block: Block) -> float | None:
@@ -381,7 +396,7 @@ def write_rmod(record: Rmod) -> str:
         ports: tuple[str, ...] = getattr(record, keyword.lower())
         lines.append(text_line(keyword, " ".join(ports) or "none"))
     lines.append(text_line("TASKTYPE", record.tasktype.value))
-    for keyword in ("FREQ", "CAPACITY", "MINC", "MAXC", "SOFTNESS", "CRIT"):
+    for keyword in ("FREQ", "CAPACITY", "MINC", "MAXC", "EFFC", "SOFTNESS", "CRIT"):
         value: float | int | None = getattr(record, keyword.lower())
         if value is not None:
             lines.append(text_line(keyword, number(value)))
