@@ -251,6 +251,8 @@ def edf_schedulable(tasks: Iterable[Demand], servers: Iterable[Server] = ()) -> 
         return False
     if not servers and all(task.due_ns == task.period_ns for task in tasks):
         return True
+    if not tasks:
+        return True
     last = _horizon(tasks, servers, total)
     if sum(1 + last // task.period_ns for task in tasks) > MOST:
         return False
@@ -434,20 +436,24 @@ def _apply(tasks: list[Demand], changes: list[Transformation]) -> list[Demand]:
     ]
 
 
-def largest_server(server: Server, tasks: Iterable[Demand], *, rm: bool = False) -> int:
+def largest_server(
+    server: Server, tasks: Iterable[Demand], *, rm: bool = False, limit: float = 1.0
+) -> int:
     """Return the greatest capacity with which all tasks still keep their deadlines.
 
     Args:
         server: Gives kind and period; its capacity is not looked at.
         tasks: The tasks below it: the critical set of MUF, or all tasks under RM.
         rm: RM schedules the tasks, not EDF.
+        limit: Share of the core that tasks and server may use together.
 
     Returns:
         Nanoseconds a period, whole microseconds; 0 when there is no room.
     """
     tasks = list(tasks)
     test = rm_schedulable if rm else edf_schedulable
-    low, high = 0, server.period_ns // STEP
+    room = max(0.0, limit - utilization(tasks))
+    low, high = 0, int(min(1.0, room) * server.period_ns * (1 + 1e-12)) // STEP
     while low < high:
         middle = (low + high + 1) // 2
         if test(tasks, [structs.replace(server, capacity_ns=middle * STEP)]):

@@ -10,6 +10,7 @@ what the others leave, and from E of the periods that follow.
 from __future__ import annotations
 
 import math
+from enum import StrEnum
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,23 @@ from .histogram import BINS, edge_ns
 if TYPE_CHECKING:
     import random
     from collections.abc import Iterable, Sequence
+
+
+class Basis(StrEnum):
+    """What an effective execution time rests on."""
+
+    GIVEN = "given"
+    MEASURED = "measured"
+    ASSUMED = "assumed"
+    """Nothing is known but the worst time, which stands for it."""
+
+
+class Effective(Struct, frozen=True):
+    """E of a soft task and what it rests on."""
+
+    time_ns: int | None
+    """None while not even the worst time is known."""
+    basis: Basis
 
 
 class Profile(Struct, frozen=True):
@@ -184,6 +202,38 @@ def from_histogram(counts: Sequence[int], *, worst_ns: int = 0) -> Profile:
             edge = math.ceil(edge_ns(index + 1))
             steps[min(edge, worst_ns) if worst_ns > 0 else edge] = below / total
     return from_steps(steps.items())
+
+
+def effective(
+    softness: float,
+    *,
+    given_ns: int | None = None,
+    profile: Profile | None = None,
+    worst_ns: int | None = None,
+) -> Effective:
+    """Return what to reserve for a soft task in each period: E of section 6.4.
+
+    What somebody declared goes first, then what the profile says for this softness,
+    but never more than the worst time; without both the worst time stands for E,
+    which reserves more than is needed.
+
+    Args:
+        softness: Share of the cycles that may miss.
+        given_ns: E as declared.
+        profile: As measured.
+        worst_ns: C, declared or measured.
+
+    Raises:
+        ValueError: `softness` is not within [0, 1).
+    """
+    if given_ns is not None:
+        return Effective(given_ns, Basis.GIVEN)
+    if profile is None:
+        return Effective(worst_ns, Basis.ASSUMED)
+    found = profile.effective_ns(softness)
+    return Effective(
+        found if worst_ns is None else min(found, worst_ns), Basis.MEASURED
+    )
 
 
 def every(worst_ns: int, effective_ns: int) -> int:

@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+RETRIES = 15
+"""How often a reader that was lapped copies again (``PB_TRIES`` in svar/cut.h)."""
+
 
 def rate(sizes: Iterable[float], period: float, overhead: float = 0.0) -> float:
     """Return what a module moves a second: Z of equation 6.

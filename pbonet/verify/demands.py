@@ -1,8 +1,9 @@
 """What a task asks of its core, in the words of the schedulability tests.
 
 A periodic task asks for its worst execution time in every period, a soft one for its
-effective one (Stewart 1994, section 6.4), a server for its capacity. What is not known
-counts as nothing, and is said to be assumed.
+effective one (Stewart 1994, section 6.4), a server for its capacity. What an RMOD
+declares goes before what was measured; what is not known counts as nothing, and is
+said to be assumed.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet.config.model import TaskType
+from pbonet.sched import soft
 from pbonet.sched.analysis import Demand
 from pbonet.sched.servers import Server, ServerKind
 
@@ -56,36 +58,49 @@ def is_periodic(task: Task) -> bool:
 
 
 def least(task: Task) -> Figure:
-    """Return MINC: measured, else the RMOD's, else assumed."""
-    if task.minc is not None:
-        return Figure(task.minc, Source.MEASURED)
+    """Return MINC: the RMOD's, else measured, else assumed."""
     if task.rmod.minc is not None:
         return Figure(task.rmod.minc, Source.RMOD)
+    if task.minc is not None:
+        return Figure(_at_most(task.minc, task.worst), Source.MEASURED)
     return Figure(None, Source.ASSUMED)
+
+
+def _at_most(seconds: float, limit: float | None) -> float:
+    return seconds if limit is None else min(seconds, limit)
 
 
 def worst(task: Task) -> Figure:
-    """Return MAXC: measured, else the RMOD's, else assumed."""
-    if task.maxc is not None or task.profile is not None:
-        return Figure(task.worst, Source.MEASURED)
+    """Return MAXC: the RMOD's, else measured, else assumed."""
     if task.rmod.maxc is not None:
         return Figure(task.rmod.maxc, Source.RMOD)
+    if task.worst is not None:
+        return Figure(task.worst, Source.MEASURED)
     return Figure(None, Source.ASSUMED)
+
+
+_SOURCES = {
+    soft.Basis.GIVEN: Source.RMOD,
+    soft.Basis.MEASURED: Source.MEASURED,
+    soft.Basis.ASSUMED: Source.ASSUMED,
+}
 
 
 def effective(task: Task) -> Figure | None:
     """Return E of a soft task, None for a hard one (section 6.4).
 
-    From the execution profile where one was measured; else MAXC stands for it, which
-    reserves more than is needed.
+    The RMOD's EFFC, else read from the execution profile, else MAXC stands for it.
     """
     if not task.rmod.softness:
         return None
-    if task.profile is not None:
-        return Figure(
-            task.profile.effective_ns(task.rmod.softness) / NS, Source.MEASURED
-        )
-    return Figure(task.worst, Source.ASSUMED)
+    found = soft.effective(
+        task.rmod.softness,
+        given_ns=None if task.rmod.effc is None else ns(task.rmod.effc),
+        profile=task.profile,
+        worst_ns=None if task.worst is None else ns(task.worst),
+    )
+    seconds = None if found.time_ns is None else found.time_ns / NS
+    return Figure(seconds, _SOURCES[found.basis])
 
 
 def reserve(task: Task) -> float | None:

@@ -18,6 +18,7 @@ from .order import check_initialization
 from .parts import check_task
 from .records import Code, Configuration, Problem, Severity, Task
 from .shapes import check_shapes
+from .times import check_times
 from .timing import check_loads, check_traffic
 from .wiring import check_constants, check_readers, check_writers
 
@@ -97,6 +98,7 @@ class Verdict(Struct, frozen=True, kw_only=True):
 def check(configuration: Configuration) -> list[Problem]:
     """Return everything that is wrong with a configuration (section 3.3.1)."""
     found = [p for task in configuration.tasks for p in check_task(configuration, task)]
+    found += [p for task in configuration.tasks for p in check_times(task)]
     for part in (
         check_shapes,
         check_writers,

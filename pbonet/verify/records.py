@@ -47,7 +47,13 @@ class Code(StrEnum):
     """A CRITICAL task's module has no `stable`."""
     UNKNOWN_RTPU = "unknown-rtpu"
     UNKNOWN_TASK = "unknown-task"
+    TIMES = "times"
+    """An execution time or a capacity does not fit into the period."""
+    UNDERSTATED = "understated"
+    """A cycle took longer than the RMOD's MAXC."""
     OVERLOAD = "overload"
+    SERVER = "server"
+    """A server is larger than the tasks below it allow."""
     NOT_GUARANTEED = "not-guaranteed"
     """Some deadlines may be missed."""
     RATE = "rate"
@@ -87,9 +93,9 @@ class Task(Struct, frozen=True, kw_only=True):
     freq: float | None = None
     """Hz, in place of the RMOD's."""
     minc: float | None = None
-    """Least CPU seconds a cycle as measured, in place of the RMOD's."""
+    """Least CPU seconds a cycle as measured, where the RMOD has none."""
     maxc: float | None = None
-    """Worst CPU seconds a cycle as measured, in place of the RMOD's."""
+    """Worst CPU seconds a cycle as measured, where the RMOD has none."""
     profile: Profile | None = None
     """Execution profile as measured (section 6.4); its end is MAXC if none is given."""
     task: str = ""
@@ -107,10 +113,15 @@ class Task(Struct, frozen=True, kw_only=True):
 
     @property
     def worst(self) -> float | None:
-        """The worst CPU seconds a cycle, None while unknown."""
+        """The worst CPU seconds a cycle, None while unknown; the RMOD's goes first."""
+        return self.measured if self.rmod.maxc is None else self.rmod.maxc
+
+    @property
+    def measured(self) -> float | None:
+        """The worst CPU seconds a cycle as measured, None where nothing was."""
         if self.maxc is None and self.profile is not None:
             return self.profile.worst_ns / 1e9
-        return self.maxc if self.maxc is not None else self.rmod.maxc
+        return self.maxc
 
     @property
     def inputs(self) -> tuple[str, ...]:

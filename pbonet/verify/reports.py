@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.config.model import Scheduler, TaskType
-from pbonet.sched import analysis, soft
+from pbonet.sched import analysis, soft, transfers
 from pbonet.sched.analysis import Demand, Transformation
 from pbonet.sched.servers import Server, ServerKind, server_size
 
@@ -30,8 +30,15 @@ from .demands import (
     servers,
     worst,
 )
-from .records import Code, Configuration, Severity, Task
-from .timing import Load, check_loads, criticalities, loads, traffic
+from .records import Code, Configuration, Problem, Severity, Task
+from .timing import (
+    Load,
+    check_loads,
+    criticalities,
+    loads,
+    read_sizes,
+    traffic,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,7 +101,7 @@ class ServerReport(Struct, frozen=True, kw_only=True):
     by_equation: float
     """The largest size that the equation allows beside these periodic tasks."""
     largest: float
-    """The largest capacity with which the guaranteed tasks stay so, all periods
+    """The largest capacity with which every task keeps its deadlines, all periods
     known; of this server alone."""
     fits: bool
     """With all servers of the RTPU every guaranteed task stays guaranteed."""
@@ -122,20 +129,34 @@ class RtpuReport(Struct, frozen=True, kw_only=True):
     servers: tuple[ServerReport, ...]
     traffic: float
     """Bytes a second of all its tasks (equation 7)."""
+    copy_speed: float
+    """Bytes a second that the tasks of all RTPUs may move together."""
+    write_wait: float
+    """Seconds that a task waits to write into the table: equation 27, no lock."""
+    read_wait: float
+    """Seconds that repeated copies add at most to the longest read."""
 
 
 def report(configuration: Configuration) -> list[RtpuReport]:
     """Return what the analysis finds about each RTPU, for the tasks that are ON."""
     moved = traffic(configuration)
     refused = {
-        problem.where
+        rtpu
         for problem in check_loads(configuration)
-        if problem.code is Code.OVERLOAD and problem.severity is Severity.REFUSE
+        if problem.severity is Severity.REFUSE
+        for rtpu in _rtpus(configuration, problem)
     }
     return [
         _rtpu(configuration, rtpu, load, moved, refused)
         for rtpu, load in zip(configuration.rtpus, loads(configuration), strict=True)
     ]
+
+
+def _rtpus(configuration: Configuration, problem: Problem) -> set[str]:
+    """Return the RTPUs that a problem of the load is about."""
+    if problem.code is Code.OVERLOAD:
+        return {problem.where}
+    return {t.rtpu for t in configuration.running if t.name in problem.tasks}
 
 
 def _rtpu(
@@ -173,8 +194,14 @@ def _rtpu(
             _task(task, assigned[task.name], load, moved[task.name], responses)
             for task in tasks
         ),
-        servers=tuple(_servers(rtpu.scheduler, load, asked, reserved)),
+        servers=tuple(_servers(rtpu.scheduler, load, asked, reserved, configuration)),
         traffic=sum(moved[task.name] for task in tasks),
+        copy_speed=configuration.copy_speed,
+        write_wait=transfers.write_wait(),
+        read_wait=transfers.read_wait(
+            max(read_sizes(configuration, tasks), default=0) / configuration.copy_speed,
+            transfers.RETRIES,
+        ),
     )
 
 
@@ -254,7 +281,11 @@ EQUATIONS = {
 
 
 def _servers(
-    scheduler: Scheduler, load: Load, asked: list[Demand], reserved: list[Server]
+    scheduler: Scheduler,
+    load: Load,
+    asked: list[Demand],
+    reserved: list[Server],
+    configuration: Configuration,
 ) -> list[ServerReport]:
     kept = [task for task in asked if task.name in load.guaranteed]
     used = min(1.0, analysis.utilization(kept))
@@ -270,7 +301,10 @@ def _servers(
             size=server.size,
             equation=EQUATIONS[rule, server.kind],
             by_equation=server_size(server.kind, used, tasks=math.inf if rm else 1),
-            largest=analysis.largest_server(server, kept, rm=rm) / 1e9,
+            largest=analysis.largest_server(
+                server, asked, rm=rm, limit=configuration.limit
+            )
+            / 1e9,
             fits=fits,
         )
         for server in reserved
@@ -295,8 +329,7 @@ def _lines(one: RtpuReport) -> list[str]:
     least_used = "at least " if one.unknown else ""
     lines = [
         f"RTPU {one.rtpu} ({one.scheduler.value}): {one.outlook.value}, utilization "
-        f"{least_used}{one.utilization:.1%} of {one.bound:.1%}, "
-        f"{one.traffic / 1e6:.6g} MB/s"
+        f"{least_used}{one.utilization:.1%} of {one.bound:.1%}"
     ]
     if not one.tasks:
         return lines
@@ -317,6 +350,10 @@ def _lines(one: RtpuReport) -> list[str]:
         f"{'fits' if s.fits else 'too large'}"
         for s in one.servers
     ]
+    lines.append(
+        f"  table: {one.traffic / 1e6:.6g} of {one.copy_speed / 1e6:.6g} MB/s; a write "
+        f"waits {one.write_wait:g} s, a read {one.read_wait * 1e6:.3g} us at most"
+    )
     return [*lines, *_table(one)]
 
 

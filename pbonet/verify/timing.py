@@ -22,7 +22,9 @@ from .demands import demands, is_periodic, is_server, reserve, servers
 from .records import Code, Configuration, Problem, Severity, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from pbonet.sched.servers import Server
 
 SERVER = 6
 """Criticality of a server with capacity left (section 6.5.2.1)."""
@@ -203,7 +205,41 @@ def _room(
 
 
 def check_loads(configuration: Configuration) -> Iterator[Problem]:
-    """Yield RTPUs that cannot keep their tasks' deadlines, as far as MAXC is known."""
+    """Yield RTPUs that cannot keep their tasks' deadlines, as far as MAXC is known.
+
+    A refusal rests on what files declare. What follows from measured times only is a
+    warning, until they are adopted (decision 0096).
+    """
+    declared = _declared(configuration)
+    refused = {
+        (problem.code, problem.where)
+        for problem in (_load_problems(declared) if declared else ())
+        if problem.severity is Severity.REFUSE
+    }
+    for problem in _load_problems(configuration):
+        firm = declared is None or (problem.code, problem.where) in refused
+        if firm or problem.severity is Severity.WARN:
+            yield problem
+        else:
+            yield structs.replace(
+                problem,
+                severity=Severity.WARN,
+                got=f"{problem.got} with measured times",
+            )
+
+
+def _declared(configuration: Configuration) -> Configuration | None:
+    """Return the configuration without measured times; None where none count."""
+    if not any(task.measured is not None for task in configuration.running):
+        return None
+    tasks = tuple(
+        structs.replace(task, minc=None, maxc=None, profile=None)
+        for task in configuration.tasks
+    )
+    return structs.replace(configuration, tasks=tasks)
+
+
+def _load_problems(configuration: Configuration) -> Iterator[Problem]:
     tasks = {task.name: task for task in configuration.running}
     for load in loads(configuration):
         yield from _overload(load, tasks, configuration)
@@ -227,7 +263,9 @@ def _overload(
     ]
     critical = [name for name in late if tasks[name].rmod.critical]
     over = load.utilization > limit * (1 + MAX_FAULT)
-    if load.scheduler is Scheduler.MUF and critical:
+    if (late or over) and (found := _too_large(load, tasks, configuration, late)):
+        yield found
+    elif load.scheduler is Scheduler.MUF and critical:
         yield _not_critical(load, configuration, critical)
     elif over and load.scheduler is not Scheduler.MUF:
         yield _too_much(load, limit)
@@ -239,7 +277,7 @@ def _overload(
             where=load.rtpu,
             expected=_promise(load),
             got=_used(load),
-            remedy=_relief(load, configuration),
+            remedy="lower a frequency, or move a task to another RTPU",
             tasks=tuple(late),
         )
 
@@ -253,19 +291,46 @@ def _promise(load: Load) -> str:
     )
 
 
-def _relief(load: Load, configuration: Configuration) -> str:
-    """Return what to do when tasks may miss; with a server, how large it may be."""
+def _too_large(
+    load: Load, tasks: dict[str, Task], configuration: Configuration, late: list[str]
+) -> Problem | None:
+    """Return the refusal of servers for which tasks would miss that else would not."""
     there = [t for t in configuration.running if t.rtpu == load.rtpu]
-    for server in servers(there):
-        if load.scheduler is Scheduler.EDF or len(servers(there)) > 1:
-            break
-        most = largest_server(server, demands(there), rm=load.scheduler is Scheduler.RM)
-        if 0 < most < server.capacity_ns:
-            return (
-                f"lower CAPACITY of {server.name} to at most {most / 1e9:.6g} s, lower "
-                "a frequency, or move a task to another RTPU"
-            )
-    return "lower a frequency, or move a task to another RTPU"
+    reserved = servers(there)
+    others = structs.replace(
+        configuration,
+        on=configuration.on - {server.name for server in reserved},
+        rtpus=tuple(r for r in configuration.rtpus if r.name == load.rtpu),
+    )
+    alone = _load(others, others.rtpus[0])
+    fits = alone.utilization <= configuration.limit * (1 + MAX_FAULT)
+    every = {*alone.critical_set, *alone.outside}
+    if not reserved or not fits or set(alone.guaranteed) != every:
+        return None
+    names = " and ".join(server.name for server in reserved)
+    who = f"server {names} is" if len(reserved) == 1 else f"servers {names} are"
+    victims = f": {' and '.join(late)} may miss deadlines" if late else ""
+    return Problem(
+        code=Code.SERVER,
+        what=f"the {who} larger than RTPU {load.rtpu} can bear{victims}",
+        where=tasks[reserved[0].name].place("CAPACITY"),
+        expected=_largest(load, reserved, there, configuration.limit),
+        got=" and ".join(f"{server.capacity_ns / 1e9:g} s" for server in reserved),
+        remedy="lower CAPACITY, lower a frequency, or move a task to another RTPU",
+        tasks=tuple(server.name for server in reserved),
+    )
+
+
+def _largest(
+    load: Load, reserved: list[Server], there: list[Task], limit: float
+) -> str:
+    if len(reserved) > 1:
+        return "servers that leave the tasks what they need"
+    asked = demands(there)
+    most = largest_server(
+        reserved[0], asked, rm=load.scheduler is Scheduler.RM, limit=limit
+    )
+    return f"at most {most / 1e9:.6g} s, once in {reserved[0].period_ns / 1e9:g} s"
 
 
 def _not_critical(
@@ -338,11 +403,7 @@ def traffic(configuration: Configuration) -> dict[str, float]:
     The locking overhead of the equation is zero here, as the table has no lock. Tasks
     without a frequency count as nothing.
     """
-    size = {
-        variable.name: variable.nelem * kind.size
-        for variable in configuration.svar.variables
-        if (kind := element_type(variable.type))
-    }
+    size = _sizes(configuration)
     return {
         task.name: transfers.rate(
             [size.get(name, 0) for name in (*task.inputs, *task.outputs)],
@@ -352,6 +413,21 @@ def traffic(configuration: Configuration) -> dict[str, float]:
         else 0.0
         for task in configuration.running
     }
+
+
+def _sizes(configuration: Configuration) -> dict[str, int]:
+    """Return the bytes of each variable."""
+    return {
+        variable.name: variable.nelem * kind.size
+        for variable in configuration.svar.variables
+        if (kind := element_type(variable.type))
+    }
+
+
+def read_sizes(configuration: Configuration, tasks: Iterable[Task]) -> list[int]:
+    """Return the bytes that each task copies in before a cycle."""
+    size = _sizes(configuration)
+    return [sum(size.get(name, 0) for name in task.inputs) for task in tasks]
 
 
 def check_traffic(configuration: Configuration) -> Iterator[Problem]:

@@ -141,14 +141,18 @@ def test_other_signals_change_nothing(sent: str) -> None:
 
 def test_a_frequency_that_overloads_is_refused() -> None:
     slow = task("a", freq=100, maxc=0.001)
-    config = configuration(slow, rtpus=[rtpu(scheduler="EDF")])
-    faster = verify.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=900.0)
+    other = task("b", freq=100, maxc=0.0025)
+    config = configuration(slow, other, rtpus=[rtpu(scheduler="EDF")])
+    faster = verify.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=700.0)
     verdict = verify.judge(config, verify.frequency(faster))
     assert verdict.refused == ()
-    assert verdict.after.tasks[0].hz == 900
-    faster = verify.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=1100.0)
+    assert verdict.after.tasks[0].hz == 700
+    faster = verify.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=800.0)
     verdict = verify.judge(config, verify.frequency(faster))
     assert codes(verdict.refused) == ["overload"]
+    too_fast = verify.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=1100.0)
+    verdict = verify.judge(configuration(slow), verify.frequency(too_fast))
+    assert codes(verdict.refused) == ["times"]
 
 
 def test_every_problem_says_where_and_what_to_do() -> None:

@@ -67,13 +67,15 @@ def test_rm_keeps_more_than_equation_9_promises() -> None:
 
 
 def test_where_every_time_comes_from() -> None:
-    measured = structs.replace(task("m", maxc=0.002), minc=0.0001, maxc=0.001)
+    both = task("d", minc=0.0002, maxc=0.003)
     tasks = [
-        measured,
-        task("d", minc=0.0002, maxc=0.003),
+        structs.replace(task("m"), minc=0.0001, maxc=0.001),
+        structs.replace(both, minc=0.0001, maxc=0.001),
         task("n"),
         structs.replace(task("p", softness=0.1), profile=PROFILE),
         task("s", softness=0.1, maxc=0.001),
+        structs.replace(task("g", softness=0.1, effc=0.004), profile=PROFILE),
+        structs.replace(task("c", softness=0.01, maxc=0.009), profile=PROFILE),
     ]
     found = {t.task: t for t in only(configuration(*tasks, rtpus=[rtpu()])).tasks}
 
@@ -87,6 +89,8 @@ def test_where_every_time_comes_from() -> None:
     assert figures("n") == [(None, "assumed"), (None, "assumed")]
     assert figures("p") == [(None, "assumed"), (0.01, "measured"), (0.006, "measured")]
     assert figures("s") == [(None, "assumed"), (0.001, "rmod"), (0.001, "assumed")]
+    assert figures("g") == [(None, "assumed"), (0.01, "measured"), (0.004, "rmod")]
+    assert figures("c") == [(None, "assumed"), (0.009, "rmod"), (0.009, "measured")]
 
 
 def test_unknown_times_make_a_verdict_assumed() -> None:
@@ -123,22 +127,40 @@ def test_a_server_that_is_too_large_is_said_to_be() -> None:
         task("a", freq=100, maxc=0.006, critical=True, info=None),
         task("s", freq=100, capacity=0.003, tasktype=TaskType.DEFERRABLE),
     ]
-    config = configuration(*tasks, rtpus=[rtpu()])
-    assert texts(config) == [
-        "arm0: RTPU arm0 is too busy for the CRITICAL a (expected CRITICAL tasks "
-        "within the critical set, the shortest periods whose utilization is at most "
-        "100.0%, got 90.0%); lower the frequency of a, lower another task's "
-        "frequency, or move one to another RTPU"
-    ]
-    plain = configuration(task("a", freq=100, maxc=0.006), tasks[1], rtpus=[rtpu()])
-    assert texts(plain) == [
-        "arm0: on RTPU arm0 a may miss deadlines (expected deadlines that hold under "
-        "MUF when servers use their whole capacity at the worst moment and each CRIT "
-        "is as given, got 90.0%); lower CAPACITY of s to at most 0.002 s, lower a "
-        "frequency, or move a task to another RTPU"
-    ]
+    refusal = (
+        "s.rmod: the server s is larger than RTPU arm0 can bear: a may miss deadlines "
+        "(expected at most 0.002 s, once in 0.01 s, got 0.003 s); lower CAPACITY, "
+        "lower a frequency, or move a task to another RTPU"
+    )
+    plain = task("a", freq=100, maxc=0.006)
+    for first in (tasks[0], plain):
+        config = configuration(first, tasks[1], rtpus=[rtpu()])
+        assert texts(config) == [refusal]
+        assert verify.check(config)[0].severity == "refuse"
+        assert only(config).outlook is verify.Outlook.OVERLOADED
     smaller = task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
-    assert texts(configuration(plain.tasks[0], smaller, rtpus=[rtpu()])) == []
+    assert texts(configuration(plain, smaller, rtpus=[rtpu()])) == []
+    limited = configuration(plain, tasks[1], rtpus=[rtpu()], limit=0.7)
+    assert "expected at most 0.001 s, once in 0.01 s" in texts(limited)[0]
+
+
+def test_servers_alone_may_be_too_large() -> None:
+    made = [
+        task(name, freq=100, capacity=0.006, tasktype=TaskType.SPORADIC)
+        for name in "st"
+    ]
+    (problem,) = verify.check(configuration(*made, rtpus=[rtpu()]))
+    assert (problem.code, problem.severity) == (verify.Code.SERVER, "refuse")
+    assert problem.what == "the servers s and t are larger than RTPU arm0 can bear"
+
+
+def test_a_server_without_capacity_or_rate_is_told() -> None:
+    made = task("s", freq=None, tasktype=TaskType.SPORADIC)
+    assert texts(configuration(made, rtpus=[rtpu()])) == [
+        "s.rmod: the server s has no CAPACITY and no FREQ, so the analysis reserves "
+        "nothing for it (expected CAPACITY in seconds, to be had once in each period "
+        "of FREQ, got no CAPACITY and no FREQ); add CAPACITY and FREQ to the .rmod"
+    ]
 
 
 def test_a_fixed_criticality_may_spoil_the_critical_set() -> None:
@@ -172,11 +194,12 @@ def test_a_transformation_is_proposed() -> None:
 
 def test_the_report_as_text() -> None:
     assert verify.report_text(verify.report(with_server())).splitlines() == [
-        "RTPU arm0 (MUF): schedulable, utilization 80.0% of 100.0%, 0 MB/s",
+        "RTPU arm0 (MUF): schedulable, utilization 80.0% of 100.0%",
         "  critical set: a soft",
         "  all deadlines would be kept under: MUF, EDF, RM",
         "  server srv: deferrable, 2 ms every 10 ms (20.0%); equation 22 allows 18.2%, "
         "all periods known 2.5 ms; fits",
+        "  table: 0 of 1000 MB/s; a write waits 0 s, a read 0 us at most",
         "  task  Hz       MINC ms      MAXC ms      E ms        U %   crit  set  keeps",
         "  soft  83.3333  ? assumed 0  10 measured  6 measured  50.0  5     yes  1 "
         "of 2 cycles, 81.8% of periods at worst",

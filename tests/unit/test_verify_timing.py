@@ -1,6 +1,7 @@
 """Criticalities, utilization, and traffic of the table (equations 6 to 9)."""
 
 import pytest
+from msgspec import structs
 from verify_parts import configuration, rtpu, task, texts
 
 from pbonet import verify
@@ -136,7 +137,8 @@ def test_an_unknown_maxc_makes_muf_assume() -> None:
 
 
 def test_what_is_known_may_be_too_much_already() -> None:
-    tasks = [task("a", freq=500, maxc=0.003), task("b", freq=100)]
+    tasks = [task("a", freq=500, maxc=0.0015), task("b", freq=100)]
+    tasks.append(task("c", freq=500, maxc=0.0015))
     for scheduler in ("EDF", "RM"):
         config = configuration(*tasks, rtpus=[rtpu(scheduler=scheduler)])
         (problem,) = verify.check(config)
@@ -147,6 +149,10 @@ def test_what_is_known_may_be_too_much_already() -> None:
 def test_measured_times_and_other_frequencies_count() -> None:
     one = task("a", freq=500, maxc=0.003)
     one = verify.Task(rmod=one.rmod, rtpu="arm0", freq=100.0, maxc=0.001)
+    (load,) = verify.loads(configuration(one, rtpus=[rtpu()]))
+    assert load.utilization == pytest.approx(0.3)
+    unsaid = task("a", freq=500)
+    one = verify.Task(rmod=unsaid.rmod, rtpu="arm0", freq=100.0, maxc=0.001)
     (load,) = verify.loads(configuration(one, rtpus=[rtpu()]))
     assert load.utilization == pytest.approx(0.1)
 
@@ -220,3 +226,66 @@ def test_the_traffic_of_equations_6_and_7() -> None:
         "0.2 MB/s (equation 7), got 0.216 MB/s, of which arm 0.144 MB/s); lower the "
         "frequency of arm, or combine it with the tasks it talks to"
     ]
+
+
+@pytest.mark.parametrize(
+    ("given", "keyword", "more"),
+    [
+        ({"maxc": 0.02}, "MAXC", "; with SOFTNESS a cycle may go on into the next "),
+        ({"maxc": 0.05, "effc": 0.02, "softness": 0.1}, "EFFC", ""),
+        ({"minc": 0.02}, "MINC", ""),
+        ({"capacity": 0.02, "tasktype": TaskType.SPORADIC}, "CAPACITY", ""),
+    ],
+)
+def test_what_does_not_fit_the_period_is_refused(given, keyword, more) -> None:
+    """At the frequency that counts, which may be the job's and not the RMOD's."""
+    slow = task("a", freq=10, **given)
+    assert texts(configuration(slow)) == []
+    fast = verify.Task(rmod=slow.rmod, info=slow.info, rtpu="arm0", freq=100.0)
+    (problem,) = verify.check(configuration(fast))
+    assert (problem.code, problem.severity) == (verify.Code.TIMES, "refuse")
+    assert verify.as_text(problem).startswith(
+        f"a.rmod: {keyword} of task a is above its period (expected at most 0.01 s, "
+        "the period at 100 Hz, got 0.02 s); lower the frequency to at most 50 Hz, or "
+        f"correct {keyword}{more}"
+    )
+
+
+def test_a_soft_cycle_may_take_longer_than_a_period() -> None:
+    made = task("a", freq=100, maxc=0.03, effc=0.005, softness=0.1)
+    assert texts(configuration(made, rtpus=[rtpu()])) == []
+
+
+def test_a_measured_time_above_the_declared_one_is_told() -> None:
+    one = structs.replace(task("a", maxc=0.001), maxc=0.002)
+    (problem,) = verify.check(configuration(one, rtpus=[rtpu()]))
+    assert (problem.code, problem.severity) == (verify.Code.UNDERSTATED, "warn")
+    assert verify.as_text(problem) == (
+        "a.rmod: a cycle of task a took longer than its MAXC (expected at most 0.001 "
+        "s, got 0.002 s as measured); 'pbonet adopt' writes the measured time, or find "
+        "out why a takes so long"
+    )
+
+
+@pytest.mark.parametrize("scheduler", ["EDF", "RM", "MUF"])
+def test_measured_times_refuse_nothing(scheduler: str) -> None:
+    """They only warn: one slow cycle must not keep a job from starting again."""
+    marks = {"critical": True, "info": None}
+    declared = [task(name, freq=100, maxc=0.006, **marks) for name in "ab"]
+    entry = rtpu(scheduler=scheduler)
+    refused = verify.check(configuration(*declared, rtpus=[entry]))
+    assert {problem.severity for problem in refused} == {"refuse"}
+    measured = [
+        structs.replace(task(name, freq=100, **marks), maxc=0.006) for name in "ab"
+    ]
+    (problem,) = verify.check(configuration(*measured, rtpus=[entry]))
+    assert problem.severity == "warn"
+    assert problem.got == "120.0% with measured times"
+    third = structs.replace(task("c", freq=100), maxc=0.001)
+    mixed = configuration(*declared, third, rtpus=[entry])
+    assert "refuse" in {problem.severity for problem in verify.check(mixed)}
+
+
+def test_a_server_beside_a_task_of_unknown_time() -> None:
+    made = task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
+    assert texts(configuration(task("a", freq=50), made, rtpus=[rtpu()])) == []
