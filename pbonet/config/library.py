@@ -176,7 +176,10 @@ class Library:
         """Return what to say about folders that are not there."""
         gone = [str(folder) for folder in self.folders if not folder.is_dir()]
         if not gone:
-            return "write it (`pbonet new module`), or name its folder in agent.toml"
+            return (
+                "write it (`pbonet new module`), or name its folder by --library or "
+                "in agent.toml"
+            )
         return f"there is no folder {' and no folder '.join(gone)}"
 
 

@@ -221,11 +221,11 @@ class Crew:
         """
         self.with_infos(self.picture)
         problems = self._problems(change, producers=False)
-        if any(p.severity is verify.Severity.REFUSE for p in problems):
+        if problems:
             problems = self._problems(change, producers=True)
-            raise verify.as_error([
-                p for p in problems if p.severity is verify.Severity.REFUSE
-            ])
+        refused = [p for p in problems if p.severity is verify.Severity.REFUSE]
+        if refused:
+            raise verify.as_error(refused)
         return list(map(verify.as_text, problems))
 
     def _problems(

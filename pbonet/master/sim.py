@@ -135,7 +135,7 @@ class Simulation:
         members = {m.name: m for m in map(self._member, self.job.tasks)}
         tasks = [member.task for member in members.values()]
         verdict = self._judged(tasks, producers=False)
-        if verdict.refused:
+        if verdict.problems:
             verdict = self._judged(tasks, producers=True)
         verdict.check()
         self.events += map(verify.as_text, verdict.warnings)

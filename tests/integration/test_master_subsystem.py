@@ -212,7 +212,8 @@ def test_loop_is_built_by_hand_with_a_warning_and_the_flag(robot, agents):
     robot.spawn("grav_comp", "arm1")
     robot.heard.clear()
     robot.control("grav_comp", "on")
-    assert any("Q_MEZ" in text for text in robot.heard)
+    (text,) = [text for text in robot.heard if "Q_MEZ" in text]
+    assert text.endswith("turn puma_pidg on")
     assert agents["arm0"].flags == [UNFED]
     robot.control("grav_comp", "off")
     assert agents["arm0"].flags == []

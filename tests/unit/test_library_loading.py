@@ -204,7 +204,7 @@ def test_a_folder_that_is_not_there_is_told_when_it_matters(folder):
     assert shelf.load("ramp").info.name == "ramp"
     with pytest.raises(ModuleLoadError, match=r"there is no folder .*/gone$"):
         shelf.load("zzzzzz")
-    with pytest.raises(ModuleLoadError, match=r"write it \(`pbonet new module`\)"):
+    with pytest.raises(ModuleLoadError, match="its folder by --library"):
         Library([folder]).load("zzzzzz")
 
 

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -89,7 +90,7 @@ def test_the_commands_of_the_page_write_modules(tmp_path):
     (said,) = re.findall(r"`(pbonet describe .*?)`", PAGE)
     for command in [*shown.splitlines(), said]:
         done = subprocess.run(
-            [sys.executable, "-m", "pbonet.cli", *command.split()[1:]],
+            [sys.executable, "-m", "pbonet.cli", *shlex.split(command)[1:]],
             cwd=tmp_path,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             capture_output=True,
