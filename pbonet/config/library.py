@@ -1,9 +1,10 @@
 """The library: where modules and RMODs are found by name (Stewart 1994, section 3.9).
 
-A library is a list of folders with ``module.py`` files and ``.rmod`` files. The modules
-that pbonet brings come first, then the folders that a machine's ``agent.toml`` names,
-then the packages that register under the entry point group ``pbonet.modules``. A module
-is loaded by its name only, never from a path or from text that came over the network.
+A library is a list of folders with ``module.py`` files and ``.rmod`` files. The folders
+that a machine's ``agent.toml`` or a command names come first, then the modules that
+pbonet brings, then the packages that register under the entry point group
+``pbonet.modules``. A module is loaded by its name only, never from a path or from text
+that came over the network.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ class Library:
 
     Args:
         folders: Folders beside the modules that pbonet brings and those of installed
-            packages; earlier ones win. One that does not exist is an error when a name
-            is looked for that nobody else has.
+            packages; earlier ones win, and all of them win over those. One that does
+            not exist is an error when a name is looked for that nobody else has.
     """
 
     def __init__(self, folders: Iterable[str | Path] = ()) -> None:
@@ -76,9 +77,9 @@ class Library:
 
     def _search(self) -> Iterator[Shelf]:
         """Yield the folders; those of installed packages only if all else fails."""
-        yield from _packaged(BUILT_IN)
         for folder in self.folders:
             yield Shelf(folder, _package_name(folder))
+        yield from _packaged(BUILT_IN)
         yield from self._installed
 
     @cached_property

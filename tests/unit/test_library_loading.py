@@ -64,9 +64,21 @@ def test_everything_is_listed_without_running_it(folder):
     assert list(shelf.modules()) == sorted(shelf.modules())
 
 
-def test_the_library_of_pbonet_comes_first(folder):
-    (folder / "diff.py").write_text("1/0")
-    assert Library([folder]).load("diff").cls is pbonet.modules.diff.Diff
+def test_folders_come_before_what_pbonet_brings(folder):
+    (folder / "diff.py").write_text(GOOD)
+    (folder / "qmdiff.rmod").write_text("MODULE diff\n")
+    shelf = Library([folder])
+    assert shelf.load("diff").path == folder / "diff.py"
+    assert shelf.find_rmod("qmdiff") == folder / "qmdiff.rmod"
+    assert Library().load("diff").cls is pbonet.modules.diff.Diff
+
+
+def test_of_two_folders_the_first_one_counts(folder, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "ramp.py").write_text(GOOD)
+    assert Library([other, folder]).load("ramp").path == other / "ramp.py"
+    assert Library([folder, other]).load("ramp").path == folder / "ramp.py"
 
 
 def test_every_module_of_the_library_loads():
@@ -194,7 +206,7 @@ def test_a_module_that_is_not_there(folder):
         Library([folder]).load("rmap")
     built_in = importlib.import_module("pbonet.modules").__path__[0]
     assert str(caught.value) == (
-        f"the library has no module rmap (expected rmap.py in {built_in} or {folder}); "
+        f"the library has no module rmap (expected rmap.py in {folder} or {built_in}); "
         "did you mean ramp?"
     )
 
