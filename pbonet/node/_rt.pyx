@@ -330,7 +330,7 @@ cdef class Slot:
         self.table = table
         self.index = i
         self.dt_ns = -1
-        rt_guard_slot(self.task.slot)
+        rt_guard_slot(&self.task)
 
     def run(self, cycle, LocalTable local, *, stable=None, sync=None, Ring ring=None,
             int leave=LEAVE) -> int:

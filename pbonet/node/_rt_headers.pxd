@@ -115,7 +115,7 @@ cdef extern from "view.h" nogil:
     void rt_play(rt_table *t, rt_slot *slot, int mode, int begun, int done)
 
 cdef extern from "guard.h" nogil:
-    int rt_guard_slot(rt_slot *slot)
+    int rt_guard_slot(const rt_task *task)
     void rt_unguard_slot(rt_slot *slot)
     int rt_guard_orphan(int signal, int parent)
     int rt_is_orphan()

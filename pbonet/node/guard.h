@@ -15,6 +15,8 @@
 #include <sys/resource.h>
 
 static struct rt_slot *_Atomic rt_guarded;  /* the slot of this process's task */
+static struct rt_table *_Atomic rt_guarded_table;
+static _Atomic uint32_t rt_guarded_life;
 static _Atomic int rt_orphan_flag;
 static _Atomic int rt_orphan_fd = -1;
 
@@ -27,6 +29,16 @@ static inline void rt_on_park(int signal)
     if (slot && atomic_load(&slot->post.begun) != atomic_load(&slot->post.done))
         rt_hold_still(slot);
     errno = saved;
+}
+
+/* Tell task and dispatcher. A dispatcher that still leads, of this RTPU process or of
+ * another one on the core, must give an orphan no level any more. */
+static inline void rt_disown(struct rt_slot *slot)
+{
+    atomic_store(&slot->config.dead, atomic_load(&rt_guarded_life));
+    rt_kick(atomic_load(&rt_guarded_table));
+    atomic_store(&slot->grant.parked, 0);
+    rt_request(slot, RT_ASK_ORPHAN);
 }
 
 /* The parent is gone: tell whoever looks, and let SIGALRM end us if nobody does. Nobody
@@ -46,11 +58,9 @@ static inline void rt_on_orphan(int signal)
     sigprocmask(SIG_UNBLOCK, &set, NULL);
     if (!atomic_exchange(&rt_orphan_flag, 1))
         alarm(1);
+    if (slot)
+        rt_disown(slot);
     rt_share_level(RT_COMMAND_LEVEL);
-    if (slot) {
-        atomic_store(&slot->grant.parked, 0);
-        rt_request(slot, RT_ASK_ORPHAN);
-    }
     if (rt_orphan_fd >= 0 && write(rt_orphan_fd, &one, sizeof one) < 0)
         errno = saved;          /* the counter is full: it is readable all the same */
     errno = saved;
@@ -64,15 +74,18 @@ static inline int rt_handle(int signal, void (*handler)(int))
     return sigaction(signal, &action, NULL) ? errno : 0;
 }
 
-/* Make `slot` the one that signals speak of. The park handler must let the orphan
+/* Make the task's slot the one that signals speak of. The park handler must let the orphan
  * signal through, or a held orphan would never learn of it. */
-static inline int rt_guard_slot(struct rt_slot *slot)
+static inline int rt_guard_slot(const struct rt_task *task)
 {
+    struct rt_slot *slot = task->slot;
     struct sigaction action = {.sa_handler = rt_on_park, .sa_flags = SA_RESTART};
     sigemptyset(&action.sa_mask);
+    atomic_store(&rt_guarded_table, task->table);
+    atomic_store(&rt_guarded_life, atomic_load(&slot->config.life));
     atomic_store(&rt_guarded, slot);
-    if (atomic_load(&rt_orphan_flag) && slot)
-        rt_request(slot, RT_ASK_ORPHAN);
+    if (atomic_load(&rt_orphan_flag))
+        rt_disown(slot);
     return sigaction(RT_PARK_SIGNAL, &action, NULL) ? errno : 0;
 }
 

@@ -57,7 +57,7 @@ enum rt_event_kind {
 struct rt_config {
     _Atomic uint32_t gen;    /* odd while being written */
     _Atomic uint32_t life;   /* odd while allocated; rises with every alloc and free */
-    _Atomic uint32_t dead;   /* the life whose task is known to have died */
+    _Atomic uint32_t dead;   /* the life whose task has died or is an orphan */
     _Atomic int32_t pid;
     _Atomic int32_t kind, crit, priority;
     _Atomic int32_t member;

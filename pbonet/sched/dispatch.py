@@ -45,7 +45,7 @@ class Event(IntEnum):
     """Input: period a, relative deadline b (0: period), arg packed by `pack`; its bit
     31 tells of another process, which holds no level."""
     DEAD = 4
-    """Input: the task's process is gone."""
+    """Input: the task's process is gone, or an orphan, which nobody ranks."""
     MODE = 5
     """Input: the task's mode word arg (`Mode`, arming count, return count)."""
     DONE = 6

@@ -12,6 +12,7 @@ from watching import wait_for
 from pbonet.errors import NodeError, SvarMissingError
 from pbonet.node import _rt, leftovers
 from pbonet.node._ring import Ring
+from pbonet.sched.dispatch import Event
 from pbonet.xm import messages as m
 from pbonet.xm import rundir
 
@@ -45,13 +46,22 @@ def split(nodes):
     return nodes.master("arm0", "arm")
 
 
-def start_pair(master, tmp_path, **more):
-    """Turn two tasks on; return their diaries and process ids."""
+def start_pair(master, tmp_path, first=0, **more):
+    """Turn two tasks on; return their diaries and the process ids of all tasks."""
     books = [tmp_path / "first", tmp_path / "second"]
-    for i, book in enumerate(books):
+    for i, book in enumerate(books, first):
         master.spawn(f"t{i}", "counts", out=f"Y{i}", local={"DIARY": book}, **more)
         master.on(f"t{i}")
     return books, [one.tid for one in master.status().values()]
+
+
+def hang_above(master, names):
+    """Have a task hang at a level above those of others; return its process id."""
+    tid = master.spawn("bad", "hangs_in_c", out="Y5", freq=150.0).tid
+    master.ask(m.Rank(tasks={"bad": (50, 0)} | {name: (1, 0) for name in names}))
+    master.on("bad")
+    wait_hung(master, "bad")
+    return tid
 
 
 class TestAgent:
@@ -175,10 +185,7 @@ class TestRtpuProcess:
     def test_killed_with_a_task_that_hangs(self, arm, nodes, tmp_path):
         """One that never comes back keeps the others from nothing, and is ended."""
         books, pids = start_pair(arm, tmp_path)
-        hung = arm.spawn("bad", "hangs_in_c", out="Y2").tid
-        arm.ask(m.Rank(tasks={"t0": (1, 0), "t1": (1, 0), "bad": (60, 0)}))
-        arm.on("bad")
-        wait_hung(arm, "bad")
+        hung = hang_above(arm, ["t0", "t1"])
         old = nodes.state("arm0").pid
         with Reference(CORE, ABOVE_TASKS) as reference:
             killed = time.monotonic()
@@ -299,9 +306,41 @@ class TestTwoRtpus:
         for master in (new, alive_one):
             master.stop()
 
+    def test_a_takeover_gives_orphans_no_level_back(self, pair, nodes, tmp_path):
+        """One that hangs would keep the others from turning themselves off."""
+        leader, other = pair
+        books, pids = start_pair(leader, tmp_path, first=2)
+        pids.append(hang_above(leader, ["t0", "t2", "t3"]))
+        other.ask(m.Rank(tasks={"t1": (50, 0)}))
+        old = nodes.state("arm0").pid
+        core = _rt.CoreTable(CORE, member=False)
+        slot = core.find(f"{nodes.domain}/arm0", "arm/bad")
+        so_far, _, _ = core.trace()
+        with Reference(CORE, ABOVE_TASKS) as reference:
+            killed = time.monotonic()
+            os.kill(old, signal.SIGKILL)
+            wait_gone(pids)
+            check_last_words(books, killed, reference)
+        kinds = [one.kind for one in core.trace(so_far)[2] if one.slot == slot]
+        assert Event.LEVEL not in kinds[kinds.index(Event.DEAD) :]
+        core.close()
+        nodes.wait_restarted("arm0", old)
+        other.wait_cycles("t1", 5)
+        other.stop()
+
 
 class TestForkServer:
     """Its end is the end of its tasks, and of nothing else."""
+
+    def test_killed_with_a_task_that_hangs(self, arm, nodes, tmp_path):
+        """The dispatcher lives, and gives those who end themselves no level either."""
+        books, pids = start_pair(arm, tmp_path)
+        pids.append(hang_above(arm, ["t0", "t1"]))
+        with Reference(CORE, ABOVE_TASKS) as reference:
+            killed = time.monotonic()
+            os.kill(nodes.fork_server("arm0"), signal.SIGKILL)
+            wait_gone(pids)
+            check_last_words(books, killed, reference)
 
     @pytest.mark.parametrize("which", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
     def test_ended(self, arm, nodes, tmp_path, which):
