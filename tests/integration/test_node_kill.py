@@ -58,7 +58,7 @@ def start_pair(master, tmp_path, first=0, **more):
 def hang_above(master, names):
     """Have a task hang at a level above those of others; return its process id."""
     tid = master.spawn("bad", "hangs_in_c", out="Y5", freq=150.0).tid
-    master.ask(m.Rank(tasks={"bad": (50, 0)} | {name: (1, 0) for name in names}))
+    master.ask(m.Rank(tasks={"bad": (50, 0)} | dict.fromkeys(names, (1, 0))))
     master.on("bad")
     wait_hung(master, "bad")
     return tid
