@@ -15,7 +15,7 @@ from .blocks import Block, Grammar, read_block
 from .lines import Line, Word, fault, quote
 from .model import Condition, JobFile, JobTask
 from .reader import Reader, load
-from .rmod import frequency
+from .timing import frequency
 from .write import number, same_again, text_line
 
 if TYPE_CHECKING:

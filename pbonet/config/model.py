@@ -114,6 +114,8 @@ class Rmod(Struct, frozen=True, kw_only=True):
     """E of a soft task (section 6.4), seconds; None: read from its profile."""
     softness: float | None = None
     crit: int | None = None
+    handler: int | None = None
+    """Criticality of the handler of timing failures; None for the task's own."""
     rtpu: str | None = None
     local: dict[str, LocalLine] = {}
     places: dict[str, Place] = {}

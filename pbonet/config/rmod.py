@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pbonet.errors import ConfigError, did_you_mean
+from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
 from .lines import Line, Word, fault, quote
 from .model import LocalLine, Place, Rmod, TaskType
 from .reader import Reader, load
+from .timing import criticality, read_timing
 from .write import number, same_again, text_line
 
 if TYPE_CHECKING:
@@ -19,15 +20,20 @@ if TYPE_CHECKING:
 
 GRAMMAR = Grammar(
     "MODULE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE [FREQ|PERIOD] "
-    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|RTPU]",
+    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|RTPU]",
     after=("LOCAL", "EOF"),
 )
+NUMBERS = (
+    "FREQ",
+    "CAPACITY",
+    "MINC",
+    "MAXC",
+    "EFFC",
+    "SOFTNESS",
+    "CRIT",
+    "HANDLER",
+)
 LISTS = ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
-CRITICALITIES = (1, 62)
-"""Lowest and highest CRIT; 0 and 63 are pbonet's own (section 4.5.1)."""
-
-_TIMED = {TaskType.PERIODIC, TaskType.SYNCHRONOUS}
-_SERVERS = {TaskType.SPORADIC, TaskType.DEFERRABLE}
 
 
 def read_rmod(path: str | Path) -> Rmod:
@@ -64,12 +70,7 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
     tasktype = words.choice(
         words.single(block["TASKTYPE"], "one task type"), TaskType, "a task type"
     )
-    freq = _freq(reader, block, tasktype)
-    capacity = _capacity(reader, block, tasktype, freq)
-    minc, maxc, effc = _times(reader, block)
-    softness = _softness(reader, block)
-    if block.get("EFFC") and not softness:
-        raise _hard(block["EFFC"])
+    times = read_timing(reader, block, tasktype)
     local, places = _local(reader)
     reader.finish()
     return Rmod(
@@ -83,17 +84,13 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
         invar=_texts(ports["INVAR"]),
         outvar=_texts(ports["OUTVAR"]),
         tasktype=tasktype,
-        freq=freq,
         critical=_critical(block),
-        capacity=capacity,
-        minc=minc,
-        maxc=maxc,
-        effc=effc,
-        softness=softness,
-        crit=_crit(reader, block),
+        crit=criticality(reader, block, "CRIT"),
+        handler=criticality(reader, block, "HANDLER"),
         rtpu=_rtpu(block),
         local=local,
         places={**block.places, **places},
+        **times._asdict(),
     )
 
 
@@ -221,131 +218,10 @@ def _refuse_collision(
         user[variable] = word
 
 
-def _freq(reader: Reader, block: Block, tasktype: TaskType) -> float | None:
-    """Return the frequency in Hz, from FREQ or PERIOD."""
-    freq, period = block.get("FREQ"), block.get("PERIOD")
-    if freq and period:
-        second = max(freq.place, period.place)
-        raise fault(
-            "both FREQ and PERIOD are given",
-            second,
-            expected="one of them",
-            got=f"the other in line {min(freq.place, period.place).line}",
-            remedy="remove one of them",
-        )
-    line = freq or period
-    if line is None:
-        if tasktype in _TIMED:
-            raise fault(
-                f"a {tasktype.value} task without FREQ and PERIOD",
-                block["TASKTYPE"].place,
-                expected="FREQ in Hz or PERIOD in seconds behind TASKTYPE",
-                got="neither",
-                remedy="add the task's default frequency",
-            )
-        return None
-    if tasktype is TaskType.BACKGROUND:
-        raise fault(
-            f"{line.keyword} means nothing for a background task",
-            line.place,
-            expected=f"no {line.keyword}, as it runs when nothing else does",
-            remedy="remove the line, or choose another TASKTYPE",
-        )
-    return _hertz(reader, line)
-
-
-def _hertz(reader: Reader, line: Line) -> float:
-    if line.keyword == "FREQ":
-        return frequency(reader, words.single(line, "a frequency in Hz"))
-    word = words.single(line, "a period in seconds")
-    wanted = "seconds from 1e-06 to 1e+06"
-    return 1.0 / words.real(
-        reader, word, wanted, low=1e-6, high=1e6, open_low=False, open_high=False
-    )
-
-
-def frequency(reader: Reader, word: Word) -> float:
-    """Return the word as a task's frequency in Hz."""
-    wanted = "Hz from 1e-06 to 1e+06"
-    return words.real(
-        reader, word, wanted, low=1e-6, high=1e6, open_low=False, open_high=False
-    )
-
-
 def _critical(block: Block) -> bool:
     """Return whether the task is marked; CRITICAL alone means yes."""
     line = block.get("CRITICAL")
     return line is not None and (not line.words or words.yes(line))
-
-
-def _capacity(
-    reader: Reader, block: Block, tasktype: TaskType, freq: float | None
-) -> float | None:
-    line = block.get("CAPACITY")
-    if line is None:
-        return None
-    if tasktype not in _SERVERS:
-        raise fault(
-            f"CAPACITY means nothing for a {tasktype.value} task",
-            line.place,
-            expected="CAPACITY with TASKTYPE sporadic or deferrable only",
-            remedy="remove the line, or choose another TASKTYPE",
-        )
-    high = 1.0 / freq if freq else 1e6
-    word = words.single(line, "seconds")
-    wanted = f"seconds above 0, at most {high:g}" + (", the period" if freq else "")
-    return words.real(reader, word, wanted, high=high, open_high=False)
-
-
-def _times(reader: Reader, block: Block) -> list[float | None]:
-    """Return the declared least, greatest and effective execution times in seconds."""
-    found: dict[str, float | None] = {}
-    for keyword in ("MINC", "MAXC", "EFFC"):
-        line = block.get(keyword)
-        word = words.single(line, "seconds") if line else None
-        found[keyword] = words.real(reader, word, "seconds above 0") if word else None
-    for low, high in (("MINC", "MAXC"), ("EFFC", "MAXC"), ("MINC", "EFFC")):
-        least, most = found[low], found[high]
-        if least is not None and most is not None and least > most:
-            raise fault(
-                f"{low} is above {high}",
-                block[low].place,
-                expected=f"at most {most} s, which is {high}",
-                got=f"{least} s",
-                remedy="exchange the values or correct one",
-            )
-    return list(found.values())
-
-
-def _hard(line: Line) -> ConfigError:
-    return fault(
-        "EFFC means nothing for a task without SOFTNESS",
-        line.place,
-        expected="a hard task to have MAXC reserved, a soft one EFFC",
-        got="no SOFTNESS above 0",
-        remedy="add SOFTNESS, or remove the line",
-    )
-
-
-def _softness(reader: Reader, block: Block) -> float | None:
-    line = block.get("SOFTNESS")
-    if line is None:
-        return None
-    word = words.single(line, "a fraction of the cycles")
-    return words.real(
-        reader,
-        word,
-        "0 (no cycle may miss) up to, not including, 1",
-        high=1.0,
-        open_low=False,
-    )
-
-
-def _crit(reader: Reader, block: Block) -> int | None:
-    line = block.get("CRIT")
-    if line is None:
-        return None
-    return words.whole(reader, words.single(line, "a criticality"), *CRITICALITIES)
 
 
 def _rtpu(block: Block) -> str | None:
@@ -396,7 +272,7 @@ def write_rmod(record: Rmod) -> str:
         ports: tuple[str, ...] = getattr(record, keyword.lower())
         lines.append(text_line(keyword, " ".join(ports) or "none"))
     lines.append(text_line("TASKTYPE", record.tasktype.value))
-    for keyword in ("FREQ", "CAPACITY", "MINC", "MAXC", "EFFC", "SOFTNESS", "CRIT"):
+    for keyword in NUMBERS:
         value: float | int | None = getattr(record, keyword.lower())
         if value is not None:
             lines.append(text_line(keyword, number(value)))

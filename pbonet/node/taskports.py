@@ -1,11 +1,13 @@
-"""Whether an RMOD names the ports that its module has, and which variables they are."""
+"""Whether an RMOD and its module fit together, and which variables the ports are."""
 
 from __future__ import annotations
 
 import os
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PortError, did_you_mean
+from pbonet.config.model import TaskType
+from pbonet.errors import DeclarationError, PortError, did_you_mean
+from pbonet.pbo import METHODS
 from pbonet.ports import Kind
 
 if TYPE_CHECKING:
@@ -41,11 +43,13 @@ def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
 
 
 def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
-    """Refuse an RMOD that lists other ports than its module declares.
+    """Refuse an RMOD that its module does not fit: by ports, or by methods.
 
     Raises:
         PortError: A port is missing on one side, or is of another kind.
+        DeclarationError: A method that the RMOD counts on is missing.
     """
+    _check_methods(rmod, info)
     for kind, names in listed(rmod).items():
         declared = info.named(kind)
         for name in names:
@@ -67,3 +71,27 @@ def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
                     got=" ".join(names) or "none",
                     remedy=f"module {info.name} declares it: add it to the file",
                 )
+
+
+def _check_methods(rmod: Rmod, info: ModuleInfo) -> None:
+    wanted = {
+        "timing_failure": f"HANDLER {rmod.handler}" if rmod.handler else "",
+        "sync": f"TASKTYPE {rmod.tasktype}"
+        if rmod.tasktype is not TaskType.PERIODIC
+        else "",
+    }
+    for name, reason in wanted.items():
+        if reason and name not in info.methods:
+            keyword = reason.split()[0]
+            raise DeclarationError(
+                f"module {info.name} has no {name}(), which {reason} counts on",
+                where=str(rmod.places.get(keyword, rmod.file)),
+                expected=f"def {name}{METHODS[name]}",
+                remedy=_REMEDIES[name].format(file=info.file or info.name),
+            )
+
+
+_REMEDIES = {
+    "timing_failure": "write it in {file}, or take HANDLER out of the .rmod file",
+    "sync": "write in {file} how the task waits for its event, or make it periodic",
+}

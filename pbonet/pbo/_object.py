@@ -21,6 +21,7 @@ from pbonet.ports import MARKS, Declared, Declaring, Port, attribute, here, make
 
 from ._params import Params
 from ._task import Answer, TaskContext
+from ._timing import Recovery, TimingFailure
 
 if TYPE_CHECKING:
     from typing_extensions import TypeVar
@@ -44,6 +45,7 @@ METHODS = {
     "set": "(self, name, value)",
     "get": "(self, name)",
     "stable": "(self, dt)",
+    "timing_failure": "(self, kind)",
 }
 """The methods that the runtime calls, and how each is written."""
 
@@ -232,6 +234,27 @@ class PortBasedObject(Generic[P]):
             dt: As for `cycle`.
         """
         raise NotImplementedError
+
+    def timing_failure(self, kind: TimingFailure) -> Recovery | None:  # noqa: ARG002
+        """Handle a timing failure of this cycle (section 6.3).
+
+        Called in the middle of `cycle` or `stable`, between any two of its lines, or
+        instead of a cycle that has not begun and would not be finished in time. So
+        it finds the module's data half changed, unless the cycle changes them in
+        ``with self.task.critical():``. It may set ``self.task.criticality`` and
+        ``self.task.deadline`` for the rest of the cycle. A long call of C code is not
+        interrupted: the handler runs when it returns. Nothing is copied before.
+
+        Args:
+            kind: What failed; there may be several in one cycle.
+
+        Returns:
+            `Recovery.CONTINUE` or None to go on with the cycle; `Recovery.ABORT` to
+            leave it, with its outputs discarded and `on` run again; `Recovery.SKIP` to
+            go on with it and leave out the next release. A module without this method
+            goes on; the failure is counted and warned of.
+        """
+        return None
 
 
 def interface(cls: type[PortBasedObject[Any]]) -> Interface:

@@ -11,8 +11,11 @@ from msgspec import Struct
 
 from pbonet.errors import MethodError
 
+from ._timing import PythonWatch, TimingFailure, Watch
+
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from contextlib import AbstractContextManager
 
 
 class State(StrEnum):
@@ -175,6 +178,10 @@ class TaskContext:
         crit: Its criticality (section 6.2.3).
         source: Where time and cycle count come from.
         outbox: Where signals and warnings go.
+        handler: The criticality at which the handler of timing failures runs; None
+            for the task's own.
+        watch: Holds timing failures off and times sections; by default one for
+            virtual time.
     """
 
     def __init__(
@@ -186,6 +193,8 @@ class TaskContext:
         crit: int = 0,
         source: TimeSource | None = None,
         outbox: Outbox | None = None,
+        handler: int | None = None,
+        watch: Watch | None = None,
     ) -> None:
         self.name = name
         self.rmod = rmod or name
@@ -215,6 +224,10 @@ class TaskContext:
         self.outbox: Outbox = outbox or BoundedOutbox()
         self.on_fail: Callable[[MethodError], Answer] | None = None
         """How the runtime asks the module's `error`; None where it cannot."""
+        self.handler = handler
+        self.handling: TimingFailure | None = None
+        """In `timing_failure`: the failure that is handled; else None."""
+        self.watch: Watch = watch or PythonWatch(self)
 
     @property
     def now(self) -> int:
@@ -233,6 +246,53 @@ class TaskContext:
     def period(self) -> float:
         """Seconds from one release to the next; 0 for a task that is not periodic."""
         return 1.0 / self.freq if self.freq else 0.0
+
+    @property
+    def criticality(self) -> int:
+        """The criticality of this cycle: `crit`, unless a handler changed it.
+
+        Set in `timing_failure` only: at most the larger of the task's own and its
+        handler's (HANDLER in the RMOD); holds until the next release (section 6.3).
+        """
+        return self.watch.criticality
+
+    @criticality.setter
+    def criticality(self, value: int) -> None:
+        self.watch.criticality = value
+
+    @property
+    def deadline(self) -> float:
+        """The deadline of this cycle, in seconds after its release.
+
+        Set in `timing_failure` only; holds until the next release.
+        """
+        return self.watch.deadline
+
+    @deadline.setter
+    def deadline(self, value: float) -> None:
+        self.watch.deadline = value
+
+    def critical(self) -> AbstractContextManager[object]:
+        """Hold timing failures off: ``with self.task.critical(): ...`` (section 6.3).
+
+        A failure within it is handled at its end. Sections nest; each is to be short,
+        for the time that they may take is bounded, and what takes longer is
+        interrupted and counted.
+        """
+        return self.watch.critical()
+
+    def timed(self, name: str) -> AbstractContextManager[object]:
+        """Time a section: ``with self.task.timed("jacobian"): ...`` (section 6.7.2).
+
+        Count, total, least and greatest CPU time appear in the task's profile.
+
+        Args:
+            name: Of the section: at most 23 bytes, and at most 16 names in a task.
+
+        Raises:
+            MethodError: The name cannot be, or there is no room for one more.
+        """
+        return self.watch.timed(name)
 
     def signal(self, signal: Signal | int, text: str = "") -> None:
         """Send `signal` to the master, unless it is masked; never waits.

@@ -368,6 +368,27 @@ def test_critical_needs_stable(arm):
     arm.refused(DeclarationError, arm.spawn, "a", "counts", critical=True)
 
 
+def test_a_handler_needs_its_method(arm):
+    text = rmod("counts").replace("FREQ 200", "FREQ 200\nHANDLER 6")
+    error = arm.refused(DeclarationError, arm.spawn, "a", "counts", text=text)
+    assert error.what == (
+        "module counts has no timing_failure(), which HANDLER 6 counts on"
+    )
+    assert error.where == "arm0/a.rmod:10:1"
+    assert error.expected == "def timing_failure(self, kind)"
+    assert error.remedy.endswith("or take HANDLER out of the .rmod file")
+
+
+def test_a_task_that_the_clock_does_not_time_says_how_it_waits(arm):
+    text = rmod("counts").replace("periodic", "synchronous")
+    error = arm.refused(DeclarationError, arm.spawn, "a", "counts", text=text)
+    assert error.what == (
+        "module counts has no sync(), which TASKTYPE synchronous counts on"
+    )
+    assert error.where == "arm0/a.rmod:8:1"
+    assert error.expected == "def sync(self)"
+
+
 @pytest.mark.parametrize("kind", ["sporadic", "deferrable"])
 def test_servers_are_not_there_yet(arm, kind):
     text = rmod("counts").replace("periodic", kind)

@@ -36,6 +36,11 @@ class Source(PortBasedObject):
         self.y += 1.0
 """
 
+WAITS = """
+    def sync(self):
+        raise AssertionError("no device is waited for here")
+"""
+
 SINK = """
 class Sink(PortBasedObject):
     "Remember."
@@ -352,12 +357,14 @@ def test_two_rmods_of_one_module_have_two_lives(shop: Shop) -> None:
 
 
 def test_synchronous_task_runs_at_its_rate(shop: Shop) -> None:
-    shop.rmod("timed", "source", "OUTVAR Y", "TASKTYPE synchronous", "FREQ 20")
+    shop.module("device", SOURCE + WAITS)
+    shop.rmod("timed", "device", "OUTVAR Y", "TASKTYPE synchronous", "FREQ 20")
     assert len(shop.job("timed a").run(1.0).arrays("timed")["cycle"]) == 20
 
 
 def test_what_cannot_be_simulated_says_so(shop: Shop) -> None:
-    shop.rmod("server", "source", "OUTVAR Y", "TASKTYPE sporadic", "CAPACITY 0.01")
+    lines = ["TASKTYPE sporadic", "FREQ 10", "CAPACITY 0.01"]
+    shop.rmod("server", "source", "OUTVAR Y", *lines)
     with pytest.raises(NodeError, match="a sporadic task cannot be simulated"):
         shop.job("server a").start()
     shop.rmod("lost", "nowhere", "OUTVAR Y", "FREQ 10")

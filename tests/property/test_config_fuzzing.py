@@ -38,8 +38,8 @@ KEYWORDS = [
 VALUES = [
     "double", "int", "bool", "struct[32]", "struct[A]", "A", "-A", "B", "0", "1", "2.5",
     "-1", "1e999", "0x7f", "nan", "inf", "yes", "no", "none", "clip", "periodic",
-    "synchronous", "sporadic", "MUF", "shared", "Z=Q", "Z", "Q", "#", "\u00e9",
-    "x" * 99,
+    "synchronous", "sporadic", "deferrable", "0.01", "MUF", "shared", "Z=Q", "Z", "Q",
+    "#", "\u00e9", "x" * 99,
 ]  # fmt: skip
 endings = st.sampled_from(sorted(PARSE))
 lines = st.builds(

@@ -114,11 +114,11 @@ def rmods(draw: st.DrawFn) -> Rmod:
     tasktype = draw(st.sampled_from(TaskType))
     timed = tasktype in {TaskType.PERIODIC, TaskType.SYNCHRONOUS}
     server = tasktype in {TaskType.SPORADIC, TaskType.DEFERRABLE}
-    freq = draw(hertz) if timed else None
-    if server:
-        freq = draw(st.none() | hertz)
+    freq = draw(hertz) if timed or server else None
+    softness = None
+    if tasktype is TaskType.PERIODIC:
+        softness = draw(st.none() | st.floats(0, 1, exclude_max=True))
     times = sorted([draw(seconds), draw(seconds), draw(seconds)])
-    softness = draw(st.none() | st.floats(0, 1, exclude_max=True))
     keys = words.filter(lambda key: key not in {"EOF", "DEFINE"})
     local = draw(st.dictionaries(keys, st.lists(words, max_size=4).map(tuple)))
     return Rmod(
@@ -134,12 +134,13 @@ def rmods(draw: st.DrawFn) -> Rmod:
         tasktype=tasktype,
         freq=freq,
         critical=draw(st.booleans()),
-        capacity=draw(st.none() | st.floats(1e-9, 1 / (freq or 1))) if server else None,
+        capacity=draw(st.floats(1e-9, 1 / (freq or 1))) if server else None,
         minc=draw(st.sampled_from([None, times[0]])),
         maxc=draw(st.sampled_from([None, times[2]])),
         effc=draw(st.sampled_from([None, times[1]])) if softness else None,
         softness=softness,
         crit=draw(st.none() | st.integers(1, 62)),
+        handler=draw(st.none() | st.integers(1, 62)),
         rtpu=draw(st.none() | labels),
         local={key: LocalLine(value) for key, value in local.items()},
     )

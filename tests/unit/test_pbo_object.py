@@ -14,6 +14,7 @@ from pbonet import (
     OutVar,
     Params,
     PortBasedObject,
+    TimingFailure,
     Vector,
     param,
 )
@@ -83,7 +84,7 @@ def test_the_parameters_may_come_through_a_generic_base():
 
 def test_methods_that_a_module_writes_are_known():
     assert interface(Law).methods == ("on", "cycle", "stable")
-    assert len(METHODS) == 12
+    assert len(METHODS) == 13
 
 
 def test_default_methods_do_what_their_docstrings_say():
@@ -96,6 +97,7 @@ def test_default_methods_do_what_their_docstrings_say():
     assert bare.error(ValueError()) is Answer.ERROR
     assert bare.clear() is Answer.OFF
     assert bare.get("kp") == 2.0
+    assert bare.timing_failure(TimingFailure.DEADLINE) is None
     with pytest.raises(NotImplementedError):
         bare.stable(0.1)
 
