@@ -4,7 +4,7 @@ from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 
 cdef extern from "local.h" nogil:
     enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
-    enum: PB_HELD, PB_GROUP_VARS, PB_GROUP_CONSTS
+    enum: PB_FREE, PB_HELD, PB_STUCK, PB_GROUP_VARS, PB_GROUP_CONSTS
     struct pb_stamp:
         int64_t time_ns
         uint64_t cycle
@@ -86,8 +86,8 @@ cdef extern from "local.h" nogil:
     int pb_ask(pb_table *t, pb_group *g, const uint8_t *data, bint constants, uint32_t *rival)
     int pb_claim(pb_table *t, pb_group *g, const uint8_t *data, pb_stamp stamp, bint constants,
                  uint32_t *rival)
-    int pb_let_go(pb_table *t, uint32_t r, bint leave, bint dead)
-    bint pb_register_at(pb_table *t, uint32_t r, pb_reg *copy)
+    int pb_let_go(pb_table *t, uint32_t r, uint64_t uid, bint leave, bint dead)
+    int pb_registers(pb_table *t, pb_reg *copies)
     pb_cause pb_cause_of(const char *cause, const char *raiser, const char *machine)
     int pb_raise(pb_table *t, const pb_cause *cause)
     int pb_clear(pb_table *t, const pb_cause *which)

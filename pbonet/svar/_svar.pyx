@@ -134,21 +134,26 @@ cdef class Arena:
             raise ValueError("the value is too short")
         return pb_set(table(self), v, &value[0], now)
 
-    def registers(self) -> list:
-        """Return (index, uid, owner, pid, task, bytes, commits, held) of those in use."""
-        cdef pb_reg reg
-        cdef uint32_t r
-        found = []
-        for r in range(1, table(self).fixed.n_regs):
-            if pb_register_at(table(self), r, &reg):
-                found.append((r, reg.uid, reg.owner, reg.pid, reg.task.decode(errors="replace"),
-                              reg.bytes, pb_number(reg.head), reg.state == PB_HELD))
-        return found
+    def registers(self):
+        """Return (index, uid, owner, pid, task, bytes, commits, held) of those in use.
 
-    def let_go(self, unsigned r, bint leave, bint dead) -> int:
+        None when the lock was not had.
+        """
+        cdef bytearray memory = bytearray(table(self).fixed.n_regs * sizeof(pb_reg))
+        cdef pb_reg *regs = <pb_reg *>PyByteArray_AS_STRING(memory)
+        cdef uint32_t r
+        if pb_registers(table(self), regs) != 0:
+            return None
+        return [(r, regs[r].uid, regs[r].owner, regs[r].pid,
+                 regs[r].task.decode(errors="replace"), regs[r].bytes, pb_number(regs[r].head),
+                 regs[r].state == PB_HELD)
+                for r in range(1, table(self).fixed.n_regs) if regs[r].state != PB_FREE]
+
+    def reap(self, unsigned r, unsigned long long uid) -> int:
+        """Give up what a dead process owns; returns 0 or a negative code."""
         if r == 0 or r >= table(self).fixed.n_regs:
             raise ValueError("no such register")
-        return pb_let_go(table(self), r, leave, dead)
+        return pb_let_go(table(self), r, uid, True, True)
 
     cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil:
         cdef pb_cause c = pb_cause_of(cause, raiser, self.machine_text)
@@ -276,19 +281,20 @@ cdef class LocalTable:
             self.out_uid, self.out_number = o.group.uid, pb_committed(o)
         return code, rival
 
-    def give(self, unsigned which, unsigned reg, bint leave) -> int:
+    def give(self, unsigned which, bint leave) -> int:
         """Give a group's variables up; returns 0 or a negative code."""
-        local(self).outputs[which].live = False
-        return pb_let_go(table(self.arena), reg, leave, False)
+        cdef pb_outputs *o = local(self).outputs + which
+        o.live = False
+        if o.group.reg == NULL:
+            return 0
+        return pb_let_go(table(self.arena), o.group.reg - table(self.arena).regs, o.group.uid,
+                         leave, False)
 
     def owns(self, unsigned which) -> bool:
         return local(self).outputs[which].live
 
     def register_uid(self, unsigned which) -> int:
         return local(self).outputs[which].group.uid
-
-    def register_index(self, unsigned which) -> int:
-        return local(self).outputs[which].group.reg - table(self.arena).regs
 
     cdef int c_copy_in(self) noexcept nogil:
         return copy(self, PB_PLAN_IN)

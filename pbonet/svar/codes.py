@@ -22,6 +22,8 @@ class Verdict(IntEnum):
     OTHER_VERSION = 2
     CUT_SHORT = 3
     DAMAGED = 4
+    MOVING_PART = 5
+    """Behind the static part; not the header's judgement, but that of a first look."""
 
 
 class Flags(IntFlag):

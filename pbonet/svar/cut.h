@@ -59,6 +59,15 @@ static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p,
     return i;
 }
 
+/* Whether the variable lies in a slot, and the slots in the file: a reader may be asked to
+ * look at a table that was damaged, and finds nothing then instead of dying. */
+static inline bool pb_fits(const struct pb_table *t, const struct pb_source *s, uint64_t at,
+                           uint64_t bytes) {
+    const uint64_t from = (uint64_t)(s->slots - t->base), size = t->fixed->size;
+    return from >= t->fixed->arena && from <= size && s->stride <= (size - from) / PB_SLOTS &&
+           at <= s->stride && bytes + PB_LINE <= s->stride - at;
+}
+
 static inline void pb_add_piece(struct pb_plan *p, struct pb_piece new) {
     struct pb_piece *last = p->pieces + p->n_pieces - 1;
     if (p->n_pieces && last->source == new.source && last->from + last->bytes == new.from &&
@@ -83,6 +92,7 @@ static inline bool pb_replan(const struct pb_table *t, struct pb_plan *p,
         pb_copy(&e, dir + v, sizeof e);
         if (e.reg >= t->fixed->n_regs) return false;
         source = pb_source_of(t, p, e.reg);
+        if (!pb_fits(t, p->sources + source, e.at, var->bytes)) return false;
         pb_add_piece(p, (struct pb_piece){source, PB_LINE + e.at, p->to[i], var->bytes});
         if (var->maxage_ns || p->all_ages)
             p->ages[p->n_ages++] = (struct pb_age){

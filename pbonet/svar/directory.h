@@ -52,12 +52,12 @@ static inline uint64_t pb_generation_seen(const struct pb_table *t) {
     return pb_number(pb_read_begin(&t->live->generation));
 }
 
-/* Copy a register's description; false when it is free. */
-static inline bool pb_register_at(const struct pb_table *t, uint32_t r, struct pb_reg *copy) {
-    if (pb_lock(t->live)) return false;
-    *copy = t->regs[r];
+/* Copy the descriptions of all registers; returns 0 or PB_STUCK. */
+static inline int pb_registers(const struct pb_table *t, struct pb_reg *copies) {
+    if (pb_lock(t->live)) return PB_STUCK;
+    pb_copy(copies, t->regs, t->fixed->n_regs * sizeof *copies); /* heads go on meanwhile */
     pb_unlock(t->live);
-    return atomic_load_explicit(&copy->state, memory_order_relaxed) != PB_FREE;
+    return 0;
 }
 
 /* Begin the next directory: a copy of the present one. */
@@ -107,17 +107,26 @@ static inline uint64_t pb_room(const struct pb_table *t, uint64_t bytes) {
     return at + bytes <= t->fixed->size ? at : 0;
 }
 
-/* Take a register for a group of g->bytes, under the lock; `who` names its writer. `named`
- * is scratch of n_regs bytes. Returns its index, or PB_FULL and leaves `g` alone. */
-static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
-                                   const struct pb_reg *who, uint8_t *named) {
-    uint64_t stride = pb_stride(g->bytes), slots;
-    struct pb_reg *reg = t->regs + 1;
+/* Find a free register for a group of so many bytes, under the lock, and room for its
+ * slots. `named` is scratch of n_regs bytes. Returns its index or PB_FULL. */
+static inline int pb_find_register(const struct pb_table *t, uint64_t bytes, uint8_t *named,
+                                   uint64_t *slots) {
+    const struct pb_reg *reg = t->regs + 1;
     pb_sweep(t, named);
     while (reg < t->regs + t->fixed->n_regs &&
            atomic_load_explicit(&reg->state, memory_order_relaxed) != PB_FREE) reg++;
-    slots = pb_room(t, PB_SLOTS * stride);
-    if (reg == t->regs + t->fixed->n_regs || !slots) return PB_FULL;
+    *slots = pb_room(t, PB_SLOTS * pb_stride(bytes));
+    return reg < t->regs + t->fixed->n_regs && *slots ? (int)(reg - t->regs) : PB_FULL;
+}
+
+/* Take a register for a group of g->bytes, under the lock; `who` names its writer. Returns
+ * its index, or PB_FULL and leaves `g` alone. */
+static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
+                                   const struct pb_reg *who, uint8_t *named) {
+    uint64_t stride = pb_stride(g->bytes), slots;
+    const int found = pb_find_register(t, g->bytes, named, &slots);
+    struct pb_reg *reg = t->regs + found;
+    if (found < 0) return found;
     /* SYNC POINT O1, partner R4: who reads a field set here also sees the generation that
      * no longer names the register. */
     atomic_thread_fence(memory_order_release);
@@ -137,7 +146,7 @@ static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
     g->reg = reg;
     g->slots = t->base + slots;
     g->stride = stride;
-    return (int)(reg - t->regs);
+    return found;
 }
 
 /* The same for who does not hold the lock; also returns PB_STUCK. */

@@ -86,11 +86,17 @@ def publish(fresh: Path, path: Path) -> None:
 
     Raises:
         SvarExistsError: A table of that name is in use.
+        SvarAccessError: The folder takes no hard links.
     """
     try:
         for _ in range(16):
-            with contextlib.suppress(FileExistsError):
+            try:
                 path.hardlink_to(fresh)
+            except FileExistsError:
+                pass
+            except OSError as error:
+                raise _no_file(path, error) from None
+            else:
                 return
             if not _remove_leftover(path):
                 break
@@ -101,6 +107,13 @@ def publish(fresh: Path, path: Path) -> None:
         where=str(path),
         remedy="attach to it, stop the subsystem that uses it, or choose another name",
     )
+
+
+def remove(path: Path, fd: int) -> None:
+    """Remove a table's file, if it still is the one behind the descriptor."""
+    with contextlib.suppress(FileNotFoundError):
+        if path.stat().st_ino == os.fstat(fd).st_ino:
+            path.unlink()
 
 
 def open_file(path: Path, least: int) -> tuple[int, int]:
@@ -185,9 +198,7 @@ def _remove_leftover(path: Path) -> bool:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
-        with contextlib.suppress(FileNotFoundError):
-            if path.stat().st_ino == os.fstat(fd).st_ino:
-                path.unlink()
+        remove(path, fd)
         return True
     finally:
         os.close(fd)
@@ -262,6 +273,7 @@ def damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
     what = {
         Verdict.NO_TABLE: "the file is not a state variable table",
         Verdict.CUT_SHORT: "the table's file is cut short",
+        Verdict.MOVING_PART: "the table's directory was overwritten",
     }.get(verdict, "the table's file was overwritten, its checksum is wrong")
     return SvarDamagedError(
         what,

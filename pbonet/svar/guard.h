@@ -92,6 +92,22 @@ static inline uint64_t pb_limit(const struct pb_check *c, uint8_t *data, uint64_
     }
 }
 
+/* The part of a check that falls upon `bytes` of the group from `from` on; false when no
+ * part does. A variable begins at an element's boundary, so elements are never divided. */
+static inline bool pb_narrow(const struct pb_check *c, uint64_t from, uint64_t bytes,
+                             struct pb_check *part) {
+    const uint64_t size = c->type < PB_F4 ? UINT64_C(1) << (c->type & 3) : c->type == PB_F4 ? 4 : 8;
+    const uint64_t end = c->at + c->n * size, stop = from + bytes;
+    const uint64_t skip = from > c->at ? from - c->at : 0;
+    if (c->at >= stop || end <= from) return false;
+    *part = *c;
+    part->at += skip;
+    part->n = ((end < stop ? end : stop) - part->at) / size;
+    if (c->min) part->min = (const uint8_t *)c->min + skip;
+    if (c->max) part->max = (const uint8_t *)c->max + skip;
+    return true;
+}
+
 /* The first check that the group fails, with the element in `*element`; n when none. */
 static inline uint32_t pb_guard(const struct pb_check *checks, uint32_t n, uint8_t *group,
                                 uint64_t *element, uint64_t *clipped) {

@@ -16,7 +16,7 @@ from pbonet.errors import SvarError, SvarLayoutError
 from .layout import values_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -75,11 +75,22 @@ def _add_finite(checks: list[Check], new: Check) -> None:
     checks.append(new)
 
 
-def blamed(variables: Sequence[Variable], index: int, element: int) -> tuple[str, int]:
-    """Return what a merged check means: it counts its elements on over neighbours."""
-    while element >= variables[index].nelem:
-        element -= variables[index].nelem
-        index += 1
+def blamed(
+    variables: Sequence[Variable], groups: Iterable[Group], index: int, element: int
+) -> tuple[str, int]:
+    """Return what a check means: it counts its elements on over the group's next ones.
+
+    Args:
+        variables: All variables of the table.
+        groups: What the task writes.
+        index: The first variable that the check looked at.
+        element: The element that failed, counted from there.
+    """
+    order = next((g.indices for g in groups if index in g.indices), (index,))
+    for one in order[order.index(index) :]:
+        if element < variables[one].nelem:
+            return variables[one].name, element
+        element -= variables[one].nelem
     return variables[index].name, element
 
 

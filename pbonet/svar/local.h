@@ -52,6 +52,7 @@ static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
         const struct pb_age *age = p->ages + i;
         if (age->stamp.time_ns && now - age->stamp.time_ns <= age->maxage_ns) continue;
         l->fault_var = age->var;
+        l->fault_element = 0;
         l->counts.stale++;
         return PB_COPY_STALE;
     }
@@ -84,16 +85,33 @@ static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
     return p->n_ages ? flags | pb_stale(l, p) : flags;
 }
 
+/* Judge what goes out by these checks; returns flags. */
+static inline int pb_judge_by(struct pb_local *l, const struct pb_outputs *o,
+                              const struct pb_check *checks, uint32_t n) {
+    uint32_t failed = pb_guard(checks, n, l->data + o->first, &l->fault_element,
+                               &l->counts.clipped);
+    if (failed == n) return 0;
+    l->fault_var = checks[failed].var;
+    l->counts.refused++;
+    return checks[failed].rule == PB_FINITE ? PB_COMMIT_NONFINITE : PB_COMMIT_LIMIT;
+}
+
 /* Judge a group before it goes out; returns flags. */
 static inline int pb_judge(struct pb_local *l, const struct pb_outputs *o) {
-    uint32_t failed;
-    if (!o->n_checks) return 0;
-    failed = pb_guard(o->checks, o->n_checks, l->data + o->first, &l->fault_element,
-                      &l->counts.clipped);
-    if (failed == o->n_checks) return 0;
-    l->fault_var = o->checks[failed].var;
-    l->counts.refused++;
-    return o->checks[failed].rule == PB_FINITE ? PB_COMMIT_NONFINITE : PB_COMMIT_LIMIT;
+    return o->n_checks ? pb_judge_by(l, o, o->checks, o->n_checks) : 0;
+}
+
+/* Judge one variable of the group only: what stands in the others does not go out. */
+static inline int pb_judge_one(struct pb_local *l, const struct pb_outputs *o, uint32_t i) {
+    const struct pb_group *g = &o->group;
+    struct pb_check part;
+    int flags = 0;
+    for (uint32_t c = 0; c < o->n_checks && !flags; c++) {
+        if (!pb_narrow(o->checks + c, g->at[i], l->table.vars[g->vars[i]].bytes, &part)) continue;
+        part.var = g->vars[i];
+        flags = pb_judge_by(l, o, &part, 1);
+    }
+    return flags;
 }
 
 static inline bool pb_is_mine(const struct pb_outputs *o) {
@@ -101,11 +119,29 @@ static inline bool pb_is_mine(const struct pb_outputs *o) {
                           o->group.uid;
 }
 
-/* Bring in one variable, wherever it stands in the local table. */
+/* Bring in one variable, wherever it stands in the local table; returns flags. */
 static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     struct pb_view view;
-    enum pb_result result = pb_look(&l->table, v, l->data + at, &view);
-    return result == PB_CONSISTENT ? 0 : PB_COPY_TORN | PB_COPY_LOST;
+    struct pb_age age = {.var = v, .maxage_ns = l->table.vars[v].maxage_ns};
+    const struct pb_plan one = {.n_ages = age.maxage_ns != 0, .ages = &age};
+    if (pb_look(&l->table, v, l->data + at, &view) != PB_CONSISTENT)
+        return PB_COPY_TORN | PB_COPY_LOST;
+    age.stamp = view.stamp;
+    return pb_stale(l, &one);
+}
+
+/* Whether a variable of the group stands in its register: a constant that another task
+ * gives the same value stands in that task's. */
+static inline bool pb_stands(const struct pb_local *l, const struct pb_group *g, uint32_t i) {
+    for (int tries = 0; tries < PB_TRIES_WHOLE; tries++) {
+        const uint64_t head = pb_read_begin(&l->table.live->generation);
+        struct pb_entry e;
+        pb_copy(&e, pb_directory(&l->table, head) + g->vars[i], sizeof e);
+        pb_read_fence();
+        if (pb_whole(head, pb_read_end(&l->table.live->generation)))
+            return l->table.regs + e.reg == g->reg;
+    }
+    return false;
 }
 
 /* The number of the last commit of a group; 0 when it has no register. */
@@ -135,7 +171,8 @@ static inline int pb_commit_one(struct pb_local *l, struct pb_outputs *o, uint32
     uint8_t *slot;
     int flags;
     if (!pb_is_mine(o)) return PB_COMMIT_NOT_OWNER;
-    if ((flags = pb_judge(l, o))) return flags;
+    if (o == l->outputs + PB_GROUP_CONSTS && !pb_stands(l, g, i)) return PB_COMMIT_NOT_OWNER;
+    if ((flags = pb_judge_one(l, o, i))) return flags;
     last = pb_slot(g->slots, g->stride, pb_write_last(&g->reg->head)) + PB_LINE;
     next = pb_write_begin(&g->reg->head);
     slot = pb_slot(g->slots, g->stride, next) + PB_LINE;

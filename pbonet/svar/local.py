@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Self
+import contextlib
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,63 +16,61 @@ from pbonet.errors import (
 )
 
 from . import files, guards, layout, native
+from .closing import Closing
 from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
 from .records import Counts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from types import TracebackType
 
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
 
-    from .table import Table
 
-
-class LocalTable(native.LocalTable):
+class LocalTable(Closing, native.LocalTable):
     """Private copies of a task's variables, and the transfers to and from the table.
 
-    Made by `Table.local`. `copy_in`, `copy_in_on`, `copy_in_consts` and `commit` are
-    native and return `Flags`; 0 is good. Everything belongs to one thread.
+    Made by `Table.local`. Variables are named by name, or by their index in the table.
+    `copy_in`, `copy_in_on`, `copy_in_consts` and `commit` are native and return
+    `Flags`; 0 is good. Everything belongs to one thread.
     """
 
     _task: str
     _table: str
     _variables: tuple[Variable, ...]
-    _arrays: dict[str, NDArray[Any]]
-    _places: dict[str, tuple[int, int]]
+    _arrays: dict[str | int, NDArray[Any]]
+    _places: dict[str | int, tuple[int, int]]
     _groups: tuple[layout.Group, layout.Group]
-    _written: dict[str, tuple[int, int]]
-    _registers: list[int]
+    _written: dict[str | int, tuple[int, int]]
     _closed: bool
     _owner: int
 
     @classmethod
     def make(
         cls,
-        table: Table,
         arena: native.Arena,
+        variables: tuple[Variable, ...],
+        *,
+        table: str,
         task: str,
         pid: int,
         ports: list[list[int]],
-        *,
         keep: bool,
     ) -> LocalTable:
         """Lay the local table out and take its registers; `Table.local` calls this."""
         inconst, outconst, invar, outvar = ports
-        variables = table.variables
         both = set(outconst) & set(outvar)
         if both:
             raise SvarOwnerError(
                 f"{variables[both.pop()].name} is an out-const and an out-var",
-                where=f"{table.name}/{task}",
+                where=f"{table}/{task}",
                 remedy="name it in OUTCONST or in OUTVAR",
             )
         if native.process_start(pid) == 0:
             raise SvarOwnerError(
                 f"there is no process {pid} that could write",
-                where=f"{table.name}/{task}",
+                where=f"{table}/{task}",
                 expected="the process of the task",
             )
         groups = (
@@ -82,17 +81,20 @@ class LocalTable(native.LocalTable):
         data = _aligned(size)
         largest = max(len(inconst), len({*invar, *outvar}), 1)
         self = cls(arena, data, _aligned(size) if keep else None, largest)
-        self._task, self._table, self._variables = task, table.name, variables
+        self._task, self._table, self._variables = task, table, variables
         self._groups = groups
         self._written = {
-            variables[index].name: (which, place)
+            key: (which, place)
             for which, group in enumerate(groups)
             for place, index in enumerate(group.indices)
+            for key in (variables[index].name, index)
         }
-        self._places = {variables[i].name: (i, at) for i, at in places.items()}
-        self._arrays = {
-            variables[i].name: _view(variables[i], data, at) for i, at in places.items()
-        }
+        self._places, self._arrays = {}, {}
+        for index, place in places.items():
+            view = _view(variables[index], data, place)
+            for key in (variables[index].name, index):
+                self._places[key] = index, place
+                self._arrays[key] = view
         for which, wanted in ((CONSTS, inconst), (IN, invar), (ON, {*invar, *outvar})):
             chosen = sorted(wanted)
             at = np.array([places[i] for i in chosen], np.uint64)
@@ -102,7 +104,6 @@ class LocalTable(native.LocalTable):
         return self
 
     def _take_registers(self, pid: int, places: dict[int, int]) -> None:
-        self._registers = [0, 0]
         self._owner = 0
         for which, group in enumerate(self._groups):
             first = places[group.indices[0]] if group.indices else 0
@@ -117,10 +118,10 @@ class LocalTable(native.LocalTable):
             if not group.indices:
                 continue
             code = self.enter(which, self._owner, pid, self._task.encode())
-            if code == FULL:
-                self.close()
-            self._check(code)
-            self._registers[which] = code
+            if code < 0:
+                with contextlib.suppress(SvarError):
+                    self.close()
+                self._check(code)
             self._owner = self._owner or self.register_uid(which)
 
     @property
@@ -151,25 +152,27 @@ class LocalTable(native.LocalTable):
     @property
     def blamed(self) -> tuple[str, int]:
         """The variable and element that the last refused commit or stale copy met."""
-        return guards.blamed(self._variables, *self.fault)
+        return guards.blamed(self._variables, self._groups, *self.fault)
 
     def names(self) -> list[str]:
         """Return the variables of the local table."""
-        return list(self._arrays)
+        return [name for name in self._arrays if isinstance(name, str)]
 
-    def array(self, name: str) -> NDArray[Any]:
+    def array(self, which: str | int) -> NDArray[Any]:
         """Return the private copy of a variable: one-dimensional, writable, for life.
+
+        It is the same array by name (svarTranslate) and by index.
 
         Raises:
             UnknownVariableError: The task has no such variable.
         """
         try:
-            return self._arrays[name]
+            return self._arrays[which]
         except KeyError:
             raise UnknownVariableError(
-                f"{self._task} has no variable {name}",
+                f"{self._task} has no {_called(which)}",
                 where=self._table,
-                remedy=did_you_mean(name, self._arrays)
+                remedy=did_you_mean(str(which), self.names())
                 or "name it in the task's .rmod file",
             ) from None
 
@@ -190,6 +193,8 @@ class LocalTable(native.LocalTable):
 
         Raises:
             SvarOwnerError: A live task owns one of them.
+            SvarFullError: Some of them stand in the task's register and others were
+                set or taken over since; that needs a fresh one, and none is left.
         """
         return self._take(VARS, now_ns, cycle)
 
@@ -198,58 +203,50 @@ class LocalTable(native.LocalTable):
 
         Raises:
             SvarOwnerError: A live task owns one of the out-vars.
+            SvarFullError: The task needs a fresh register, and none is left.
         """
         self._must_be_open()
         self._judge(*self.ask(VARS))
 
     def release(self) -> None:
         """Give the out-vars up; their values stand until another task takes over."""
-        if self._registers[VARS]:
-            self._check(self.give(VARS, self._registers[VARS], False))  # noqa: FBT003
+        self._check(self.give(VARS, False))  # noqa: FBT003
 
-    def read(self, name: str) -> int:
-        """Bring one variable into the local table (svarRead); returns flags."""
+    def read(self, which: str | int) -> int:
+        """Bring one variable into the local table (svarRead, svarReadIx).
+
+        Returns flags, as `copy_in` does.
+        """
         try:
-            return self.read_one(*self._places[name])
+            return self.read_one(*self._places[which])
         except KeyError:
-            self.array(name)
+            self.array(which)
             raise
 
-    def write(self, name: str, now_ns: int = 0, cycle: int = 0) -> int:
-        """Send one out-var (svarWrite); the others keep what was last committed.
+    def write(self, which: str | int, now_ns: int = 0, cycle: int = 0) -> int:
+        """Send one out-var or out-const (svarWrite, svarWriteIx); returns flags.
+
+        It alone is judged and sent; the others keep what was last committed.
 
         Raises:
             UnknownVariableError: The task does not write it.
         """
         try:
-            which, place = self._written[name]
+            group, place = self._written[which]
         except KeyError:
             raise UnknownVariableError(
-                f"{self._task} does not write {name}",
+                f"{self._task} does not write {_called(which)}",
                 where=self._table,
                 remedy="name it in OUTVAR of the task's .rmod file",
             ) from None
         self._must_be_open()
-        return self.write_one(which, place, now_ns or native.now_ns(), cycle)
+        return self.write_one(group, place, now_ns or native.now_ns(), cycle)
 
     def close(self) -> None:
         """Give everything up; values stand, the registers may be used again."""
         self._closed = True
-        for which, register in enumerate(self._registers):
-            if register:
-                self._registers[which] = 0
-                self._check(self.give(which, register, True))  # noqa: FBT003
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+        codes = [self.give(which, True) for which in (VARS, OUT_CONSTS)]  # noqa: FBT003
+        self._check(min(codes))
 
     def _must_be_open(self) -> None:
         """Refuse to write once the registers may belong to other tasks.
@@ -269,8 +266,6 @@ class LocalTable(native.LocalTable):
         self._must_be_open()
         code, rival = self.take(which, now_ns or native.now_ns(), cycle)
         self._judge(code, rival)
-        if self._registers[which]:  # a divided group was given a fresh one
-            self._registers[which] = self.register_index(which)
         return self.flags
 
     def _judge(self, code: int, rival: int) -> None:
@@ -323,6 +318,12 @@ def _lay_out(
             places[index] = size
             size += layout.var_bytes(variables[index])
     return places, size
+
+
+def _called(which: str | int) -> str:
+    return (
+        f"variable {which}" if isinstance(which, str) else f"variable of index {which}"
+    )
 
 
 def _aligned(size: int) -> NDArray[np.uint8]:

@@ -12,6 +12,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/stat.h>
@@ -19,6 +20,7 @@
 #include <unistd.h>
 
 enum { PB_PATIENCE = 2 };
+#define PB_UNKNOWN UINT64_MAX /* of a process: it runs, but when it started cannot be seen */
 
 static inline int64_t pb_now(void) {
     struct timespec now;
@@ -44,15 +46,29 @@ static inline int pb_lock_make(pthread_mutex_t *lock) {
     return error;
 }
 
-/* Returns 0, or an errno: ETIMEDOUT when somebody holds the lock and does not run. */
-static inline int pb_lock(struct pb_live *live) {
+/* Wait for the lock by a clock that nobody sets, where C library and kernel can. */
+static inline int pb_lock_wait(pthread_mutex_t *lock) {
     struct timespec until;
+#if defined(__GLIBC__) && defined(__GLIBC_PREREQ) && !defined(PB_TSAN) /* knows it not */
+#if __GLIBC_PREREQ(2, 34)
     int error;
+    clock_gettime(CLOCK_MONOTONIC, &until);
+    until.tv_sec += PB_PATIENCE;
+    error = pthread_mutex_clocklock(lock, CLOCK_MONOTONIC, &until);
+    if (error != EINVAL) return error; /* priorities are inherited so from Linux 5.14 on */
+#endif
+#endif
     clock_gettime(CLOCK_REALTIME, &until);
     until.tv_sec += PB_PATIENCE;
+    return pthread_mutex_timedlock(lock, &until);
+}
+
+/* Returns 0, or an errno: ETIMEDOUT when somebody holds the lock and does not run. */
+static inline int pb_lock(struct pb_live *live) {
+    int error;
     /* SYNC POINT L1, partner L2 in pb_unlock: the new holder sees what the old one wrote,
      * whether that one unlocked or died (the kernel's hand-over orders as well). */
-    error = pthread_mutex_timedlock(&live->lock, &until);
+    error = pb_lock_wait(&live->lock);
     if (error == EOWNERDEAD) error = pthread_mutex_consistent(&live->lock);
     PBONET_STEP(5);
     return error;
@@ -65,18 +81,18 @@ static inline void pb_unlock(struct pb_live *live) {
     PBONET_STEP(7);
 }
 
-/* When the process started, in ticks since boot; 0 when there is none or it is a zombie.
- * Together with the number it names a process for good: numbers are used again. */
+/* When the process started, in ticks since boot; 0 when there is none or it is a zombie,
+ * PB_UNKNOWN when there is one that cannot be looked at (no descriptor is left, /proc hides
+ * it). Together with the number it names a process for good: numbers are used again. */
 static inline uint64_t pb_process_start(uint64_t pid) {
     char path[40], text[512], *at;
     ssize_t bytes;
     int file;
     snprintf(path, sizeof path, "/proc/%llu/stat", (unsigned long long)pid);
     file = open(path, O_RDONLY | O_CLOEXEC);
-    if (file < 0) return 0;
-    bytes = read(file, text, sizeof text - 1);
-    close(file);
-    if (bytes <= 0) return 0;
+    bytes = file < 0 ? -1 : read(file, text, sizeof text - 1);
+    if (file >= 0) close(file);
+    if (bytes <= 0) return !kill((pid_t)pid, 0) || errno != ESRCH ? PB_UNKNOWN : 0;
     text[bytes] = 0;
     at = strrchr(text, ')'); /* the name before it may hold anything */
     if (!at || at[1] != ' ' || at[2] == 'Z' || at[2] == 'X') return 0;
@@ -95,9 +111,17 @@ static inline uint64_t pb_process_space(void) {
     return stat("/proc/self/ns/pid", &st) ? 0 : (uint64_t)st.st_ino;
 }
 
-/* Whether the holder of a register lives; who cannot be judged from here counts as alive. */
+/* Whether a process lives; who cannot be judged from here counts as alive. */
+static inline bool pb_process_lives(uint64_t pid, uint64_t start, uint64_t space) {
+    uint64_t now;
+    if (space != pb_process_space()) return true;
+    now = pb_process_start(pid);
+    return now == start || now == PB_UNKNOWN || (now && start == PB_UNKNOWN);
+}
+
+/* Whether the holder of a register lives. */
 static inline bool pb_alive(const struct pb_reg *reg) {
-    return reg->space != pb_process_space() || pb_process_start(reg->pid) == reg->start;
+    return pb_process_lives(reg->pid, reg->start, reg->space);
 }
 
 #endif

@@ -50,37 +50,47 @@ static inline bool pb_refused(const struct pb_table *t, const struct pb_group *g
     return false;
 }
 
-/* Would a claim be refused now? Asked before a module is turned on, to no obligation. */
-static inline int pb_ask(const struct pb_table *t, const struct pb_group *g,
-                         const uint8_t *data, bool constants, uint32_t *rival) {
-    bool refused;
-    if (pb_lock(t->live)) return PB_STUCK;
-    refused = pb_refused(t, g, data, constants, rival);
-    pb_unlock(t->live);
-    return refused ? PB_RIVAL : 0;
-}
-
-/* Whether some variables of the group stand in its register and others do not: a commit
- * there would change the former at once and the latter only with the generation. */
-static inline bool pb_divided(const struct pb_table *t, const struct pb_group *g) {
+/* Whether some variables that a claim takes stand in the group's register and others do
+ * not: a commit there would change the former at once, the latter with the generation. */
+static inline bool pb_divided(const struct pb_table *t, const struct pb_group *g,
+                              const uint8_t *data, bool constants) {
     const struct pb_entry *now = pb_directory(t, pb_generation(t));
-    uint32_t here = 0;
-    for (uint32_t i = 0; i < g->n; i++) here += t->regs + now[g->vars[i]].reg == g->reg;
-    return here && here < g->n;
+    uint32_t here = 0, taken = 0;
+    for (uint32_t i = 0; i < g->n; i++) {
+        if (pb_may(t, g, i, data, constants) != PB_TAKE) continue;
+        taken++;
+        here += t->regs + now[g->vars[i]].reg == g->reg;
+    }
+    return here && here < taken;
 }
 
-/* Give a divided group a fresh register, which nobody reads yet. Returns 0 or PB_FULL. */
-static inline int pb_renew(const struct pb_table *t, struct pb_group *g) {
+/* Find a register for a divided group; with `take` the group moves there, where nobody
+ * reads yet. Returns 0 or PB_FULL. */
+static inline int pb_renew(const struct pb_table *t, struct pb_group *g, bool take) {
     struct pb_reg who = {.owner = g->reg->owner, .pid = g->reg->pid,
                          .start = g->reg->start, .space = g->reg->space};
-    uint8_t *named;
-    int code;
-    if (!pb_divided(t, g)) return 0;
+    uint8_t *named = malloc(t->fixed->n_regs);
+    uint64_t slots;
+    int code = PB_FULL;
     memcpy(who.task, g->reg->task, sizeof who.task);
-    named = malloc(t->fixed->n_regs);
-    code = named ? pb_take_register(t, g, &who, named) : PB_FULL;
+    if (named)
+        code = take ? pb_take_register(t, g, &who, named)
+                    : pb_find_register(t, g->bytes, named, &slots);
     free(named);
     return code < 0 ? code : 0;
+}
+
+/* Would a claim be refused now? Asked before a module is turned on, to no obligation. */
+static inline int pb_ask(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
+                         bool constants, uint32_t *rival) {
+    int code = 0;
+    if (pb_lock(t->live)) return PB_STUCK;
+    if (pb_refused(t, g, data, constants, rival))
+        code = PB_RIVAL;
+    else if (pb_divided(t, g, data, constants))
+        code = pb_renew(t, g, false);
+    pb_unlock(t->live);
+    return code;
 }
 
 /* Commit the group and take all its variables, as one event. Returns 0, PB_STUCK, PB_FULL,
@@ -95,7 +105,7 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
         pb_unlock(t->live);
         return PB_RIVAL;
     }
-    if (pb_renew(t, g)) {
+    if (pb_divided(t, g, data, constants) && pb_renew(t, g, true)) {
         pb_unlock(t->live);
         return PB_FULL;
     }
@@ -114,13 +124,20 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
 }
 
 /* Give up all variables that stand in register `r`; their values stand. With `leave` the
- * register is not written again; with `dead` it must belong to a process that has gone. */
-static inline int pb_let_go(const struct pb_table *t, uint32_t r, bool leave, bool dead) {
+ * register is not written again; with `dead` it must belong to a process that has gone.
+ * Nothing is left to do when the register has another uid: it is somebody else's by now. */
+static inline int pb_let_go(const struct pb_table *t, uint32_t r, uint64_t uid, bool leave,
+                            bool dead) {
     const struct pb_entry *now;
     struct pb_entry *next;
     uint64_t head;
     uint32_t v = 0;
     if (pb_lock(t->live)) return PB_STUCK;
+    if (atomic_load_explicit(&t->regs[r].uid, memory_order_relaxed) != uid ||
+        atomic_load_explicit(&t->regs[r].state, memory_order_relaxed) == PB_FREE) {
+        pb_unlock(t->live);
+        return 0;
+    }
     if (dead && pb_alive(t->regs + r)) {
         pb_unlock(t->live);
         return PB_ALIVE;

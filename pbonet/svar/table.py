@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -20,6 +19,7 @@ from pbonet.errors import (
 
 from . import files, guards
 from . import layout as lay
+from .closing import Closing
 from .codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .local import LocalTable
 from .native import CAUSES, STATIC_BYTES, Arena, Blueprint, now_ns
@@ -28,7 +28,6 @@ from .records import Cause, Register, VarInfo
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
-    from types import TracebackType
 
     from numpy.typing import NDArray
 
@@ -38,7 +37,7 @@ SPARE = 4
 """How many times the whole table fits into its arena, beside the keeper's register."""
 
 
-class Table:
+class Table(Closing):
     """One subsystem's table on this machine; made by `create` or `attach`.
 
     Reading needs no right but the file's; writing is done by tasks, through the
@@ -96,9 +95,8 @@ class Table:
         values = lay.initial_values(variables)
         fd, fresh = files.make(path, plan.size, mode)
         try:
-            arena = Arena(fd, plan.size, _machine())
+            arena = _map(path, fd, plan.size)
         except BaseException:
-            os.close(fd)
             fresh.unlink(missing_ok=True)
             raise
         if error := arena.format(plan, values):
@@ -124,21 +122,19 @@ class Table:
             SvarMissingError: There is none.
             SvarAccessError: It is not this user's own, or its permissions were changed.
             SvarDamagedError: It is no table, cut short, or was overwritten.
-            SvarLayoutError: It is of another version or another lay.
+            SvarLayoutError: It is of another version or another layout.
+            SvarFullError: It cannot be mapped.
         """
         path = files.path_of(name)
         fd, size = files.open_file(path, STATIC_BYTES)
-        try:
-            arena = Arena(fd, size, _machine())
-        except BaseException:
-            os.close(fd)
-            raise
+        arena = _map(path, fd, size)
         files.verify(path, arena, size)
         files.check_mode(path, arena.fileno, arena.mode)
         try:
             table = cls(name, path, arena)
         except msgspec.MsgspecError:
             raise files.damaged(path, Verdict.DAMAGED) from None
+        table.check_moving_part()
         if layout is not None and table.layout != layout:
             raise SvarLayoutError(
                 "a table of this name stands with another layout",
@@ -148,6 +144,16 @@ class Table:
                 remedy="stop the subsystem that uses it, or give this one another name",
             )
         return table
+
+    def check_moving_part(self) -> None:
+        """Refuse a table whose directory names places that are none.
+
+        Raises:
+            SvarDamagedError: It does.
+        """
+        for index, variable in enumerate(self._variables):
+            if self._open().look(index, _room(variable)) is None:
+                raise files.damaged(self.path, Verdict.MOVING_PART)
 
     @staticmethod
     def layout_of(variables: Sequence[Variable]) -> str:
@@ -233,7 +239,7 @@ class Table:
         number = self._number(which)
         variable = self._variables[number]
         value = guards.typed(self.name, variable, values)
-        room = np.zeros(lay.var_bytes(variable), np.uint8)
+        room = _room(variable)
         room[: value.nbytes] = value.view(np.uint8)
         code = self._open().set(number, room, now_ns())
         if code == RIVAL:
@@ -278,11 +284,26 @@ class Table:
             sorted({self.index(name) for name in names})
             for names in (inconst, outconst, invar, outvar)
         ]
-        return LocalTable.make(self, self._open(), task, pid, ports, keep=keep)
+        return LocalTable.make(
+            self._open(),
+            self._variables,
+            table=self.name,
+            task=task,
+            pid=pid,
+            ports=ports,
+            keep=keep,
+        )
 
     def registers(self) -> list[Register]:
-        """Return who holds which register; a recorder names writers by it."""
-        return [Register(*fields) for fields in self._open().registers()]
+        """Return who holds which register; a recorder names writers by it.
+
+        Raises:
+            SvarError: The lock between claimers was not had in time.
+        """
+        found = self._open().registers()
+        if found is None:
+            raise files.stuck(self.name)
+        return [Register(*fields) for fields in found]
 
     def reap(self, owner: int | str) -> list[str]:
         """Free the claims of a task whose process has ended; its values stand.
@@ -298,10 +319,10 @@ class Table:
         """
         arena = self._open()
         held = [r for r in self.registers() if owner in {r.owner, r.task} and r.held]
-        before = [(v.name, self._look(i)[1]) for i, v in enumerate(self._variables)]
+        before = [arena.look(i, _room(v)) for i, v in enumerate(self._variables)]
         gone: set[int] = set()
         for register in held:
-            code = arena.let_go(register.index, True, True)  # noqa: FBT003
+            code = arena.reap(register.index, register.uid)
             self._check_stuck(code)
             if code != ALIVE:
                 gone.add(register.uid)
@@ -312,7 +333,11 @@ class Table:
                 expected=f"process {held[0].pid} to have ended",
                 remedy="turn the task off, or end the process first",
             )
-        return [name for name, seen in before if seen[1] and seen[4] in gone]
+        return [
+            variable.name
+            for variable, seen in zip(self._variables, before, strict=True)
+            if seen is not None and seen[1] and seen[4] in gone
+        ]
 
     @property
     def illegal(self) -> list[Cause]:
@@ -347,20 +372,11 @@ class Table:
         self._arena = None
 
     def destroy(self) -> None:
-        """Remove the file and let go; whoever is attached goes on working."""
-        with contextlib.suppress(FileNotFoundError):
-            self.path.unlink()
-        self.close()
+        """Remove the file and let go; whoever is attached goes on working.
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+        A file that took this one's place, after somebody removed it, is left alone.
+        """
+        files.remove(self.path, self._open().fileno)
         self.close()
 
     def _open(self) -> Arena:
@@ -384,7 +400,7 @@ class Table:
         self, number: int
     ) -> tuple[NDArray[Any], tuple[int, bool, int, int, int, int, str]]:
         variable = self._variables[number]
-        room = np.zeros(lay.var_bytes(variable), np.uint8)
+        room = _room(variable)
         seen = self._open().look(number, room)
         if seen is None:
             raise SvarError(
@@ -398,6 +414,27 @@ class Table:
     def _check_stuck(self, code: int) -> None:
         if code == STUCK:
             raise files.stuck(self.name)
+
+
+def _room(variable: Variable) -> NDArray[np.uint8]:
+    return np.zeros(lay.var_bytes(variable), np.uint8)
+
+
+def _map(path: Path, fd: int, size: int) -> Arena:
+    """Map a file whole; the descriptor is the arena's then, or closed."""
+    try:
+        return Arena(fd, size, _machine())
+    except MemoryError:
+        os.close(fd)
+        raise SvarFullError(
+            "the table's file cannot be mapped into memory",
+            where=str(path),
+            expected=f"{size} bytes of address space that may be locked",
+            remedy="look at `ulimit -v` and `ulimit -l`",
+        ) from None
+    except BaseException:
+        os.close(fd)
+        raise
 
 
 def _machine() -> bytes:

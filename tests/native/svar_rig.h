@@ -131,7 +131,8 @@ static inline int rig_claim(struct pb_local *l) {
 static inline int rig_release(struct pb_local *l, bool leave) {
     struct pb_outputs *o = l->outputs + PB_GROUP_VARS;
     o->live = false;
-    return pb_let_go(&l->table, (uint32_t)(o->group.reg - l->table.regs), leave, false);
+    return pb_let_go(&l->table, (uint32_t)(o->group.reg - l->table.regs), o->group.uid, leave,
+                     false);
 }
 
 #endif

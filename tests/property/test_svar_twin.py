@@ -178,7 +178,7 @@ class InStep(RuleBasedStateMachine):
     @rule(sides=tasks, which=st.sampled_from([0, 1]), leave=st.booleans())
     def give(self, sides, which, leave):
         assume(sides[0].regs[which])
-        self.both(lambda side: side.local.give(which, side.regs[which], leave), sides)
+        self.both(lambda side: side.local.give(which, leave), sides)
         if leave:
             for side in sides:
                 side.regs[which] = 0
@@ -291,7 +291,7 @@ def run_units(**env: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     tests = [
         str(root / "tests" / "unit" / f"test_svar_{n}.py")
-        for n in ("guards", "local", "table")
+        for n in ("guards", "local", "single", "table")
     ]
     return subprocess.run(
         [*command, "-W", "ignore:PBONET_PURE:RuntimeWarning", *tests],

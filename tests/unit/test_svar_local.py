@@ -370,7 +370,7 @@ def test_single_transfers_touch_one_variable(table):
     assert reader.read("V1") == 0
     assert reader.array("V1").tolist() == [2] * 3
     assert reader.array("V0").tolist() == [0] * 3
-    with pytest.raises(UnknownVariableError, match="w does not write V2"):
+    with pytest.raises(UnknownVariableError, match="w does not write variable V2"):
         writer.write("V2")
     with pytest.raises(UnknownVariableError, match="r has no variable V2"):
         reader.read("V2")
@@ -480,15 +480,15 @@ def test_being_turned_on_again_needs_a_fresh_register_when_a_variable_moved(tabl
     task = table.local("task", ME, outvar=["V0", "V1"])
     fill(task, V0=1, V1=1)
     task.claim()
-    first = task.register_index(0)
+    first = table.info("V0").register
     task.release()
     task.claim()
-    assert task.register_index(0) == first
+    assert table.info("V0").register == first
     task.release()
     table.write("V1", [5, 5, 5])
     fill(task, V0=2, V1=2)
     task.claim()
-    assert task.register_index(0) != first
+    assert table.info("V0").register != first
     assert table.read("V0").tolist() == table.read("V1").tolist() == [2, 2, 2]
     task.close()
     assert [one.held for one in table.registers()] == [False, False]

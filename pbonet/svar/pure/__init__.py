@@ -6,10 +6,9 @@ from .arena import (
     VERSION,
     Arena,
     Blueprint,
-    now_ns,
-    process_start,
 )
 from .local import LocalTable
+from .process import now_ns, process_start
 
 __all__ = [
     "CAUSES",

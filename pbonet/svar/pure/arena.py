@@ -11,13 +11,14 @@ import mmap
 import os
 import platform
 import struct
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pbonet.svar.codes import ALIVE, FULL, RIVAL, Verdict
+
+from .process import lives, now_ns, process_start
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 VERSION, CAUSES, STATIC_BYTES = 1, 64, 144
 SLOTS, LINE = 4, 64
 _EVER = 1 << 64
+_NUMBERS = (1 << 56) - 1
 FREE, HELD, LEFT = range(3)
 _MAGIC = b"pbSVAR\r\n"
 _WORD = struct.Struct("<Q")
@@ -42,20 +44,6 @@ _STATE, _SLOTS, _STRIDE, _UID, _CROWD = range(64, 104, 8)
 _BYTES, _OWNER, _PID, _START, _SPACE = range(104, 144, 8)
 
 
-def now_ns() -> int:
-    """Return CLOCK_MONOTONIC."""
-    return time.monotonic_ns()
-
-
-def process_start(pid: int) -> int:
-    """Return when the process started, in ticks since boot; 0 when it has ended."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0
-    return 0 if fields[0] in "ZX" else int(fields[19])
-
-
 def kept(head: int) -> int:
     """Return how many commits before the newest stay whole (register.h)."""
     return head >> 2 & 3
@@ -64,7 +52,7 @@ def kept(head: int) -> int:
 def advance(head: int, crowd: int) -> int:
     """Return the head of the commit after `head`."""
     move = 3 - (head >> 4 & 3) if kept(head) else 1
-    number = (head >> 8) + 1
+    number = (head >> 8) + 1 & _NUMBERS
     keep = min(kept(head) + 1, 2) if number < crowd else 0
     return number << 8 | move << 4 | keep << 2 | (head ^ move) & 3
 
@@ -252,10 +240,10 @@ class Arena:
     # -- ownership (directory.h, owner.h, keeper.h) ------------------------------------
 
     def _alive(self, r: int) -> bool:
-        return process_start(self.reg(r, _PID)) == self.reg(r, _START)
+        return lives(self.reg(r, _PID), self.reg(r, _START))
 
-    def enter(self, size: int, who: tuple[int, int, bytes]) -> int:
-        """Take a register; `who` is (owner, pid, task)."""
+    def find(self, size: int) -> tuple[int, int]:
+        """Return a free register and room for its slots; FULL when there is none."""
         named = {self.entry(v)[0] for v in range(self.n_vars)}
         for r in range(1, self.n_regs):
             state = self.reg(r, _STATE)
@@ -263,23 +251,33 @@ class Arena:
                 state == LEFT or (state == HELD and not self._alive(r))
             ):
                 self._set_reg(r, _STATE, FREE)
-        owner, pid, task = who
-        stride = _stride(size)
         free = [r for r in range(1, self.n_regs) if self.reg(r, _STATE) == FREE]
-        room = self._room(SLOTS * stride)
-        if not free or not room:
+        room = self._room(SLOTS * _stride(size))
+        return (free[0], room) if free and room else (FULL, 0)
+
+    def enter(self, size: int, who: tuple[int, int, bytes]) -> int:
+        """Take a register; `who` is (owner, pid, task)."""
+        owner, pid, task = who
+        found, room = self.find(size)
+        if found == FULL:
             return FULL
         uid = self._get(self.live + _UIDS) + 1
         self._set(self.live + _UIDS, uid)
-        fields = {_SLOTS: room, _STRIDE: stride, _UID: uid, _BYTES: size, _PID: pid}
+        fields = {
+            _SLOTS: room,
+            _STRIDE: _stride(size),
+            _UID: uid,
+            _BYTES: size,
+            _PID: pid,
+        }
         fields |= {_OWNER: owner or uid, _START: process_start(pid), _STATE: HELD}
         fields |= {_CROWD: 0}
         fields[_SPACE] = Path("/proc/self/ns/pid").stat().st_ino
         for field, value in fields.items():
-            self._set_reg(free[0], field, value)
-        at = self.regs + free[0] * _REG_BYTES + _TASK
+            self._set_reg(found, field, value)
+        at = self.regs + found * _REG_BYTES + _TASK
         self.map[at : at + _TASK_BYTES] = task[:63].ljust(_TASK_BYTES, b"\0")
-        return free[0]
+        return found
 
     def _room(self, size: int) -> int:
         used = sorted(
@@ -319,7 +317,7 @@ class Arena:
         if rival is not None:
             return RIVAL, rival
         old = group.reg
-        if not self._renew(group):
+        if self.divided(group, constants=constants) and not self._renew(group):
             return FULL, 0
         self.commit(group.reg, group.value(0, group.bytes), stamp)
         changes: dict[int, tuple[int, int, int]] = {}
@@ -332,11 +330,20 @@ class Arena:
             self._set_reg(old, _STATE, LEFT)
         return 0, 0
 
+    def divided(self, group: Group, *, constants: bool) -> bool:
+        """Return whether some of what a claim takes stands in the register."""
+        here = [
+            self.entry(v)[0] == group.reg
+            for v, at in group
+            if self._may(
+                group.reg, v, group.value(at, self.size_of(v)), constants=constants
+            )
+            == "take"
+        ]
+        return any(here) and not all(here)
+
     def _renew(self, group: Group) -> bool:
-        """Give a group that is divided a fresh register; False when none is left."""
-        here = [self.entry(v)[0] == group.reg for v, _ in group]
-        if all(here) or not any(here):
-            return True
+        """Give a group a fresh register; False when none is left."""
         at = self.regs + group.reg * _REG_BYTES + _TASK
         task = bytes(self.map[at : at + _TASK_BYTES]).rstrip(b"\0")
         who = self.reg(group.reg, _OWNER), self.reg(group.reg, _PID), task
@@ -344,8 +351,14 @@ class Arena:
         group.reg = code if code != FULL else group.reg
         return code != FULL
 
-    def let_go(self, r: int, leave: bool, dead: bool) -> int:  # noqa: FBT001
+    def reap(self, r: int, uid: int) -> int:
+        """Give up what a dead process owns."""
+        return self.let_go(r, uid, leave=True, dead=True)
+
+    def let_go(self, r: int, uid: int, *, leave: bool, dead: bool) -> int:
         """Give up what stands in a register."""
+        if self.uid(r) != uid or self.reg(r, _STATE) == FREE:
+            return 0
         if dead and self._alive(r):
             return ALIVE
         entries = {v: self.entry(v) for v in range(self.n_vars)}

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.svar.codes import CONSTS, IN, ON, OUT_CONSTS, VARS, Flags
+from pbonet.svar.codes import CONSTS, IN, ON, OUT_CONSTS, RIVAL, VARS, Flags
 
-from .arena import LINE, Arena, kept, now_ns
+from .arena import LINE, Arena, kept
+from .process import now_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +35,7 @@ class Group:
     def __init__(self) -> None:
         self.vars: list[int] = []
         self.at: list[int] = []
-        self.first = self.bytes = self.reg = 0
+        self.first = self.bytes = self.reg = self.uid = 0
         self.checks: list[Check] = []
         self.live = False
         self.data = memoryview(b"")
@@ -93,21 +94,24 @@ class LocalTable:
     def enter(self, which: int, owner: int, pid: int, task: bytes) -> int:
         """Take a register for a group."""
         code = self.arena.enter(self.groups[which].bytes, (owner, pid, task))
-        self.groups[which].reg = max(code, 0)
+        if code > 0:
+            self.groups[which].reg = code
+            self.groups[which].uid = self.arena.uid(code)
         return code
 
     def register_uid(self, which: int) -> int:
         """Return the uid of a group's register."""
-        return self.arena.uid(self.groups[which].reg)
-
-    def register_index(self, which: int) -> int:
-        """Return the index of a group's register."""
-        return self.groups[which].reg
+        return self.groups[which].uid
 
     def ask(self, which: int) -> tuple[int, int]:
         """Return what a claim would be answered."""
-        refused = self.arena.refused(self.groups[which], constants=which == OUT_CONSTS)
-        return (0, 0) if refused is None else (-1, refused)
+        group, constants = self.groups[which], which == OUT_CONSTS
+        refused = self.arena.refused(group, constants=constants)
+        if refused is not None:
+            return RIVAL, refused
+        if not self.arena.divided(group, constants=constants):
+            return 0, 0
+        return min(self.arena.find(group.bytes)[0], 0), 0
 
     def take(self, which: int, now: int, cycle: int) -> tuple[int, int]:
         """Judge, commit and claim a group."""
@@ -117,14 +121,18 @@ class LocalTable:
             return 0, 0
         answer = self.arena.claim(group, (now, cycle), constants=which == OUT_CONSTS)
         group.live = group.live or answer[0] == 0
+        group.uid = self.arena.uid(group.reg)
         if which == VARS:
             self.out_uid = self.register_uid(VARS)
         return answer
 
-    def give(self, which: int, reg: int, leave: bool) -> int:  # noqa: FBT001
+    def give(self, which: int, leave: bool) -> int:  # noqa: FBT001
         """Give a group's variables up."""
-        self.groups[which].live = False
-        return self.arena.let_go(reg, leave, False)  # noqa: FBT003
+        group = self.groups[which]
+        group.live = False
+        if not group.reg:
+            return 0
+        return self.arena.let_go(group.reg, group.uid, leave=leave, dead=False)
 
     def owns(self, which: int) -> bool:
         """Return whether this process claimed the group."""
@@ -194,19 +202,26 @@ class LocalTable:
 
     def _stale(self, plan: list[tuple[int, int]], heads: dict[int, int]) -> int:
         for v, _ in plan:
-            maxage = self.arena.maxage_of(v)
             reg = self.arena.entry(v)[0]
-            time_ns = self.arena.stamp(v, reg, heads[reg])[0]
-            if maxage and not (time_ns and now_ns() - time_ns <= maxage):
-                self.fault = v, self.fault[1]
-                self.counts["stale"] += 1
-                return Flags.COPY_STALE
+            if flags := self._too_old(v, self.arena.stamp(v, reg, heads[reg])[0]):
+                return flags
         return 0
+
+    def _too_old(self, v: int, time_ns: int) -> int:
+        maxage = self.arena.maxage_of(v)
+        if not maxage or (time_ns and now_ns() - time_ns <= maxage):
+            return 0
+        self.fault = v, 0
+        self.counts["stale"] += 1
+        return Flags.COPY_STALE
 
     # -- copies out --------------------------------------------------------------------
 
     def _guard(self, group: Group) -> int:
-        for check in group.checks:
+        return self._judge_by(group, group.checks)
+
+    def _judge_by(self, group: Group, checks: list[Check]) -> int:
+        for check in checks:
             element = self._first_bad(group, check)
             if element < check.n:
                 self.fault = check.var, element
@@ -230,9 +245,6 @@ class LocalTable:
                 return check.n
         return int(bad.argmax()) if bad.any() else check.n
 
-    def _refusal(self, group: Group) -> int:
-        return self._guard(group) if group.live else Flags.COMMIT_NOT_OWNER
-
     def _send(self, group: Group, value: bytes, stamp: tuple[int, int]) -> None:
         self.arena.commit(group.reg, value, stamp)
         self.counts["commits"] += 1
@@ -241,7 +253,9 @@ class LocalTable:
         """Send the out-vars."""
         self.cycles = cycle or self.cycles + 1
         group = self.groups[VARS]
-        self.flags = self._refusal(group) if group.vars else 0
+        self.flags = 0
+        if group.vars:
+            self.flags = self._guard(group) if group.live else Flags.COMMIT_NOT_OWNER
         if group.vars and not self.flags:
             stamp = now_ns or _now(), self.cycles
             self._send(group, group.value(0, group.bytes), stamp)
@@ -249,15 +263,20 @@ class LocalTable:
 
     def read_one(self, v: int, at: int) -> int:
         """Bring one variable."""
-        self.arena.look(v, self.data[at:])
-        return 0
+        return self._too_old(v, self.arena.look(v, self.data[at:])[2])
 
     def write_one(self, which: int, i: int, now: int, cycle: int) -> int:
         """Send one variable; the others keep what was last committed."""
         group, arena = self.groups[which], self.arena
-        if flags := self._refusal(group):
+        v, at = group.vars[i], group.at[i]
+        size = arena.size_of(v)
+        stands = which == VARS or arena.entry(v)[0] == group.reg
+        if not group.live or not stands:
+            return Flags.COMMIT_NOT_OWNER
+        parts = (_narrow(check, at, size) for check in group.checks)
+        checks = [part._replace(var=v) for part in parts if part.n > 0]
+        if flags := self._judge_by(group, checks):
             return flags
-        at, size = group.at[i], arena.size_of(group.vars[i])
         last = arena.slot(group.reg, arena.reg(group.reg, 0)) + LINE
         value = bytearray(arena.map[last : last + group.bytes])
         value[at : at + size] = group.value(at, size)
@@ -273,6 +292,16 @@ class LocalTable:
     def illegal(self) -> bool:
         """Whether the illegal-configuration flag is up."""
         return self.arena.illegal != 0
+
+
+def _narrow(check: Check, at: int, size: int) -> Check:
+    """Return the part of a check that falls upon these bytes of the group."""
+    width = int(_TYPES[check.type][1])
+    first = max(check.at, at)
+    stop = min(check.at + check.n * width, at + size)
+    skip = first - check.at
+    low, high = (x if x is None else x[skip:] for x in (check.low, check.high))
+    return check._replace(at=first, n=(stop - first) // width, low=low, high=high)
 
 
 def _now() -> int:
