@@ -42,7 +42,8 @@ from pbonet.pbo import (
     decode_params,
 )
 from pbonet.sched.criticality import PLANNED
-from pbonet.sched.dispatch import Dispatcher, Event, pack
+from pbonet.sched.dispatch import Dispatcher
+from pbonet.sched.events import Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
 from pbonet.xm import messages as m
 

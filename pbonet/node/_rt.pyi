@@ -4,6 +4,7 @@ Nothing here knows modules, commands or the network. `docs/realtime.md` explains
 """
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Final
 
 from pbonet.node._ring import Record as Record
@@ -24,6 +25,18 @@ ORPHAN: Final = 2
 """The parent is gone: run ``off`` and ``kill`` and end (last resort within 1 s)."""
 FLAGS: Final = 3
 """A copy or commit raised a flag of the `leave` mask; see `Slot.flags`."""
+
+ABORTED: Final = 4
+"""The module's failure handler has ended the cycle; nothing was committed."""
+
+FAIL_SIGNAL: Final[int]
+KINDS: Final[tuple[str, ...]]
+"""Kinds of timing failure, as `Slot.run` hands them to `failing`."""
+CONTINUE: Final = 0
+ABORT: Final = 1
+SKIP: Final = 2
+HANDLER_BOUND_NS: Final[int]
+"""A failure handler may take so long; as long again, and the process is ended."""
 
 SLOTS: Final[int]
 """Tasks that one core table holds."""
@@ -73,6 +86,11 @@ class CoreTable:
         crit: int | None = None,
         priority: int | None = None,
         kind: int | None = None,
+        minc_ns: int | None = None,
+        maxc_ns: int | None = None,
+        drop: int | None = None,
+        handler: int | None = None,
+        tells: bool | None = None,
     ) -> None:
         """Change what is given; the dispatcher takes the whole change in one turn.
 
@@ -86,6 +104,12 @@ class CoreTable:
             crit: Criticality 0 to 63, higher first.
             priority: User priority 0 to 65535, higher first.
             kind: A `pbonet.sched.records.Kind`.
+            minc_ns: The least CPU time of a cycle; 0 for none.
+            maxc_ns: CPU time reserved for each cycle, or for a server's period; 0 for
+                as much as it takes.
+            drop: Criticality once that is used up.
+            handler: Criticality of the module's failure handler; 0 for the task's own.
+            tells: The module has a failure handler.
 
         Raises:
             ValueError: A value is out of its range.
@@ -124,6 +148,11 @@ class CoreTable:
         mode: int | None = None,
         begun: bool = False,
         done: bool = False,
+        event: int | None = None,
+        locked: bool | None = None,
+        handled: bool = False,
+        wish: tuple[int, int] | None = None,
+        cpu_ns: int = 0,
     ) -> None:
         """Play the task's part in virtual time; for tests, refused like `step`."""
 
@@ -149,10 +178,25 @@ class Dispatcher:
     @property
     def running(self) -> bool: ...
 
+class Aborted(BaseException):
+    """Leaves a cycle for the mark in `Slot.run`; no module should catch it."""
+
+class Failures:
+    """What a module may do about timing failures; see `pbonet.pbo.Watch`."""
+
+    criticality: int
+    deadline: float
+    @property
+    def error(self) -> BaseException | None:
+        """What the failure handler failed with in the last `Slot.run`."""
+    def critical(self) -> AbstractContextManager[None]: ...
+    def timed(self, name: str) -> AbstractContextManager[None]: ...
+
 class Slot:
     """The task's own end of its slot; made once in the task's process, main thread."""
 
     index: int
+    failures: Failures
     def __init__(self, table: CoreTable, i: int) -> None: ...
     def run(
         self,
@@ -163,6 +207,7 @@ class Slot:
         sync: Callable[[], object] | None = None,
         ring: Ring | None = None,
         leave: int = ...,
+        failing: Callable[[str], int] | None = None,
     ) -> int:
         """Run cycles until there is something else to do.
 
@@ -177,12 +222,16 @@ class Slot:
                 executed cycle.
             local: Where to copy from and to; None does no copying.
             stable: Runs in place of `cycle` while the flag is up.
-            sync: What a synchronous task blocks in, in place of a release.
+            sync: What a task that is timed from outside blocks in, in place of a
+                release.
             ring: Gets one record a cycle.
             leave: Flags of copy-in and commit on which to return FLAGS.
+            failing: Called amid the cycle with one of `KINDS` when the dispatcher has
+                found a timing failure; answers CONTINUE, ABORT or SKIP. What it raises
+                ends the cycle and comes through.
 
         Returns:
-            COMMAND, ORPHAN or FLAGS.
+            COMMAND, ORPHAN, FLAGS or ABORTED.
         """
     def disarm(self) -> None:
         """No more releases, until `run` arms again. Idempotent."""

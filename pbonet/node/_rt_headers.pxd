@@ -8,7 +8,8 @@ cdef extern from "layout.h" nogil:
         RT_SLOTS, RT_MEMBERS, RT_NAME, RT_TRACE, RT_BINS, RT_VERSION
         RT_COMMAND_LEVEL, RT_DISPATCHER_LEVEL
         RT_OFF, RT_ON, RT_COMMAND
-        RT_PERIODIC, RT_SYNCHRONOUS
+        RT_PERIODIC, RT_SYNCHRONOUS, RT_DEFERRABLE, RT_SPORADIC, RT_BACKGROUND
+        RT_FAILURES, RT_SECTIONS, RT_SECTION_NAME, RT_HANDLER_HANGS
         RT_NONE, RT_FIFO, RT_PARK
         RT_ASK_COMMAND, RT_ASK_ORPHAN
     const int64_t RT_MIN_PERIOD_NS
@@ -36,8 +37,8 @@ cdef extern from "table.h" nogil:
         rt_table *table
         int fd, member
     struct rt_settings:
-        int32_t pid, crit, priority, kind
-        int64_t period_ns, deadline_ns
+        int32_t pid, crit, priority, kind, drop, handler, tells
+        int64_t period_ns, deadline_ns, minc_ns, maxc_ns
     int rt_attach(rt_map *map, const char *path, int core, int member)
     void rt_detach(rt_map *map, const char *path)
     void rt_unmap(rt_map *map)
@@ -48,7 +49,8 @@ cdef extern from "table.h" nogil:
     void rt_kick(rt_table *t)
 
 cdef extern from "dispatch.h" nogil:
-    int64_t rt_turn(rt_table *t, int64_t now, int park, int lead)
+    ctypedef int64_t (*rt_cpu_fn)(const rt_slot *)
+    int64_t rt_turn(rt_table *t, int64_t now, int park, int lead, rt_cpu_fn cpu)
     void rt_turn_end(rt_table *t)
 
 cdef extern from "loop.h" nogil:
@@ -66,16 +68,17 @@ cdef extern from "slot.h" nogil:
     struct rt_task:
         rt_table *table
         rt_slot *slot
+        int kind
         int64_t rel_ns
     struct rt_cost:
         int64_t start_ns, called_ns, returned_ns, end_ns
         uint64_t cpu_ns
-        int failed, stable, torn, stale, lost
+        int failed, stable, torn, stale, lost, aborted
     void rt_arm(rt_task *task)
     int rt_leave(rt_task *task, int mode)
     int rt_command_level(const rt_task *task)
     int rt_wait(rt_task *task, int served)
-    void rt_begin(rt_task *task)
+    int rt_begin(rt_task *task)
     void rt_end(rt_task *task)
     int64_t rt_step(const rt_task *task)
     void rt_account(rt_task *task, const rt_cost *cost)
@@ -83,11 +86,45 @@ cdef extern from "slot.h" nogil:
     uint64_t rt_faults()
     void rt_count_faults(rt_slot *slot, uint64_t n)
 
+cdef extern from "Python.h" nogil:
+    int PyErr_SetInterruptEx(int signum) noexcept
+
+cdef extern from "failure.h" nogil:
+    enum:
+        RT_IN_CYCLE, RT_IN_SYNC
+    int RT_FAIL_SIGNAL
+    int rt_guard_failures(rt_task *task, int64_t bound_ns, int (*interrupt)(int) noexcept)
+    void rt_unguard_failures(const rt_task *task)
+    void rt_enter(int where)
+    void rt_exit()
+    unsigned rt_take_failures(rt_task *task)
+    uint32_t rt_begin_handler(rt_task *task)
+    void rt_end_handler(rt_task *task, uint32_t told)
+    void rt_begin_abort()
+    int rt_handles()
+    int rt_is_overdue()
+    int rt_is_aborting()
+    int rt_is_outside()
+    void rt_lock()
+    int rt_unlock()
+    void rt_wish(rt_task *task, int crit, int64_t dl_ns)
+    void rt_skipped(rt_task *task, uint64_t cpu_ns)
+    int rt_section(rt_slot *slot, const char *name)
+    void rt_time_section(rt_slot *slot, int k, uint64_t ns)
+
 cdef extern from "view.h" nogil:
+    struct rt_section_view:
+        char *name
+        uint64_t count, total_ns, min_ns, max_ns
     struct rt_view:
         int life, dead, pid, kind, crit, priority, mode, level
-        int64_t period_ns, deadline_ns, release_ns
-        uint64_t dispatcher_missed, errors
+        int rank, drop, handler, tells, hangs, n_sections
+        int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns
+        uint64_t dispatcher_missed, errors, overruns, held_off
+        uint64_t *failures
+        uint64_t aborted, skipped, handlers, stale_failures
+        uint64_t delivery_last_ns, delivery_max_ns
+        rt_section_view *sections
         uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost
         uint64_t on_cycles, on_missed, on_cpu_ns, on_faults
         uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns
@@ -97,9 +134,12 @@ cdef extern from "view.h" nogil:
     struct rt_core_view:
         int backend, leader_pid, leader_tid
         int64_t since_ns, late_max_ns
-        uint64_t turns, releases, level_changes, errors, takeovers
+        uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns
         int *members
         int *lives
+    struct rt_part:
+        int mode, begun, done, event, locked, handled
+        int64_t now_ns, cpu_ns
     void rt_snapshot(const rt_slot *slot, rt_view *v)
     void rt_core_snapshot(const rt_table *t, rt_core_view *v)
     uint64_t rt_copy_trace(const rt_table *t, uint64_t since, rt_event *to,
@@ -112,7 +152,10 @@ cdef extern from "view.h" nogil:
     int64_t rt_period(const rt_slot *slot)
     int rt_pending(const rt_slot *slot)
     int rt_leader(const rt_table *t)
-    void rt_play(rt_table *t, rt_slot *slot, int mode, int begun, int done)
+    int64_t rt_posted_cpu(const rt_slot *slot)
+    int rt_crit_of(const rt_slot *slot)
+    int64_t rt_deadline_of(const rt_slot *slot)
+    void rt_play(rt_table *t, rt_slot *slot, const rt_part *part)
 
 cdef extern from "guard.h" nogil:
     int rt_guard_slot(const rt_task *task)

@@ -10,39 +10,10 @@
 #ifndef PBONET_DISPATCH_H
 #define PBONET_DISPATCH_H
 
-#include "layout.h"
+#include "watch.h"
 #include "muf.h"
 
 #include <string.h>
-
-static inline void rt_emit(struct rt_table *t, int kind, int slot, uint32_t arg,
-                           int64_t a, int64_t b)
-{
-    t->trace[t->trace_next++ & (RT_TRACE - 1)] = (struct rt_event){
-        .a = a, .b = b, .arg = arg, .slot = (uint16_t)slot, .kind = (uint16_t)kind};
-}
-
-/* Replace a slot's state so that a kill at any point leaves the old or the new one. */
-static inline void rt_commit(struct rt_table *t, int i, const struct rt_state *next)
-{
-    t->journal = *next;
-    t->journal_slot = (uint32_t)i;
-    /* SYNC POINT: rt_recover looks at the journal only where this is 1. */
-    atomic_store_explicit(&t->journal_valid, 1, memory_order_release);
-    atomic_signal_fence(memory_order_seq_cst);
-    t->slots[i].state = *next;
-    atomic_store_explicit(&t->journal_valid, 0, memory_order_release);
-    atomic_store_explicit(&t->slots[i].grant.missed, next->missed, memory_order_relaxed);
-    atomic_store_explicit(&t->slots[i].grant.level, next->level, memory_order_relaxed);
-    atomic_store_explicit(&t->slots[i].grant.life, next->life, memory_order_relaxed);
-}
-
-static inline void rt_disarm(struct rt_state *s)
-{
-    s->armed = s->ready = s->granted = s->begun = s->parked = 0;
-    s->level = 0;
-    s->next_ns = 0;
-}
 
 /* Take over a changed configuration; one half written is left for its writer's kick.
  * Returns what there is: 0 nothing, 1 settings, 2 another process too, without a level. */
@@ -58,12 +29,17 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     int32_t priority = atomic_load_explicit(&c->priority, memory_order_relaxed);
     int64_t period = atomic_load_explicit(&c->period_ns, memory_order_relaxed);
     int64_t deadline = atomic_load_explicit(&c->deadline_ns, memory_order_relaxed);
+    int64_t minc = atomic_load_explicit(&c->minc_ns, memory_order_relaxed);
+    int64_t maxc = atomic_load_explicit(&c->maxc_ns, memory_order_relaxed);
+    int32_t drop = atomic_load_explicit(&c->drop, memory_order_relaxed);
+    int32_t handler = atomic_load_explicit(&c->handler, memory_order_relaxed);
+    int32_t tells = atomic_load_explicit(&c->tells, memory_order_relaxed);
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
         return 0;
     int news = pid == s->pid ? 1 : 2;
     if (news == 2)
-        s->level = 0;
+        s->level = 0, s->clock = s->mark = 0;
     s->gen = gen;
     s->pid = pid;
     s->kind = kind;
@@ -71,6 +47,13 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     s->priority = priority;
     s->period = period;
     s->deadline = deadline;
+    s->minc = minc;
+    s->maxc = maxc;
+    s->drop = drop;
+    s->handler = handler;
+    s->tells = tells != 0;
+    if (!s->handling)
+        s->rank = rt_contained(s);
     return news;
 }
 
@@ -85,17 +68,68 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
         rt_disarm(s);
     if (changed >> 17 || mode != RT_ON)
         s->level = 0;
+    s->fresh = mode != RT_OFF && rt_limited(s);
     if (mode == RT_OFF || s->armed || s->dead)
         return;
     s->armed = 1;
     if (s->kind == RT_PERIODIC) {
         s->next_ns = (now + RT_LEAD_NS + s->period - 1) / s->period * s->period;
-    } else {                    /* timed from outside: ready for good */
-        s->ready = 1;
-        s->rel_ns = now;
-        s->dl_ns = RT_NEVER;
-        rt_emit(t, RT_RELEASE, i, 0, now, RT_NEVER);
+        return;
     }
+    s->ready = 1;               /* timed from outside: ready for good */
+    s->rel_ns = s->event_ns = now;
+    s->dl_ns = RT_NEVER;
+    s->left = s->maxc;
+    s->mark = -1;
+    if (s->kind == RT_SYNCHRONOUS && s->deadline)
+        s->check_ns = now + s->deadline;
+    if (s->kind == RT_DEFERRABLE)
+        s->dl_ns = s->next_ns = (now / s->period + 1) * s->period;
+    rt_emit(t, RT_RELEASE, i, 0, now, s->dl_ns);
+}
+
+/* Take in what the task says of itself amid a cycle. */
+static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s)
+{
+    struct rt_post *post = &t->slots[i].post;
+    uint32_t handled = atomic_load(&post->handled);
+    if (handled != s->handled) {
+        s->handled = handled;
+        rt_emit(t, RT_HANDLED, i, handled, 0, 0);
+        if (s->handling && handled == s->told) {
+            s->handling = 0;
+            rt_set_rank(t, i, s, rt_contained(s));
+        }
+    }
+    uint32_t wish = atomic_load_explicit(&post->wish, memory_order_acquire);
+    if (wish != s->wish) {
+        int32_t crit = atomic_load_explicit(&post->wish_crit, memory_order_relaxed);
+        int64_t dl_ns = atomic_load_explicit(&post->wish_dl_ns, memory_order_relaxed);
+        s->wish = wish;
+        rt_emit(t, RT_WISH, i, (uint32_t)crit & 0xff, dl_ns, 0);
+        rt_grant_wish(t, i, s, crit, dl_ns);
+    }
+    if (s->owed && !atomic_load(&post->locked)) {
+        rt_emit(t, RT_UNLOCKED, i, 0, 0, 0);
+        rt_settle_debt(t, i, s);
+    }
+}
+
+/* Take in that a server has begun or ended an event. */
+static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
+{
+    struct rt_post *post = &t->slots[i].post;
+    /* SYNC POINT: pairs with rt_begin_event, which stores the instant first. */
+    uint8_t active = atomic_load_explicit(&post->events, memory_order_acquire) & 1;
+    int64_t event = atomic_load_explicit(&post->event_ns, memory_order_relaxed);
+    if (active == s->active && (!active || event == s->event_ns))
+        return;
+    rt_emit(t, RT_EVENT, i, active, event, 0);
+    s->active = active;
+    s->event_ns = event;
+    s->fresh = 1;
+    if (s->kind == RT_SPORADIC)
+        s->dl_ns = event + s->period;
 }
 
 /* Whether slot i has anything to take in; most have not, most of the time. */
@@ -106,7 +140,7 @@ static inline int rt_news(const struct rt_slot *slot)
     return atomic_load_explicit(&c->life, memory_order_relaxed) != s->life ||
            atomic_load_explicit(&c->gen, memory_order_relaxed) != s->gen ||
            atomic_load_explicit(&slot->post.word, memory_order_relaxed) != s->word ||
-           s->granted ||
+           s->granted || (s->armed && s->kind != RT_PERIODIC) ||
            atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
 }
 
@@ -128,6 +162,10 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
                 (uint32_t)s->crit | (uint32_t)s->priority << 8 |
                     (uint32_t)s->kind << 24 | (uint32_t)(news == 2) << 31,
                 s->period, s->deadline);
+    if (news)
+        rt_emit(t, RT_LIMITS, i,
+                (uint32_t)s->drop | (uint32_t)s->handler << 8 | (uint32_t)s->tells << 16,
+                s->minc, s->maxc);
     if (!s->dead && atomic_load(&slot->config.dead) == life) {
         rt_emit(t, RT_DEAD, i, 0, 0, 0);
         s->dead = 1;
@@ -139,11 +177,15 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     if (s->granted &&
         atomic_load_explicit(&slot->post.done, memory_order_acquire) == s->seq) {
         rt_emit(t, RT_DONE, i, 0, 0, 0);
-        s->ready = s->granted = s->begun = s->parked = 0;
+        rt_over(s);
     } else if (s->granted && !s->begun && atomic_load(&slot->post.begun) == s->seq) {
         rt_emit(t, RT_BEGUN, i, 0, 0, 0);
         s->begun = 1;
     }
+    if (s->begun || s->kind == RT_SYNCHRONOUS)
+        rt_latch_watch(t, i, s);
+    if (s->armed && rt_is_server(s))
+        rt_latch_event(t, i, s);
     if (word != s->word && s->gen)
         rt_latch_mode(t, i, s, word, now);
 }
@@ -157,6 +199,7 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
         missed = (uint64_t)(last / s->period - release / s->period);
         release = last;
     }
+    int unmet = s->ready && !s->late;
     missed += s->ready;
     s->dl_ns = release + (s->deadline ? s->deadline : s->period);
     if (!s->begun) {
@@ -174,6 +217,33 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     rt_emit(t, RT_RELEASE, i, 0, release, s->dl_ns);
     if (missed)
         rt_emit(t, RT_MISS, i, (uint32_t)missed, 0, 0);
+    rt_renew(t, i, s);
+    if (unmet)
+        rt_fail(t, i, s, RT_DEADLINE, now, s->begun);
+}
+
+/* Do what is due for an armed slot, or has become so by news. */
+static inline void rt_watch(struct rt_table *t, int i, struct rt_state *s, int64_t now,
+                            rt_cpu_fn cpu)
+{
+    int locked = rt_limited(s) ? rt_read_cpu(t, i, s, cpu) : 0;
+    if (rt_is_server(s)) {
+        rt_serve(t, i, s, now);
+    } else if (s->kind == RT_SYNCHRONOUS) {
+        if (s->deadline)
+            rt_listen(t, i, s, now);
+    } else if (s->kind == RT_PERIODIC) {
+        if (s->fresh && !s->begun)
+            s->mark = s->clock;
+        if (s->next_ns <= now)
+            rt_release(t, i, s, now);
+        if (s->ready && !s->late && s->dl_ns <= now) {
+            s->late = 1;
+            rt_fail(t, i, s, RT_DEADLINE, now, s->begun);
+        }
+        s->check_ns = s->ready && rt_limited(s) ? rt_look(t, i, s, now, locked) : 0;
+    }
+    s->fresh = 0;
 }
 
 /* Tell the task of its release; whoever acts on the trace wakes it. */
@@ -183,7 +253,7 @@ static inline void rt_publish(struct rt_slot *slot)
     atomic_store_explicit(&g->rel_ns, slot->state.rel_ns, memory_order_relaxed);
     atomic_store_explicit(&g->dl_ns, slot->state.dl_ns, memory_order_relaxed);
     atomic_store_explicit(&g->parked, slot->state.parked, memory_order_relaxed);
-    atomic_store_explicit(&g->missed, slot->state.missed, memory_order_relaxed);
+    rt_show(g, &slot->state);
     /* SYNC POINT: rt_slot_wait loads `seq` with acquire before it reads the times. */
     atomic_store_explicit(&g->seq, slot->state.seq, memory_order_release);
     atomic_fetch_add(&g->bell, 1);
@@ -194,7 +264,7 @@ static inline void rt_let_run(struct rt_table *t, int i)
     struct rt_state s = t->slots[i].state;
     if (!s.granted) {
         s.granted = 1;
-        s.seq++;
+        s.seq = s.seq + 1 ? s.seq + 1 : 1;
         rt_commit(t, i, &s);
         rt_publish(&t->slots[i]);
         rt_emit(t, RT_WAKE, i, s.seq, 0, 0);
@@ -252,7 +322,8 @@ static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, in
  * `lead` marks the first turn of a new leader, which knows no task's level. The records
  * of the turn are trace[trace_end .. trace_next) until rt_turn_end.
  */
-static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lead)
+static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lead,
+                              rt_cpu_fn cpu)
 {
     struct muf_item ready[RT_SLOTS];
     int n = 0, high = (int)atomic_load_explicit(&t->high, memory_order_acquire);
@@ -273,18 +344,17 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
     }
     for (int i = 0; i < high; i++) {
         struct rt_state *s = &t->slots[i].state;
-        if (s->armed && s->next_ns && s->next_ns <= now) {
-            struct rt_state next = *s;
-            rt_release(t, i, &next, now);
-            rt_commit(t, i, &next);
+        int64_t next = s->armed ? rt_due(s) : 0;
+        if (s->fresh || (next && next <= now)) {
+            struct rt_state news = *s;
+            rt_watch(t, i, &news, now, cpu);
+            rt_commit(t, i, &news);
+            next = s->armed ? rt_due(s) : 0;
         }
-        /* Place of deadlines and budgets: they follow the releases and precede the
-         * ranking, which they may change through a slot's criticality. */
-        if (s->armed && s->next_ns && (!due || s->next_ns < due))
-            due = s->next_ns;
+        due = rt_sooner(due, next);
         if (s->ready && (s->word & 3) == RT_ON)
             ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
-                                           .crit = s->crit, .priority = s->priority,
+                                           .crit = s->rank, .priority = s->priority,
                                            .level = s->level, .slot = i};
     }
     rt_rank(t, ready, n, park);

@@ -13,8 +13,6 @@
 
 #ifndef _GNU_SOURCE
 #define _GNU_SOURCE
-#define RT_PREFIX (offsetof(struct rt_table, leader))
-
 #endif
 #include <pthread.h>
 #include <stdatomic.h>
@@ -26,20 +24,30 @@ enum {
     RT_MEMBERS = 32,
     RT_NAME = 64,
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
-    RT_TURN_MAX = 10 * RT_SLOTS + 2,
+    RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 1,
+    RT_VERSION = 2,
+    RT_SECTIONS = 16,        /* timed sections of a task's cycle */
+    RT_SECTION_NAME = 24,
+    RT_PIECES = 8,           /* of capacity on their way back to a sporadic server */
     RT_COMMAND_LEVEL = 3,
     RT_DISPATCHER_LEVEL = 95,
 };
 #define RT_MAGIC UINT64_C(0x31656e6f63626f70)
 #define RT_MIN_PERIOD_NS INT64_C(100000)
 #define RT_LEAD_NS INT64_C(100000)
+#define RT_MARGIN_NS INT64_C(20000)      /* a timer is set no nearer than this */
+#define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
+#define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
+#define RT_STALL_NS INT64_C(20000000)
 #define RT_NEVER INT64_MAX
 
 enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2 };
-enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1 };
+enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORADIC = 3,
+               RT_BACKGROUND = 4 };
 enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
+enum rt_failure { RT_DEADLINE = 0, RT_MAXEXEC = 1, RT_MINEXEC = 2, RT_FAILURES = 3 };
+enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended itself */
 enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2 };
 
 /* One record of the trace; pbonet/sched/dispatch.py says what the kinds mean. */
@@ -51,7 +59,9 @@ struct rt_event {
 };
 enum rt_event_kind {
     RT_TURN = 1, RT_LIFE, RT_CONFIG, RT_DEAD, RT_MODE, RT_DONE, RT_BEGUN, RT_LEAD,
+    RT_LIMITS, RT_USED, RT_HANDLED, RT_WISH, RT_EVENT, RT_UNLOCKED,
     RT_RELEASE = 16, RT_MISS, RT_LEVEL, RT_WAKE, RT_PARKED, RT_RESUME,
+    RT_FAIL, RT_CRIT, RT_SKIP, RT_REFILL, RT_FORCE,
 };
 
 struct rt_config {
@@ -62,8 +72,10 @@ struct rt_config {
     _Atomic int32_t kind, crit, priority;
     _Atomic int32_t member;
     _Atomic int64_t period_ns, deadline_ns;
-    _Atomic int64_t minc_ns, maxc_ns;   /* for budgets: kept at 0 until they exist */
-    _Atomic int32_t handler_crit;       /* likewise */
+    _Atomic int64_t minc_ns, maxc_ns;   /* 0: none; maxc of a server: its capacity */
+    _Atomic int32_t drop;               /* criticality once maxc is used up */
+    _Atomic int32_t handler;            /* of the failure handler; 0: the task's own */
+    _Atomic int32_t tells;              /* the module has a failure handler */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 
@@ -71,6 +83,14 @@ struct rt_post {
     _Alignas(64) _Atomic uint32_t word; /* mode | arming count << 2 | returns << 17 */
     _Atomic uint32_t begun;             /* number of the last grant begun ... */
     _Atomic uint32_t done;              /* ... and ended */
+    _Atomic uint32_t events;            /* begun and ended: odd while one is served */
+    _Atomic uint32_t handled;           /* failures whose handler has ended */
+    _Atomic uint32_t locked;            /* in a critical section */
+    _Atomic uint32_t wish;              /* changes with the two below */
+    _Atomic int32_t wish_crit;          /* -1: none */
+    _Atomic int64_t wish_dl_ns;         /* absolute; 0: none */
+    _Atomic int64_t event_ns;           /* begin of the last event */
+    _Atomic uint64_t cpu_ns;            /* the task's CPU clock, in virtual time only */
 };
 
 struct rt_grant {
@@ -78,10 +98,23 @@ struct rt_grant {
     _Atomic uint32_t seq;               /* number of the last grant */
     _Atomic uint32_t ask;               /* rt_ask bits */
     _Atomic uint32_t parked;            /* futex: not 0 while the task is held */
+    _Atomic uint32_t skip;              /* number of a grant that is not to be begun */
+    _Atomic uint32_t failed;            /* kinds of failure | grant << 3, to be told */
+    _Atomic uint32_t told;              /* how often a handler was sent for */
+    _Atomic uint32_t forced;            /* the grant whose critical section is over */
+    _Atomic uint32_t owed;              /* a drop waits for the section's end */
+    _Atomic int64_t failed_ns;          /* when the last failure was found */
     _Atomic int64_t rel_ns, dl_ns;      /* of the last grant */
+    _Atomic int32_t crit;               /* that it has now */
+    _Atomic uint64_t failures[RT_FAILURES];
+    _Atomic uint64_t overruns, held_off; /* maxc used up; sections that took too long */
     _Atomic uint64_t missed;            /* as in `state`, for whoever reads ... */
     _Atomic int32_t level;              /* ... the status; and ... */
     _Atomic uint32_t life;              /* ... which life the dispatcher serves */
+};
+
+struct rt_piece {
+    int64_t at_ns, ns;                  /* capacity that comes back, and when */
 };
 
 struct rt_state {
@@ -90,6 +123,24 @@ struct rt_state {
     uint32_t gen, life, word, seq;
     int32_t pid, crit, priority, kind, level;
     uint8_t dead, armed, ready, granted, begun, parked;
+    /* what failures and reserves need; see watch.h */
+    uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
+    int32_t rank, drop, handler;        /* rank: the criticality that it has now */
+    uint32_t told, handled, wish;
+    int64_t minc, maxc;
+    int64_t clock, mark;                /* CPU clock: last read; where a reserve began */
+    int64_t check_ns;                   /* when to look at it next; 0: not */
+    int64_t locked_ns;                  /* when a critical section is forced to end */
+    int64_t handler_mark;
+    int64_t left;                       /* of a server's capacity */
+    int64_t event_ns;
+    uint64_t failures[RT_FAILURES], overruns, held_off;
+    struct rt_piece pieces[RT_PIECES];
+};
+
+struct rt_section {                     /* a timed part of the cycle, by the task */
+    char name[RT_SECTION_NAME];
+    _Atomic uint64_t count, total_ns, min_ns, max_ns;
 };
 
 struct rt_stats {
@@ -99,6 +150,8 @@ struct rt_stats {
     _Atomic uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
     _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
     _Atomic uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
+    _Atomic uint64_t aborted, skipped, handlers, stale_failures;
+    _Atomic uint64_t delivery_last_ns, delivery_max_ns; /* failure to handler's begin */
     _Atomic uint64_t jitter[RT_BINS], cpu[RT_BINS];
 };
 
@@ -109,6 +162,8 @@ struct rt_slot {
     struct rt_state state;
     _Atomic uint64_t errors;            /* dispatcher: calls that the kernel refused */
     struct rt_stats stats;
+    _Atomic uint32_t n_sections;
+    struct rt_section sections[RT_SECTIONS];
 };
 
 struct rt_member {
@@ -133,6 +188,7 @@ struct rt_table {
     _Atomic int64_t since_ns;
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
     _Atomic int64_t late_max_ns;        /* a turn behind the event it was to serve */
+    _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stood */
     int64_t due_ns;                     /* what the last turn sleeps for */
 
     uint32_t journal_slot;              /* a state that is being replaced ... */

@@ -30,11 +30,30 @@ static inline void rt_refused(struct rt_table *t, int i, int error)
         atomic_store(&slot->config.dead, slot->state.life);
 }
 
-static inline void rt_signal_park(struct rt_table *t, int i)
+static inline void rt_signal(struct rt_table *t, int i, int signal)
 {
     pid_t pid = t->slots[i].state.pid;
-    if (pid > 0 && syscall(SYS_tgkill, pid, pid, RT_PARK_SIGNAL))
+    if (pid > 0 && syscall(SYS_tgkill, pid, pid, signal))
         rt_refused(t, i, errno);
+}
+
+/* Tell the task of a failure: what and of which grant first, then the signal. */
+static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
+{
+    struct rt_grant *g = &t->slots[i].grant;
+    uint32_t bit = UINT32_C(1) << (e->arg & 3), grant = t->slots[i].state.seq << 3;
+    uint32_t old = atomic_load(&g->failed), word;
+    do {
+        word = (old & ~UINT32_C(7)) == grant ? old | bit : grant | bit;
+    } while (!atomic_compare_exchange_weak(&g->failed, &old, word));
+    atomic_store(&g->failed_ns, e->a);
+    atomic_store(&g->told, t->slots[i].state.told);
+    rt_signal(t, i, RT_FAIL_SIGNAL);
+}
+
+static inline int64_t rt_task_cpu(const struct rt_slot *slot)
+{
+    return slot->state.pid > 0 ? rt_process_cpu(slot->state.pid) : 0;
 }
 
 /* Do what one record says. */
@@ -54,10 +73,17 @@ static inline void rt_act(struct rt_table *t, const struct rt_event *e, int back
         rt_futex_wake(&slot->grant.bell);
         break;
     case RT_PARKED:
-        rt_signal_park(t, e->slot);
+        rt_signal(t, e->slot, RT_PARK_SIGNAL);
         break;
     case RT_RESUME:
         rt_futex_wake(&slot->grant.parked);
+        break;
+    case RT_FAIL:
+        if (e->arg >> 8)
+            rt_tell(t, e->slot, e);
+        break;
+    case RT_FORCE:
+        rt_signal(t, e->slot, RT_FAIL_SIGNAL);
         break;
     case RT_RELEASE:
         atomic_fetch_add_explicit(&t->releases, 1, memory_order_relaxed);
@@ -86,7 +112,11 @@ static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
     int64_t now = rt_now(), due = t->due_ns;
     if (due && now - due > atomic_load_explicit(&t->late_max_ns, memory_order_relaxed))
         atomic_store_explicit(&t->late_max_ns, now - due, memory_order_relaxed);
-    due = rt_turn(t, now, backend == RT_PARK, lead);
+    if (due && now - due > RT_STALL_NS) {
+        atomic_fetch_add(&t->stalls, 1);
+        atomic_fetch_add(&t->stalled_ns, (uint64_t)(now - due));
+    }
+    due = rt_turn(t, now, backend == RT_PARK, lead, rt_task_cpu);
     t->due_ns = due;
     uint64_t from = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
     rt_turn_end(t);
@@ -104,7 +134,7 @@ static inline void rt_wake_all(struct rt_table *t)
             continue;
         rt_futex_wake(&t->slots[i].grant.bell);
         if (t->slots[i].state.parked)
-            rt_signal_park(t, (int)i);
+            rt_signal(t, (int)i, RT_PARK_SIGNAL);
         else
             rt_futex_wake(&t->slots[i].grant.parked);
     }

@@ -17,7 +17,7 @@ enum rt_wait { RT_RELEASED = 0, RT_WAIT_COMMAND = 1, RT_WAIT_ORPHAN = 2, RT_WAIT
 struct rt_task {
     struct rt_table *table;
     struct rt_slot *slot;
-    int synchronous;            /* timed from outside: one grant lasts until OFF */
+    int kind;                   /* but for periodic ones, a grant lasts until OFF */
     uint32_t seq;               /* of the release that is being run */
     int64_t rel_ns, dl_ns;
 };
@@ -69,13 +69,23 @@ static inline void rt_stats_end(struct rt_stats *s)
     atomic_store_explicit(&s->seq, s->seq + 1, memory_order_release);
 }
 
+/* Nothing is served any more; whether something was. */
+static inline int rt_end_event(struct rt_task *task)
+{
+    uint32_t odd = atomic_load(&task->slot->post.events) & 1;
+    if (odd)
+        atomic_fetch_add(&task->slot->post.events, 1);
+    return (int)odd;
+}
+
 /* Ask for releases: a new arming after OFF, else on with the old one. */
 static inline void rt_arm(struct rt_task *task)
 {
     struct rt_slot *slot = task->slot;
     struct rt_stats *s = &slot->stats;
     uint32_t word = atomic_load(&slot->post.word);
-    task->synchronous = atomic_load(&slot->config.kind) == RT_SYNCHRONOUS;
+    task->kind = atomic_load(&slot->config.kind);
+    rt_end_event(task);
     if ((word & 3) == RT_ON)
         return;
     if ((word & 3) == RT_OFF) {
@@ -85,7 +95,8 @@ static inline void rt_arm(struct rt_task *task)
         rt_stats_begin(s);
         rt_put(&s->on_ns, (uint64_t)rt_now());
         rt_put(&s->on_cycles, rt_get(&s->cycles));
-        rt_put(&s->on_missed, rt_get(&slot->grant.missed) + rt_get(&s->failed));
+        rt_put(&s->on_missed, rt_get(&slot->grant.missed) + rt_get(&s->failed) +
+                                  rt_get(&s->skipped));
         rt_put(&s->on_cpu_ns, rt_get(&s->cpu_total_ns));
         rt_put(&s->on_faults, rt_get(&s->faults));
         rt_put(&s->cpu_min_ns, 0);
@@ -161,26 +172,44 @@ static inline void rt_hold_still(struct rt_slot *slot)
         rt_futex_wait(&slot->grant.parked, 1, 0);
 }
 
-/* Begin the cycle that was granted; a synchronous one begins when its event is there. */
-static inline void rt_begin(struct rt_task *task)
+/* Begin serving an event that came from outside; a server's capacity counts from here. */
+static inline void rt_begin_event(struct rt_task *task)
+{
+    struct rt_post *post = &task->slot->post;
+    task->rel_ns = rt_now();
+    task->dl_ns = RT_NEVER;
+    atomic_store_explicit(&post->event_ns, task->rel_ns, memory_order_relaxed);
+    if (task->kind == RT_DEFERRABLE || task->kind == RT_SPORADIC) {
+        /* SYNC POINT: rt_latch_event loads it with acquire. */
+        atomic_fetch_add_explicit(&post->events, 1, memory_order_release);
+        rt_kick(task->table);
+    }
+}
+
+/* Begin the cycle that was granted; 0 when it must not be begun any more. */
+static inline int rt_begin(struct rt_task *task)
 {
     struct rt_slot *slot = task->slot;
-    if (task->synchronous) {
-        task->rel_ns = rt_now();
-        task->dl_ns = RT_NEVER;
-        return;
+    if (task->kind != RT_PERIODIC) {
+        rt_begin_event(task);
+        return 1;
     }
     atomic_store(&slot->post.begun, task->seq);
     rt_hold_still(slot);
     task->rel_ns = atomic_load_explicit(&slot->grant.rel_ns, memory_order_relaxed);
     task->dl_ns = atomic_load_explicit(&slot->grant.dl_ns, memory_order_relaxed);
+    return atomic_load(&slot->grant.skip) != task->seq;
 }
 
-/* End it; under `park` the dispatcher wants to know at once when others wait. */
+/* End it; under `park` the dispatcher wants to know at once when others wait, and of a
+ * sporadic server what it has used. */
 static inline void rt_end(struct rt_task *task)
 {
-    if (task->synchronous)
+    if (task->kind != RT_PERIODIC) {
+        if (rt_end_event(task) && task->kind == RT_SPORADIC)
+            rt_kick(task->table);
         return;
+    }
     /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
      * others wait, or the dispatcher sees that the cycle has ended. */
     atomic_store(&task->slot->post.done, task->seq);
@@ -203,7 +232,7 @@ static inline int64_t rt_step(const struct rt_task *task)
     int64_t last = (int64_t)rt_get(&slot->stats.last_rel_ns);
     if (last)
         return task->rel_ns - last;
-    if (task->synchronous)
+    if (task->kind != RT_PERIODIC)
         return task->rel_ns - (int64_t)rt_get(&slot->stats.on_ns);
     return atomic_load(&slot->config.period_ns);
 }
@@ -212,7 +241,7 @@ static inline int64_t rt_step(const struct rt_task *task)
 struct rt_cost {
     int64_t start_ns, called_ns, returned_ns, end_ns;
     uint64_t cpu_ns;
-    int failed, stable, torn, stale, lost;
+    int failed, stable, torn, stale, lost, aborted;
 };
 
 static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
@@ -223,6 +252,7 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     int first = rt_get(&s->last_rel_ns) == 0;
     rt_stats_begin(s);
     rt_add(cost->failed ? &s->failed : &s->cycles, 1);
+    rt_add(&s->aborted, (uint64_t)cost->aborted);
     rt_add(&s->late, cost->end_ns > task->dl_ns);
     rt_add(&s->stable, (uint64_t)cost->stable);
     rt_add(&s->torn, (uint64_t)cost->torn);

@@ -17,6 +17,7 @@
 #include <unistd.h>
 
 #define RT_PARK_SIGNAL (SIGRTMIN + 2)
+#define RT_FAIL_SIGNAL (SIGRTMIN + 3)
 
 static inline int64_t rt_clock(clockid_t clock)
 {
@@ -33,6 +34,17 @@ static inline int64_t rt_now(void)
 static inline uint64_t rt_thread_cpu(void)
 {
     return (uint64_t)rt_clock(CLOCK_THREAD_CPUTIME_ID);
+}
+
+/* The CPU time of another process; 0 when it is gone. Exact for one that does not run at
+ * this moment, as on the dispatcher's own core; else up to a tick old. */
+static inline int64_t rt_process_cpu(pid_t pid)
+{
+    struct timespec at = {0, 0};
+    clockid_t clock = (clockid_t)(~(unsigned)pid << 3 | 2 /* CPUCLOCK_SCHED */);
+    if (clock_gettime(clock, &at))
+        return 0;
+    return (int64_t)at.tv_sec * 1000000000 + at.tv_nsec;
 }
 
 static inline struct timespec rt_timespec(int64_t ns)

@@ -315,6 +315,23 @@ static inline void rt_config_end(struct rt_config *c, uint32_t gen)
     atomic_store_explicit(&c->gen, gen + 1, memory_order_release);
 }
 
+static inline void rt_reset_watch(struct rt_slot *slot)
+{
+    struct rt_post *post = &slot->post;
+    struct rt_grant *g = &slot->grant;
+    _Atomic uint32_t *words[] = {&post->events, &post->handled, &post->locked, &post->wish,
+                                 &g->skip, &g->failed, &g->told, &g->forced, &g->owed,
+                                 &slot->n_sections};
+    for (size_t k = 0; k < sizeof words / sizeof *words; k++)
+        atomic_store(words[k], 0);
+    for (int k = 0; k < RT_FAILURES; k++)
+        atomic_store(&g->failures[k], 0);
+    atomic_store(&post->event_ns, 0);
+    atomic_store(&post->cpu_ns, 0);
+    atomic_store(&g->overruns, 0);
+    atomic_store(&g->held_off, 0);
+}
+
 static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
                             const char *task)
 {
@@ -327,11 +344,17 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     atomic_store(&c->member, member);
     atomic_store(&c->period_ns, INT64_C(1000000000));
     atomic_store(&c->deadline_ns, 0);
+    atomic_store(&c->minc_ns, 0);
+    atomic_store(&c->maxc_ns, 0);
+    atomic_store(&c->drop, 0);
+    atomic_store(&c->handler, 0);
+    atomic_store(&c->tells, 0);
     memset(c->rtpu, 0, RT_NAME);
     memset(c->task, 0, RT_NAME);
     memcpy(c->rtpu, rtpu, strnlen(rtpu, RT_NAME - 1));
     memcpy(c->task, task, strnlen(task, RT_NAME - 1));
     atomic_store(&slot->post.word, 0);
+    rt_reset_watch(slot);
     atomic_store(&slot->post.begun, 0);
     atomic_store(&slot->post.done, 0);
     atomic_store(&slot->grant.seq, 0);
@@ -370,8 +393,8 @@ static inline int rt_alloc(struct rt_table *t, int member, const char *rtpu,
 
 /* New settings of a slot; -1 leaves a value as it is. */
 struct rt_settings {
-    int32_t pid, crit, priority, kind;
-    int64_t period_ns, deadline_ns;
+    int32_t pid, crit, priority, kind, drop, handler, tells;
+    int64_t period_ns, deadline_ns, minc_ns, maxc_ns;
 };
 
 static inline void rt_set32(_Atomic int32_t *to, int32_t value)
@@ -397,6 +420,11 @@ static inline void rt_configure(struct rt_table *t, int i, const struct rt_setti
     rt_set32(&c->kind, s->kind);
     rt_set64(&c->period_ns, s->period_ns);
     rt_set64(&c->deadline_ns, s->deadline_ns);
+    rt_set32(&c->drop, s->drop);
+    rt_set32(&c->handler, s->handler);
+    rt_set32(&c->tells, s->tells);
+    rt_set64(&c->minc_ns, s->minc_ns);
+    rt_set64(&c->maxc_ns, s->maxc_ns);
     rt_config_end(c, gen);
     pthread_mutex_unlock(&t->edit);
 }

@@ -5,10 +5,19 @@
 #include "slot.h"
 #include "dispatch.h"
 
+struct rt_section_view {
+    char name[RT_SECTION_NAME];
+    uint64_t count, total_ns, min_ns, max_ns;
+};
+
 struct rt_view {
     int life, dead, pid, kind, crit, priority, mode, level;
-    int64_t period_ns, deadline_ns, release_ns;
-    uint64_t dispatcher_missed, errors;
+    int rank, drop, handler, tells, hangs, n_sections;
+    int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
+    uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
+    uint64_t aborted, skipped, handlers, stale_failures;
+    uint64_t delivery_last_ns, delivery_max_ns;
+    struct rt_section_view sections[RT_SECTIONS];
     uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost;
     uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
     uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
@@ -27,6 +36,12 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     v->stale = rt_get(&s->stale);
     v->faults = rt_get(&s->faults);
     v->ring_lost = rt_get(&s->ring_lost);
+    v->aborted = rt_get(&s->aborted);
+    v->skipped = rt_get(&s->skipped);
+    v->handlers = rt_get(&s->handlers);
+    v->stale_failures = rt_get(&s->stale_failures);
+    v->delivery_last_ns = rt_get(&s->delivery_last_ns);
+    v->delivery_max_ns = rt_get(&s->delivery_max_ns);
     v->on_cycles = rt_get(&s->on_cycles);
     v->on_missed = rt_get(&s->on_missed);
     v->on_cpu_ns = rt_get(&s->on_cpu_ns);
@@ -41,6 +56,33 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     for (int k = 0; k < RT_BINS; k++) {
         v->jitter[k] = rt_get(&s->jitter[k]);
         v->cpu[k] = rt_get(&s->cpu[k]);
+    }
+}
+
+/* What concerns failures and reserves; each number is whole. */
+static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
+{
+    const struct rt_config *c = &slot->config;
+    const struct rt_grant *g = &slot->grant;
+    v->rank = atomic_load(&g->crit);
+    v->drop = atomic_load(&c->drop);
+    v->handler = atomic_load(&c->handler);
+    v->tells = atomic_load(&c->tells);
+    v->minc_ns = atomic_load(&c->minc_ns);
+    v->maxc_ns = atomic_load(&c->maxc_ns);
+    v->overruns = rt_get(&g->overruns);
+    v->held_off = rt_get(&g->held_off);
+    v->hangs = atomic_load(&slot->post.locked) == RT_HANDLER_HANGS;
+    for (int k = 0; k < RT_FAILURES; k++)
+        v->failures[k] = rt_get(&g->failures[k]);
+    v->n_sections = (int)atomic_load(&slot->n_sections);
+    for (int k = 0; k < v->n_sections; k++) {
+        const struct rt_section *s = &slot->sections[k];
+        memcpy(v->sections[k].name, s->name, RT_SECTION_NAME);
+        v->sections[k].count = rt_get(&s->count);
+        v->sections[k].total_ns = rt_get(&s->total_ns);
+        v->sections[k].min_ns = rt_get(&s->min_ns);
+        v->sections[k].max_ns = rt_get(&s->max_ns);
     }
 }
 
@@ -71,12 +113,13 @@ static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
     v->dispatcher_missed = rt_get(&slot->grant.missed);
     v->release_ns = atomic_load(&slot->grant.rel_ns);
     v->errors = atomic_load(&slot->errors);
+    rt_read_watch(slot, v);
 }
 
 struct rt_core_view {
     int backend, leader_pid, leader_tid;
     int64_t since_ns, late_max_ns;
-    uint64_t turns, releases, level_changes, errors, takeovers;
+    uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns;
     int members[RT_MEMBERS], lives[RT_MEMBERS];
 };
 
@@ -92,6 +135,8 @@ static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_vie
     v->level_changes = atomic_load(&t->level_changes);
     v->errors = atomic_load(&t->errors);
     v->takeovers = atomic_load(&t->takeovers);
+    v->stalls = atomic_load(&t->stalls);
+    v->stalled_ns = atomic_load(&t->stalled_ns);
     for (int i = 0; i < RT_MEMBERS; i++) {
         v->members[i] = atomic_load(&t->members[i].pid);
         v->lives[i] = rt_member_lives(&t->members[i]);
@@ -142,7 +187,8 @@ static inline uint64_t rt_cycles(const struct rt_slot *slot)
 
 static inline uint64_t rt_missed(const struct rt_slot *slot)
 {
-    return rt_get(&slot->grant.missed) + rt_get(&slot->stats.failed);
+    return rt_get(&slot->grant.missed) + rt_get(&slot->stats.failed) +
+           rt_get(&slot->stats.skipped);
 }
 
 static inline int64_t rt_period(const struct rt_slot *slot)
@@ -160,19 +206,49 @@ static inline int rt_leader(const struct rt_table *t)
     return atomic_load(&t->leader_pid);
 }
 
-/* Play a task's part in virtual time: a mode, and the begin and end of its cycle. */
-static inline void rt_play(struct rt_table *t, struct rt_slot *slot, int mode, int begun,
-                           int done)
+static inline int rt_crit_of(const struct rt_slot *slot)
+{
+    return atomic_load(&slot->grant.crit);
+}
+
+static inline int64_t rt_deadline_of(const struct rt_slot *slot)
+{
+    return atomic_load(&slot->grant.dl_ns);
+}
+
+static inline int64_t rt_posted_cpu(const struct rt_slot *slot)
+{
+    return (int64_t)rt_get(&slot->post.cpu_ns);
+}
+
+/* What a task does in virtual time; mode and locked: -1 leaves them. */
+struct rt_part {
+    int mode, begun, done, event, locked, handled;
+    int64_t now_ns, cpu_ns;
+};
+
+static inline void rt_play(struct rt_table *t, struct rt_slot *slot,
+                           const struct rt_part *part)
 {
     struct rt_task task = {.table = t, .slot = slot};
-    if (begun || done)
-        atomic_store(&slot->post.begun, atomic_load(&slot->grant.seq));
-    if (done)
-        atomic_store(&slot->post.done, atomic_load(&slot->grant.seq));
-    if (mode == RT_ON)
+    struct rt_post *post = &slot->post;
+    rt_add(&post->cpu_ns, (uint64_t)part->cpu_ns);
+    if (part->begun || part->done)
+        atomic_store(&post->begun, atomic_load(&slot->grant.seq));
+    if (part->done)
+        atomic_store(&post->done, atomic_load(&slot->grant.seq));
+    if (part->event) {
+        atomic_store(&post->event_ns, part->now_ns);
+        atomic_fetch_add(&post->events, 1);
+    }
+    if (part->locked >= 0)
+        atomic_store(&post->locked, (uint32_t)part->locked);
+    if (part->handled)
+        atomic_store(&post->handled, slot->state.told);
+    if (part->mode == RT_ON)
         rt_arm(&task);
-    else if (mode >= 0)
-        rt_leave(&task, mode);
+    else if (part->mode >= 0)
+        rt_leave(&task, part->mode);
 }
 
 #endif

@@ -13,106 +13,27 @@ The rules (`docs/realtime.md` gives the reasons):
   cycle goes on with the deadline of the period that it now uses up (Stewart 1994,
   Listing 2). If that cycle had not even begun, it is the one that is missed.
 - However late a turn comes, only the newest release is granted; the others are missed.
+- Failures and reserves are watched as `pbonet.sched.watch` says, behind the releases.
 - Ready tasks are ranked by urgency and hold FIFO levels in that order. Under ``park``
   only the most urgent one is let run.
 """
 
 from __future__ import annotations
 
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
-
+from .events import Event
 from .records import Decision, Kind, Mode
+from .slotstate import SlotState, arms, returns
 from .urgency import NEVER, assign_levels, urgency
+from .watch import Watch, contained, disarm, due, limited, over
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 LEAD_NS = 100_000
 """A task that is armed gets its first release at least this far ahead."""
-
-
-class Event(IntEnum):
-    """What a record of the trace says; ``a``, ``b`` and ``arg`` are its arguments."""
-
-    TURN = 1
-    """Heads each turn: at instant a; the next event is at b (0: none); arg 1: park."""
-    LIFE = 2
-    """Input: the slot was allocated (arg odd) or freed (arg even)."""
-    CONFIG = 3
-    """Input: period a, relative deadline b (0: period), arg packed by `pack`; its bit
-    31 tells of another process, which holds no level."""
-    DEAD = 4
-    """Input: the task's process is gone, or an orphan, which nobody ranks."""
-    MODE = 5
-    """Input: the task's mode word arg (`Mode`, arming count, return count)."""
-    DONE = 6
-    """Input: the granted cycle has ended."""
-    BEGUN = 7
-    """Input: the granted cycle has begun and not ended."""
-    LEAD = 8
-    """Input: process a leads from now on; no task is known to hold a level."""
-    RELEASE = 16
-    """Decision: the release at instant a, deadline b."""
-    MISS = 17
-    """Decision: arg releases have no cycle of their own."""
-    LEVEL = 18
-    """Decision: give the task FIFO level arg."""
-    WAKE = 19
-    """Decision: grant cycle number arg to the task and wake it."""
-    PARK = 20
-    """Decision: hold the task where it is."""
-    RESUME = 21
-    """Decision: let a held task go on."""
-
-
-def pack(crit: int, priority: int, kind: int) -> int:
-    """Return the arg of a CONFIG record."""
-    return crit | priority << 8 | kind << 24
-
-
-class SlotState(Struct):
-    """What the dispatcher knows of one slot."""
-
-    life: int = 0
-    period: int = 1_000_000_000
-    deadline: int = 0
-    crit: int = 0
-    priority: int = 0
-    kind: int = 0
-    word: int = 0
-    dead: bool = False
-    armed: bool = False
-    ready: bool = False
-    """A release is waiting for its cycle to end."""
-    granted: bool = False
-    """The task was told."""
-    begun: bool = False
-    parked: bool = False
-    level: int = 0
-    seq: int = 0
-    """Number of the last grant."""
-    next_ns: int = 0
-    rel_ns: int = 0
-    dl_ns: int = 0
-    missed: int = 0
-
-    @property
-    def mode(self) -> Mode:
-        """What the task asks for."""
-        return Mode(self.word & 3)
-
-
-def arms(word: int) -> int:
-    """Return how often the task was armed, out of its mode word."""
-    return word >> 2 & 0x7FFF
-
-
-def returns(word: int) -> int:
-    """Return how often the task came back from a command, out of its mode word."""
-    return word >> 17
+NO_WISH = 255
 
 
 class Dispatcher:
@@ -122,6 +43,7 @@ class Dispatcher:
         self.park = park
         self.slots: dict[int, SlotState] = {}
         self._out: list[Decision] = []
+        self._read: set[int] = set()
 
     def turn(
         self, now: int, inputs: Iterable[Decision] = ()
@@ -140,15 +62,23 @@ class Dispatcher:
             ValueError: A record is not an input.
         """
         self._out = []
+        self._read.clear()
         for record in inputs:
             self._take(now, record)
         for slot in sorted(self.slots):
             state = self.slots[slot]
-            if state.armed and state.next_ns and state.next_ns <= now:
-                self._release(now, slot, state)
+            when = due(state) if state.armed else 0
+            if state.fresh or (when and when <= now):
+                self._look(now, slot, state)
         self._rank()
-        due = [s.next_ns for s in self.slots.values() if s.armed and s.next_ns]
-        return self._out, min(due, default=0)
+        instants = [due(s) for s in self.slots.values() if s.armed]
+        return self._out, min(filter(None, instants), default=0)
+
+    def _look(self, now: int, slot: int, state: SlotState) -> None:
+        if limited(state) != (slot in self._read):
+            msg = f"slot {slot}: CPU time read {slot in self._read}, not as it must be"
+            raise ValueError(msg)
+        Watch(slot, state, now, self._decide).look()
 
     def _decide(
         self, event: Event, slot: int, arg: int = 0, a: int = 0, b: int = 0
@@ -173,21 +103,38 @@ class Dispatcher:
     ) -> None:
         match event:
             case Event.CONFIG:
-                state.period, state.deadline = record.a, record.b
-                state.crit = record.arg & 0xFF
-                state.priority = record.arg >> 8 & 0xFFFF
-                state.kind = record.arg >> 24 & 0x7F
-                if record.arg >> 31:
-                    state.level = 0
+                _configure(state, record)
+            case Event.LIMITS:
+                _limit(state, record)
             case Event.DEAD:
                 state.dead = True
-                _disarm(state)
+                disarm(state)
             case Event.MODE:
                 self._mode(now, slot, state, record.arg)
             case Event.DONE:
-                state.ready = state.granted = state.begun = state.parked = False
+                over(state)
             case Event.BEGUN:
                 state.begun = True
+            case _:
+                self._notice(now, slot, state, event, record)
+
+    def _notice(
+        self, now: int, slot: int, state: SlotState, event: Event, record: Decision
+    ) -> None:
+        """Take in what concerns failures and reserves."""
+        watch = Watch(slot, state, now, self._decide)
+        match event:
+            case Event.USED:
+                state.clock, state.locked = record.a, bool(record.arg)
+                self._read.add(slot)
+            case Event.HANDLED:
+                watch.handled(record.arg)
+            case Event.WISH:
+                watch.wish(-1 if record.arg == NO_WISH else record.arg, record.a)
+            case Event.EVENT:
+                watch.event(record.a, active=bool(record.arg))
+            case Event.UNLOCKED:
+                watch.settle_debt()
             case _:
                 msg = f"{event.name} is no input"
                 raise ValueError(msg)
@@ -195,38 +142,27 @@ class Dispatcher:
     def _mode(self, now: int, slot: int, state: SlotState, word: int) -> None:
         old, state.word = state.word, word
         if arms(word) != arms(old) or state.mode is Mode.OFF:
-            _disarm(state)
+            disarm(state)
         if returns(word) != returns(old) or state.mode is not Mode.ON:
             state.level = 0
+        state.fresh = state.mode is not Mode.OFF and limited(state)
         if state.mode is Mode.OFF or state.armed or state.dead:
             return
         state.armed = True
         if state.kind == Kind.PERIODIC:
             state.next_ns = -(-(now + LEAD_NS) // state.period) * state.period
-        else:
-            state.ready, state.rel_ns, state.dl_ns = True, now, NEVER
-            self._decide(Event.RELEASE, slot, 0, now, NEVER)
-
-    def _release(self, now: int, slot: int, state: SlotState) -> None:
-        period, release, missed = state.period, state.next_ns, 0
-        last = now // period * period
-        if last > release:
-            missed = last // period - release // period
-            release = last
-        deadline = release + (state.deadline or period)
-        missed += state.ready
-        if not state.begun:
-            state.rel_ns = release
-        state.ready, state.dl_ns = True, deadline
-        state.missed += missed
-        state.next_ns = (release // period + 1) * period
-        self._decide(Event.RELEASE, slot, 0, release, deadline)
-        if missed:
-            self._decide(Event.MISS, slot, missed)
+            return
+        state.ready, state.rel_ns, state.dl_ns = True, now, NEVER
+        state.event_ns, state.left, state.mark = now, state.maxc, -1
+        if state.kind == Kind.SYNCHRONOUS and state.deadline:
+            state.check_ns = now + state.deadline
+        if state.kind == Kind.DEFERRABLE:
+            state.dl_ns = state.next_ns = (now // state.period + 1) * state.period
+        self._decide(Event.RELEASE, slot, 0, now, state.dl_ns)
 
     def _rank(self) -> None:
         ranked = [
-            (-urgency(s.crit, s.dl_ns, s.priority), s.rel_ns, slot)
+            (-urgency(s.rank, s.dl_ns, s.priority), s.rel_ns, slot)
             for slot, s in self.slots.items()
             if s.ready and s.mode is Mode.ON
         ]
@@ -252,16 +188,31 @@ class Dispatcher:
     def _let_run(self, slot: int, state: SlotState) -> None:
         if not state.granted:
             state.granted = True
-            state.seq += 1
+            state.seq = (state.seq + 1) & 0xFFFFFFFF or 1
             self._decide(Event.WAKE, slot, state.seq)
         elif state.parked:
             state.parked = False
             self._decide(Event.RESUME, slot)
 
 
-def _disarm(state: SlotState) -> None:
-    state.armed = state.ready = state.granted = state.begun = state.parked = False
-    state.level = state.next_ns = 0
+def _configure(state: SlotState, record: Decision) -> None:
+    state.period, state.deadline = record.a, record.b
+    state.crit = record.arg & 0xFF
+    state.priority = record.arg >> 8 & 0xFFFF
+    state.kind = record.arg >> 24 & 0x7F
+    if record.arg >> 31:
+        state.level = state.clock = state.mark = 0
+    if not state.handling:
+        state.rank = contained(state)
+
+
+def _limit(state: SlotState, record: Decision) -> None:
+    """Take the limits, which follow a configuration and complete it."""
+    state.minc, state.maxc = record.a, record.b
+    state.drop, state.handler = record.arg & 0xFF, record.arg >> 8 & 0xFF
+    state.tells = bool(record.arg >> 16 & 1)
+    if not state.handling:
+        state.rank = contained(state)
 
 
 def replay(trace: Iterable[Decision]) -> int:

@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from .dispatch import Dispatcher, Event, SlotState, pack
+from .dispatch import Dispatcher
+from .events import Event, pack
 from .records import Decision, Kind, Mode
+from .slotstate import SlotState
 from .urgency import urgency
 
 if TYPE_CHECKING:

@@ -18,6 +18,12 @@ class Kind(IntEnum):
     """Released by the dispatcher on an absolute grid."""
     SYNCHRONOUS = 1
     """Timed from outside: always ready, blocks in its own ``sync``."""
+    DEFERRABLE = 2
+    """A server whose capacity is whole at the begin of every period (6.5.2.1)."""
+    SPORADIC = 3
+    """A server that gets each piece of it back one period after its use (6.5.2.2)."""
+    BACKGROUND = 4
+    """A server without a capacity of its own."""
 
 
 class Mode(IntEnum):
@@ -29,6 +35,16 @@ class Mode(IntEnum):
     """Releases on the grid; the task waits for them or runs a cycle."""
     COMMAND = 2
     """Releases go on, but the task is busy with a command and holds no level."""
+
+
+class Section(Struct, frozen=True):
+    """A timed part of a task's cycle (section 6.7.2); CPU nanoseconds."""
+
+    name: str
+    count: int
+    total_ns: int
+    min_ns: int
+    max_ns: int
 
 
 class SlotStatus(Struct, frozen=True, kw_only=True):
@@ -99,6 +115,36 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """Delays from release to the call of ``cycle``: item 0 counts those below 1
     microsecond, item k those in [2**(k-1), 2**k) microseconds."""
 
+    rank: int
+    """The criticality that the task has at this moment."""
+    drop: int
+    """The one that it has once its reserve is used up."""
+    handler: int
+    """The one at which its failure handler runs; 0 for its own."""
+    minc_ns: int
+    maxc_ns: int
+    """The reserve of each cycle, or of a server's period; 0 for none."""
+    failures: tuple[int, ...]
+    """Timing failures of kind deadline, maxexec and minexec (section 6.3)."""
+    overruns: int
+    """How often the reserve was used up."""
+    held_off: int
+    """Critical sections that lasted longer than they may, and were overruled."""
+    aborted: int
+    """Cycles that a failure handler ended."""
+    skipped: int
+    """Releases left out: too late to begin, or because a handler said so."""
+    handlers: int
+    """Calls of the module's failure handler."""
+    stale_failures: int
+    """Failures that came too late for their cycle, and were not told."""
+    delivery_last_ns: int
+    """From the finding of a failure to the begin of its handler."""
+    delivery_max_ns: int
+    hangs: bool
+    """The task ended itself because its failure handler did not return."""
+    sections: tuple[Section, ...]
+
 
 class CoreStatus(Struct, frozen=True, kw_only=True):
     """The dispatcher of a core."""
@@ -118,6 +164,10 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
     errors: int
     late_max_ns: int
     """Longest delay of a turn behind the event it was to serve."""
+    stalls: int
+    """Turns that came more than 20 ms late: the core stood still, or was throttled."""
+    stalled_ns: int
+    """Their delays, added up."""
     takeovers: int
     """How often a standby took over from a leader that died."""
     cpu_ns: int

@@ -10,7 +10,8 @@ import pytest
 from rt_rig import CORE, MS, Host, exists, until
 
 from pbonet.node import _rt
-from pbonet.sched.dispatch import Event, replay
+from pbonet.sched.dispatch import replay
+from pbonet.sched.events import Event
 from pbonet.sched.records import Decision
 
 

@@ -12,7 +12,8 @@ import pytest
 from rt_rig import MS, NOBODY, Host
 
 from pbonet.node import _rt
-from pbonet.sched.dispatch import Event, replay
+from pbonet.sched.dispatch import replay
+from pbonet.sched.events import Event
 from pbonet.sched.records import Decision
 
 needs_fifo = pytest.mark.skipif(

@@ -11,7 +11,8 @@ import pytest
 from rt_rig import CORE, MS, Host, cpu_ns, until
 
 from pbonet.node import _rt
-from pbonet.sched.dispatch import Event, replay
+from pbonet.sched.dispatch import replay
+from pbonet.sched.events import Event
 from pbonet.sched.records import Decision
 
 FIFO = _rt.probe().fifo

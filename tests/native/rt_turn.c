@@ -5,6 +5,7 @@
 #include "slot.h"
 #include "dispatch.h"
 #include "loop.h"
+#include "failure.h"
 #include "guard.h"
 #include "ring.h"
 #include "view.h"
@@ -25,15 +26,34 @@ static void require(int good, const char *what)
     }
 }
 
+static void play(struct rt_table *t, int i, int mode, int begun, int done)
+{
+    struct rt_part part = {.mode = mode, .begun = begun, .done = done, .locked = -1};
+    rt_play(t, &t->slots[i], &part);
+}
+
+/* What a task does amid its cycle: uses CPU time, locks, answers, wishes, serves. */
+static void live(struct rt_table *t, int i)
+{
+    struct rt_part part = {.mode = -1, .locked = (int)pick(3) - 1,
+                           .event = pick(4) == 0, .now_ns = 1 + pick(1000000000),
+                           .handled = pick(4) == 0, .cpu_ns = pick(3000000)};
+    struct rt_task task = {.table = t, .slot = &t->slots[i]};
+    rt_play(t, &t->slots[i], &part);
+    if (pick(8) == 0)
+        rt_wish(&task, (int)pick(65) - 1, pick(2) ? 0 : 1 + pick(2000000000));
+}
+
 static void disturb(struct rt_table *t, int i)
 {
     struct rt_settings s = {.pid = -1, .crit = -1, .priority = -1, .kind = -1,
-                            .period_ns = -1, .deadline_ns = -1};
+                            .period_ns = -1, .deadline_ns = -1, .minc_ns = -1,
+                            .maxc_ns = -1, .drop = -1, .handler = -1, .tells = -1};
     if (!(rt_life(t, i) & 1)) {
         rt_alloc(t, -1, "rtpu", "task");
         return;
     }
-    switch (pick(8)) {
+    switch (pick(10)) {
     case 0:
         rt_free(t, i);
         break;
@@ -45,13 +65,24 @@ static void disturb(struct rt_table *t, int i)
         s.crit = (int32_t)pick(64);
         s.priority = (int32_t)pick(65536);
         s.deadline_ns = pick(2) ? 0 : pick(3000000) + 1;
+        s.maxc_ns = pick(2) ? 0 : pick(2000000);
+        s.minc_ns = pick(2) ? 0 : pick(2000000);
+        s.drop = (int32_t)pick(64);
+        s.handler = pick(2) ? 0 : (int32_t)pick(64);
+        s.tells = (int32_t)pick(2);
+        if (rt_mode_of(&t->slots[i]) == RT_OFF && pick(4) == 0)
+            s.kind = (int32_t)pick(5);
         rt_configure(t, i, &s);
         break;
     case 3:
-        rt_play(t, &t->slots[i], (int)pick(3), 0, 0);
+        play(t, i, (int)pick(3), 0, 0);
+        break;
+    case 4:
+    case 5:
+        live(t, i);
         break;
     default:
-        rt_play(t, &t->slots[i], RT_ON, (int)pick(2), (int)pick(2));
+        play(t, i, RT_ON, (int)pick(2), (int)pick(2));
     }
 }
 
@@ -65,10 +96,13 @@ static void check(struct rt_table *t, int park)
         require(!s->granted || s->ready, "granted without a release");
         require(!s->parked || s->granted, "held without a grant");
         require(!s->ready || s->armed, "ready without being armed");
+        require(s->armed || (!s->check_ns && !s->next_ns), "watched though OFF");
+        require(!rt_is_server(s) || s->left <= s->maxc, "no more than the capacity");
+        require(s->n_pieces <= RT_PIECES, "pieces");
         if (!s->ready || (s->word & 3) != RT_ON)
             continue;
         ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
-                                       .crit = s->crit, .priority = s->priority,
+                                       .crit = s->rank, .priority = s->priority,
                                        .level = s->level, .slot = i};
         running += s->granted && !s->parked;
         held += !s->granted || s->parked;
@@ -123,12 +157,12 @@ int main(int argc, char **argv)
         int park = pick(2) != 0;
         if (park)
             for (int i = 0; i < RT_SLOTS; i++)  /* a change of back end starts clean */
-                rt_play(t, &t->slots[i], RT_OFF, 0, 0);
+                play(t, i, RT_OFF, 0, 0);
         for (int k = 0; k < 30; k++) {
             for (int n = (int)pick(40); n > 0; n--)
                 disturb(t, (int)pick(RT_SLOTS));
             now = due > now && pick(3) ? due : now + pick(4000000);
-            due = rt_turn(t, now, park, k == 0);
+            due = rt_turn(t, now, park, k == 0, rt_posted_cpu);
             require(t->trace_next - atomic_load(&t->trace_end) <= RT_TURN_MAX, "bound");
             rt_turn_end(t);
             require(!due || due > now, "the next event lies ahead");
@@ -140,8 +174,8 @@ int main(int argc, char **argv)
         uint64_t first, end;
         rt_copy_trace(t, pick(1000), copy, &first, &end);
         for (int i = 0; i < RT_SLOTS; i++)
-            rt_play(t, &t->slots[i], RT_OFF, 0, 0);
-        rt_turn(t, now, park, 0);
+            play(t, i, RT_OFF, 0, 0);
+        rt_turn(t, now, park, 0, rt_posted_cpu);
         rt_turn_end(t);
     }
     free(copy);

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pbonet.node import _rt
-from pbonet.sched.dispatch import Event, replay
+from pbonet.sched.dispatch import replay
+from pbonet.sched.events import Event
 from pbonet.sched.records import Kind, Mode
 from pbonet.sched.urgency import HIGH, LOW, assign_levels
 
@@ -48,8 +49,8 @@ class History:
             return
         i = self.table.alloc("r", f"t{self.random.random()}")
         self.slots.append(i)
-        if self.random.random() < 0.05:
-            self.table.configure(i, kind=Kind.SYNCHRONOUS)
+        if self.random.random() < 0.2:
+            self.table.configure(i, kind=self.random.choice(list(Kind)))
         self.configure(i)
         self.table.post(i, mode=Mode.ON)
 
@@ -62,7 +63,27 @@ class History:
             deadline_ns=pick.choice([0, 0, pick.randrange(1, 10**7)]),
             crit=pick.choice([3, 5, 5, pick.randrange(64)]),
             priority=pick.choice([0, pick.randrange(65536)]),
+            minc_ns=pick.choice([0, 0, pick.randrange(3_000_000)]),
+            maxc_ns=pick.choice([0, pick.randrange(3_000_000)]),
+            drop=pick.choice([0, 3, pick.randrange(64)]),
+            handler=pick.choice([0, 0, pick.randrange(64)]),
+            tells=pick.random() < 0.5,
         )
+
+    def live(self, i: int) -> None:
+        """Do what a task does amid its cycle, or what a server does."""
+        pick = self.random
+        self.table.post(
+            i,
+            cpu_ns=pick.choice([0, 30_000, pick.randrange(3_000_000)]),
+            locked=pick.choice([None, None, False, True]),
+            handled=pick.random() < 0.2,
+            event=pick.choice([None, None, self.now - pick.randrange(1000)]),
+            wish=pick.choice([
+                None, None, None,
+                (pick.randrange(-1, 64), pick.choice([0, self.now + 500_000])),
+            ]),
+        )  # fmt: skip
 
     def event(self) -> None:
         pick = self.random
@@ -79,8 +100,10 @@ class History:
             self.configure(i)
         elif what < 0.20:
             self.table.post(i, mode=pick.choice(list(Mode)))
-        elif what < 0.30:
+        elif what < 0.40:
             self.table.post(i, begun=True)
+        elif what < 0.65:
+            self.live(i)
         else:
             self.table.post(i, done=True)
 
@@ -115,6 +138,9 @@ def test_over_ten_thousand_releases_the_decisions_are_the_same(park, crowd) -> N
                 record.kind == Event.RELEASE for record in history.records[before:]
             )
     assert replay(history.records) == releases
+    seen = {Event(record.kind) for record in history.records}
+    rare = {Event.LEAD, Event.PARK, Event.RESUME, Event.FORCE, Event.UNLOCKED}
+    assert crowd < 25 or seen | rare >= set(Event)
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,0 +1,260 @@
+/* Timing failures in the failing task's own context: signal, lock-out, bounds.
+ *
+ * The dispatcher contains a failure and sends a signal. The C handler below decides
+ * whether it may be delivered now: within a cycle (or within `sync`), outside critical
+ * sections, and not while the module's handler runs. Then the interpreter calls
+ * Python code in the main thread, between two instructions. A timer of the task's own
+ * sends the signal again until an abort has been obeyed, and bounds the handler. One
+ * process is one task: its state is static.
+ */
+#ifndef PBONET_FAILURE_H
+#define PBONET_FAILURE_H
+
+#include "slot.h"
+
+enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
+#define RT_AGAIN_NS INT64_C(500000)     /* an abort is repeated this often */
+
+struct rt_failing {
+    struct rt_task *task;
+    int (*interrupt)(int);      /* has the interpreter call the signal's Python code */
+    timer_t timer;
+    int has_timer;
+    int64_t bound_ns;           /* a handler may take so long; then it is aborted ... */
+    volatile sig_atomic_t where;        /* RT_OUTSIDE ... */
+    volatile sig_atomic_t locked;       /* depth of critical sections */
+    volatile sig_atomic_t pending;      /* something came while locked or handling */
+    volatile sig_atomic_t handling;     /* the module's handler runs */
+    volatile sig_atomic_t aborting;     /* on the way to the mark */
+    volatile sig_atomic_t overdue;      /* ticks of the timer since the bound */
+};
+
+static struct rt_failing rt_failing;
+
+/* Set the timer to the first instant and its repetition; 0, 0 stops it. */
+static inline void rt_set_timer(int64_t first_ns, int64_t every_ns)
+{
+    struct itimerspec at = {.it_value = rt_timespec(first_ns),
+                            .it_interval = rt_timespec(every_ns)};
+    if (rt_failing.has_timer)
+        timer_settime(rt_failing.timer, 0, &at, NULL);
+}
+
+/* The handler did not return: it was asked to for as long again, so end the process. */
+static inline void rt_overdue(struct rt_failing *f)
+{
+    f->overdue++;
+    if (f->overdue * RT_AGAIN_NS > f->bound_ns) {
+        atomic_store(&f->task->slot->post.locked, RT_HANDLER_HANGS);
+        kill(getpid(), SIGKILL);
+    }
+}
+
+static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
+{
+    struct rt_failing *f = &rt_failing;
+    int saved = errno;
+    (void)context;
+    if (!f->task)
+        return;
+    if (info->si_code == SI_TIMER) {
+        if (f->handling)
+            rt_overdue(f);
+        if (f->handling || f->aborting)
+            f->interrupt(signal);
+    } else if (f->where != RT_OUTSIDE) {
+        struct rt_grant *g = &f->task->slot->grant;
+        int forced = atomic_load(&g->forced) == f->task->seq;
+        if (f->handling || (f->locked && !forced))
+            f->pending = 1;
+        else
+            f->interrupt(signal);
+    }
+    errno = saved;
+}
+
+/* Take the signal for `task`; an errno value when the kernel refuses. */
+static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
+                                    int (*interrupt)(int))
+{
+    struct sigaction action = {.sa_sigaction = rt_on_failure, .sa_flags = SA_SIGINFO};
+    struct sigevent event = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = RT_FAIL_SIGNAL};
+    sigemptyset(&action.sa_mask);
+    rt_failing.task = task;
+    rt_failing.bound_ns = bound_ns;
+    rt_failing.interrupt = interrupt;
+    if (!rt_failing.has_timer) {
+        if (timer_create(CLOCK_MONOTONIC, &event, &rt_failing.timer))
+            return errno;
+        rt_failing.has_timer = 1;
+    }
+    return sigaction(RT_FAIL_SIGNAL, &action, NULL) ? errno : 0;
+}
+
+static inline void rt_unguard_failures(const struct rt_task *task)
+{
+    if (rt_failing.task != task)
+        return;
+    rt_set_timer(0, 0);
+    rt_failing.task = NULL;
+}
+
+/* Say where the task is; what comes from here on belongs there. */
+static inline void rt_enter(int where)
+{
+    rt_failing.pending = 0;
+    rt_failing.where = where;
+}
+
+/* Back at the mark: nothing is delivered from here on. */
+static inline void rt_exit(void)
+{
+    rt_failing.where = RT_OUTSIDE;
+    if (rt_failing.locked) {    /* unwound out of a section */
+        rt_failing.locked = 0;
+        atomic_store(&rt_failing.task->slot->post.locked, 0);
+    }
+    if (rt_failing.aborting || rt_failing.handling) {
+        rt_failing.aborting = rt_failing.handling = rt_failing.overdue = 0;
+        rt_set_timer(0, 0);
+    }
+}
+
+/* The kinds of failure of the grant that runs, as bits; older ones are counted. */
+static inline unsigned rt_take_failures(struct rt_task *task)
+{
+    struct rt_grant *g = &task->slot->grant;
+    rt_failing.pending = 0;
+    uint32_t word = atomic_exchange(&g->failed, 0);
+    if (!(word & 7))
+        return 0;
+    if (task->kind == RT_PERIODIC && (word & ~UINT32_C(7)) != task->seq << 3) {
+        rt_add(&task->slot->stats.stale_failures, 1);
+        return 0;
+    }
+    return word & 7;
+}
+
+/* Before the module's handler is called: bound it, account how long it took to come. */
+static inline uint32_t rt_begin_handler(struct rt_task *task)
+{
+    struct rt_stats *s = &task->slot->stats;
+    int64_t took = rt_now() - atomic_load(&task->slot->grant.failed_ns);
+    rt_failing.overdue = 0;
+    rt_failing.handling = 1;
+    rt_set_timer(rt_failing.bound_ns, RT_AGAIN_NS);
+    rt_add(&s->handlers, 1);
+    rt_put(&s->delivery_last_ns, took > 0 ? (uint64_t)took : 0);
+    if (took > 0 && (uint64_t)took > rt_get(&s->delivery_max_ns))
+        rt_put(&s->delivery_max_ns, (uint64_t)took);
+    return atomic_load(&task->slot->grant.told);
+}
+
+/* After it, however it ended; the dispatcher takes its priority back. */
+static inline void rt_end_handler(struct rt_task *task, uint32_t told)
+{
+    rt_failing.handling = rt_failing.overdue = 0;
+    rt_set_timer(0, 0);
+    atomic_store(&task->slot->post.handled, told);
+    if (atomic_load(&task->slot->config.handler))
+        rt_kick(task->table);
+}
+
+/* From here on the cycle is left; said again until the mark is reached. */
+static inline void rt_begin_abort(void)
+{
+    rt_failing.aborting = 1;
+    rt_set_timer(RT_AGAIN_NS, RT_AGAIN_NS);
+}
+
+/* A critical section: signals and the loss of criticality wait for its end. */
+static inline void rt_lock(void)
+{
+    if (rt_failing.locked++ == 0 && rt_failing.task)
+        atomic_store_explicit(&rt_failing.task->slot->post.locked, 1,
+                              memory_order_relaxed);
+}
+
+/* Whether something came meanwhile that is to be delivered now. */
+static inline int rt_unlock(void)
+{
+    struct rt_task *task = rt_failing.task;
+    if (rt_failing.locked == 0 || --rt_failing.locked > 0 || !task)
+        return 0;
+    atomic_store(&task->slot->post.locked, 0);
+    if (atomic_load(&task->slot->grant.owed))
+        rt_kick(task->table);
+    return rt_failing.pending && !rt_failing.handling;
+}
+
+/* A handler's wish for the time until the next release; -1 and 0 wish nothing. */
+static inline void rt_wish(struct rt_task *task, int crit, int64_t dl_ns)
+{
+    struct rt_post *post = &task->slot->post;
+    atomic_store_explicit(&post->wish_crit, crit, memory_order_relaxed);
+    atomic_store_explicit(&post->wish_dl_ns, dl_ns, memory_order_relaxed);
+    /* SYNC POINT: rt_latch_watch loads `wish` with acquire. */
+    atomic_fetch_add_explicit(&post->wish, 1, memory_order_release);
+    rt_kick(task->table);
+}
+
+/* A release was left out; what that took belongs to no cycle. */
+static inline void rt_skipped(struct rt_task *task, uint64_t cpu_ns)
+{
+    struct rt_stats *s = &task->slot->stats;
+    rt_stats_begin(s);
+    rt_add(&s->skipped, 1);
+    rt_add(&s->cpu_total_ns, cpu_ns);
+    rt_stats_end(s);
+}
+
+static inline int rt_handles(void)
+{
+    return rt_failing.handling;
+}
+
+static inline int rt_is_overdue(void)
+{
+    return rt_failing.overdue > 0;
+}
+
+static inline int rt_is_aborting(void)
+{
+    return rt_failing.aborting;
+}
+
+static inline int rt_is_outside(void)
+{
+    return rt_failing.where == RT_OUTSIDE;
+}
+
+/* -- timed sections -- */
+
+/* The section of that name, a new one where there is room; -1: none. */
+static inline int rt_section(struct rt_slot *slot, const char *name)
+{
+    uint32_t n = atomic_load(&slot->n_sections);
+    for (uint32_t k = 0; k < n; k++)
+        if (!strncmp(slot->sections[k].name, name, RT_SECTION_NAME))
+            return (int)k;
+    if (n == RT_SECTIONS)
+        return -1;
+    struct rt_section *s = &slot->sections[n];
+    memset(s, 0, sizeof *s);
+    strncpy(s->name, name, RT_SECTION_NAME - 1);
+    atomic_store(&slot->n_sections, n + 1);
+    return (int)n;
+}
+
+static inline void rt_time_section(struct rt_slot *slot, int k, uint64_t ns)
+{
+    struct rt_section *s = &slot->sections[k];
+    rt_add(&s->count, 1);
+    rt_add(&s->total_ns, ns);
+    if (ns > rt_get(&s->max_ns))
+        rt_put(&s->max_ns, ns);
+    if (ns < rt_get(&s->min_ns) || rt_get(&s->count) == 1)
+        rt_put(&s->min_ns, ns);
+}
+
+#endif
