@@ -1,4 +1,4 @@
-"""What a task must do, written by hand from Stewart 1994, sections 3.5, 3.6 and 4.5.3.
+"""What a task must do, written by hand from Stewart 1994, 3.5, 3.6, 4.5.3 and 6.3.
 
 An oracle for the life of a task. It imports nothing of pbonet, knows no tables, and
 says for one signal at a time which methods must run, in which order, what each must
@@ -24,6 +24,10 @@ RAISE, FAIL = "raise", "fail"
 """What the script may say beside the answers ``OFF``, ``CONTINUE`` and ``ERROR``."""
 
 SIGNALS = ("spawn", "on", "cycle", "sync", "off", "kill", "clear", "reinit", "set")
+ABORT = "abort"
+"""Beside the signals: a cycle that a handler of timing failures ends."""
+MEANWHILE = 1_000_000
+"""What others add to ``x`` while that cycle runs."""
 METHODS = ("init", "on", "cycle", "sync", "off", "kill", "clear", "reinit", "set")
 """Methods whose behaviour the script may choose, `error` apart."""
 
@@ -93,7 +97,7 @@ class Oracle:
         wanted = {
             NOT_CREATED: {"spawn"},
             OFF: {"on", "kill", "reinit", "set"},
-            ON: {"cycle", "sync", "off", "kill", "reinit", "set"},
+            ON: {"cycle", "sync", "abort", "off", "kill", "reinit", "set"},
             ERROR: {"clear", "kill", "reinit", "set"},
         }[self.state]
         if signal not in wanted:
@@ -143,6 +147,25 @@ class Oracle:
             self._ask(broken)
             return
         self.table.y = self._local.y
+
+    def _abort(self) -> None:
+        # 6.3: the task is prepared to start again in the next period. The cycle has
+        # begun, and changed its output, which is lost. What `on` then finds is what
+        # stands in the table now; the task goes on owning what it writes, and the
+        # table changes with the next whole cycle.
+        self._local.x = self.table.x
+        self._note("cycle")
+        self._local.y = self._count
+        self.table.x += MEANWHILE
+        self._local.x = self.table.x
+        self._local.y = self.table.y
+        try:
+            answer = self._call("on")
+        except _BrokenError as broken:
+            self._ask(broken)
+            return
+        if answer == "OFF":
+            self.state = OFF
 
     def _sync(self) -> None:
         try:

@@ -7,32 +7,26 @@ tables of `pbonet.node.lifecycle` and knows neither processes nor shared memory.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from pbonet.errors import (
-    DeclarationError,
-    MethodError,
-    PbonetError,
-    PortError,
-    StateError,
-    SvarError,
-)
+from pbonet.errors import DeclarationError, MethodError, StateError
 from pbonet.pbo import (
     Answer,
     Counted,
+    CycleAborted,
     PortBasedObject,
+    Recovery,
     Signal,
     State,
     TaskFailure,
+    TimingFailure,
     change_param,
-    check_sizes,
     find_param,
-    memory,
 )
-from pbonet.ports import Kind
 
+from .actions import Actions
 from .failures import (
-    ALL_REFUSED,
     RAISED,
     Raised,
     RefusedError,
@@ -43,7 +37,7 @@ from .failures import (
     contained,
     is_answer,
     method_error,
-    refused,
+    recovery,
 )
 from .lifecycle import (
     NOT_MADE,
@@ -94,18 +88,14 @@ class Executor:
         """What a method failed with last, whatever `error` made of it."""
         self.cycling: Callable[[], str] = lambda: "cycle"
         """Says which method runs now where somebody else does the cycling."""
-        self._owns = False
         self._spent = False
-        self._dt = 0.0
-        self._method = ""
-        self._copies = copies
-        self._illegal = illegal
-        self._counted = (
-            self.task.source if isinstance(self.task.source, Counted) else None
-        )
-        self._do = self._actions()
+        self._actions = Actions(instance, copies, illegal)
+        self._do = self._actions.do
         self._wakeup = tuple(
             self._do[step] for step in RULES[State.ON, Event.WAKEUP].steps
+        )
+        self._counted = (
+            self.task.source if isinstance(self.task.source, Counted) else None
         )
         cls = type(instance)
         if illegal is not None and "stable" not in cls.__interface__.methods:
@@ -219,15 +209,18 @@ class Executor:
         """
         if self.state is not State.ON:
             rule(self.state, Event.WAKEUP, where=self.task.name)
-        self._dt = dt
+        self._actions.dt = dt
         counted = self._counted
         if counted is not None:
             counted.release = now
         try:
             for do in self._wakeup:
                 do()
+        except CycleAborted:
+            with suppress(MethodError):  # it is in `failure`, like that of a cycle
+                self.abort()
         except RAISED as error:
-            self.fault(error, self._method)
+            self.fault(error, self._actions.method)
         finally:
             if counted is not None:
                 counted.release = None
@@ -260,13 +253,67 @@ class Executor:
 
         Args:
             error: What was raised.
-            method: Which method raised it: ``cycle``, ``stable`` or ``sync``.
+            method: Which method raised it: ``cycle``, ``stable``, ``sync`` or
+                ``timing_failure``.
         """
         event = Event.SYNC if method == "sync" else Event.WAKEUP
         cause = contained(error)
         found = rule(self.state, event, where=self.task.name)
         self._put_right(found, cause, self._described(cause, method))
         return self.state
+
+    def timing_failure(self, kind: TimingFailure) -> Recovery:
+        """Call the module's handler in the middle of a cycle (section 6.3).
+
+        Nothing is copied, and nothing of the answer is carried out here: the caller
+        goes on with the cycle, leaves it and calls `abort`, or skips a release.
+
+        Args:
+            kind: What failed.
+
+        Returns:
+            What the handler wants. A module without a handler goes on, with a warning.
+
+        Raises:
+            StateError: The task is not ON.
+            MethodError: The handler gave an answer that there is not.
+            Exception: Whatever the handler raised, an error of the task as if the
+                cycle had raised it; `fault` takes it.
+        """
+        task, cls = self.task, type(self.instance)
+        if self.state is not State.ON:
+            raise StateError(
+                "a timing failure is one of a task that is ON",
+                where=task.name,
+                got=f"state {self.state}",
+            )
+        if "timing_failure" not in cls.__interface__.methods:
+            task.warn(f"timing failure, {kind}: {kind.meaning}")
+            return Recovery.CONTINUE
+        before = self._actions.method
+        self._actions.method = "timing_failure"
+        task.handling = kind
+        try:
+            answer = recovery(self.instance.timing_failure(kind))
+        finally:
+            task.handling = None
+        self._actions.method = before
+        return answer
+
+    def abort(self) -> State:
+        """Begin anew behind a cycle that a timing failure ended: `on` runs again.
+
+        What the cycle left in the out-vars is discarded; the task goes on owning them.
+
+        Returns:
+            The state behind it: ON, or OFF when `on` answers that it cannot go on.
+
+        Raises:
+            StateError: The task is not ON.
+            MethodError: `on` failed and was not put right; `state` says where the task
+                stands now.
+        """
+        return self._run(Event.ABORT)
 
     # -- one event --------------------------------------------------------------------
 
@@ -286,26 +333,32 @@ class Executor:
 
     def _steps(self, found: Rule, steps: tuple[Step, ...]) -> None:
         """Take the steps of a rule, and go to its end or where an answer sends."""
+        end: Outcome | None = None
         for step in steps:
-            self._method = str(step)
-            if step is Step.KILL:
-                self.task.on_fail = None
-            try:
-                result = self._do[step]()
-                end = answered(found, step, result) if found.answers else None
-            except RAISED as error:
-                raise StepFailed(step, contained(error)) from None
+            end = self._take(found, step)
             if end is not None:
-                self._go(end)
-                return
-        self._go(found.to)
+                break
+        for step in end.steps if end else ():
+            self._take(found, step)
+        self._go(end.to if end else found.to)
+
+    def _take(self, found: Rule, step: Step) -> Outcome | None:
+        """Take one step; return where its answer leads, None to go on."""
+        self._actions.method = str(step)
+        if step is Step.KILL:
+            self.task.on_fail = None
+        try:
+            result = self._do[step]()
+            return answered(found, step, result) if found.answers else None
+        except RAISED as error:
+            raise StepFailed(step, contained(error)) from None
 
     def _go(self, state: State) -> None:
         """Be in `state`."""
         task = self.task
         self.state = task.state = task.nextstate = state
         task.on_fail = self._on_fail if state is State.ON else None
-        self._method = "cycle"
+        self._actions.method = "cycle"
 
     # -- failures ---------------------------------------------------------------------
 
@@ -370,7 +423,9 @@ class Executor:
 
     def _on_fail(self, error: MethodError) -> Answer:
         """Have ``self.task.fail()`` ask the module's `error`."""
-        method = self.cycling() if self._method == "cycle" else self._method
+        method = (
+            self.cycling() if self._actions.method == "cycle" else self._actions.method
+        )
         return self._ask(error, self._described(error, method))
 
     def _ask(self, error: Raised, failure: MethodError) -> Answer:
@@ -418,82 +473,3 @@ class Executor:
             raise self._described(cause, str(step)) from cause
         finally:
             self._go(self.state)
-
-    # -- steps ------------------------------------------------------------------------
-
-    def _actions(self) -> dict[Step, Callable[[], object]]:
-        copies, instance = self._copies, self.instance
-        law = instance.cycle if self._illegal is None else self._choose
-        return {
-            Step.COPY_IN_CONSTS: self._copy_in_consts,
-            Step.COPY_OUT_CONSTS: self._copy_out_consts,
-            Step.COPY_IN: lambda: self._accept(copies.copy_in()),
-            Step.COPY_IN_ON: self._copy_in_on,
-            Step.CLAIM: self._claim,
-            Step.COMMIT: self._commit,
-            Step.RELEASE: self._release,
-            Step.INIT: instance.init,
-            Step.ON_METHOD: instance.on,
-            Step.CYCLE: lambda: law(self._dt),
-            Step.OFF_METHOD: instance.off,
-            Step.KILL: instance.kill,
-            Step.CLEAR: instance.clear,
-            Step.REINIT: instance.reinit,
-            Step.SYNC: instance.sync,
-        }
-
-    def _choose(self, dt: float) -> None:
-        if self._illegal is not None and self._illegal():
-            self._method = "stable"
-            self.instance.stable(dt)
-        else:
-            self._method = "cycle"
-            self.instance.cycle(dt)
-
-    def _accept(self, flags: int) -> None:
-        """Raise when the flags of a copy say that it was refused."""
-        if flags & ALL_REFUSED:
-            raise refused(flags, self._copies.blamed)
-
-    def _copy_in_consts(self) -> None:
-        """Copy in-consts in; the old ones come back when that fails or does not fit."""
-        arrays = memory(self.instance).arrays
-        ports = type(self.instance).__interface__.ports
-        names = [port.attr for port in ports if port.kind is Kind.INCONST]
-        before = {attr: arrays[attr].copy() for attr in names}
-        try:
-            self._accept(self._copies.copy_in_consts())
-            check_sizes(self.instance, Kind.INCONST)
-        except PbonetError as error:
-            for attr, values in before.items():
-                arrays[attr][...] = values
-            if isinstance(error, PortError):
-                raise RefusedError(error) from None
-            raise
-
-    def _copy_out_consts(self) -> None:
-        check_sizes(self.instance, Kind.OUTCONST)
-        self._accept(self._copies.copy_out_consts(self.task.now))
-
-    def _copy_in_on(self) -> None:
-        """Copy in what `on` wants, if the task may then own its out-vars."""
-        try:
-            self._copies.check_claim()
-        except SvarError as error:
-            raise RefusedError(error) from None
-        self.task.reset()
-        if self._counted is not None:
-            self._counted.cyclecount = 0
-        self._accept(self._copies.copy_in_on())
-
-    def _claim(self) -> None:
-        self._accept(self._copies.claim(self.task.now, self.task.cyclecount))
-        self._owns = True
-
-    def _commit(self) -> None:
-        self._accept(self._copies.commit(self.task.now, self.task.cyclecount))
-
-    def _release(self) -> None:
-        if self._owns:
-            self._owns = False
-            self._copies.release()

@@ -6,12 +6,10 @@ import traceback
 from typing import TYPE_CHECKING, TypeGuard
 
 from pbonet.errors import MethodError, PbonetError, SvarError
-from pbonet.pbo import Answer, TaskFailure
+from pbonet.pbo import Answer, Recovery, TaskFailure
 
 if TYPE_CHECKING:
-    from pbonet.pbo import State
-
-    from .lifecycle import Rule, Step
+    from .lifecycle import Outcome, Rule, Step
 
 RAISED = (Exception, SystemExit, TaskFailure)
 """What is caught around a module's methods: everything but the wish to end Python."""
@@ -83,8 +81,8 @@ def is_answer(answer: object) -> TypeGuard[Answer]:
     return isinstance(answer, Answer)
 
 
-def answered(found: Rule, step: Step, answer: object) -> State | None:
-    """Return where what a step gave ends its rule, None to go on.
+def answered(found: Rule, step: Step, answer: object) -> Outcome | None:
+    """Return how what a step gave ends its rule, None to go on.
 
     Raises:
         MethodError: A method gave an answer that the rule does not have.
@@ -92,6 +90,23 @@ def answered(found: Rule, step: Step, answer: object) -> State | None:
     if (answer is None or is_answer(answer)) and answer in found.answers:
         return found.answers[answer]
     raise bad_answer(step, answer, found)
+
+
+def recovery(answer: object) -> Recovery:
+    """Return what a handler of timing failures answered.
+
+    Raises:
+        MethodError: It gave an answer that there is not.
+    """
+    if answer is None:
+        return Recovery.CONTINUE
+    if isinstance(answer, Recovery):
+        return answer
+    raise MethodError(
+        "timing_failure gave an answer that it cannot give",
+        expected=f"None or {' or '.join(f'Recovery.{one.name}' for one in Recovery)}",
+        got=repr(answer),
+    )
 
 
 def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:

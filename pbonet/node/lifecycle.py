@@ -18,7 +18,7 @@ from pbonet.pbo import Answer, State
 
 
 class Event(StrEnum):
-    """What a task reacts to; all but `WAKEUP` and `SYNC` are sent by somebody."""
+    """What a task reacts to; somebody sends all but `WAKEUP`, `SYNC` and `ABORT`."""
 
     SPAWN = "spawn"
     ON = "on"
@@ -26,6 +26,8 @@ class Event(StrEnum):
     """The timer, or `sync` having returned."""
     SYNC = "sync"
     """A synchronous or aperiodic task is about to wait for its event."""
+    ABORT = "abort"
+    """A handler of timing failures has ended the cycle (section 6.3)."""
     OFF = "off"
     KILL = "kill"
     CLEAR = "clear"
@@ -41,6 +43,8 @@ class Step(StrEnum):
     COPY_OUT_CONSTS = "out-consts out"
     COPY_IN = "in-vars in"
     COPY_IN_ON = "in-vars and out-vars in"
+    COPY_IN_AGAIN = "in-vars and out-vars in again"
+    """The same for a task that owns its out-vars and goes on owning them."""
     CLAIM = "out-vars out, own"
     """Out-vars are copied out and are the task's own: one event for all others."""
     COMMIT = "out-vars out"
@@ -69,6 +73,7 @@ _COPIES = frozenset({
     Step.COPY_OUT_CONSTS,
     Step.COPY_IN,
     Step.COPY_IN_ON,
+    Step.COPY_IN_AGAIN,
     Step.CLAIM,
     Step.COMMIT,
     Step.RELEASE,
@@ -89,7 +94,10 @@ class Failure(StrEnum):
 
 
 class Outcome(Struct, frozen=True):
-    """What follows one answer of `error`: steps, whatever fails in them, and an end."""
+    """What follows one answer of a method: steps, and an end.
+
+    Behind an answer of `error` the end is reached whatever fails in the steps.
+    """
 
     steps: tuple[Step, ...]
     to: State
@@ -103,8 +111,8 @@ class Rule(Struct, frozen=True, kw_only=True):
     """The state after the last step."""
     failure: Failure
     """Of any step but `kill`, whose failure is reported and stops nothing."""
-    answers: Mapping[Answer | None, State | None] = {}
-    """What the method may return: a state ends the rule there, None goes on."""
+    answers: Mapping[Answer | None, Outcome | None] = {}
+    """What the method may return: an outcome ends the rule, None goes on."""
     resume: tuple[Step, ...] = ()
     """After a failure that `error` answers with CONTINUE: steps on the way to `to`."""
     answered: Mapping[Answer, Outcome] = {}
@@ -130,7 +138,7 @@ RULES: Mapping[tuple[State, Event], Rule] = {
         steps=(Step.COPY_IN_ON, Step.ON_METHOD, Step.CLAIM),
         to=State.ON,
         failure=Failure.ERROR,
-        answers={None: None, Answer.OFF: State.OFF},
+        answers={None: None, Answer.OFF: Outcome((), State.OFF)},
         resume=(Step.CLAIM,),
     ),
     (State.ON, Event.WAKEUP): Rule(
@@ -140,6 +148,12 @@ RULES: Mapping[tuple[State, Event], Rule] = {
     ),
     (State.ON, Event.SYNC): Rule(
         steps=(Step.SYNC,), to=State.ON, failure=Failure.ERROR
+    ),
+    (State.ON, Event.ABORT): Rule(
+        steps=(Step.COPY_IN_AGAIN, Step.ON_METHOD),
+        to=State.ON,
+        failure=Failure.ERROR,
+        answers={None: None, Answer.OFF: Outcome((Step.RELEASE,), State.OFF)},
     ),
     (State.ON, Event.OFF): Rule(
         steps=(Step.OFF_METHOD, Step.COMMIT, Step.RELEASE),
@@ -164,7 +178,7 @@ RULES: Mapping[tuple[State, Event], Rule] = {
         steps=(Step.CLEAR,),
         to=State.OFF,
         failure=Failure.REPORT,
-        answers={Answer.OFF: None, Answer.ERROR: State.ERROR},
+        answers={Answer.OFF: None, Answer.ERROR: Outcome((), State.ERROR)},
     ),
     (State.OFF, Event.REINIT): _reinit(State.OFF, Failure.ERROR),
     (State.ON, Event.REINIT): _reinit(State.ON, Failure.ERROR),
@@ -271,7 +285,7 @@ def _step_text(step: Step) -> str:
 
 def _ends(found: Rule) -> str:
     ends = [str(found.to)]
-    ends += [f"{end} if it answers {a}" for a, end in found.answers.items() if end]
+    ends += [f"{_way(e)} if it answers {a}" for a, e in found.answers.items() if e]
     return ", ".join(ends)
 
 
@@ -299,11 +313,11 @@ def arrows() -> dict[tuple[State, State], list[str]]:
         if one.to is not state or event is Event.WAKEUP:
             found.setdefault((state, one.to), []).append(str(event))
     for (state, event), one in RULES.items():
-        ends = {f"{event}: {answer}": end for answer, end in one.answers.items()}
+        ends = {f"{event}: {a}": end.to for a, end in one.answers.items() if end}
         if one.failure is Failure.ERROR:
             ends |= {f"error: {answer}": outcome(one, answer).to for answer in ANSWERED}
         for label, end in ends.items():
-            if end is None or end in {state, State.NOT_CREATED}:
+            if end in {state, State.NOT_CREATED}:
                 continue
             labels = found.setdefault((state, end), [])
             if label not in labels:

@@ -239,8 +239,10 @@ class _Critical:
 
     def __exit__(self, *_: object) -> None:
         self.depth -= 1
-        while self.held and not self.depth:
-            self.held.pop(0)()
+        if self.held and not self.depth:
+            held, self.held = self.held, []
+            for call in held:  # the first that ends the cycle ends the others with it
+                call()
 
 
 class _Timed:

@@ -10,20 +10,27 @@ import numpy as np
 
 from pbonet.errors import MethodError, PortError, did_you_mean
 from pbonet.node.executor import Executor
+from pbonet.node.failures import RAISED
 from pbonet.pbo import (
     METHODS,
     BoundedOutbox,
     Counted,
+    CycleAborted,
     Notice,
     Params,
     PortBasedObject,
+    PythonWatch,
+    Recovery,
+    Section,
     State,
     TaskContext,
+    TimingFailure,
     bind,
     local_text,
     make_params,
 )
 from pbonet.ports import Kind, Port, solve_shapes
+from pbonet.sched.criticality import INSIDE
 
 from ._clock import FakeClock
 from ._table import BenchTable, PortValues, structures
@@ -44,6 +51,8 @@ class Bench(Generic[M]):
         params: Its parameters, as its own class or as a mapping; none for defaults.
         freq: Cycles per second; the default step is its inverse.
         critical: As if the RMOD said CRITICAL; `illegal` then selects ``stable``.
+        crit: The task's criticality.
+        handler: That of its handler of timing failures, as HANDLER in the RMOD.
         clock: Shared with other benches, if need be.
         name: What the task is called.
         more: Sizes by the name in the ports' shapes, and first values of ports by
@@ -75,6 +84,8 @@ class Bench(Generic[M]):
         params: Params | Mapping[str, object] | None = None,
         freq: float = 100.0,
         critical: bool = False,
+        crit: int = INSIDE,
+        handler: int | None = None,
         clock: FakeClock | None = None,
         name: str = "bench",
         **more: Any,  # noqa: ANN401 - numbers and arrays
@@ -96,8 +107,16 @@ class Bench(Generic[M]):
         self.illegal = False
         self._outbox = BoundedOutbox(10_000)
         self.task = TaskContext(
-            name, freq=freq, source=Counted(self.clock), outbox=self._outbox
+            name,
+            freq=freq,
+            crit=crit,
+            source=Counted(self.clock),
+            outbox=self._outbox,
+            handler=handler,
         )
+        self._watch = self.task.watch = PythonWatch(self.task)
+        self._cycling = self._skips = False
+        self._passed = 0.0
         self.module = bind(
             module,
             _params(module, params),
@@ -121,6 +140,7 @@ class Bench(Generic[M]):
 
     def on(self, arg: str = "") -> State:
         """Send on; see `pbonet.node.executor.Executor.signal` for errors."""
+        self._skips, self._passed = False, 0.0
         return self.executor.signal("on", arg)
 
     def off(self, *, handover: bool = False) -> State:
@@ -154,7 +174,8 @@ class Bench(Generic[M]):
 
         Args:
             dt: Seconds of each cycle; the inverse of ``freq`` by default.
-            n: How many; fewer when the task leaves the state ON.
+            n: How many; fewer when the task leaves the state ON. A release that a
+                handler of timing failures leaves out counts too.
             check: Raise what a cycle failed with, when the task is in ERROR behind it.
 
         Returns:
@@ -167,12 +188,68 @@ class Bench(Generic[M]):
         step = self.task.period if dt is None else dt
         state = self.state
         for _ in range(n):
-            state = self.executor.cycle(step, self.clock.advance(step))
+            now = self.clock.advance(step)
+            self._passed += step
+            if self._skips and state is State.ON:
+                self._skips = False
+                continue
+            state = self._cycle(now)
             if check and state is State.ERROR:
                 raise self.executor.failure or MethodError("the task is in ERROR")
             if state is not State.ON:
                 break
         return state
+
+    def _cycle(self, now: int) -> State:
+        dt, self._passed = self._passed, 0.0
+        self._cycling = True
+        try:
+            return self.executor.cycle(dt, now)
+        finally:
+            self._cycling = False
+
+    def timing_failure(self, kind: TimingFailure) -> Recovery | None:
+        """Have the cycle fail in time: call the module's handler, and obey it.
+
+        Between two steps it is as if the last cycle still ran. It may also be called
+        from within a cycle, by what a test puts in place of a slow part of the module:
+        the failure then comes there, and an abort leaves the cycle there.
+
+        Args:
+            kind: What fails.
+
+        Returns:
+            What the handler wanted. It is done already: on ABORT the outputs are
+            discarded and `on` has run again, on SKIP `step` leaves out one release.
+            None where a critical section holds the failure off; its end lets it in.
+
+        Raises:
+            StateError: The task is not ON.
+            MethodError: The handler, or `on` behind an abort, failed and `error` did
+                not put it right.
+        """
+        if not self._watch.in_critical:
+            return self._fail(kind)
+        self._watch.when_free(lambda: self._fail(kind))
+        return None
+
+    def _fail(self, kind: TimingFailure) -> Recovery:
+        if self._cycling or self.state is not State.ON:
+            wanted = self.executor.timing_failure(kind)
+        else:
+            try:
+                wanted = self.executor.timing_failure(kind)
+            except RAISED as error:
+                wanted = Recovery.CONTINUE
+                if self.executor.fault(error, "timing_failure") is State.ERROR:
+                    raise self.executor.failure or error from None
+        if wanted is Recovery.SKIP:
+            self._skips = True
+        if wanted is Recovery.ABORT and self._cycling:
+            raise CycleAborted
+        if wanted is Recovery.ABORT:
+            self.executor.abort()
+        return wanted
 
     def sync(self) -> State:
         """Run the module's `sync`, as a task does that waits for its event."""
@@ -184,6 +261,10 @@ class Bench(Generic[M]):
     def log(self) -> list[str]:
         """Copies and methods so far, in order, by the names of `Step`."""
         return list(self._log)
+
+    def sections(self) -> dict[str, Section]:
+        """Return what was measured of the module's timed sections, by name."""
+        return self._watch.sections()
 
     def forget(self) -> None:
         """Empty the log."""

@@ -2,19 +2,20 @@
 
 import itertools
 from collections import deque
+from collections.abc import Callable
 from typing import ClassVar
 
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracle_lifecycle import METHODS, SIGNALS, Note, Oracle, Ports
+from oracle_lifecycle import ABORT, MEANWHILE, METHODS, SIGNALS, Note, Oracle, Ports
 from oracle_probe import OracleProbe, Told
 
 from pbonet.errors import MethodError, StateError
 from pbonet.node import lifecycle
 from pbonet.node.executor import Executor
-from pbonet.pbo import State, TaskContext, bind
+from pbonet.pbo import CycleAborted, State, TaskContext, bind
 from pbonet.testing import BenchTable
 
 PORTS = OracleProbe.__interface__.ports
@@ -25,6 +26,14 @@ class QuickProbe(OracleProbe):
 
     told: ClassVar[dict[str, str]] = {}
     heard: ClassVar[list[Note]] = []
+    ending: ClassVar[list[Callable[[], None]]] = []
+    """What happens meanwhile, when a handler ends the next cycle."""
+
+    def cycle(self, dt):
+        super().cycle(dt)
+        if self.ending:
+            self.ending[0]()
+            raise CycleAborted
 
     def script(self):
         return self.told
@@ -57,15 +66,18 @@ class InOneThread:
         QuickProbe.heard = []
         if signal == "spawn" and self.executor.state is State.NOT_CREATED:
             self.make()
-        before = self.executor.state
+        before, failure = self.executor.state, self.executor.failure
         try:
             self.act(signal)
         except StateError:
             return True, False
         except MethodError:
             return False, True
-        moved = signal in {"cycle", "sync"} and self.executor.state is not State.ON
-        return False, moved and before is State.ON
+        if self.executor.state is State.ON or before is not State.ON:
+            return False, False
+        if signal == ABORT:
+            return False, self.executor.failure is not failure
+        return False, signal in {"cycle", "sync"}
 
     def act(self, signal):
         executor = self.executor
@@ -75,12 +87,25 @@ class InOneThread:
             executor.spawn()
         elif signal == "cycle":
             executor.cycle(0.01)
+        elif signal == ABORT:
+            self.abort()
         elif signal == "sync":
             executor.sync()
         elif signal == "set":
             executor.set("gain", ("2.5",))
         else:
             executor.signal(signal)
+
+    def abort(self):
+        QuickProbe.told = {k: v for k, v in QuickProbe.told.items() if k != "cycle"}
+        QuickProbe.ending = [self.meanwhile]
+        try:
+            self.executor.cycle(0.01)
+        finally:
+            QuickProbe.ending = []
+
+    def meanwhile(self):
+        self.table.globals["x"][...] += MEANWHILE
 
     @property
     def state(self):
@@ -117,7 +142,7 @@ SCRIPTS = st.builds(
     ANSWERS,
 )
 """Anything any method may do, good or bad."""
-STEPS = st.tuples(st.sampled_from(SIGNALS), st.one_of(st.just({}), SCRIPTS))
+STEPS = st.tuples(st.sampled_from([*SIGNALS, ABORT]), st.one_of(st.just({}), SCRIPTS))
 
 
 @settings(max_examples=500, deadline=None)
@@ -146,6 +171,7 @@ WALKS = [
     ["spawn", "on", "cycle", "cycle", "reinit", "set", "off", "reinit", "on", "cycle"],
     ["spawn", "on", "sync", "kill", "spawn", "kill", "spawn", "set", "clear", "on"],
     ["spawn", "on", "on", "off", "off", "cycle", "on", "reinit", "clear", "kill"],
+    ["spawn", "on", "cycle", ABORT, "cycle", ABORT, "off", ABORT, "on", "cycle"],
 ]
 """With every script in FEW at every step, this walks through each rule."""
 
@@ -195,6 +221,20 @@ def mutants():
         if rule.answers:
             deaf = dict.fromkeys(rule.answers)
             yield f"{state} {event} deaf", state, event, {"answers": deaf}
+        yield from misled(state, event, rule.answers)
+
+
+def misled(state, event, answers):
+    """Yield a rule's answers with one step less, or with another end."""
+    for answer, after in answers.items():
+        if after is None:
+            continue
+        wrong = [(after.steps, end) for end in State if end is not after.to]
+        wrong += [(after.steps[:-1], after.to)] if after.steps else []
+        for steps, end in wrong:
+            other = {**answers, answer: lifecycle.Outcome(steps, end)}
+            name = f"{state} {event} {answer} then {[*steps]} {end}"
+            yield name, state, event, {"answers": other}
 
 
 MUTANTS = list(mutants())

@@ -27,6 +27,7 @@ def test_what_is_valid_in_each_state():
     assert lifecycle.valid(State.ON) == [
         Event.WAKEUP,
         Event.SYNC,
+        Event.ABORT,
         Event.OFF,
         Event.KILL,
         Event.REINIT,

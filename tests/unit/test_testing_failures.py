@@ -1,0 +1,357 @@
+"""Timing failures on a bench: what a handler may do, and what follows."""
+
+from typing import Annotated as A
+
+import pytest
+
+from pbonet import (
+    Answer,
+    InVar,
+    OutVar,
+    PortBasedObject,
+    Recovery,
+    Signal,
+    State,
+    TimingFailure,
+)
+from pbonet.errors import MethodError, StateError
+from pbonet.testing import Bench
+
+DEADLINE = TimingFailure.DEADLINE
+
+
+class Search(PortBasedObject):
+    """Improve y step by step; `slow` is a part that a test may replace."""
+
+    x: A[float, InVar("X", "1", "none", "where to begin")]
+    y: A[float, OutVar("Y", "1", "none", "the best so far")]
+
+    hooks = {}  # noqa: RUF012 - each test makes a class of its own
+
+    def on(self):
+        self.from_where = (self.x, self.y)
+        return self.run("on")
+
+    def cycle(self, dt):
+        self.dt = dt
+        self.y += 1.0
+        self.slow()
+        self.y += 10.0
+
+    def stable(self, dt):
+        self.y -= dt
+        self.slow()
+
+    def slow(self):
+        pass
+
+    def error(self, error):
+        self.last = error
+        return self.run("error") or Answer.ERROR
+
+    def run(self, name, *args):
+        hook = self.hooks.get(name)
+        return hook(self, *args) if hook else None
+
+
+def make(handler=None, *, given=None, **hooks):
+    body = {"hooks": hooks, "__module__": __name__}
+    if handler:
+        body["timing_failure"] = handler
+    bench = Bench(type("Search", (Search,), body), name="search", **(given or {}))
+    bench.on()
+    return bench
+
+
+def answering(answer):
+    return lambda _self, _kind: answer
+
+
+def interrupt(bench, kind=DEADLINE):
+    """Have the next cycles fail in the middle; return what the bench answered."""
+    answers = []
+    bench.module.slow = lambda: answers.append(bench.timing_failure(kind))
+    return answers
+
+
+@pytest.mark.parametrize("kind", TimingFailure)
+def test_the_handler_is_told_what_failed(kind):
+    seen = []
+    bench = make(lambda self, kind: seen.append((kind, self.task.handling)))
+    assert bench.timing_failure(kind) is Recovery.CONTINUE
+    assert seen == [(kind, kind)]
+    assert bench.task.handling is None
+
+
+@pytest.mark.parametrize("answer", [None, Recovery.CONTINUE])
+def test_a_cycle_that_goes_on_is_copied_out(answer):
+    bench = make(answering(answer))
+    answers = interrupt(bench)
+    bench.step()
+    assert answers == [Recovery.CONTINUE]
+    assert bench.outputs.y == 11.0
+    assert bench.notices() == []
+
+
+def test_without_a_handler_the_failure_is_warned_of():
+    bench = make()
+    assert bench.timing_failure(TimingFailure.MAXEXEC) is Recovery.CONTINUE
+    (notice,) = bench.notices()
+    assert (notice.bits, notice.text) == (
+        Signal.WARNING,
+        "timing failure, maxexec: the cycle used up its CPU time and is unfinished",
+    )
+    assert bench.task.nwarnings == 1
+
+
+def test_an_abort_leaves_the_cycle_and_runs_on_again():
+    bench = make(answering(Recovery.ABORT))
+    bench.step()
+    answers = interrupt(bench)
+    bench.inputs.x = 5.0
+    bench.forget()
+    assert bench.step() is State.ON
+    assert answers == [], "the cycle was left before it heard of it"
+    assert bench.outputs.y == 11.0, "as the cycle before left it"
+    assert bench.module.from_where == (5.0, 11.0)
+    assert bench.log == [
+        *("in-vars in", "cycle", "timing_failure"),
+        *("in-vars and out-vars in", "on"),
+    ]
+    bench.module.slow = lambda: None
+    bench.step()
+    assert bench.outputs.y == 22.0
+    assert bench.table.owned
+
+
+def test_an_abort_between_two_steps_discards_what_the_module_has():
+    bench = make(answering(Recovery.ABORT))
+    bench.step()
+    bench.module.y = 99.0
+    assert bench.timing_failure(DEADLINE) is Recovery.ABORT
+    assert (bench.module.y, bench.outputs.y) == (11.0, 11.0)
+    assert bench.state is State.ON
+
+
+def test_counts_go_on_over_an_abort():
+    bench = make(answering(Recovery.ABORT))
+    bench.task.warn("before")
+    bench.step(n=3)
+    bench.timing_failure(DEADLINE)
+    assert (bench.task.cyclecount, bench.task.nwarnings) == (3, 1)
+
+
+def test_a_module_that_cannot_begin_anew_is_off_and_owns_nothing():
+    bench = make(answering(Recovery.ABORT))
+    bench.step()
+    bench.module.hooks["on"] = answering_off
+    bench.forget()
+    assert bench.timing_failure(DEADLINE) is Recovery.ABORT
+    assert bench.state is State.OFF
+    assert bench.log[-3:] == ["in-vars and out-vars in", "on", "disown"]
+    assert not bench.table.owned
+    assert bench.outputs.y == 11.0, "values stand when nobody owns them"
+
+
+def answering_off(_):
+    return Answer.OFF
+
+
+def boom(*_):
+    raise ZeroDivisionError("division by zero")
+
+
+def test_an_on_that_fails_behind_an_abort_is_an_error():
+    bench = make(answering(Recovery.ABORT))
+    bench.module.hooks["on"] = boom
+    with pytest.raises(MethodError, match=r"^search\.on: ZeroDivisionError"):
+        bench.timing_failure(DEADLINE)
+    assert bench.state is State.ERROR
+    assert not bench.table.owned
+
+
+def test_an_on_that_fails_behind_an_abort_in_a_cycle_is_an_error():
+    bench = make(answering(Recovery.ABORT))
+    interrupt(bench)
+    bench.module.hooks["on"] = boom
+    with pytest.raises(MethodError, match=r"^search\.on: ZeroDivisionError"):
+        bench.step()
+    assert bench.state is State.ERROR
+
+
+def test_an_on_that_is_put_right_behind_an_abort_goes_on():
+    bench = make(answering(Recovery.ABORT), error=lambda _: Answer.CONTINUE)
+    bench.module.hooks["on"] = boom
+    assert bench.timing_failure(DEADLINE) is Recovery.ABORT
+    assert bench.state is State.ON
+    assert bench.table.owned
+
+
+def test_a_skip_leaves_out_the_next_release():
+    bench = make(answering(Recovery.SKIP))
+    interrupt(bench)
+    bench.step()
+    assert bench.outputs.y == 11.0, "the cycle went on"
+    bench.module.slow = lambda: None
+    assert bench.step(0.01) is State.ON
+    assert bench.outputs.y == 11.0
+    bench.step(0.01)
+    assert bench.outputs.y == 22.0
+    assert bench.module.dt == pytest.approx(0.02), "a missed cycle is seen"
+
+
+def test_a_skip_does_not_outlive_the_task_being_turned_on():
+    bench = make(answering(Recovery.SKIP))
+    bench.timing_failure(DEADLINE)
+    bench.off()
+    with pytest.raises(StateError):
+        bench.step()
+    bench.on()
+    bench.step(0.01)
+    assert bench.outputs.y == 11.0
+    assert bench.module.dt == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("within", [True, False])
+def test_a_handler_that_raises_is_an_error_by_its_own_name(within):
+    bench = make(boom)
+    if within:
+        interrupt(bench)
+        with pytest.raises(MethodError) as caught:
+            bench.step()
+    else:
+        with pytest.raises(MethodError) as caught:
+            bench.timing_failure(DEADLINE)
+    assert str(caught.value) == (
+        "search.timing_failure: ZeroDivisionError: division by zero"
+    )
+    assert bench.state is State.ERROR
+    assert bench.outputs.y == 0.0, "the cycle's outputs are discarded"
+    assert bench.task.handling is None
+
+
+@pytest.mark.parametrize("within", [True, False])
+def test_a_handler_that_fails_names_itself_to_error(within):
+    bench = make(
+        lambda self, _: self.task.fail("too late", 7),
+        error=lambda _: Answer.OFF,
+    )
+    if within:
+        interrupt(bench)
+        bench.step()
+    else:
+        bench.timing_failure(DEADLINE)
+    assert bench.state is State.OFF
+    assert str(bench.executor.failure) == "search.timing_failure: too late"
+    assert bench.task.errnum == 7
+
+
+def test_a_handler_s_error_that_is_put_right_goes_on():
+    bench = make(boom, error=lambda _: Answer.CONTINUE)
+    assert bench.timing_failure(DEADLINE) is Recovery.CONTINUE
+    assert bench.step() is State.ON
+
+
+@pytest.mark.parametrize("answer", ["abort", Answer.OFF, True])
+def test_another_answer_is_an_error(answer):
+    bench = make(answering(answer))
+    with pytest.raises(MethodError) as caught:
+        bench.timing_failure(DEADLINE)
+    assert str(caught.value) == (
+        "search.timing_failure: timing_failure gave an answer that it cannot give "
+        "(expected None or Recovery.CONTINUE or Recovery.ABORT or Recovery.SKIP, got "
+        f"{answer!r})"
+    )
+
+
+def test_a_task_that_is_not_on_does_not_fail_in_time():
+    bench = make(answering(None))
+    bench.off()
+    with pytest.raises(StateError) as caught:
+        bench.timing_failure(DEADLINE)
+    assert str(caught.value) == (
+        "search: a timing failure is one of a task that is ON (got state OFF)"
+    )
+    with pytest.raises(StateError, match="signal abort is not valid in state OFF"):
+        bench.executor.abort()
+
+
+def test_what_a_handler_sets_holds_to_the_end_of_the_cycle():
+    seen = []
+
+    def handler(self, kind):
+        del kind
+        self.task.criticality = 6
+        self.task.deadline = 0.02
+
+    def look():
+        bench.timing_failure(DEADLINE)
+        seen.append((bench.task.criticality, bench.task.deadline))
+
+    bench = make(handler, given={"crit": 3, "handler": 6, "freq": 100.0})
+    bench.module.slow = look
+    bench.step()
+    assert seen == [(6, 0.02)]
+    assert (bench.task.criticality, bench.task.deadline) == (3, 0.01)
+
+
+def test_a_critical_section_holds_the_failure_off_to_its_end():
+    order = []
+    bench = make(lambda _self, kind: order.append(str(kind)))
+
+    def slow():
+        with bench.task.critical():
+            assert bench.timing_failure(DEADLINE) is None
+            assert bench.timing_failure(TimingFailure.MAXEXEC) is None
+            order.append("section")
+        order.append("behind")
+
+    bench.module.slow = slow
+    bench.step()
+    assert order == ["section", "deadline", "maxexec", "behind"]
+
+
+def test_an_abort_at_the_end_of_a_critical_section_ends_the_other_failures_too():
+    seen = []
+
+    def handler(_self, kind):
+        seen.append(kind)
+        return Recovery.ABORT
+
+    bench = make(handler)
+
+    def slow():
+        with bench.task.critical():
+            bench.timing_failure(DEADLINE)
+            bench.timing_failure(TimingFailure.MAXEXEC)
+
+    bench.module.slow = slow
+    bench.step()
+    assert seen == [DEADLINE]
+    with bench.task.critical():
+        pass
+    assert seen == [DEADLINE], "nothing of an old cycle is left over"
+
+
+def test_a_handler_runs_in_stable_too():
+    bench = make(answering(Recovery.ABORT), given={"critical": True})
+    bench.illegal = True
+    interrupt(bench)
+    assert bench.step() is State.ON
+    assert bench.outputs.y == 0.0
+    assert bench.log[-4:] == [
+        *("stable", "timing_failure"),
+        *("in-vars and out-vars in", "on"),
+    ]
+
+
+def test_timed_sections_are_on_the_bench():
+    bench = make()
+
+    def slow():
+        with bench.task.timed("slow part"):
+            pass
+
+    bench.module.slow = slow
+    bench.step(n=5)
+    assert bench.sections()["slow part"].count == 5
