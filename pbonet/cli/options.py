@@ -37,7 +37,10 @@ def _version(value: bool) -> None:
         raise typer.Exit
 
 
-File = A[Path, typer.Argument(help="The .sbs file, or a .job file that names it.")]
+File = A[
+    Path,
+    typer.Argument(help="The .sbs file, or a .job file that names it.", metavar="FILE"),
+]
 Json = A[bool, typer.Option("--json", help="Give data.", callback=_json, is_eager=True)]
 Debug = A[
     bool,

@@ -12,7 +12,7 @@ from pbonet.cli import options
 
 def command(
     *,
-    file: A[Path, typer.Argument(help="The .job file.")],
+    file: A[Path, typer.Argument(help="The .job file.", metavar="FILE.job")],
     seconds: A[
         float | None, typer.Option(help="How long; until Ctrl-C.", min=0.0)
     ] = None,
@@ -32,7 +32,7 @@ def command(
     take_over: options.TakeOver = False,
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Run a job: start agents, verify, spawn, turn on, watch, end in order."""
+    """Run a job: assemble it, watch it, end it in order."""
     import msgspec
 
     from pbonet.master import oneshot

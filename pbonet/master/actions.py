@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import threading
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
@@ -233,8 +234,9 @@ def events(desk: Desk, given: Given) -> Data:
     found = desk.subsystem.events(given.get("since") or 0)
     if given.get("task"):
         found = [event for event in found if event.task == given["task"]]
-    last: int = given.get("last") or _LAST_EVENTS
-    return {"events": [msgspec.to_builtins(event) for event in found[-last:]]}
+    last: int = given.get("last", _LAST_EVENTS)
+    shown = found[max(0, len(found) - last) :]
+    return {"events": [msgspec.to_builtins(event) for event in shown]}
 
 
 def help_(_: Desk, given: Given) -> Data:
@@ -268,8 +270,15 @@ def help_(_: Desk, given: Given) -> Data:
 
 def wait(desk: Desk, given: Given) -> Data:
     """Wait; a stop ends it."""
+    seconds: float = given["seconds"]
+    if not 0 <= seconds <= threading.TIMEOUT_MAX:
+        raise StateError(
+            "nobody can wait so long",
+            expected=f"0 to {threading.TIMEOUT_MAX:g} s",
+            got=f"{seconds:g} s",
+        )
     desk.subsystem.stopped.clear()
-    desk.subsystem.stopped.wait(given["seconds"])
+    desk.subsystem.stopped.wait(seconds)
     return {}
 
 

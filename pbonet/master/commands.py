@@ -44,7 +44,7 @@ class Use(StrEnum):
 
     ONE = "one"
     MAYBE = "maybe"
-    """One or none."""
+    """One or none; by name too, unless the command takes all words that are left."""
     SOME = "some"
     """One or more: all words that are left."""
     ANY = "any"
@@ -75,7 +75,7 @@ class Arg(Struct, frozen=True):
 
     @property
     def option(self) -> bool:
-        """Whether it is given by name."""
+        """Whether it is given by name, and only so."""
         return self.use is Use.NAMED
 
 
@@ -86,7 +86,7 @@ class Scope(StrEnum):
     SESSION = "session"
     """Only where one interface gives several commands: prompt, script, network."""
     PROMPT = "prompt"
-    """Only where control can be handed to another interface."""
+    """Only where commands stand in a row: what waits here keeps nobody else waiting."""
 
 
 class Command(Struct, frozen=True):
@@ -100,6 +100,16 @@ class Command(Struct, frozen=True):
     changes: bool = False
     """It needs a master that holds the claim."""
     scope: Scope = Scope.EVERYWHERE
+
+    @property
+    def named(self) -> dict[str, Arg]:
+        """The arguments that may be given as ``name=value``."""
+        greedy = any(arg.many for arg in self.args)
+        return {
+            arg.name: arg
+            for arg in self.args
+            if arg.option or (arg.use is Use.MAYBE and not greedy)
+        }
 
     @property
     def usage(self) -> str:
@@ -275,7 +285,7 @@ COMMANDS: Final = (
         "Wait before the next command; a stop ends it.",
         actions.wait,
         (Arg("seconds", Kind.NUMBER, "how long"),),
-        scope=Scope.SESSION,
+        scope=Scope.PROMPT,
     ),
     Command(
         "write",

@@ -57,13 +57,15 @@ def _offers(desk: Desk, before: list[str], last: str) -> Iterable[str]:
 def _arguments(
     desk: Desk, command: Command, given: list[str], last: str
 ) -> Iterable[str]:
-    options = {arg.name: arg for arg in command.args if arg.option}
+    named = command.named
     name, equals, _ = last.partition("=")
-    if equals and name in options:
-        return [f"{name}={word}" for word in _words(desk, command, options[name], "")]
-    found = [f"{option}=" for option in options]
-    plain = [word for word in given if word.partition("=")[0] not in options]
-    places = [arg for arg in command.args if not arg.option]
+    if equals and name in named:
+        return [f"{name}={word}" for word in _words(desk, command, named[name], "")]
+    names = [word.partition("=")[0] for word in given if "=" in word]
+    plain = [
+        word for word in given if "=" not in word or word.split("=")[0] not in named
+    ]
+    places = [a for a in command.args if not a.option and a.name not in names]
     task = desk.default
     for word in plain:
         if places and not places[0].many:
@@ -71,6 +73,9 @@ def _arguments(
             if arg.last and word not in desk.subsystem.picture and places:
                 arg = places.pop(0)  # the task was left out
             task = word if arg.kind is Kind.TASK else task
+    found = [f"{arg.name}=" for arg in command.args if arg.option]
+    if places and not places[0].need:
+        found += [f"{arg.name}=" for arg in places[1:] if arg.name in named]
     for arg in places[:1] if places and not places[0].last else places[:2]:
         found += _words(desk, command, arg, task)
     return found

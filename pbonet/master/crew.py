@@ -43,6 +43,13 @@ SIGNALS = {
 UNFED = "equation 2: an input of a task that is ON has no writer"
 """The cause under which a master raises the illegal-configuration flag (3.10)."""
 
+_ANEW = {
+    State.OFF: "'on {0}' turns it on, 'kill {0}' removes it",
+    State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
+    State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
+}
+"""What to do about a task that is there already."""
+
 log = logging.getLogger("pbonet.master")
 
 
@@ -64,6 +71,8 @@ class Crew:
         self.picture = Picture()
         self._infos: dict[tuple[str, str], ModuleInfo] = {}
         self._flag_up = False
+        self._unfed: set[str] = set()
+        """What was told already of inputs without a writer."""
 
     # -- the picture ------------------------------------------------------------------
 
@@ -106,6 +115,7 @@ class Crew:
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
+        known = set(self.picture.names)
         results, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus)
         if strict or not results:
             rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
@@ -115,8 +125,9 @@ class Crew:
         for status in there:
             self.note(status)
         names = {status.task for status in there}
-        for member in list(self.picture):
-            if member.rtpu in results and member.name not in names:
+        for member in self.picture:
+            gone = member.rtpu in results and member.name not in names
+            if gone and member.name in known:  # else it was spawned meanwhile
                 self.picture.remove(member.name)
         self._flag_up = any(
             UNFED in cause for rtpu in statuses for cause in rtpu.illegal
@@ -202,7 +213,7 @@ class Crew:
                 f"there is a task {old.name} already",
                 where=f"{old.rtpu}/{old.name}",
                 got=f"state {old.state}",
-                remedy=f"'on {old.name}' turns it on, 'kill {old.name}' removes it",
+                remedy=_ANEW[old.state].format(old.name),
             )
 
     def judge(self, change: verify.Change) -> None:
@@ -211,7 +222,9 @@ class Crew:
         Raises:
             VerificationError: It would be illegal.
         """
-        self.tell(self.verdict(change))
+        texts = self.verdict(change)
+        self._unfed |= set(texts)
+        self.tell(texts)
 
     def verdict(self, change: verify.Change | None = None) -> list[str]:
         """Return the warnings for a change, or for the tasks as they stand.
@@ -220,19 +233,28 @@ class Crew:
             VerificationError: It would be, or is, illegal.
         """
         self.with_infos(self.picture)
-        problems = self._problems(change, producers=False)
-        if problems:
-            problems = self._problems(change, producers=True)
+        problems = self._problems(change)
         refused = [p for p in problems if p.severity is verify.Severity.REFUSE]
         if refused:
             raise verify.as_error(refused)
         return list(map(verify.as_text, problems))
 
     def _problems(
-        self, change: verify.Change | None, *, producers: bool
+        self, change: verify.Change | None = None
     ) -> Sequence[verify.Problem]:
-        now = self.configuration(producers=producers)
-        return verify.judge(now, change).problems if change else verify.check(now)
+        """Return what is to be said of a change, or of the tasks as they stand.
+
+        The library is read only when there is something that it may help with.
+        """
+        problems: Sequence[verify.Problem] = ()
+        for producers in (False, True):
+            now = self.configuration(producers=producers)
+            problems = (
+                verify.judge(now, change).problems if change else verify.check(now)
+            )
+            if not problems:
+                break
+        return problems
 
     def configuration(self, *, producers: bool = False) -> verify.Configuration:
         """Return the subsystem as it stands; with `producers`, what a remedy needs."""
@@ -319,7 +341,7 @@ class Crew:
             states |= answer.states
             done += answer.done
             if answer.error is not None:
-                cause = PbonetError.from_wire(answer.error)
+                cause = rpc.placed(rtpu, PbonetError.from_wire(answer.error))
                 raise _stuck(items, done, cause) from cause
         return states
 
@@ -342,17 +364,21 @@ class Crew:
     def settle(self) -> None:
         """After a change: tell priorities, raise or clear the flag of equation 2.
 
-        What goes wrong here is a warning: the change has its own outcome.
+        Inputs that have no writer any more are told. What goes wrong here is a warning
+        too: the change has its own outcome.
         """
         try:
-            unfed = any(
-                problem.code is verify.Code.NO_WRITER
-                for problem in verify.check(self.configuration())
-            )
-            if unfed != self._flag_up:
-                request = m.Flag(cause=UNFED, up=unfed)
+            unfed = [
+                verify.as_text(problem)
+                for problem in self._problems()
+                if problem.code is verify.Code.NO_WRITER
+            ]
+            self.tell(text for text in unfed if text not in self._unfed)
+            self._unfed = set(unfed)
+            if bool(unfed) != self._flag_up:
+                request = m.Flag(cause=UNFED, up=bool(unfed))
                 self.fleet.call(self.files.sbs.keeper, request, list[str])
-                self._flag_up = unfed
+                self._flag_up = bool(unfed)
             self.rank()
         except PbonetError as error:
             self.warned(f"after the change: {error}")
@@ -414,7 +440,7 @@ class Crew:
         for result in results.values():
             stopped.off += result.off
             stopped.killed += result.killed
-        for member in list(self.picture):
+        for member in self.picture:
             if member.rtpu in results:
                 self.picture.remove(member.name)
         return stopped, errors
@@ -423,15 +449,19 @@ class Crew:
 def _stuck(
     items: Sequence[tuple[str, str]], done: int, error: PbonetError
 ) -> ReconfigError:
-    """Return the error that says which item failed and what was not sent."""
+    """Return the error that says which item failed, what was done, and what was not."""
     task, signal = items[done]
-    rest = [f"{signal} {task}" for task, signal in items[done + 1 :]]
+    parts = [
+        f"{what}: " + ", ".join(f"{signal} {task}" for task, signal in some)
+        for what, some in (("done", items[:done]), ("not sent", items[done + 1 :]))
+        if some
+    ]
     stuck = ReconfigError(
         f"item {done + 1} of {len(items)}, {signal} {task}: {error.what}",
         where=error.where,
         expected=error.expected,
         got=error.got,
-        remedy=error.remedy or ("not sent: " + ", ".join(rest) if rest else ""),
+        remedy="; ".join(filter(None, (error.remedy, *parts))),
         debug=error.debug,
     )
     stuck.done = done

@@ -6,21 +6,26 @@ what it has seen (Stewart 1994, section 4.4.1). Nothing here prints or reads.
 
 from __future__ import annotations
 
+import math
 import shlex
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
-from pbonet.errors import ClaimError, StateError, did_you_mean
+from pbonet.errors import ClaimError, NodeError, StateError, did_you_mean
 from pbonet.master import profile
 from pbonet.master.actions import no_task
 from pbonet.master.commands import BY_NAME, Arg, Command, Kind, Scope, find
-from pbonet.master.words import is_sequence, sequence
+from pbonet.master.words import collected, is_sequence, sequence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from pbonet.master.subsystem import Subsystem
+
+
+_LONGEST: Final = 1000
+"""Characters of a word; a longer one is no name and no number."""
 
 
 class Reply(Struct, frozen=True, kw_only=True):
@@ -153,18 +158,20 @@ class Desk:
         """
         command = call.command
         if command.scope is Scope.PROMPT and self.hand_over is None:
-            raise StateError(f"{command.name} makes no sense here")
+            raise StateError(
+                f"{command.name} makes no sense here",
+                remedy="it is for the prompt and for scripts",
+            )
         if call.changes and self.subsystem.watch:
             raise ClaimError(
                 f"{command.name} changes the subsystem, which is open for watching only"
             )
-        warnings: list[str] = []
-        before = self.subsystem.warned
-        self.subsystem.warned = warnings.append
         try:
-            data = command.run(self, call.given)
+            with collected() as warnings:
+                data = command.run(self, call.given)
         finally:
-            self.subsystem.warned = before
+            if self.default not in self.subsystem.picture:
+                self.default = ""  # it was killed, or never there
         return Reply(command=command.name, data=data, warnings=warnings)
 
     def _knows(self, task: str) -> bool:
@@ -177,6 +184,8 @@ def split_name(words: list[str]) -> tuple[Command, list[str]]:
     Raises:
         NodeError: There is no such command.
     """
+    if len(words[0]) > _LONGEST:
+        raise NodeError(f"there is no command of {len(words[0])} characters")
     both = " ".join(words[:2])
     if both in BY_NAME:
         return BY_NAME[both], words[2:]
@@ -189,7 +198,8 @@ def bind(
     """Return a command's arguments out of the words of its line.
 
     A task that may be left out is there when the word names one, or when there would
-    be words too many otherwise.
+    be words too many otherwise. What may be left out can be given by name too, so that
+    ``spawn diff hz=40`` leaves the RTPU to the RMOD.
 
     Args:
         command: The command.
@@ -200,15 +210,15 @@ def bind(
         StateError: Words are missing, too many, or wrong.
     """
     given: dict[str, Any] = {}
-    options = {arg.name: arg for arg in command.args if arg.option}
-    places = [arg for arg in command.args if not arg.option]
+    named = command.named
     plain: list[str] = []
     for word in words:
         name, equals, value = word.partition("=")
-        if equals and name in options:
-            given[name] = _value(command, options[name], value)
+        if equals and name in named:
+            given[name] = _value(command, named[name], value)
         else:
             plain.append(word)
+    places = [a for a in command.args if not a.option and a.name not in given]
     while places:
         arg = places.pop(0)
         if arg.many:
@@ -275,19 +285,30 @@ def _must_be_complete(command: Command, given: dict[str, Any]) -> None:
 
 def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by its kind
     """Return what a word stands for."""
-    try:
-        if arg.kind is Kind.NUMBER:
-            return float(word)
-        if arg.kind is Kind.COUNT:
-            return int(word)
-    except ValueError:
-        raise _usage(command, f"{arg.name.upper()} is no number: {word}") from None
+    if len(word) > _LONGEST:
+        raise _usage(command, f"{arg.name.upper()} has {len(word)} characters")
+    if arg.kind in {Kind.NUMBER, Kind.COUNT}:
+        return _number(command, arg, word)
     if arg.kind is Kind.ITEM:
         task, colon, signal = word.partition(":")
         if not colon or not task or not signal:
-            raise _usage(command, f"no item: {word}")
+            raise _usage(command, f"no TASK:SIGNAL, such as pid:off: {word}")
         return (task, signal)
+    if arg.kind is not Kind.WORD and not word:
+        raise _usage(command, f"{arg.name.upper()} is empty")
     return word
+
+
+def _number(command: Command, arg: Arg, word: str) -> float | int:
+    try:
+        number = int(word) if arg.kind is Kind.COUNT else float(word)
+    except ValueError:
+        raise _usage(command, f"{arg.name.upper()} is no number: {word}") from None
+    if not math.isfinite(number):
+        raise _usage(command, f"{arg.name.upper()} is not finite: {word}")
+    if arg.kind is Kind.COUNT and number < 0:
+        raise _usage(command, f"{arg.name.upper()} is below 0: {word}")
+    return number
 
 
 def _usage(command: Command, what: str) -> StateError:

@@ -16,6 +16,7 @@ from msgspec import Struct
 from pbonet.config import parse_rmod, parse_sbs, parse_svar, read_job
 from pbonet.config.reader import load
 from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
+from pbonet.xm.rundir import NAME, check_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -91,10 +92,11 @@ class Files:
         """Return the RMOD `name`, as its file says today.
 
         Raises:
+            NodeError: No task can have that name.
             ConfigFileError: There is none of that name.
             ConfigError: Its file is wrong.
         """
-        name = name.removesuffix(".rmod")
+        name = check_name("a task", name.removesuffix(".rmod"))
         path = self._find(name)
         text = load(path)
         return RmodSource(parse_rmod(text, str(path)), text)
@@ -104,7 +106,8 @@ class Files:
         beside = {
             path.stem for folder in self._folders for path in folder.glob("*.rmod")
         }
-        return sorted(beside | set(self.library.rmods()))
+        found = beside | set(self.library.rmods())
+        return sorted(name for name in found if NAME.fullmatch(name))
 
     def producers(self) -> dict[str, tuple[str, ...]]:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
@@ -134,16 +137,18 @@ class Files:
         self._folders = [folder, *(f for f in self._folders if f != folder)]
 
     def _job_path(self, path: Path) -> Path:
+        if not path.name:
+            raise self._no_job()
         wanted = path if path.suffix == ".job" else path.with_name(path.name + ".job")
         beside = self.path.parent / wanted
-        if wanted.exists() or not beside.exists():
+        if _is_there(wanted) or not _is_there(beside):
             return wanted
         return beside
 
     def _find(self, name: str) -> Path:
         for folder in self._folders:
             path = folder / f"{name}.rmod"
-            if Path(name).name == name and path.exists():
+            if path.exists():
                 return path
         with contextlib.suppress(ConfigFileError):
             return self.library.find_rmod(name)
@@ -156,3 +161,11 @@ class Files:
             expected=f"{name}.rmod in {' or '.join(places)}, or in the library",
             remedy=did_you_mean(name, known) or "see 'module' for what there is",
         )
+
+
+def _is_there(path: Path) -> bool:
+    """Tell whether a file is there; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False

@@ -122,9 +122,10 @@ class Script:
         """Carry the lines out; return whether one failed.
 
         Args:
-            name: Of the file, for messages.
+            name: Of the file, ``-`` for standard input; for messages.
             lines: The commands.
         """
+        place = "standard input" if name == STDIN else name
         listener = Listener(self._subsystem, heard=_heard)
         listener.open()
         failed = False
@@ -134,7 +135,7 @@ class Script:
                     reply = self._desk.execute(line)
                 except PbonetError as error:
                     failed = True
-                    self._tell(error, f"{name}:{number}")
+                    self._tell(error, f"{place}:{number}")
                     if not self._keep_going:
                         return failed
                     continue
@@ -188,8 +189,11 @@ def _read(name: str) -> Iterable[str]:
     if name == STDIN:
         return sys.stdin
     try:
-        return Path(name).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigFileError(
-            "the script cannot be read", where=name, got=str(error)
-        ) from None
+        return Path(name).read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        got, remedy = error.strerror or str(error), "check the path and its permissions"
+    except ValueError as error:
+        got, remedy = str(error), "write it as UTF-8 text, one command a line"
+    raise ConfigFileError(
+        "the script cannot be read", where=name, got=got, remedy=remedy
+    )

@@ -16,8 +16,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import queue
+import re
 import threading
-import time
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -39,7 +39,7 @@ from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, Reply, convert
 from pbonet.xm import keys
 from pbonet.xm import messages as m
-from pbonet.xm.rundir import NAME
+from pbonet.xm.rundir import check_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -47,8 +47,10 @@ if TYPE_CHECKING:
     from pbonet.master.subsystem import Subsystem
 
 _KEPT: Final = 1000
+_DESKS: Final = 100
+"""Clients whose columns, baselines and default tasks are remembered."""
+_CLIENT: Final = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 _TOKEN_TIME: Final = 1.0
-_TOKEN_PAUSE: Final = 0.02
 _LOOK: Final = 0.2
 """Seconds between looks whether serving is to end."""
 
@@ -88,13 +90,7 @@ class Port:
         handover: bool = True,
         told: Callable[[str], None] = log.info,
     ) -> None:
-        if not NAME.fullmatch(name):
-            raise NodeError(
-                "this is no name for a port",
-                expected="letters, digits, '_', '-' and '.', at most 32",
-                got=repr(name[:40]),
-            )
-        self.name = name
+        self.name = check_name("a port", name)
         self.ended = threading.Event()
         """Set when the client that had control has ended or is lost."""
         self._subsystem = subsystem
@@ -102,8 +98,13 @@ class Port:
         self._handover = handover
         self._told = told
         self._key = keys.network(subsystem.domain, name)
+        self._lock = threading.Condition()
         self._holder = ""
-        self._desks: dict[str, Desk] = {}
+        self._living: set[str] = set()
+        """Clients whose tokens are seen. Asking for the tokens from a session that
+        also subscribes to them misses some now and then."""
+        self._desks: OrderedDict[str, Desk] = OrderedDict()
+        """By client, the one that asked last at the end."""
         self._answers: OrderedDict[tuple[str, str], bytes] = OrderedDict()
         self._orders: queue.SimpleQueue[tuple[zenoh.Query, Order] | None] = (
             queue.SimpleQueue()
@@ -144,7 +145,8 @@ class Port:
                 ),
                 session.liveliness().declare_subscriber(
                     keys.network_client(self._domain, self.name, "*"),
-                    zenoh.handlers.Callback(self._heard),
+                    zenoh.handlers.Callback(self._heard, indirect=False),
+                    history=True,
                 ),
                 session.liveliness().declare_token(self._key),
             ]
@@ -175,10 +177,15 @@ class Port:
     # -- in zenoh's threads -----------------------------------------------------------
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        """Notice the loss of the client that has control."""
+        """Notice which clients live, and the loss of the one that has control."""
         client = keys.last(str(sample.key_expr))
-        if sample.kind == zenoh.SampleKind.DELETE and client == self._holder:
-            self._give_back(f"{client} is gone")
+        with self._lock:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._living.add(client)
+                self._lock.notify_all()
+                return
+            self._living.discard(client)
+        self._give_back(client, "is gone")
 
     # -- in our own -------------------------------------------------------------------
 
@@ -237,7 +244,7 @@ class Port:
         )
 
     def _do(self, order: Order) -> Reply | None:
-        desk = self._desks.setdefault(order.client, Desk(self._subsystem))
+        desk = self._desk(order.client)
         if order.line:
             call = desk.read(order.line)
         else:
@@ -251,10 +258,20 @@ class Port:
             self._take(order.client)
         reply = desk.perform(call)
         if desk.ended:
-            del self._desks[order.client]
-            if order.client == self._holder:
-                self._give_back(f"{order.client} has ended")
+            self._desks.pop(order.client, None)
+            if order.client:
+                self._give_back(order.client, "has ended")
         return reply
+
+    def _desk(self, client: str) -> Desk:
+        """Return the desk of a client; those that asked longest ago are forgotten."""
+        with self._lock:
+            desk = self._desks.setdefault(client, Desk(self._subsystem))
+            self._desks.move_to_end(client)
+            while len(self._desks) > _DESKS:
+                oldest = next(name for name in self._desks if name != self._holder)
+                del self._desks[oldest]
+            return desk
 
     # -- who has control --------------------------------------------------------------
 
@@ -269,8 +286,11 @@ class Port:
                 got=self._holder,
                 remedy="wait for its end; watching and stop are open to everybody",
             )
-        token = keys.network_client(self._domain, self.name, client or "NAME")
-        if not client or not self._is_seen(token):
+        with self._lock:  # a new token may still be on its way
+            if self._lock.wait_for(lambda: client in self._living, _TOKEN_TIME):
+                self._holder = client
+        if self._holder != client:
+            token = keys.network_client(self._domain, self.name, client or "NAME")
             raise ClaimError(
                 "a client that takes control must be seen to live",
                 where=f"port {self.name}",
@@ -278,17 +298,7 @@ class Port:
                 got="none",
                 remedy="declare it, and keep it until the end",
             )
-        self._holder = client
         self._told(f"{client} has control")
-
-    def _is_seen(self, token: str) -> bool:
-        """Tell whether a token is there; a new one may still be on its way."""
-        deadline = time.monotonic() + _TOKEN_TIME
-        while not self._subsystem.fleet.client.tokens(token):
-            if time.monotonic() > deadline:
-                return False
-            time.sleep(_TOKEN_PAUSE)
-        return True
 
     def _must_hold(self, client: str) -> None:
         if client != self._holder:
@@ -298,9 +308,13 @@ class Port:
                 got=client or "no client name",
             )
 
-    def _give_back(self, reason: str) -> None:
-        self._holder = ""
-        self._told(f"{reason}; control is back")
+    def _give_back(self, client: str, reason: str) -> None:
+        """Take control back, if the client has it."""
+        with self._lock:
+            if self._holder != client:
+                return
+            self._holder = ""
+        self._told(f"{client} {reason}; control is back")
         self.ended.set()
 
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
@@ -340,4 +354,10 @@ def _decode(data: bytes) -> Order:
         )
     if not order.command and not order.line.strip():
         raise ProtocolError("the message has neither a command nor a line")
+    if order.client and not _CLIENT.fullmatch(order.client):
+        raise ProtocolError(
+            "this is no name for a client",
+            expected="1 to 64 letters, digits, '_', '-' and '.'",
+            got=repr(order.client[:40]),
+        )
     return order

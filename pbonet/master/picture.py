@@ -64,7 +64,7 @@ class Picture:
         self._members: dict[str, Member] = {}
 
     def __iter__(self) -> Iterator[Member]:
-        return iter(self._members.values())
+        return iter(list(self._members.values()))  # others may look meanwhile
 
     def __contains__(self, task: str) -> bool:
         return task in self._members
@@ -93,7 +93,7 @@ class Picture:
             raise UnknownTaskError(
                 f"the subsystem has no task {task}",
                 got=f"tasks: {there}",
-                remedy=did_you_mean(task, self._members) or f"'spawn {task}' makes it",
+                remedy=did_you_mean(task, self._members) or "'spawn' makes one",
             )
         return member
 

@@ -110,8 +110,11 @@ def _status(data: Data) -> str:
             lines += [f"ERROR> {one['task']}: {one['error']}"] * bool(one["error"])
     else:
         lines.append("no tasks")
+    raised: dict[str, list[str]] = {}  # RTPUs of one machine share one flag
     for rtpu in data["rtpus"]:
-        lines += [f"ILLEGAL> {rtpu['rtpu']}: {cause}" for cause in rtpu["illegal"]]
+        for cause in rtpu["illegal"]:
+            raised.setdefault(cause, []).append(rtpu["rtpu"])
+    lines += [f"ILLEGAL> {', '.join(at)}: {cause}" for cause, at in raised.items()]
     return "\n".join(lines)
 
 
@@ -135,6 +138,8 @@ def values(numbers: object, *, most: int = _WIDEST_VALUES) -> str:
 
 
 def _display(data: Data) -> str:
+    if not data["variables"]:
+        return "no variables"
     rows = [
         [
             one["name"],

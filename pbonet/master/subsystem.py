@@ -28,10 +28,17 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.master import assembly, modules
+from pbonet.master.changing import Changing
 from pbonet.master.crew import CONTROL_TIME, Crew
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
-from pbonet.master.words import check_signal, local_words, log_warning
+from pbonet.master.words import (
+    check_rate,
+    check_signal,
+    collector,
+    local_words,
+    log_warning,
+)
 from pbonet.xm import messages as m
 from pbonet.xm import rpc, session
 
@@ -56,7 +63,7 @@ class Subsystem:
         kind: What the master is, as the first part of its client name.
         watch: Look only: claim nothing, change nothing.
         take_over: Replace a master that lives.
-        warned: Called with each warning, one sentence.
+        warned: Called with each warning, one sentence, unless a `Desk` collects it.
 
     Raises:
         ConfigError: A file is missing or wrong.
@@ -207,9 +214,12 @@ class Subsystem:
         Raises:
             ConfigError: There is no such RMOD, or its file is wrong.
             StateError: The subsystem has a task of this name.
+            ParameterError: `freq` is no frequency.
             VerificationError: It does not fit the table or its module.
             PbonetError: The module does not load, or its `init` failed.
         """
+        if freq is not None:
+            check_rate(rmod, freq)
         with self._changing() as crew:
             member = crew.plan(self.files.rmod(rmod), rtpu, freq)
             crew.must_be_new(member)
@@ -280,11 +290,13 @@ class Subsystem:
         Raises:
             UnknownTaskError: There is no such task.
             ClaimError: It is to be set, and the subsystem is open for watching only.
+            ParameterError: `hz` is no frequency.
             VerificationError: The RTPU could not bear the new rate.
         """
         if hz is None:
             rtpu = self.crew.locate(task)
             return self.fleet.call(rtpu, m.Freq(task=task), float)
+        check_rate(task, hz)
         with self._changing() as crew:
             member = crew.picture.find(task)
             crew.judge(verify.frequency(structs.replace(member.task, freq=hz)))
@@ -453,11 +465,11 @@ class Subsystem:
         return stopped
 
     def _warn(self, text: str) -> None:
-        """Hand a warning to whoever listens now."""
-        self.warned(text)
+        """Hand a warning to the command that gave it, else to whoever listens."""
+        (collector() or self.warned)(text)
 
-    def _changing(self, *, strict: bool = True) -> _Changing:
-        return _Changing(self.crew, self._busy, strict=strict)
+    def _changing(self, *, strict: bool = True) -> Changing:
+        return Changing(self.crew, self._busy, strict=strict)
 
     def _must_be_variable(self, name: str) -> None:
         known = [variable.name for variable in self.files.table.variables]
@@ -467,25 +479,3 @@ class Subsystem:
                 where=self.files.table.file,
                 remedy=did_you_mean(name, known) or "'display' shows them all",
             )
-
-
-class _Changing:
-    """One command at a time, by a master that holds the claim, on a fresh picture."""
-
-    def __init__(self, crew: Crew, busy: threading.RLock, *, strict: bool) -> None:
-        self._crew = crew
-        self._busy = busy
-        self._strict = strict
-
-    def __enter__(self) -> Crew:
-        self._crew.fleet.must_be_claimed()
-        self._busy.acquire()
-        try:
-            self._crew.refresh(strict=self._strict)
-        except BaseException:
-            self._busy.release()
-            raise
-        return self._crew
-
-    def __exit__(self, *_: object) -> None:
-        self._busy.release()

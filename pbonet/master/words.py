@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeGuard
 
-from pbonet.errors import StateError, did_you_mean
+from pbonet.errors import ParameterError, StateError, did_you_mean
 from pbonet.master.crew import SIGNALS
 
 log = logging.getLogger("pbonet.master")
@@ -15,6 +18,30 @@ log = logging.getLogger("pbonet.master")
 def log_warning(text: str) -> None:
     """Take a warning and log it."""
     log.warning("%s", text)
+
+
+_collector: ContextVar[Callable[[str], None] | None] = ContextVar(
+    "collector", default=None
+)
+
+
+@contextmanager
+def collected() -> Generator[list[str]]:
+    """Collect the warnings that the commands of this thread give meanwhile.
+
+    Commands of several threads may overlap: a stop waits for none of the others.
+    """
+    warnings: list[str] = []
+    token = _collector.set(warnings.append)
+    try:
+        yield warnings
+    finally:
+        _collector.reset(token)
+
+
+def collector() -> Callable[[str], None] | None:
+    """Return who collects the warnings of this thread's command, if somebody does."""
+    return _collector.get()
 
 
 def check_signal(signal: str) -> None:
@@ -28,6 +55,22 @@ def check_signal(signal: str) -> None:
             f"there is no signal {signal}",
             expected="one of " + " ".join(SIGNALS),
             remedy=did_you_mean(signal, SIGNALS),
+        )
+
+
+def check_rate(task: str, hz: float) -> None:
+    """Refuse a number that is no frequency; how fast a task can run its RTPU knows.
+
+    Raises:
+        ParameterError: It is not above 0, or not finite.
+    """
+    if not (hz > 0 and math.isfinite(hz)):
+        raise ParameterError(
+            "no task can run at this frequency",
+            where=task,
+            expected="a number of Hz above 0",
+            got=f"{hz:g} Hz",
+            remedy=f"'off {task}' is how a task is halted",
         )
 
 

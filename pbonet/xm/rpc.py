@@ -13,12 +13,14 @@ Stands for the message queues between the master task and the SBS servers of Ste
 
 from __future__ import annotations
 
+import contextvars
 import itertools
 import logging
 import secrets
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import msgspec
@@ -171,7 +173,10 @@ class Client:
             return results, errors
         with ThreadPoolExecutor(len(requests)) as pool:
             calls = {
-                rtpu: pool.submit(self.call, rtpu, request, result, timeout=timeout)
+                rtpu: pool.submit(
+                    contextvars.copy_context().run,  # warnings find their command
+                    partial(self.call, rtpu, request, result, timeout=timeout),
+                )
                 for rtpu, request in requests.items()
             }
         for rtpu, call in calls.items():
@@ -299,10 +304,19 @@ def _no_session(error: zenoh.ZError) -> UnreachableError:
 
 
 def _refusal(rtpu: str, answer: Answer) -> PbonetError:
-    """Return the error of an answer; its place begins with the RTPU."""
-    error = PbonetError.from_wire(answer.error or {})
+    """Return the error of an answer."""
+    return placed(rtpu, PbonetError.from_wire(answer.error or {}))
+
+
+def placed(rtpu: str, error: PbonetError) -> PbonetError:
+    """Return an RTPU's error; its place begins with the RTPU.
+
+    What is on it reads ``arm0/pid``, a file of its machine ``arm0:/lib/pid.py``.
+    """
     if not error.where:
         error.where = rtpu
-    elif rtpu not in error.where:
+    elif error.where.startswith("/"):
+        error.where = f"{rtpu}:{error.where}"
+    elif error.where != rtpu and not error.where.startswith((f"{rtpu}/", f"{rtpu}:")):
         error.where = f"{rtpu}/{error.where}"
     return error

@@ -181,6 +181,27 @@ def test_script_from_standard_input(pbonet, agents):
     assert agents["arm1"].tasks["jttrace"].state == "ON"
 
 
+def test_script_may_begin_with_a_byte_order_mark_and_end_lines_like_windows(
+    pbonet, tmp_path
+):
+    script = tmp_path / "arm.cmd"
+    script.write_bytes(b"\xef\xbb\xbfspawn puma_pidg arm0\r\nstatus fields=state\r\n")
+    done = pbonet("sbs", "--script", script)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == ["puma_pidg", "OFF", "state", "OFF"]
+
+
+def test_script_that_is_no_text_is_refused(pbonet, tmp_path, agents):
+    script = tmp_path / "arm.cmd"
+    script.write_bytes(b"\xff\xfe\x00")
+    done = pbonet("sbs", "--script", script)
+    assert f"{script}: the script cannot be read" in done.stderr
+    assert "write it as UTF-8 text" in done.stderr
+    assert agents["arm0"].requests == []
+    done = pbonet("sbs", stdin="foo")
+    assert "standard input:1: ERROR> there is no command foo" in done.stderr
+
+
 def test_script_stops_at_the_first_error_and_finishes(pbonet, agents, tmp_path):
     script = tmp_path / "arm.cmd"
     script.write_text("spawn puma_pidg arm0\nspawn nobody\nspawn jttrace arm1\n")

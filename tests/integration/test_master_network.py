@@ -202,6 +202,19 @@ def test_client_without_a_token_may_not_take_control(caller):
 
 
 @pytest.mark.usefixtures("port")
+def test_many_clients_that_look_are_not_all_remembered(caller, port):
+    token = caller.token("one")
+    assert caller("one", "spawn", {"rmod": "puma_pidg"}).ok
+    assert caller("one", "status set", {"field": ["rmod"]}).ok
+    for number in range(150):
+        assert caller(f"client{number}", "help", {"command": "on"}).ok
+    assert len(port._desks) == 100
+    shown = caller("one", "status").result["data"]["fields"]
+    assert shown == ["rmod"]  # of the one that has control
+    token.undeclare()
+
+
+@pytest.mark.usefixtures("port")
 def test_repeated_order_is_not_carried_out_twice(caller, agents):
     token = caller.token("one")
     order = {"rmod": "puma_pidg"}
@@ -219,6 +232,12 @@ def test_repeated_order_is_not_carried_out_twice(caller, agents):
         (msgspec.msgpack.encode({"v": 2, "command": "status"}), "another protocol"),
         (msgspec.msgpack.encode({"v": 1}), "neither a command nor a line"),
         (msgspec.msgpack.encode({"v": 1, "line": "spwan x"}), "no command spwan"),
+        (msgspec.msgpack.encode({"v": 1, "line": "x" * 2000}), "of 2000 characters"),
+        (
+            msgspec.msgpack.encode({"v": 1, "command": "on", "client": "*"}),
+            "this is no name for a client",
+        ),
+        (b"", "the message is not understood"),
     ],
 )
 @pytest.mark.usefixtures("port")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import pytest
@@ -12,6 +13,7 @@ from pbonet.errors import (
     MethodError,
     ModuleLoadError,
     NodeError,
+    ParameterError,
     ReconfigError,
     SeveralError,
     StateError,
@@ -185,8 +187,23 @@ def test_rmod_beside_the_sbs_file_wins_over_the_library(robot, puma, agents):
 
 def test_task_is_not_spawned_twice(robot):
     robot.spawn("jttrace")
-    with pytest.raises(StateError, match="there is a task jttrace already"):
-        robot.spawn("jttrace")
+    for state, remedy in (("on", "'on jttrace' turns it on"), ("off", "'off jttrace'")):
+        with pytest.raises(StateError, match="a task jttrace already") as caught:
+            robot.spawn("jttrace")
+        assert caught.value.remedy.startswith(remedy)
+        robot.control("jttrace", state)
+
+
+@pytest.mark.parametrize("name", ["../x", "a*b", "x" * 5000, "a\0b", ""])
+def test_rmod_of_a_name_that_no_task_can_have_is_refused(arm, name):
+    with pytest.raises(NodeError, match="this is no name for a task"):
+        arm.spawn(name)
+
+
+@pytest.mark.parametrize("name", ["", "/", ".", "x" * 5000, "a\0b"])
+def test_job_of_a_name_that_no_file_can_have_is_refused(arm, name):
+    with pytest.raises(ConfigError):
+        arm.start(name)
 
 
 def test_constants_must_have_their_producer_first(arm):
@@ -226,9 +243,14 @@ def test_loop_is_built_by_hand_with_a_warning_and_the_flag(robot, agents):
 
 def test_off_and_kill_are_never_refused_and_raise_the_flag(arm, agents):
     arm.start("puma")
+    arm.heard.clear()
     arm.control("grav_comp", "off")
     assert agents["arm0"].flags == [UNFED]
+    assert len(arm.heard) == 1
+    assert "writes T_GRAV, which puma_pidg reads" in arm.heard[0]
     arm.control("grav_comp", "kill")
+    assert len(arm.heard) == 2  # the remedy is another
+    assert "in the library, grav_comp does" in arm.heard[1]
     assert "grav_comp" not in states(arm)
     assert arm.stop().off != []
 
@@ -285,8 +307,9 @@ def test_reconfiguration_that_fails_says_what_was_done(arm, agents):
     assert caught.value.rest == (("qrdiff", "off"), ("jttrace", "off"))
     assert isinstance(caught.value.__cause__, MethodError)
     assert str(caught.value) == (
-        "arm1/x: item 2 of 3, off qrdiff: off raised; not sent: off jttrace"
-    ) or "item 2 of 3, off qrdiff: off raised" in str(caught.value)
+        "arm1/x: item 2 of 3, off qrdiff: off raised; "
+        "done: off puma_pidg; not sent: off jttrace"
+    )
     assert states(arm)["puma_pidg"] == "OFF"
 
 
@@ -429,6 +452,11 @@ def test_rate_is_read_set_and_refused_beyond_the_core(arm, puma):
     with pytest.raises(VerificationError, match="arm0") as caught:
         arm.freq("heavy", 999.0)
     assert caught.value.remedy
+    for hz in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(ParameterError, match="no task can run at this frequency"):
+            arm.freq("heavy", hz)
+        with pytest.raises(ParameterError, match="no task can run at this frequency"):
+            arm.spawn("jttrace", None, hz)
     assert arm.freq("heavy") == 500.0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -11,6 +12,7 @@ from pbonet.master import commands, profile, render
 from pbonet.master.commands import COMMANDS, Command, Scope, find
 from pbonet.master.completion import complete
 from pbonet.master.desk import Desk, convert, split_name
+from pbonet.master.words import collector
 from pbonet.pbo import State
 
 THESIS = [
@@ -168,8 +170,13 @@ def test_parameter_without_any_task_is_asked_back(desk):
         ("spawn a b c d", "spawn: HZ is no number: c"),
         ("spawn a b 3 d", "spawn: one word too many: d"),
         ("freq pid fast", "freq: HZ is no number: fast"),
-        ("reconfig pid", "reconfig: no item: pid"),
+        ("reconfig pid", "reconfig: no TASK:SIGNAL, such as pid:off: pid"),
         ("reconfig", "reconfig: ITEM is missing"),
+        ("freq pid nan", "freq: HZ is not finite: nan"),
+        ("write Q_REF 1 inf", "write: VALUE is not finite: inf"),
+        ("events -5", "events: LAST is below 0: -5"),
+        ('on ""', "on: TASK is empty"),
+        ("on " + 2000 * "x", "on: TASK has 2000 characters"),
         ("status fields=cycles", "status has no field cycles"),
         ("on 'pid", "the line is not understood"),
     ],
@@ -238,12 +245,74 @@ def test_watcher_may_look_and_not_change():
 
 
 def test_warnings_come_with_the_reply(desk, stub):
-    before = stub.warned
-    stub.stop = lambda: stub.warned("slow") or SimpleNamespace(off=[], killed=["a"])
+    stub.stop = lambda: collector()("slow") or SimpleNamespace(off=[], killed=["a"])
     reply = desk.execute("stop")
     assert reply.warnings == ["slow"]
     assert render.text("stop", reply.data) == "ended by force: a"
-    assert stub.warned is before
+    assert collector() is None
+
+
+def test_warnings_of_commands_that_overlap_come_with_their_own_reply(stub):
+    """A stop comes while another command runs, and ends after it."""
+    stopping, started = threading.Event(), threading.Event()
+
+    def start(_):
+        started.set()
+        assert stopping.wait(10)
+        collector()("of start")
+        return []
+
+    def stop():
+        stopping.set()
+        starter.join(10)
+        collector()("of stop")
+        return SimpleNamespace(off=[], killed=[])
+
+    stub.start, stub.stop = start, stop
+    replies = []
+    starter = threading.Thread(
+        target=lambda: replies.append(Desk(stub).execute("start"))
+    )
+    starter.start()
+    assert started.wait(10)
+    replies.append(Desk(stub).execute("stop"))
+    assert [reply.warnings for reply in replies] == [["of start"], ["of stop"]]
+
+
+@pytest.mark.parametrize("seconds", ["-1", "1e30"])
+def test_nobody_waits_for_ever_or_backwards(stub, seconds):
+    desk = Desk(stub, hand_over=print)
+    with pytest.raises(StateError, match="nobody can wait so long"):
+        desk.execute(f"wait {seconds}")
+
+
+def test_a_client_of_the_network_keeps_nobody_waiting(desk):
+    with pytest.raises(StateError, match="wait makes no sense here"):
+        desk.execute("wait 1")
+
+
+def test_what_may_be_left_out_can_be_given_by_name(desk, stub):
+    desk.execute("spawn diff hz=40")
+    assert last(stub) == ("spawn", "diff", None, 40.0)
+    desk.execute("spawn diff rtpu=arm1")
+    assert last(stub) == ("spawn", "diff", "arm1", None)
+    desk.execute("set pid file task=3")  # all words that are left are the value
+    assert last(stub) == ("set", "pid", "file", "task=3")
+
+
+def test_events_shows_as_many_as_wanted(desk, stub):
+    stub.events = lambda *_: []
+    assert desk.execute("events 0").data == {"events": []}
+
+
+def test_task_that_is_gone_is_no_default(desk, stub):
+    desk.execute("off pid")
+    assert desk.prompt == "SBS arm<pid> "
+    stub.control = lambda *_: (stub.picture.pop("pid"), SimpleNamespace(state="x"))[1]
+    desk.execute("kill")
+    assert desk.prompt == "SBS arm<> "
+    with pytest.raises(UnknownTaskError, match="no task is named"):
+        desk.execute("on")
 
 
 def test_quit_ends_the_interface(desk):
@@ -281,6 +350,9 @@ def test_scopes_are_used():
         ("st", ["start", "status", "stop"]),
         ("spawn ", ["diff", "pid", "traj"]),
         ("spawn diff a", ["arm0", "arm1"]),
+        ("spawn diff ", ["arm0", "arm1", "hz="]),
+        ("spawn diff rtpu=", ["rtpu=arm0", "rtpu=arm1"]),
+        ("spawn diff rtpu=arm1 ", []),
         ("on ", ["text=", "traj"]),  # what is ON already is not offered
         ("off ", ["pid", "text="]),
         ("kill t", ["text=", "traj"]),

@@ -47,14 +47,21 @@ def test_status_has_warning_and_error_below_their_task():
     data = {
         "fields": list(DEFAULT),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
-        "rtpus": [{"rtpu": "arm0", "illegal": ["equation 2"]}],
+        "rtpus": [
+            {"rtpu": "arm0", "illegal": ["equation 2"]},
+            {"rtpu": "arm1", "illegal": ["equation 2", "arm1/pid died"]},
+        ],
     }
     lines = render.text("status", data).splitlines()
     assert lines[0].split() == list(DEFAULT)
     assert lines[1].startswith("pid ")
     assert lines[2:4] == ["WARNING> pid: slow", "ERROR> pid: q is NaN"]
     assert lines[4].startswith("traj ")
-    assert lines[5] == "ILLEGAL> arm0: equation 2"
+    assert lines[5:] == [
+        "ILLEGAL> arm0, arm1: equation 2",
+        "ILLEGAL> arm1: arm1/pid died",
+    ]
+    assert render.text("display", {"variables": []}) == "no variables"
     empty = render.text("status", {"fields": ["rmod"], "tasks": [], "rtpus": []})
     assert empty == "no tasks"
 
