@@ -33,11 +33,20 @@ class Grammar:
     Args:
         text: The order as people read it.
         after: Keywords that may follow the block.
+        either: Keywords of which only one may be given; whoever reads the block refuses
+            two, here they are not offered.
     """
 
-    def __init__(self, text: str, *, after: tuple[str, ...] = ("EOF",)) -> None:
+    def __init__(
+        self,
+        text: str,
+        *,
+        after: tuple[str, ...] = ("EOF",),
+        either: tuple[str, ...] = (),
+    ) -> None:
         self.text = text
         self.after = after
+        self.either = either
         self.stages = [Stage(part) for part in text.split()]
         self.stage_of = {
             keyword: number
@@ -53,8 +62,11 @@ class Grammar:
     def next_after(self, number: int, found: Block) -> list[str]:
         """Return the keywords that may stand behind stage `number`."""
         words: list[str] = []
+        had = set(found.lines)
+        if not had.isdisjoint(self.either):
+            had.update(self.either)
         for index, stage in enumerate(self.stages[max(number, 0) :], max(number, 0)):
-            missing = [k for k in stage.keywords if k not in found.lines]
+            missing = [k for k in stage.keywords if k not in had]
             words += stage.keywords if stage.many else missing
             if index > number and not stage.optional:
                 return words

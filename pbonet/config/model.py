@@ -185,6 +185,11 @@ class JobTask(Struct, frozen=True, kw_only=True):
     freq: float | None = None
     place: Place | None = None
 
+    @property
+    def told(self) -> dict[str, Place]:
+        """Where the job says what an RMOD could say too."""
+        return {"RTPU": self.place} if self.rtpu and self.place else {}
+
 
 class Condition(Struct, frozen=True):
     """A PRE or POST condition, as written."""

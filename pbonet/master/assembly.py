@@ -34,7 +34,8 @@ def plan(crew: Crew, job: JobFile) -> list[Member]:
         try:
             member = crew.plan(crew.files.rmod(task.rmod), task.rtpu, task.freq)
         except PbonetError as error:
-            error.where = error.where or str(task.place or job.file)
+            if not error.where or task.rtpu not in {None, *crew.fleet.names}:
+                error.where = str(task.place or job.file)
             errors.append(error)
             continue
         members.append(member)

@@ -123,7 +123,13 @@ def _check_job(found: Findings, files: Files) -> None:
             continue
         rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
         tasks.append(
-            verify.Task(rmod=rmod, info=loaded.info, rtpu=rtpu, freq=wanted.freq)
+            verify.Task(
+                rmod=rmod,
+                info=loaded.info,
+                rtpu=rtpu,
+                freq=wanted.freq,
+                told=wanted.told,
+            )
         )
     empty = verify.Configuration(
         svar=files.table,

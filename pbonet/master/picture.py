@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
+
+from pbonet.config.model import Place
 
 from pbonet.errors import UnknownTaskError, did_you_mean
 from pbonet.master.files import RmodSource
@@ -27,6 +30,8 @@ class Member(Struct, kw_only=True):
     state: State = State.NOT_CREATED
     info: ModuleInfo | None = None
     """Of its module; None while no agent was asked."""
+    told: Mapping[str, Place] = {}
+    """As in `verify.Task`."""
 
     @property
     def name(self) -> str:
@@ -47,7 +52,11 @@ class Member(Struct, kw_only=True):
     def task(self) -> Task:
         """The task as verification looks at it."""
         return Task(
-            rmod=self.rmod, info=self.info, rtpu=self.rtpu, freq=self.freq or None
+            rmod=self.rmod,
+            info=self.info,
+            rtpu=self.rtpu,
+            freq=self.freq or None,
+            told=self.told,
         )
 
     @property

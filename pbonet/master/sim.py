@@ -290,7 +290,7 @@ class Simulation:
                 remedy="run the job without --sim",
             )
         info = self._library.load(record.module).info
-        return Member(source=source, rtpu=rtpu, freq=freq, info=info)
+        return Member(source=source, rtpu=rtpu, freq=freq, info=info, told=wanted.told)
 
     def _judged(self, tasks: list[verify.Task], *, producers: bool) -> verify.Verdict:
         """Judge the job; with `producers`, remedies can name RMODs of the library."""

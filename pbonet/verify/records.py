@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from pbonet.config.model import Rmod, RtpuEntry, SvarFile, Variable
+from pbonet.config.model import Place, Rmod, RtpuEntry, SvarFile, Variable
 from pbonet.pbo import ModuleInfo
 from pbonet.sched.soft import Profile
 
@@ -100,6 +100,8 @@ class Task(Struct, frozen=True, kw_only=True):
     """Execution profile as measured (section 6.4); its end is MAXC if none is given."""
     task: str = ""
     """Its name, when that is not the RMOD's."""
+    told: Mapping[str, Place] = {}
+    """Where a job says something in place of the RMOD, such as its RTPU."""
 
     @property
     def name(self) -> str:
@@ -149,8 +151,9 @@ class Task(Struct, frozen=True, kw_only=True):
         return next(port for port in ports if self.rmod.svar_name(port) == variable)
 
     def place(self, keyword: str) -> str:
-        """Return where the RMOD says `keyword`, or its file's name."""
-        return str(self.rmod.places.get(keyword, self.rmod.file))
+        """Return where the job or the RMOD says `keyword`, or the RMOD's file."""
+        said = self.told.get(keyword) or self.rmod.places.get(keyword)
+        return str(said or self.rmod.file)
 
 
 class Configuration(Struct, frozen=True, kw_only=True):

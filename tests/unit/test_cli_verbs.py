@@ -91,6 +91,22 @@ def test_verbs_hold_no_logic():
         assert not any(isinstance(n, ast.While | ast.Try) for n in ast.walk(tree))
 
 
+@pytest.mark.parametrize(
+    "words", [("check",), ("run", "--sim", "--seconds", "0.1")], ids=["check", "run"]
+)
+def test_rtpu_misspelt_in_a_job_is_said_of_the_job(call, tmp_path, words):
+    for file in PUMA.glob("puma.*"):
+        text = file.read_text().replace("grav_comp  arm1", "grav_comp  arm11")
+        (tmp_path / file.name).write_text(text)
+    job = tmp_path / "puma.job"
+    line = job.read_text().splitlines().index("TASK  grav_comp  arm11") + 1
+    verb, *options = words
+    status, out, err = call(verb, str(job), *options)
+    assert status == 1
+    assert f"{job}:{line}:1: task grav_comp is to run on arm11" in out + err
+    assert "did you mean arm1?" in out + err
+
+
 def test_user_error_is_told_without_a_stack(call):
     status, out, err = call("describe", "dif")
     assert (status, out) == (1, "")
