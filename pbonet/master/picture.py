@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet.config.model import Place
-
 from pbonet.errors import UnknownTaskError, did_you_mean
 from pbonet.master.files import RmodSource
 from pbonet.pbo import ModuleInfo, State
