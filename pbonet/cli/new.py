@@ -35,6 +35,10 @@ def module(
     ] = None,
     desc: A[str, typer.Option(help="What it does, in one line.")] = "",
     freq: A[float, typer.Option(help="Its frequency, Hz.", min=1e-3)] = 100.0,
+    timing_failure: A[
+        bool,
+        typer.Option("--timing-failure", help="With a handler of timing failures."),
+    ] = False,
     folder: A[Path, typer.Option(help="Where it is written.")] = Path(),
     force: A[bool, typer.Option("--force", help="Write over files.")] = False,
     json_: options.Json = False,
@@ -52,7 +56,14 @@ def module(
         "outconst": outconst or [],
     }
     paths = writing.new_module(
-        name, ports, svar=svar, desc=desc, freq=freq, folder=folder, force=force
+        name,
+        ports,
+        svar=svar,
+        desc=desc,
+        freq=freq,
+        timing_failure=timing_failure,
+        folder=folder,
+        force=force,
     )
     if json_:
         print(msgspec.json.encode({"files": list(map(str, paths))}).decode())

@@ -14,11 +14,14 @@ from pbonet.errors import ConfigFileError
 from .agent import parse_agent, read_agent
 from .job import parse_job, read_job, write_job
 from .model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
+from .needs import Missing, missing_methods
 from .rmod import parse_rmod, read_rmod, rmod_name, write_rmod
 from .sbs import parse_sbs, read_sbs, write_sbs
 from .svar import parse_svar, read_svar, write_svar
 
 __all__ = [
+    "Missing",
+    "missing_methods",
     "parse_agent",
     "parse_job",
     "parse_rmod",

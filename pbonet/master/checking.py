@@ -26,7 +26,12 @@ if TYPE_CHECKING:
     from pbonet.errors import WireError
 
 
-_BY_ITSELF = {verify.Code.PORTS, verify.Code.NO_STABLE}
+_BY_ITSELF = {
+    verify.Code.PORTS,
+    verify.Code.NO_STABLE,
+    verify.Code.NO_METHOD,
+    verify.Code.TIMES,
+}
 """What can be said of an RMOD without the table and the other tasks."""
 
 

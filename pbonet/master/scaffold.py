@@ -10,20 +10,21 @@ import keyword
 import sys
 from typing import TYPE_CHECKING
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from pbonet.config import write_rmod
 from pbonet.config.model import Rmod, TaskType
 from pbonet.config.types import element_type
-from pbonet.errors import ConfigError, did_you_mean
-from pbonet.pbo import METHODS
-from pbonet.ports import NAME_FORM, Kind, name_fault, parse_shape, shape_text
+from pbonet.errors import ConfigError
+from pbonet.ports import Kind, parse_shape, shape_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pbonet.config.model import SvarFile, Variable
+    from pbonet.config.model import SvarFile
+
+    from .newport import NewPort
 
 _CLASSES = {
     Kind.INCONST: "InConst",
@@ -31,103 +32,8 @@ _CLASSES = {
     Kind.INVAR: "InVar",
     Kind.OUTVAR: "OutVar",
 }
-_RESERVED = frozenset({*METHODS, "params", "task", "name", "freq", "clock", "critical"})
 _IMPORTED = frozenset({"pbonet", "numpy", "pytest"})
 _WIDTH = 88
-
-
-class NewPort(Struct, frozen=True, kw_only=True):
-    """One port of a module that is to be written."""
-
-    name: str
-    kind: Kind
-    shape: str
-    unit: str
-    type: str = "double"
-    """As a ``.svar`` file has it."""
-    doc: str = ""
-
-    @property
-    def attr(self) -> str:
-        """The attribute: lower case, a ``^`` (a derivative) becomes ``d``."""
-        head, hat, tail = self.name.partition("^")
-        word = f"{head}d{tail}" if hat else head
-        word = "".join(c if c.isalnum() or c == "_" else "_" for c in word.lower())
-        word = word.lstrip("_") or "port"
-        if not word[0].isalpha():
-            word = f"port_{word}"
-        if keyword.iskeyword(word) or word in _RESERVED:
-            word += "_"
-        return word
-
-
-def read_port(text: str, kind: Kind, svar: SvarFile | None = None) -> NewPort:
-    """Return the port that ``NAME[:SHAPE[:UNIT[:TYPE]]]`` means.
-
-    What is left out comes from the ``.svar`` file; without one, the unit must be there.
-
-    Args:
-        text: Such as ``Q_MEZ``, ``Q_MEZ:ndof:rad`` or ``NDOF:1:none:int``.
-        kind: What the port is.
-        svar: Variables by name.
-
-    Raises:
-        ConfigError: Something is missing or cannot be.
-    """
-    name, *words = text.split(":")
-    variable = _variable(name, svar)
-    given = dict(zip(("shape", "unit", "type"), words, strict=False))
-    if len(words) > len(("shape", "unit", "type")):
-        raise ConfigError(
-            "a port has at most four parts",
-            where=text,
-            expected="NAME:SHAPE:UNIT:TYPE",
-        )
-    if variable is None and not given.get("unit"):
-        raise ConfigError(
-            f"the unit of port {name} is not known",
-            where=text,
-            expected=f"{name}:SHAPE:UNIT, such as {name}:6:rad",
-            remedy="write it (none for a pure number), or name a .svar file",
-        )
-    port = NewPort(
-        name=name,
-        kind=kind,
-        shape=given.get("shape") or (str(variable.nelem) if variable else "1"),
-        unit=given.get("unit") or (variable.units if variable else "none"),
-        type=given.get("type") or (variable.type if variable else "double"),
-        doc=variable.desc if variable else "",
-    )
-    _check(port, text)
-    return port
-
-
-def _variable(name: str, svar: SvarFile | None) -> Variable | None:
-    if svar is None:
-        return None
-    known = {variable.name: variable for variable in svar.variables}
-    if name not in known:
-        raise ConfigError(
-            f"there is no variable {name}",
-            where=svar.file,
-            remedy=did_you_mean(name, known) or "define it there first",
-        )
-    return known[name]
-
-
-def _check(port: NewPort, text: str) -> None:
-    if fault := name_fault(port.name):
-        raise ConfigError(fault, where=text, expected=NAME_FORM, got=f'"{port.name}"')
-    try:
-        parse_shape(port.shape)
-    except ValueError as error:
-        raise ConfigError(f"the shape {error}", where=text) from None
-    if element_type(port.type) is None:
-        raise ConfigError(
-            f"there is no type {port.type}",
-            where=text,
-            expected="double, int, bool ...",
-        )
 
 
 def scaffold(
@@ -137,6 +43,7 @@ def scaffold(
     desc: str = "",
     freq: float = 100.0,
     svar: SvarFile | None = None,
+    timing_failure: bool = False,
     own_tree: bool = False,
 ) -> dict[str, str]:
     """Return the files of a new module, by their names in the library's folder.
@@ -148,6 +55,8 @@ def scaffold(
         freq: Its default frequency in Hz.
         svar: Where sizes are named by a constant: a number of elements that equals the
             first value of an integer constant port is written as that constant.
+        timing_failure: Whether it has a handler of timing failures, to begin with
+            one that gives up a cycle which misses its deadline.
         own_tree: Whether the files go into a project that has pbonet's own source,
             where a blank line separates its imports from numpy's; see `in_own_tree`.
 
@@ -162,9 +71,13 @@ def scaffold(
     ports = _named_sizes(ports, svar)
     desc = desc.strip().rstrip(".") or f"Module {name}"
     return {
-        f"{name}.py": _module_text(name, ports, desc, apart=own_tree),
+        f"{name}.py": _module_text(
+            name, ports, desc, handler=timing_failure, apart=own_tree
+        ),
         f"{name}.rmod": _rmod_text(name, ports, desc, freq),
-        f"tests/test_{name}.py": _test_text(name, ports, apart=own_tree),
+        f"tests/test_{name}.py": _test_text(
+            name, ports, handler=timing_failure, apart=own_tree
+        ),
     }
 
 
@@ -306,10 +219,24 @@ def _doc(port: NewPort) -> str:
     return f"{'constant ' if port.kind.is_const else ''}{kind} {port.name}"
 
 
-def _module_text(name: str, ports: Sequence[NewPort], desc: str, *, apart: bool) -> str:
+_HANDLER = '''    def timing_failure(self, kind: TimingFailure) -> Recovery:
+        """Give up a cycle that misses its deadline; `on` begins anew behind it."""
+        return Recovery.ABORT if kind is TimingFailure.DEADLINE else Recovery.CONTINUE
+'''
+
+
+def _module_text(
+    name: str, ports: Sequence[NewPort], desc: str, *, handler: bool, apart: bool
+) -> str:
     outvars = [port for port in ports if port.kind is Kind.OUTVAR]
     outconsts = [port for port in ports if port.kind is Kind.OUTCONST]
-    lines = [f'"""{_sentence(desc, 4)}"""', "", *_imports(ports, apart=apart), "", ""]
+    lines = [
+        f'"""{_sentence(desc, 4)}"""',
+        "",
+        *_imports(ports, handler=handler, apart=apart),
+        "",
+        "",
+    ]
     lines += [f"class {class_name(name)}(PortBasedObject):"]
     lines += [f'    """{_sentence(desc, 8)}"""', ""]
     for kind in Kind:
@@ -335,6 +262,7 @@ def _module_text(name: str, ports: Sequence[NewPort], desc: str, *, apart: bool)
         *(f"        {line}" for line in _law_help(outvars)),
         '        """',
         "",
+        *(_HANDLER.splitlines() if handler else ()),
     ]
     return "\n".join(lines).rstrip("\n") + "\n"
 
@@ -346,7 +274,7 @@ def _sentence(desc: str, indent: int) -> str:
     return (text if len(text) <= room else text[: room - 3].rstrip() + "..") + "."
 
 
-def _imports(ports: Sequence[NewPort], *, apart: bool) -> list[str]:
+def _imports(ports: Sequence[NewPort], *, handler: bool, apart: bool) -> list[str]:
     types = {_annotation(port) for port in ports}
     arrays = sorted(kind for kind in types if kind.startswith("NDArray"))
     names = {"PortBasedObject", *(types & {"Vector", "Matrix"})}
@@ -355,8 +283,12 @@ def _imports(ports: Sequence[NewPort], *, apart: bool) -> list[str]:
     if arrays:
         lines += ["import numpy as np", "from numpy.typing import NDArray"]
         lines += [""] if apart else []
+    names |= {"Recovery", "TimingFailure"} if handler else set()
     line = f"from pbonet import {', '.join(sorted(names))}"
-    return [*lines, line]
+    if len(line) <= _WIDTH:
+        return [*lines, line]
+    each = [f"    {name}," for name in sorted(names)]
+    return [*lines, "from pbonet import (", *each, ")"]
 
 
 def _first_value(port: NewPort, ports: Sequence[NewPort]) -> list[str]:
@@ -408,7 +340,7 @@ from pathlib import Path
 
 {numpy}from pbonet.config import read_rmod
 from pbonet.config.library import Library
-from pbonet.pbo import State
+from pbonet.pbo import {words}
 from pbonet.testing import Bench
 
 FOLDER = Path(__file__).parents[1]
@@ -427,7 +359,7 @@ def test_it_lives_a_whole_life() -> None:
     assert bench.step(n=10) is State.ON
     assert bench.off() is State.OFF
     assert bench.kill() is State.NOT_CREATED
-{bumpless}'''
+{bumpless}{late}'''
 
 _BUMPLESS = """
 
@@ -438,7 +370,20 @@ def test_it_starts_where_the_last_writer_stopped() -> None:
 """
 
 
-def _test_text(name: str, ports: Sequence[NewPort], *, apart: bool) -> str:
+_LATE = """
+
+def test_a_late_cycle_is_given_up() -> None:
+    bench = Bench(MODULE.cls{given})
+    bench.on()
+    assert bench.timing_failure(TimingFailure.DEADLINE) is Recovery.ABORT
+    assert bench.timing_failure(TimingFailure.MAXEXEC) is Recovery.CONTINUE
+    assert bench.step() is State.ON
+"""
+
+
+def _test_text(
+    name: str, ports: Sequence[NewPort], *, handler: bool, apart: bool
+) -> str:
     values = _bench_values(ports)
     text = "".join(f"    {_quoted(word)}: {value},\n" for word, value in values.items())
     given = ", VALUES" if values else ""
@@ -450,6 +395,8 @@ def _test_text(name: str, ports: Sequence[NewPort], *, apart: bool) -> str:
         values=f"VALUES = {{\n{text}}}\n" if values else "",
         given=given,
         bumpless=_bumpless(first, given) if first else "",
+        words="Recovery, State, TimingFailure" if handler else "State",
+        late=_LATE.format(given=given) if handler else "",
     )
 
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from pbonet.config import read_svar
 from pbonet.errors import ConfigFileError
-from pbonet.master.scaffold import in_own_tree, read_port, scaffold
+from pbonet.master.newport import read_port
+from pbonet.master.scaffold import in_own_tree, scaffold
 from pbonet.ports import Kind
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def new_module(
     svar: Path | None = None,
     desc: str = "",
     freq: float = 100.0,
+    timing_failure: bool = False,
     folder: Path,
     force: bool = False,
 ) -> list[Path]:
@@ -40,6 +42,7 @@ def new_module(
         svar: A file that knows what is left out.
         desc: What the module does.
         freq: Its default frequency in Hz.
+        timing_failure: Whether it has a handler of timing failures.
         folder: Where to write.
         force: Write over files that stand there.
 
@@ -56,7 +59,13 @@ def new_module(
         for text in ports.get(key, ())
     ]
     texts = scaffold(
-        name, wanted, desc=desc, freq=freq, svar=table, own_tree=in_own_tree(folder)
+        name,
+        wanted,
+        desc=desc,
+        freq=freq,
+        svar=table,
+        timing_failure=timing_failure,
+        own_tree=in_own_tree(folder),
     )
     paths = {folder / file: text for file, text in texts.items()}
     standing = [path for path in paths if path.exists()]

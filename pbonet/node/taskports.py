@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from pbonet.config.model import TaskType
+from pbonet.config import missing_methods
 from pbonet.errors import DeclarationError, PortError, did_you_mean
-from pbonet.pbo import METHODS
 from pbonet.ports import Kind
 
 if TYPE_CHECKING:
@@ -49,7 +48,8 @@ def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
         PortError: A port is missing on one side, or is of another kind.
         DeclarationError: A method that the RMOD counts on is missing.
     """
-    _check_methods(rmod, info)
+    for what, where, expected, remedy in missing_methods(rmod, info):
+        raise DeclarationError(what, where=where, expected=expected, remedy=remedy)
     for kind, names in listed(rmod).items():
         declared = info.named(kind)
         for name in names:
@@ -71,27 +71,3 @@ def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
                     got=" ".join(names) or "none",
                     remedy=f"module {info.name} declares it: add it to the file",
                 )
-
-
-def _check_methods(rmod: Rmod, info: ModuleInfo) -> None:
-    wanted = {
-        "timing_failure": f"HANDLER {rmod.handler}" if rmod.handler else "",
-        "sync": f"TASKTYPE {rmod.tasktype}"
-        if rmod.tasktype is not TaskType.PERIODIC
-        else "",
-    }
-    for name, reason in wanted.items():
-        if reason and name not in info.methods:
-            keyword = reason.split()[0]
-            raise DeclarationError(
-                f"module {info.name} has no {name}(), which {reason} counts on",
-                where=str(rmod.places.get(keyword, rmod.file)),
-                expected=f"def {name}{METHODS[name]}",
-                remedy=_REMEDIES[name].format(file=info.file or info.name),
-            )
-
-
-_REMEDIES = {
-    "timing_failure": "write it in {file}, or take HANDLER out of the .rmod file",
-    "sync": "write in {file} how the task waits for its event, or make it periodic",
-}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pbonet.config import missing_methods
 from pbonet.config.types import numpy_type
 from pbonet.errors import did_you_mean
 from pbonet.ports import Kind, Port, accepts, wanted
@@ -32,6 +33,7 @@ def check_task(configuration: Configuration, task: Task) -> Iterator[Problem]:
     if task.info is not None:
         yield from _ports(task, task.info)
         yield from _stable(task, task.info)
+        yield from _methods(task, task.info)
     for kind, keyword in KEYWORDS.items():
         yield from _variables(configuration.table, task, kind, keyword)
 
@@ -68,6 +70,18 @@ def _stable(task: Task, info: ModuleInfo) -> Iterator[Problem]:
             expected="a module that says what it does while the configuration is "
             "illegal",
             remedy=f"write stable(self, dt) in {info.name}, or take CRITICAL out",
+            tasks=(task.name,),
+        )
+
+
+def _methods(task: Task, info: ModuleInfo) -> Iterator[Problem]:
+    for what, where, expected, remedy in missing_methods(task.rmod, info):
+        yield Problem(
+            code=Code.NO_METHOD,
+            what=what,
+            where=where,
+            expected=expected,
+            remedy=remedy,
             tasks=(task.name,),
         )
 

@@ -45,6 +45,8 @@ class Code(StrEnum):
     INIT_CYCLE = "init-cycle"
     NO_STABLE = "no-stable"
     """A CRITICAL task's module has no `stable`."""
+    NO_METHOD = "no-method"
+    """The RMOD counts on a method that its module does not have."""
     UNKNOWN_RTPU = "unknown-rtpu"
     UNKNOWN_TASK = "unknown-task"
     TIMES = "times"

@@ -27,7 +27,6 @@ def check_times(task: Task) -> Iterator[Problem]:
             yield found
     elif is_server(task):
         yield from _beyond(task, ("CAPACITY",))
-        yield from _incomplete(task)
     yield from _understated(task)
 
 
@@ -53,27 +52,6 @@ def _soften(keyword: str) -> str:
     if keyword != "MAXC":
         return ""
     return "; with SOFTNESS a cycle may go on into the next periods"
-
-
-def _incomplete(task: Task) -> Iterator[Problem]:
-    """Warn of a server of which nothing can be reserved."""
-    missing = [
-        keyword
-        for keyword, value in (("CAPACITY", task.rmod.capacity), ("FREQ", task.hz))
-        if value is None
-    ]
-    if missing:
-        yield Problem(
-            code=Code.TIMES,
-            severity=Severity.WARN,
-            what=f"the server {task.name} has no {' and no '.join(missing)}, so the "
-            "analysis reserves nothing for it",
-            where=task.place("TASKTYPE"),
-            expected="CAPACITY in seconds, to be had once in each period of FREQ",
-            got=f"no {' and no '.join(missing)}",
-            remedy=f"add {' and '.join(missing)} to the .rmod",
-            tasks=(task.name,),
-        )
 
 
 def _understated(task: Task) -> Iterator[Problem]:

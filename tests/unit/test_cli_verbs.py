@@ -186,6 +186,9 @@ def test_check_compares_an_rmod_with_its_module(call, tmp_path):
         ("MODULE    diff", "MODULE    dif", "did you mean diff?"),
         ("MODULE    diff", "MODULE    dif", f"{rmod}:1:1: the library has no module"),
         ("FREQ", "FREK", "did you mean FREQ?"),
+        ("\nLOCAL", "\nMAXC 1\nLOCAL", "MAXC of task mine is above its period"),
+        ("periodic", "synchronous", f"{rmod}:7:1: module diff has no sync()"),
+        ("\nLOCAL", "\nHANDLER 6\nLOCAL", "module diff has no timing_failure()"),
     ):
         assert old in text
         rmod.write_text(text.replace(old, new, 1))

@@ -10,13 +10,8 @@ import pytest
 from pbonet.config import parse_rmod, parse_svar
 from pbonet.config.library import Library
 from pbonet.errors import ConfigError
-from pbonet.master.scaffold import (
-    NewPort,
-    class_name,
-    in_own_tree,
-    read_port,
-    scaffold,
-)
+from pbonet.master.newport import NewPort, read_port
+from pbonet.master.scaffold import class_name, in_own_tree, scaffold
 from pbonet.ports import Kind
 
 ROOT = Path(__file__).parents[2]
@@ -77,13 +72,18 @@ MODULES = {
 }
 
 
+HANDLERS = ("mysample", "no_ports", "long_names")
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("new")
     (folder / "tests").mkdir()
     for name, its in MODULES.items():
         desc = {"odd_one": 'A "quoted" \\ thing, ' + "and long " * 20}.get(name, "")
-        for file, text in scaffold(name, its, desc=desc).items():
+        handler = name in HANDLERS
+        made = scaffold(name, its, desc=desc, timing_failure=handler)
+        for file, text in made.items():
             (folder / file).write_text(text)
     return folder
 
@@ -145,6 +145,12 @@ def test_class_and_rmod_agree(folder, name):
     assert [port.name for port in info.ports if port.kind is IV] == [
         port.name for port in MODULES[name] if port.kind is IV
     ]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_handler_of_timing_failures_is_written_when_asked_for(folder, name):
+    methods = Library([folder]).load(name).info.methods
+    assert ("timing_failure" in methods) == (name in HANDLERS)
 
 
 def test_the_module_of_the_thesis(folder):

@@ -5,7 +5,8 @@ from verify_parts import configuration, module, port, rtpu, task, texts
 
 from pbonet import verify
 from pbonet.config import parse_rmod
-from pbonet.config.model import Variable
+from pbonet.config.model import TaskType, Variable
+from pbonet.verify.demands import SERVER_TYPES
 
 RMOD = """MODULE mod
 DESC a differentiator
@@ -185,6 +186,32 @@ def test_critical_needs_stable() -> None:
         "a.rmod: task a is CRITICAL, but its module mod has no stable() (expected a "
         "module that says what it does while the configuration is illegal); write "
         "stable(self, dt) in mod, or take CRITICAL out"
+    ]
+
+
+@pytest.mark.parametrize(
+    "tasktype", [kind for kind in TaskType if kind is not TaskType.PERIODIC]
+)
+def test_a_task_that_the_clock_does_not_time_needs_sync(tasktype: TaskType) -> None:
+    given = {"capacity": 0.001} if tasktype in SERVER_TYPES else {}
+    info = module(port("outvar", "X"), methods=("cycle",))
+    one = task("a", outvar="X", info=info, tasktype=tasktype, **given)
+    assert texts(configuration(one)) == [
+        f"a.rmod: module mod has no sync(), which TASKTYPE {tasktype} counts on "
+        "(expected def sync(self) in mod); write there how the task waits for its "
+        "event, or make it periodic"
+    ]
+    one = task("a", outvar="X", tasktype=tasktype, **given)
+    assert texts(configuration(one)) == []
+
+
+def test_a_handler_needs_its_method() -> None:
+    info = module(port("outvar", "X"), methods=("cycle",))
+    assert texts(configuration(task("a", outvar="X", handler=6))) == []
+    assert texts(configuration(task("a", outvar="X", info=info, handler=6))) == [
+        "a.rmod: module mod has no timing_failure(), which HANDLER 6 counts on "
+        "(expected def timing_failure(self, kind) in mod); write there what is to be "
+        "done, or take HANDLER out of the .rmod file"
     ]
 
 

@@ -154,15 +154,6 @@ def test_servers_alone_may_be_too_large() -> None:
     assert problem.what == "the servers s and t are larger than RTPU arm0 can bear"
 
 
-def test_a_server_without_capacity_or_rate_is_told() -> None:
-    made = task("s", freq=None, tasktype=TaskType.SPORADIC)
-    assert texts(configuration(made, rtpus=[rtpu()])) == [
-        "s.rmod: the server s has no CAPACITY and no FREQ, so the analysis reserves "
-        "nothing for it (expected CAPACITY in seconds, to be had once in each period "
-        "of FREQ, got no CAPACITY and no FREQ); add CAPACITY and FREQ to the .rmod"
-    ]
-
-
 def test_a_fixed_criticality_may_spoil_the_critical_set() -> None:
     config = figure_6_1("MUF", crit=5)
     found = only(config)

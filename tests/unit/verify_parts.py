@@ -15,7 +15,12 @@ LISTS = {
 }
 
 
-def module(*ports: Port, critical_ok: bool = True) -> ModuleInfo:
+METHODS = ("cycle", "sync", "timing_failure")
+
+
+def module(
+    *ports: Port, critical_ok: bool = True, methods: tuple[str, ...] = METHODS
+) -> ModuleInfo:
     return ModuleInfo(
         name="mod",
         cls="Mod",
@@ -24,7 +29,7 @@ def module(*ports: Port, critical_ok: bool = True) -> ModuleInfo:
         file="",
         ports=ports,
         params=(),
-        methods=("cycle",),
+        methods=methods,
         critical_ok=critical_ok,
     )
 
