@@ -13,6 +13,7 @@ from pbonet.config import read_rmod
 from pbonet.config.library import Library
 from pbonet.errors import DeclarationError
 from pbonet.node.lifecycle import Step
+from pbonet.node.taskports import check_ports
 from pbonet.pbo import METHODS, decode_params
 
 ROOT = Path(__file__).parents[2]
@@ -23,14 +24,18 @@ PAGE = (ROOT / "docs" / "modules.md").read_text()
 def folder(tmp_path):
     """A folder with the files of the page."""
     shown = re.findall(r"<!-- file: (\S+) -->\n```\w*\n(.*?)```", PAGE, re.DOTALL)
-    assert [name for name, _ in shown] == ["hold.py", "test_hold.py", "hold.rmod"]
+    assert [name for name, _ in shown] == [
+        *("hold.py", "test_hold.py", "hold.rmod"),
+        *("reach.py", "test_reach.py"),
+        *("gripper.py", "gripper.rmod", "test_gripper.py"),
+    ]
     for name, text in shown:
         (tmp_path / name).write_text(text)
     return tmp_path
 
 
 @pytest.mark.slow
-def test_the_example_passes_its_own_test(folder):
+def test_the_examples_pass_their_own_tests(folder):
     options = ("-q", "-p", "no:cacheprovider", "--rootdir", folder)
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, folder],
@@ -40,14 +45,23 @@ def test_the_example_passes_its_own_test(folder):
         check=False,
     )
     assert done.returncode == 0, done.stdout
-    assert "3 passed" in done.stdout
+    assert "8 passed" in done.stdout
 
 
-def test_the_example_passes_ruff(folder):
+@pytest.mark.parametrize("name", ["hold.py", "reach.py", "gripper.py"])
+def test_the_examples_pass_ruff(folder, name):
     own = 'lint.isort.known-first-party=["pbonet"]'
-    options = ("--no-cache", "--config", str(ROOT / "pyproject.toml"), "--config", own)
+    own_form = ("--ignore", "ARG002")  # `cycle` has `dt` whether it is used or not
+    options = (
+        *own_form,
+        "--no-cache",
+        "--config",
+        str(ROOT / "pyproject.toml"),
+        "--config",
+        own,
+    )
     done = subprocess.run(
-        [Path(sys.executable).parent / "ruff", "check", "hold.py", *options],
+        [Path(sys.executable).parent / "ruff", "check", name, *options],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -62,6 +76,13 @@ def test_the_rmod_of_the_page_configures_the_module_of_the_page(folder):
     params = decode_params(loaded.cls, rmod.local)
     assert (params.kp, params.kd, params.limit) == (40.0, 4.0, 20.0)
     assert set(rmod.invar) == {p.name for p in loaded.info.ports if p.kind == "in-var"}
+
+
+def test_the_server_of_the_page_has_what_a_server_needs(folder):
+    rmod = read_rmod(folder / "gripper.rmod")
+    info = Library([folder]).load(rmod.module).info
+    check_ports(rmod, info)
+    assert (rmod.tasktype, rmod.capacity, rmod.freq) == ("deferrable", 0.005, 10.0)
 
 
 SVAR = """
