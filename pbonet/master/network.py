@@ -37,7 +37,7 @@ from pbonet.errors import (
 from pbonet.master import render
 from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, Reply, convert
-from pbonet.xm import keys
+from pbonet.xm import codec, keys
 from pbonet.xm import messages as m
 from pbonet.xm.rundir import check_name
 
@@ -196,7 +196,7 @@ class Port:
             try:
                 order = _decode(data)
             except PbonetError as error:
-                failed = m.failure(error, m.request_id(data))
+                failed = codec.failure(error, codec.request_id(data))
                 self._reply(query, msgspec.msgpack.encode(failed))
                 continue
             if order.command == "stop" or order.line.strip() == "stop":
@@ -226,10 +226,10 @@ class Port:
         try:
             reply = self._do(order)
         except PbonetError as error:
-            return m.failure(error, order.id)
+            return codec.failure(error, order.id)
         except Exception as error:  # the port outlives any command
             log.exception("the command %s failed inside pbonet", order.command)
-            return m.failure(
+            return codec.failure(
                 NodeError(f"it failed inside pbonet: {type(error).__name__}: {error}"),
                 order.id,
             )
@@ -332,10 +332,10 @@ def _decode(data: bytes) -> Order:
     Raises:
         ProtocolError: It is malformed, too long, or of another version.
     """
-    if len(data) > m.Codec.MAX_BYTES:
+    if len(data) > codec.Codec.MAX_BYTES:
         raise ProtocolError(
             "the message is too long",
-            expected=f"at most {m.Codec.MAX_BYTES} bytes",
+            expected=f"at most {codec.Codec.MAX_BYTES} bytes",
             got=f"{len(data)} bytes",
         )
     try:

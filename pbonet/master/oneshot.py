@@ -31,7 +31,7 @@ from pbonet.master.files import Files
 from pbonet.master.fleet import client_name
 from pbonet.master.network import Order
 from pbonet.master.subsystem import Subsystem
-from pbonet.xm import keys, rpc, session
+from pbonet.xm import codec, keys, rpc, session
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -152,7 +152,7 @@ def ask(
                 raise NoAnswerError(
                     f"the master did not answer within {_FORWARD_TIME:g} s", where=key
                 )
-            return _reply(m.Codec().answer(reply.ok.payload.to_bytes()))
+            return _reply(codec.Codec().answer(reply.ok.payload.to_bytes()))
         if not client.tokens(key) or time.monotonic() > deadline:
             raise UnreachableError("the master has gone", where=key)
         time.sleep(_PAUSE)  # its port was opened a moment ago

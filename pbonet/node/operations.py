@@ -20,6 +20,7 @@ from pbonet.errors import (
     StateError,
     SvarFullError,
 )
+from pbonet.xm import codec
 from pbonet.xm import messages as m
 
 from . import control, inspecting, params, spawning, status, wire
@@ -35,8 +36,9 @@ LONGEST = 3600.0
 """Seconds that anybody may ask to wait."""
 LARGEST_LIST = 900_000
 """Bytes of events in one answer; the asker goes on from the last number it got."""
-_UNCLAIMED = m.Hello | m.Claim | m.Status | m.Display | m.Modules | m.Stop | m.Events
-_READING = m.Hello | m.Status | m.Display | m.Modules | m.Events | m.Get
+_LOOKING = m.Hello | m.Status | m.Profile | m.Display | m.Modules | m.Events
+_UNCLAIMED = _LOOKING | m.Claim | m.Stop
+_READING = _LOOKING | m.Get
 _DISK_FULL = 28
 
 Masters = list[tuple[str, str]] | None
@@ -52,7 +54,7 @@ class Operations:
 
     def __init__(self, rtpu: Rtpu) -> None:
         self._rtpu = rtpu
-        self._codec = m.Codec()
+        self._codec = codec.Codec()
         self._answers: OrderedDict[tuple[str, str], asyncio.Task[bytes]] = OrderedDict()
         self._masters: Masters = None
         self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
@@ -68,6 +70,7 @@ class Operations:
             m.Set: self._set,
             m.Rank: self._rank,
             m.Status: self._status,
+            m.Profile: self._profile,
             m.Display: self._display,
             m.Write: self._write,
             m.Modules: self._modules,
@@ -81,7 +84,7 @@ class Operations:
         try:
             request = self._codec.request(data)
         except PbonetError as error:
-            return self._codec.pack(m.failure(error, m.request_id(data)))
+            return self._codec.pack(codec.failure(error, codec.request_id(data)))
         if isinstance(request, _READING) or not request.id:
             return await self._carry_out(request, masters)
         key = (request.client, request.id)
@@ -108,9 +111,11 @@ class Operations:
             data = self._codec.pack(answer)
             self._check_size(data)
         except PbonetError as error:
-            return self._codec.pack(m.failure(error, request.id))
+            return self._codec.pack(codec.failure(error, request.id))
         except Exception as error:  # noqa: BLE001 - the server outlives any request
-            return self._codec.pack(m.failure(self._fault(request, error), request.id))
+            return self._codec.pack(
+                codec.failure(self._fault(request, error), request.id)
+            )
         return data
 
     def _fault(self, request: m.AnyRequest, error: Exception) -> PbonetError:
@@ -152,10 +157,10 @@ class Operations:
 
     @staticmethod
     def _check_size(data: bytes) -> None:
-        if len(data) > m.Codec.MAX_BYTES:
+        if len(data) > codec.Codec.MAX_BYTES:
             raise NodeError(
                 "the answer is too long",
-                expected=f"at most {m.Codec.MAX_BYTES} bytes",
+                expected=f"at most {codec.Codec.MAX_BYTES} bytes",
                 got=f"{len(data)} bytes",
                 remedy="ask for less at once, by name",
             )
@@ -323,6 +328,21 @@ class Operations:
             ),
             [],
         )
+
+    async def _profile(self, request: m.Profile) -> Result:
+        rtpu = self._rtpu
+        found = [
+            status.task_profile(
+                rtpu.status_of(task),
+                rtpu.core.snapshot(task.facts.slot),
+                rtpu.core.histograms(task.facts.slot),
+            )
+            for key, task in rtpu.tasks.items()
+            if request.subsystem in {"", key[0]} and request.task in {None, key[1]}
+        ]
+        if request.task is not None and not found:
+            rtpu.need(request.subsystem, request.task)
+        return found, []
 
     async def _stop(self, request: m.Stop) -> Result:
         names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 import zenoh
 
 from pbonet.errors import NodeError, PbonetError, ProtocolError
-from pbonet.xm import keys, session
+from pbonet.xm import codec, keys, session
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Server:
         self._node = node
         self._key = keys.rtpu(domain, name, "sbs")
         self._event_key = keys.rtpu(domain, name, "event")
-        self._codec = m.Codec()
+        self._codec = codec.Codec()
         self._count = itertools.count(1)
         self._pending: dict[int, tuple[zenoh.Query, str]] = {}
         self._guard = threading.Lock()
@@ -112,7 +112,7 @@ class Server:
             self._pending.clear()
         for query, request_id in waiting:
             error = NodeError(f"the request was not carried out to its end: {reason}")
-            self._reply(query, self._codec.pack(m.failure(error, request_id)))
+            self._reply(query, self._codec.pack(codec.failure(error, request_id)))
 
     def _serve(self) -> None:
         while (query := self._arrived.get()) is not None:
@@ -137,7 +137,7 @@ class Server:
                     remedy="wait for answers before asking more",
                 )
         except PbonetError as error:
-            failed = m.failure(error, m.request_id(data))
+            failed = codec.failure(error, codec.request_id(data))
             self._reply(query, self._codec.pack(failed))
             return
         if isinstance(request, m.Claim):
@@ -169,7 +169,7 @@ class Server:
         try:
             self._node.forward(n, data, masters)
         except PbonetError as error:
-            self.answer(n, self._codec.pack(m.failure(error, request_id)))
+            self.answer(n, self._codec.pack(codec.failure(error, request_id)))
 
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
         """Answer on our own key, and let go of the query: a kept one times out."""

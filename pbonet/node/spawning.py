@@ -6,6 +6,7 @@ import signal
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
+from msgspec import structs
 
 from pbonet.config import parse_rmod
 from pbonet.config.model import TaskType
@@ -58,7 +59,7 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
     key = (request.subsystem, request.task)
     _check_free(rtpu, key)
     opened = rtpu.tables.need_file(request.subsystem)
-    rmod = parse_rmod(request.rmod, request.rmod_name)
+    rmod = with_measured(parse_rmod(request.rmod, request.rmod_name), request)
     freq = check_freq(rmod, request.freq)
     check_rank(request.crit, request.priority, request.task)
     slot = rtpu.core.alloc(rtpu.slot_owner, "/".join(key))
@@ -71,6 +72,17 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
     await _wait_until_off(rtpu, task, request.timeout)
     rtpu.flags.down(*key)
     return task
+
+
+def with_measured(rmod: Rmod, request: Spawn) -> Rmod:
+    """Return what a task is ranked by: measured times where the RMOD has none."""
+    measured = {"minc": request.minc, "maxc": request.maxc}
+    if rmod.softness:
+        measured["effc"] = request.effc
+    unsaid = {
+        key: value for key, value in measured.items() if getattr(rmod, key) is None
+    }
+    return structs.replace(rmod, **unsaid)
 
 
 def _check_free(rtpu: Rtpu, key: tuple[str, str]) -> None:

@@ -5,14 +5,18 @@ Stewart 1994, section 4.4.1, lists the fields; `docs/commands.md` says what each
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from pbonet.pbo import State
-from pbonet.xm.messages import RtpuStatus, TaskStatus
+from pbonet.sched.histogram import edge_ns
+from pbonet.xm.messages import RtpuStatus, TaskProfile, TaskStatus
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pbonet.config.model import Rmod
-    from pbonet.sched.records import CoreStatus, SlotStatus
+    from pbonet.sched.records import CoreStatus, Histograms, SlotStatus
 
     from .ranking import Ranked
     from .tasks import Task
@@ -85,6 +89,34 @@ def _profile_ns(state: State, slot: SlotStatus) -> int:
         return 0
     end = slot.now_ns if state is State.ON else max(slot.release_ns, slot.on_ns)
     return max(end - slot.on_ns, 0)
+
+
+def task_profile(
+    status: TaskStatus, slot: SlotStatus, histograms: Histograms
+) -> TaskProfile:
+    """Return a task's execution profile.
+
+    The histogram runs since the task was spawned, the exact extremes since it was
+    turned on; after a second `on` the edges of its bins bound the earlier cycles.
+    """
+    bins = [index for index, count in enumerate(histograms.cpu) if count]
+    least, most = slot.cpu_min_ns * _NS, slot.cpu_max_ns * _NS
+    if bins and slot.on_cycles:
+        least = min(least or math.inf, edge_ns(bins[0]) * _NS)
+        most = max(most, edge_ns(bins[-1] + 1) * _NS)
+    return TaskProfile(
+        status=status,
+        least=least,
+        most=most,
+        cpu=_counted(histograms.cpu),
+        jitter=_counted(histograms.jitter),
+        late=slot.late,
+        failed=slot.failed,
+    )
+
+
+def _counted(counts: Sequence[int]) -> list[tuple[int, int]]:
+    return [(index, count) for index, count in enumerate(counts) if count]
 
 
 def rtpu_status(

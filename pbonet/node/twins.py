@@ -15,8 +15,8 @@ import msgspec
 import zenoh
 
 from pbonet.errors import ProtocolError
+from pbonet.xm import codec, rundir
 from pbonet.xm import messages as m
-from pbonet.xm import rundir
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,7 +52,7 @@ class Twins:
         self._known: set[tuple[str, int]] = set()
         self._linked = threading.Event()
         self._over = threading.Event()
-        self._codec = m.Codec()
+        self._codec = codec.Codec()
         self._listener: zenoh.TransportEventsListener[None] | None = None
         self._thread = threading.Thread(
             target=self._watch, name="pbonet twins", daemon=True

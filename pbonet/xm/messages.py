@@ -9,12 +9,11 @@ answered again and not executed twice.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
-import msgspec
 from msgspec import Struct
 
-from pbonet.errors import PbonetError, ProtocolError, WireError
+from pbonet.errors import WireError
 
 VERSION = 1
 
@@ -88,6 +87,10 @@ class Spawn(Request, tag="spawn"):
     """None: assigned by the scheduler's rule (section 6.2.3)."""
     priority: int = 0
     """User priority, from the data flow (section 6.2.4); higher runs first."""
+    minc: float | None = None
+    """Measured seconds, where the RMOD has none; so are `maxc` and `effc`."""
+    maxc: float | None = None
+    effc: float | None = None
     timeout: float = 10.0
     """Seconds that `init` may take."""
 
@@ -149,6 +152,12 @@ class Rank(Request, tag="rank"):
 
 class Status(Request, tag="status"):
     """Ask for status; never touches a task. Result: `RtpuStatus`."""
+
+    task: str | None = None
+
+
+class Profile(Request, tag="profile"):
+    """Ask for execution profiles; touches no task. Result: list of `TaskProfile`."""
 
     task: str | None = None
 
@@ -215,6 +224,7 @@ AnyRequest = (
     | Set
     | Rank
     | Status
+    | Profile
     | Display
     | Write
     | Modules
@@ -333,6 +343,37 @@ class RtpuStatus(Struct, kw_only=True):
     """Causes for which the illegal-configuration flag is up."""
 
 
+class TaskProfile(Struct, kw_only=True):
+    """The profile of one task (section 6.7.1), and the status read with it."""
+
+    status: TaskStatus
+    least: float
+    """CPU seconds of the shortest of the cycles in `cpu`; `most` of the longest."""
+    most: float
+    cpu: list[tuple[int, int]] = []
+    """Bins of `pbonet.sched.histogram` that count cycles by CPU time, and the counts;
+    since the task was spawned, without the first cycle after each `on`."""
+    jitter: list[tuple[int, int]] = []
+    """The same for delays from release to cycle, every cycle."""
+    late: int = 0
+    """Cycles that ended after their deadline, since the task was spawned."""
+    failed: int = 0
+    """Cycles in which the module raised, since then."""
+    failures: dict[str, int] = {}
+    """Timing failures by kind, and how often a reserve was used up (section 6.3)."""
+    sections: list[SectionProfile] = []
+
+
+class SectionProfile(Struct, kw_only=True):
+    """A part of the cycle that the module times (section 6.7.2); seconds."""
+
+    name: str
+    count: int
+    total: float
+    least: float
+    most: float
+
+
 class Reconfigured(Struct, kw_only=True):
     """How far a reconfiguration came."""
 
@@ -405,90 +446,3 @@ class Answer(Struct, kw_only=True):
     result: Any = None
     error: WireError | None = None
     warnings: list[str] = []
-
-
-class _Version(Struct):
-    """The two fields that are looked at before all others."""
-
-    v: int = 0
-    id: str = ""
-
-
-class Codec:
-    """Packs and unpacks messages; refuses what it does not understand."""
-
-    MAX_BYTES: ClassVar[int] = 1 << 20
-
-    def __init__(self) -> None:
-        self._encoder = msgspec.msgpack.Encoder()
-        self._version = msgspec.msgpack.Decoder(_Version)
-        self._request: msgspec.msgpack.Decoder[AnyRequest] = msgspec.msgpack.Decoder(
-            AnyRequest
-        )
-        self._answer = msgspec.msgpack.Decoder(Answer)
-
-    def pack(self, message: Request | Answer | Event) -> bytes:
-        """Return the message as msgpack bytes."""
-        return self._encoder.encode(message)
-
-    def request(self, data: bytes) -> AnyRequest:
-        """Return the request in `data`.
-
-        Raises:
-            ProtocolError: It is too long, malformed, or of another version.
-        """
-        self._check(data)
-        try:
-            return self._request.decode(data)
-        except msgspec.MsgspecError as error:
-            raise ProtocolError(
-                "the request is not understood",
-                got=str(error),
-                remedy="see docs/protocol.md for the fields of each operation",
-            ) from None
-
-    def answer(self, data: bytes) -> Answer:
-        """Return the answer in `data`.
-
-        Raises:
-            ProtocolError: It is too long, malformed, or of another version.
-        """
-        self._check(data)
-        try:
-            return self._answer.decode(data)
-        except msgspec.MsgspecError as error:
-            raise ProtocolError(
-                "the answer is not understood", got=str(error)
-            ) from None
-
-    def _check(self, data: bytes) -> None:
-        if len(data) > self.MAX_BYTES:
-            raise ProtocolError(
-                "the message is too long",
-                expected=f"at most {self.MAX_BYTES} bytes",
-                got=f"{len(data)} bytes",
-            )
-        try:
-            version = self._version.decode(data).v
-        except msgspec.MsgspecError as error:
-            raise ProtocolError("the message is not msgpack", got=str(error)) from None
-        if version != VERSION:
-            raise ProtocolError(
-                "the message is of another protocol version",
-                expected=f"version {VERSION}",
-                got=f"version {version}",
-                remedy="run the same pbonet version on every machine",
-            )
-
-
-def failure(error: PbonetError, request_id: str = "") -> Answer:
-    """Return the answer that carries `error`."""
-    return Answer(id=request_id, ok=False, error=error.to_wire())
-
-
-def request_id(data: bytes) -> str:
-    """Return the id of a request that is otherwise not understood, if it has one."""
-    try:
-        return msgspec.msgpack.decode(data, type=_Version).id
-    except msgspec.MsgspecError:
-        return ""

@@ -35,7 +35,8 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.xm import keys
-from pbonet.xm.messages import Answer, Codec, Hello, Request
+from pbonet.xm.codec import Codec
+from pbonet.xm.messages import Answer, Hello, Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

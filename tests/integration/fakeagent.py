@@ -24,7 +24,7 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.pbo import ModuleInfo
-from pbonet.xm import keys, rundir, session
+from pbonet.xm import codec, keys, rundir, session
 from pbonet.xm import messages as m
 
 MOVES = {
@@ -112,7 +112,7 @@ class FakeAgent:
         self.slow: dict[str, float] = {}
         self.executed: dict[str, bytes] = {}
         self.requests: list[m.Request] = []
-        self.codec = m.Codec()
+        self.codec = codec.Codec()
         self.link = link
         self.session = link.session
         self.closed = False
@@ -167,7 +167,7 @@ class FakeAgent:
                 result = self.do(request)
                 answer = m.Answer(id=request.id, ok=True, result=result)
             except PbonetError as error:
-                answer = m.failure(error, request.id)
+                answer = codec.failure(error, request.id)
             self.executed[request.id] = self.codec.pack(answer)
         return self.executed[request.id]
 

@@ -19,7 +19,7 @@ from pbonet.master import oneshot
 from pbonet.master.interfaces import Script
 from pbonet.master.network import Port
 from pbonet.master.subsystem import Subsystem
-from pbonet.xm import keys, rpc, rundir, session
+from pbonet.xm import codec, keys, rpc, rundir, session
 from pbonet.xm import messages as m
 
 FOREIGN = textwrap.dedent(
@@ -85,7 +85,7 @@ def caller(arm, world):  # noqa: ARG001 - it must stand first
         replies = wait_for(
             lambda: list(opened.get(key, payload=payload, timeout=10.0)), "a reply"
         )
-        return m.Codec().answer(replies[0].ok.payload.to_bytes())
+        return codec.Codec().answer(replies[0].ok.payload.to_bytes())
 
     call.raw = raw
 

@@ -27,7 +27,7 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.node.agent import Agent
-from pbonet.xm import keys, rundir, session
+from pbonet.xm import codec, keys, rundir, session
 from pbonet.xm import messages as m
 
 
@@ -182,7 +182,7 @@ def test_repeated_request_is_executed_once(arm, nodes):
         id="once", client="me", subsystem="arm", epoch=arm.epoch, task="a",
         rmod=rmod("counts"), rmod_name="a.rmod",
     )  # fmt: skip
-    payload = m.Codec().pack(request)
+    payload = codec.Codec().pack(request)
     first, second = (raw(nodes, "arm0", payload) for _ in range(2))
     assert first["ok"] is True
     assert first == second

@@ -13,8 +13,8 @@ from pbonet.errors import NodeError, SvarMissingError
 from pbonet.node import _rt, leftovers
 from pbonet.node._ring import Ring
 from pbonet.sched.dispatch import Event
+from pbonet.xm import codec, rundir
 from pbonet.xm import messages as m
-from pbonet.xm import rundir
 
 ABOVE_TASKS = 90
 """A level above those of all cycles, and below the dispatcher's."""
@@ -107,13 +107,13 @@ class TestAgent:
             task="t0",
             signal="on",
         )
-        payload = m.Codec().pack(request)
+        payload = codec.Codec().pack(request)
         split.spawn("t0", "counts")
 
         def ask():
             key = f"pbonet/{nodes.domain}/rtpu/arm0/sbs"
             reply = next(iter(nodes.session.get(key, payload=payload, timeout=5.0)))
-            return m.Codec().answer(reply.ok.payload.to_bytes())
+            return codec.Codec().answer(reply.ok.payload.to_bytes())
 
         first = ask()
         assert first.ok
