@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 VERBS = (
     *("run", "sbs", "check", "describe", "new", "agent", "doctor"),
     *("start", "stop", "spawn", "on", "off", "kill", "clear", "reinit", "reconfig"),
-    *("status", "display", "write", "get", "set", "freq", "module", "events"),
+    *("status", "profile", "adopt", "simulate"),
+    *("display", "write", "get", "set", "freq", "module", "events"),
 )
 """The verbs in the order of the help; each stands in a file of its name."""
 

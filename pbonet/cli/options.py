@@ -73,6 +73,13 @@ Library = A[
         metavar="FOLDER",
     ),
 ]
+Host = A[
+    str,
+    typer.Option(
+        help="The machine whose saved profiles count; this one if left out.",
+        metavar="NAME",
+    ),
+]
 TakeOver = A[
     bool, typer.Option("--take-over", help="Replace a master that is still there.")
 ]

@@ -25,6 +25,10 @@ def command(
     record: A[
         Path | None, typer.Option(help="Keep every cycle.", metavar="FILE.npz")
     ] = None,
+    profile: A[
+        bool,
+        typer.Option("--profile", help="Save the tasks' profiles at the end."),
+    ] = False,
     json_: options.Json = False,
     domain: options.Domain = "default",
     connect: options.Connect = None,
@@ -51,6 +55,7 @@ def command(
         sim=sim,
         embed=embed,
         record=record,
+        profile=profile,
         open_ring=Ring.attach,
         quiet=json_,
     )

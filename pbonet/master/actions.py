@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
 
+from pbonet import verify
 from pbonet.errors import (
     ConfigError,
     PbonetError,
@@ -18,7 +19,7 @@ from pbonet.errors import (
     VerificationError,
     did_you_mean,
 )
-from pbonet.master import profile
+from pbonet.master import profile, profiling
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,11 +86,14 @@ def stop(desk: Desk, _: Given) -> Data:
 
 def check(desk: Desk, given: Given) -> Data:
     """Judge a job or what stands; an illegal one is an answer here, not a failure."""
+    job: str | None = given.get("job")
+    found: Data = {"legal": True, "warnings": [], "rtpus": []}
     try:
-        warnings = desk.subsystem.check(given.get("job"))
+        found["rtpus"] = verify.report_data(desk.subsystem.report(job))
+        found["warnings"] = desk.subsystem.check(job)
     except (ConfigError, VerificationError, SeveralError) as error:
-        return {"legal": False, "error": error.to_wire(), "warnings": []}
-    return {"legal": True, "warnings": warnings}
+        found |= {"legal": False, "error": error.to_wire()}
+    return found
 
 
 def freq(desk: Desk, given: Given) -> Data:
@@ -145,6 +149,40 @@ def status(desk: Desk, given: Given) -> Data:
             }
             for rtpu in rtpus
         ],
+    }
+
+
+def profiles(desk: Desk, given: Given) -> Data:
+    """Show the profiles of tasks and of their RTPUs."""
+    wanted: list[str] = given.get("task") or []
+    found = desk.subsystem.profiles(wanted)
+    if len(wanted) == 1:
+        desk.point_at(wanted[0])
+    picture = desk.subsystem.picture
+    tasks: list[Data] = []
+    for one in found:
+        member = picture.get(one.status.task)
+        tasks.append(profiling.task_data(one, member.rmod if member else None))
+    rtpus = [
+        profiling.rtpu_data(status, tasks) for status in desk.subsystem.rtpu_status()
+    ]
+    return {"tasks": tasks, "rtpus": [one for one in rtpus if one["tasks"]]}
+
+
+def profiles_save(desk: Desk, given: Given) -> Data:
+    """Save the profiles of tasks."""
+    saved = profiling.save(desk.subsystem.crew, given.get("task") or [])
+    return {
+        "saved": [
+            {
+                "task": one.rmod,
+                "file": str(path),
+                "cycles": one.cycles,
+                "least": one.least,
+                "most": one.most,
+            }
+            for one, path in saved
+        ]
     }
 
 

@@ -46,14 +46,13 @@ def plan(crew: Crew, job: JobFile) -> list[Member]:
     return members
 
 
-def check(crew: Crew, job: JobFile) -> list[str]:
-    """Judge the subsystem as it would stand with the job; return warnings.
+def change(crew: Crew, job: JobFile) -> verify.Change:
+    """Return the change that a start of the job makes, to be judged.
 
     Raises:
-        VerificationError: It would be illegal.
+        PbonetError: RMODs, RTPUs or modules are missing or wrong; all are named.
     """
-    wanted = [member.task for member in plan(crew, job)]
-    return crew.verdict(verify.job(wanted))
+    return verify.job([member.task for member in plan(crew, job)])
 
 
 def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStatus]:

@@ -17,6 +17,7 @@ from pbonet.config.library import Library
 from pbonet.config.model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
 from pbonet.errors import PbonetError
 from pbonet.master.files import Files
+from pbonet.master.measured import here, unused, with_times
 from pbonet.pbo import decode_params
 from pbonet.sched.criticality import PLANNED
 
@@ -42,6 +43,8 @@ class Findings(Struct, kw_only=True):
     kind: str
     about: str = ""
     """What the file says, in one line."""
+    rtpus: list[verify.RtpuReport] = []
+    """Of a job: what the analysis finds about each RTPU."""
     errors: list[WireError] = []
     warnings: list[str] = []
 
@@ -52,7 +55,8 @@ class Findings(Struct, kw_only=True):
 
     def lines(self) -> list[str]:
         """Return the findings as lines for a terminal."""
-        lines = [f"ERROR> {PbonetError.from_wire(error)}" for error in self.errors]
+        lines = verify.report_text(self.rtpus).splitlines()
+        lines += [f"ERROR> {PbonetError.from_wire(error)}" for error in self.errors]
         lines += [f"WARNING> {text}" for text in self.warnings]
         verdict = "legal"
         if self.errors:
@@ -61,12 +65,15 @@ class Findings(Struct, kw_only=True):
         return [*lines, f"{self.file}: {self.about or self.kind}: {verdict}"]
 
 
-def check_file(path: str | Path, libraries: Iterable[str | Path] = ()) -> Findings:
+def check_file(
+    path: str | Path, libraries: Iterable[str | Path] = (), host: str = ""
+) -> Findings:
     """Return what is wrong with a file of any kind.
 
     Args:
         path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job`` or ``.toml`` file.
         libraries: Folders with modules beside those that pbonet brings.
+        host: The machine whose saved profiles count; this one if empty.
     """
     found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
     library = Library(libraries)
@@ -81,7 +88,7 @@ def check_file(path: str | Path, libraries: Iterable[str | Path] = ()) -> Findin
             Files(path, library)  # reads the .svar file that it names
         elif isinstance(record, JobFile):
             found.about = f"job {record.name} of {len(record.tasks)} tasks"
-            _check_job(found, Files(path, library))
+            _check_job(found, Files(path, library), host or here())
         elif isinstance(record, AgentConfig):
             found.about = f"agent {record.name or 'without a name'}"
         else:
@@ -113,9 +120,18 @@ def _local(rmod: Rmod) -> str:
     return str(rmod.places.get("LOCAL", rmod.file))
 
 
-def _check_job(found: Findings, files: Files) -> None:
-    """Judge a job as its start would be judged."""
+def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
+    """Return what becomes of a job, and what is wrong with its parts.
+
+    Args:
+        files: Its files.
+        host: The machine whose saved profiles count.
+
+    Returns:
+        None in place of the verdict where a part is so wrong that there is none.
+    """
     job = files.read_job()
+    found = Findings(file=job.file, kind="job")
     tasks: list[verify.Task] = []
     for wanted in job.tasks:
         try:
@@ -127,23 +143,36 @@ def _check_job(found: Findings, files: Files) -> None:
             found.errors.append(error.to_wire())
             continue
         rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
-        tasks.append(
-            verify.Task(
-                rmod=rmod,
-                info=loaded.info,
-                rtpu=rtpu,
-                freq=wanted.freq,
-                told=wanted.told,
-            )
+        saved, note = files.profiles.find(rmod, host, loaded.info)
+        found.warnings += [note] if note else []
+        task = verify.Task(
+            rmod=rmod,
+            info=loaded.info,
+            rtpu=rtpu,
+            freq=wanted.freq,
+            told=wanted.told,
         )
+        tasks.append(with_times(task, saved))
+    found.warnings += unused(files.profiles, tasks, host)
     empty = verify.Configuration(
         svar=files.table,
         rtpus=files.sbs.rtpus,
         producers=files.producers(),
         limit=PLANNED,
     )
-    if len(tasks) == len(job.tasks):  # else one fault would be told as many
-        _take(found, verify.judge(empty, verify.job(tasks)).problems)
+    if len(tasks) < len(job.tasks):  # else one fault would be told as many
+        return None, found
+    return verify.judge(empty, verify.job(tasks)), found
+
+
+def _check_job(found: Findings, files: Files, host: str) -> None:
+    """Judge a job as its start would be judged."""
+    verdict, parts = planned(files, host)
+    found.errors += parts.errors
+    found.warnings += parts.warnings
+    if verdict is not None:
+        found.rtpus = verify.report(verdict.after)
+        _take(found, verdict.problems)
 
 
 def _take(found: Findings, problems: Sequence[verify.Problem]) -> None:

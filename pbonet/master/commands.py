@@ -215,6 +215,19 @@ COMMANDS: Final = (
         changes=True,
     ),
     Command(
+        "profile",
+        "Show how long cycles take: every figure, and the execution profile.",
+        actions.profiles,
+        (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+    ),
+    Command(
+        "profile save",
+        "Save profiles beside the .sbs file, for the analysis of later starts.",
+        actions.profiles_save,
+        (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+        scope=Scope.SESSION,
+    ),
+    Command(
         "quit",
         "End this interface; the next one of the master goes on.",
         actions.quit_,

@@ -73,6 +73,8 @@ class Crew:
         self._flag_up = False
         self._unfed: set[str] = set()
         """What was told already of inputs without a writer."""
+        self._noted: set[str] = set()
+        """What was told already of saved profiles."""
 
     # -- the picture ------------------------------------------------------------------
 
@@ -194,12 +196,26 @@ class Crew:
         """
         where = rtpu or source.record.rtpu or self.fleet.names[0]
         self.fleet.entry(where)
-        return Member(
-            source=source,
-            rtpu=where,
-            freq=freq or source.record.freq or 0.0,
-            info=self.info(where, source.record.module),
+        member = Member(
+            source=source, rtpu=where, freq=freq or source.record.freq or 0.0
         )
+        self._describe(member)
+        return member
+
+    def _describe(self, member: Member) -> None:
+        """Get what is known of a task's module, and what was measured of the task.
+
+        Raises:
+            ModuleLoadError: The agent there has no such module, or it does not load.
+        """
+        member.info = self.info(member.rtpu, member.rmod.module)
+        store = self.files.profiles
+        if store.hosts(member.name):
+            host = self.fleet.host(member.rtpu)
+            member.saved, note = store.find(member.rmod, host, member.info)
+            if note and note not in self._noted:
+                self._noted.add(note)
+                self.warned(note)
 
     def must_be_new(self, member: Member) -> None:
         """Refuse to spawn a task twice.
@@ -256,6 +272,16 @@ class Crew:
                 break
         return problems
 
+    def report(self, change: verify.Change | None = None) -> list[verify.RtpuReport]:
+        """Return what the analysis finds for a change, or for what stands.
+
+        Raises:
+            ModuleLoadError: A task's module is not there any more.
+        """
+        self.with_infos(self.picture)
+        now = self.configuration()
+        return verify.report(verify.judge(now, change).after if change else now)
+
     def configuration(self, *, producers: bool = False) -> verify.Configuration:
         """Return the subsystem as it stands; with `producers`, what a remedy needs."""
         return verify.Configuration(
@@ -271,7 +297,7 @@ class Crew:
         """Get the description of each task's module, where it is not known yet."""
         for member in members:
             if member.info is None:
-                member.info = self.info(member.rtpu, member.rmod.module)
+                self._describe(member)
 
     def tell(self, warnings: Iterable[str]) -> None:
         """Hand on warnings."""
@@ -287,6 +313,7 @@ class Crew:
             PbonetError: It could not be created; nothing of it stays.
         """
         priorities = self.priorities([*self.picture, member])
+        soft = verify.effective(member.task)
         request = m.Spawn(
             task=member.name,
             rmod=member.source.text,
@@ -294,6 +321,7 @@ class Crew:
             freq=freq,
             crit=member.rmod.crit,
             priority=priorities[member.name],
+            effc=soft.seconds if soft else None,
             timeout=SPAWN_TIME,
         )
         status = self.fleet.call(

@@ -16,6 +16,7 @@ from msgspec import Struct
 from pbonet.config import parse_rmod, parse_sbs, parse_svar, read_job
 from pbonet.config.reader import load
 from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
+from pbonet.master.measured import Store
 from pbonet.xm.rundir import NAME, check_name
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ class Files:
         svar = path.parent / self.sbs.svarfile
         self.table_text = load(svar)
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
+        self.profiles = Store(path, self.table)
+        """What was measured of its tasks."""
         self._folders = [path.parent]
         if self.job is not None:
             self._look_in(Path(self.job.file).parent)
@@ -100,6 +103,10 @@ class Files:
         path = self._find(name)
         text = load(path)
         return RmodSource(parse_rmod(text, str(path)), text)
+
+    def is_own(self, path: Path) -> bool:
+        """Tell whether a file stands beside the subsystem's own, not in a library."""
+        return path.parent in self._folders
 
     def rmods(self) -> list[str]:
         """Return the names of the RMODs that can be spawned, sorted."""

@@ -56,6 +56,7 @@ class Fleet:
         self.sbs = sbs
         self.entries: dict[str, RtpuEntry] = {entry.name: entry for entry in sbs.rtpus}
         self.epochs: dict[str, int] = {}
+        self._hosts: dict[str, str] = {}
         self._token: zenoh.LivelinessToken | None = None
 
     @property
@@ -72,6 +73,16 @@ class Fleet:
     def claimed(self) -> bool:
         """Whether this master holds the subsystem."""
         return bool(self.epochs)
+
+    def host(self, rtpu: str) -> str:
+        """Return the name of the machine that an RTPU is on.
+
+        Raises:
+            PbonetError: Its agent does not say.
+        """
+        if rtpu not in self._hosts:
+            self._hosts[rtpu] = self.call(rtpu, m.Hello(), m.AgentInfo).host
+        return self._hosts[rtpu]
 
     def entry(self, rtpu: str) -> RtpuEntry:
         """Return what the file says about an RTPU.

@@ -10,6 +10,7 @@ from msgspec import Struct
 from pbonet.config.model import Place
 from pbonet.errors import UnknownTaskError, did_you_mean
 from pbonet.master.files import RmodSource
+from pbonet.master.measured import Saved, with_times
 from pbonet.pbo import ModuleInfo, State
 from pbonet.verify import Task
 
@@ -31,6 +32,8 @@ class Member(Struct, kw_only=True):
     """Of its module; None while no agent was asked."""
     told: Mapping[str, Place] = {}
     """As in `verify.Task`."""
+    saved: Saved | None = None
+    """What was measured of it on its machine, if that was saved."""
 
     @property
     def name(self) -> str:
@@ -50,13 +53,14 @@ class Member(Struct, kw_only=True):
     @property
     def task(self) -> Task:
         """The task as verification looks at it."""
-        return Task(
+        task = Task(
             rmod=self.rmod,
             info=self.info,
             rtpu=self.rtpu,
             freq=self.freq or None,
             told=self.told,
         )
+        return with_times(task, self.saved)
 
     @property
     def variables(self) -> set[str]:

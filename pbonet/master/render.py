@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
+from pbonet import verify
 from pbonet.errors import PbonetError, Severity
-from pbonet.master import profile
+from pbonet.master import curve, profile
 from pbonet.master.words import is_sequence
 from pbonet.xm.messages import Event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+
+    from pbonet.master.adopt import Adopted
 
 Data = dict[str, Any]
 
@@ -126,6 +129,103 @@ def _status_set(data: Data) -> str:
     return table(("", "field", "what it says (* is shown)"), rows)
 
 
+_FIGURES: Final = (
+    *("ptime", "cycle", "miss", "refF", "mezF", "refT", "mezT", "totC", "minC"),
+    *("avgC", "maxC", "minU", "avgU", "maxU", "tick"),
+)
+"""The figures of section 6.7.1 in the order in which they are shown."""
+
+
+def _profile(data: Data) -> str:
+    tasks: list[Data] = data["tasks"]
+    if not tasks:
+        return "no tasks"
+    if len(tasks) == 1:
+        return "\n".join([*_profile_of(tasks[0]), *_profile_rtpus(data["rtpus"])])
+    names = ("cycle", "miss", "mezF", "minC", "avgC", "maxC", "minU", "avgU", "maxU")
+    rows = [
+        [
+            task["task"],
+            task["rtpu"],
+            *(cell(name, task["figures"][name]) for name in names),
+            *(seconds(task["quantiles"][name]) for name in ("p50", "p99")),
+            seconds(task["declared"]["maxc"]),
+        ]
+        for task in tasks
+    ]
+    head = ("task", "rtpu", *names, "p50", "p99", "MAXC")
+    return "\n".join([table(head, rows), *_profile_rtpus(data["rtpus"])])
+
+
+def _profile_of(task: Data) -> list[str]:
+    """Return the lines about one task: figures, declarations, curve."""
+    docs = {field.name: field.doc for field in profile.FIELDS}
+    rows = [[n, cell(n, task["figures"][n]), docs[n]] for n in _FIGURES]
+    spread = {"least": task["least"], **task["quantiles"], "most": task["most"]}
+    lines = [
+        f"{task['task']} on {task['rtpu']}",
+        table(("figure", "value", "what it says"), rows),
+        f"CPU time of {task['counted']} cycles since it was spawned: " + _times(spread),
+        "delay from release to cycle: " + _times(task["delays"]),
+        f"ended late {task['late']}, failed {task['failed']}"
+        + "".join(f", {kind} {count}" for kind, count in task["failures"].items()),
+        "declared: " + _declared(task),
+    ]
+    lines += [
+        f"section {one['name']}: {one['count']} times, "
+        + _times({
+            "least": one["least"],
+            "mean": one["total"] / one["count"] if one["count"] else None,
+            "most": one["most"],
+        })
+        for one in task["sections"]
+    ]
+    if task["psi"]:
+        lines += ["share of the cycles within a CPU time:", curve.as_text(task["psi"])]
+    return lines
+
+
+def _times(named: dict[str, float | None]) -> str:
+    return ", ".join(f"{name} {seconds(value)}" for name, value in named.items())
+
+
+def _declared(task: Data) -> str:
+    known = task["declared"]
+    times = {key.upper(): known[key] for key in ("minc", "maxc", "effc")}
+    parts = [_times({key: value}) for key, value in times.items() if value is not None]
+    if known["softness"]:
+        parts.append(f"SOFTNESS {known['softness']:g}")
+        parts.append(f"E {seconds(task['effective'])}")
+    return ", ".join(parts) or "nothing"
+
+
+def _profile_rtpus(rtpus: list[Data]) -> list[str]:
+    return [
+        f"RTPU {one['rtpu']} ({one['scheduler']} over {one['backend']}): "
+        f"{one['tasks']} tasks, {one['cycle']} cycles, {one['miss']} missed, CPU "
+        f"{seconds(one['totC'])}, {cell('minU', one['minU'])} to "
+        f"{cell('maxU', one['maxU'])}, mean {cell('avgU', one['avgU'])}; tasks "
+        f"{one['util']:.1%}, dispatcher {one['dispatcher']:.1%} of the core"
+        for one in rtpus
+    ]
+
+
+def _profile_save(data: Data) -> str:
+    lines = [
+        f"{one['task']}: {one['cycles']} cycles, {seconds(one['least'])} to "
+        f"{seconds(one['most'])}, in {one['file']}"
+        for one in data["saved"]
+    ]
+    return "\n".join(lines) or "nothing was saved"
+
+
+def adopted(one: Adopted, *, dry_run: bool = False) -> str:
+    """Return what became of an RMOD's times: the change, and a line about it."""
+    times = ", ".join(f"{key} {seconds(value)}" for key, value in one.times.items())
+    done = "unchanged" if not one.diff else "not written" if dry_run else "written"
+    return f"{one.diff}{one.file}: {times} from {one.cycles} cycles: {done}"
+
+
 def values(numbers: object, *, most: int = _WIDEST_VALUES) -> str:
     """Return the elements of a variable, shortened."""
     if not is_sequence(numbers):
@@ -181,9 +281,12 @@ def _module(data: Data) -> str:
 
 
 def _check(data: Data) -> str:
-    if data["legal"]:
-        return "legal"
-    return error(PbonetError.from_wire(data["error"]))
+    reports = msgspec.convert(data["rtpus"], list[verify.RtpuReport])
+    verdict = "legal"
+    if not data["legal"]:
+        verdict = error(PbonetError.from_wire(data["error"]))
+    told = [warning(text) for text in data["warnings"]]
+    return "\n".join([verify.report_text(reports), *told, verdict]).lstrip("\n")
 
 
 def _freq(data: Data) -> str:
@@ -239,6 +342,8 @@ def _nothing(_: Data) -> str:
 _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "status": _status,
     "status set": _status_set,
+    "profile": _profile,
+    "profile save": _profile_save,
     "display": _display,
     "write": _display,
     "get": _params,

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec import Struct
 
+from pbonet import verify
 from pbonet.config.library import Library
-from pbonet.errors import PbonetError, SeveralError, Severity
-from pbonet.master import live, render, summary
+from pbonet.errors import PbonetError, SeveralError, Severity, StateError
+from pbonet.master import live, profiling, render, summary
 from pbonet.master.embedded import Embedded
 from pbonet.master.files import Files
 from pbonet.master.network import Port
@@ -122,6 +123,7 @@ class Run:
         open_ring: Opens a task's ring; then every cycle is taken out of it.
         hook: Called with a task's name and its records as they come.
         keep: Keep every cycle for the outcome's recording.
+        profile: Save the tasks' execution profiles at the end.
 
     Raises:
         ConfigError: A file is missing or wrong.
@@ -138,6 +140,7 @@ class Run:
         open_ring: Callable[[str], RingReader] | None = None,
         hook: Hook | None = None,
         keep: bool = True,
+        profile: bool = False,
     ) -> None:
         self._path = path
         self._place = place
@@ -147,6 +150,7 @@ class Run:
         self._open_ring = open_ring
         self._hook = hook
         self._keep = keep
+        self._profile = profile
         self._missing = 0
         self._interrupts = Interrupts()
         self._reason = ""
@@ -218,6 +222,8 @@ class Run:
                 drain.stop()
             raise
         passed = time.monotonic() - begin
+        if self._profile:
+            self._save_profiles(subsystem)
         try:
             subsystem.finish()
         except SeveralError as error:
@@ -235,6 +241,16 @@ class Run:
             faults=self._faults,
             recording=recording,
         )
+
+    def _save_profiles(self, subsystem: Subsystem) -> None:
+        """Save what was measured; that it cannot be is no fault of the run."""
+        try:
+            saved = profiling.save(subsystem.crew, [])
+        except PbonetError as error:
+            self._view.say(render.warning(f"no profiles were saved: {error}"))
+            return
+        for one, path in saved:
+            self._view.say(f"profile of {one.rmod}, {one.cycles} cycles: {path}")
 
     def _tell_limits(self, subsystem: Subsystem) -> None:
         """Say what the RTPUs cannot guarantee, each thing once."""
@@ -278,6 +294,8 @@ class Run:
         watcher = threading.Thread(target=give_up, daemon=True)
         watcher.start()
         try:
+            for one in subsystem.report():
+                self._view.say(verify.report_head(one))
             statuses = subsystem.start()
         finally:
             done.set()
@@ -415,6 +433,7 @@ def run(
     record: str | Path | None = None,
     open_ring: Callable[[str], RingReader] | None = None,
     hook: Hook | None = None,
+    profile: bool = False,
     quiet: bool = False,
 ) -> Outcome:
     """Run a job, in real or virtual time, and say what it came to.
@@ -428,6 +447,7 @@ def run(
         record: A file for every cycle of every task (``.npz``).
         open_ring: Opens a task's ring; needed to record in real time, and for `hook`.
         hook: Called with a task's name and its records as they come, in real time.
+        profile: Save the tasks' execution profiles at the end, in real time.
         quiet: Leave standard output to the caller.
 
     Raises:
@@ -435,6 +455,13 @@ def run(
     """
     if record is not None:
         Recording.check_path(record)
+    if sim and profile:
+        raise StateError(
+            "a simulation measures no execution times",
+            expected="--sim or --profile",
+            got="both",
+            remedy="run the job without --sim to measure its tasks",
+        )
     view = live.view(quiet=quiet)
     if sim:
         outcome = simulate(path, place, view, seconds)
@@ -449,6 +476,7 @@ def run(
             open_ring=open_ring if wanted else None,
             hook=hook,
             keep=record is not None,
+            profile=profile,
         ).run()
     view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
     view.say(summary.text(outcome.tasks))

@@ -298,6 +298,7 @@ class Simulation:
             svar=self._files.table,
             rtpus=self._files.sbs.rtpus,
             producers=self._files.producers() if producers else {},
+            limit=PLANNED,
         )
         return verify.judge(empty, verify.job(tasks))
 

@@ -83,7 +83,10 @@ class MemoryCopies:
         self.blamed = ("", 0)
         self.committed = False
         """Whether a commit has succeeded since this was set to False."""
+        self.hold = False
+        """Keep what a commit writes to `publish`, when its cycle takes virtual time."""
         self.out_vars = _named(rmod, rmod.outvar)
+        self._held: list[tuple[Values, Values]] = []
         self._table = table
         self._local: dict[str, Values] = {}
         self._in_consts = self._pairs(_named(rmod, rmod.inconst))
@@ -136,9 +139,21 @@ class MemoryCopies:
     def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out."""
         del now_ns, cycle
-        flags = self._out(self._out_vars)
+        if self.hold:
+            flags = self._judge(self._out_vars)
+            if not flags:
+                pairs = self._out_vars.pairs
+                self._held = [(shared, local.copy()) for _, local, shared in pairs]
+        else:
+            flags = self._out(self._out_vars)
         self.committed = not flags
         return flags
+
+    def publish(self) -> None:
+        """Copy out what was held; nothing when nothing is."""
+        for shared, values in self._held:
+            shared[...] = values
+        self._held = []
 
     def release(self) -> None:
         """Do nothing: the values stand."""

@@ -27,7 +27,7 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.master import assembly, modules
+from pbonet.master import assembly, modules, profiling
 from pbonet.master.changing import Changing
 from pbonet.master.crew import CONTROL_TIME, Crew
 from pbonet.master.files import Files
@@ -362,6 +362,14 @@ class Subsystem:
         """
         return self.crew.refresh(strict=False)
 
+    def profiles(self, tasks: Sequence[str] = ()) -> list[m.TaskProfile]:
+        """Return the execution profiles of tasks, of all if none is named (6.7).
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        return profiling.ask(self.crew, tasks)
+
     def display(self, names: Iterable[str] | None = None) -> list[m.VarValue]:
         """Return values of variables with their age, writer and unit.
 
@@ -443,10 +451,19 @@ class Subsystem:
             VerificationError: It would be, or is, illegal.
         """
         with self._busy:
-            self.crew.refresh()
-            if job is not None or self.files.job is not None:
-                return assembly.check(self.crew, self.files.read_job(job))
-            return self.crew.verdict()
+            return self.crew.verdict(self._change(job))
+
+    def report(self, job: str | Path | None = None) -> list[verify.RtpuReport]:
+        """Return the analysis of a job, or of what stands, be it legal or not."""
+        with self._busy:
+            return self.crew.report(self._change(job))
+
+    def _change(self, job: str | Path | None) -> verify.Change | None:
+        """Return what a check is about; None for the tasks as they stand."""
+        self.crew.refresh()
+        if job is None and self.files.job is None:
+            return None
+        return assembly.change(self.crew, self.files.read_job(job))
 
     def stop(self) -> m.Stopped:
         """Turn everything OFF and end it, now, on all RTPUs at once.

@@ -59,7 +59,7 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
     key = (request.subsystem, request.task)
     _check_free(rtpu, key)
     opened = rtpu.tables.need_file(request.subsystem)
-    rmod = with_measured(parse_rmod(request.rmod, request.rmod_name), request)
+    rmod = with_effective(parse_rmod(request.rmod, request.rmod_name), request.effc)
     freq = check_freq(rmod, request.freq)
     check_rank(request.crit, request.priority, request.task)
     slot = rtpu.core.alloc(rtpu.slot_owner, "/".join(key))
@@ -74,15 +74,11 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
     return task
 
 
-def with_measured(rmod: Rmod, request: Spawn) -> Rmod:
-    """Return what a task is ranked by: measured times where the RMOD has none."""
-    measured = {"minc": request.minc, "maxc": request.maxc}
-    if rmod.softness:
-        measured["effc"] = request.effc
-    unsaid = {
-        key: value for key, value in measured.items() if getattr(rmod, key) is None
-    }
-    return structs.replace(rmod, **unsaid)
+def with_effective(rmod: Rmod, seconds: float | None) -> Rmod:
+    """Return what a soft task is ranked by: E as measured where the RMOD has none."""
+    if not rmod.softness or rmod.effc is not None:
+        return rmod
+    return structs.replace(rmod, effc=seconds)
 
 
 def _check_free(rtpu: Rtpu, key: tuple[str, str]) -> None:

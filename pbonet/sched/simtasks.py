@@ -45,6 +45,10 @@ class PeriodicTask(Struct, frozen=True, kw_only=True):
     """E of a soft task: the reserve in each period; 0 for none."""
     drop_crit: int = OUTSIDE
     """Criticality of a soft task that has used E up."""
+    begun: Callable[[int, int], None] | None = None
+    """Called when a cycle begins, with that instant and the release."""
+    done: Callable[[int], None] | None = None
+    """Called when a cycle ends, with that instant."""
 
 
 class ServerTask(Struct, frozen=True, kw_only=True):
@@ -79,7 +83,9 @@ class Job:
         "deadline",
         "dl",
         "drop",
+        "ended",
         "full",
+        "gone",
         "index",
         "kind",
         "least",
@@ -94,6 +100,7 @@ class Job:
         "rel",
         "slice_end",
         "stamp",
+        "started",
         "value",
     )
 
@@ -111,6 +118,9 @@ class Job:
         """CPU time that the cycle under way still needs; -1 before it begins."""
         self.budget = self.full = self.least = 0
         self.cost: Callable[[], int] | None = None
+        self.started: Callable[[int, int], None] | None = None
+        self.ended: Callable[[int], None] | None = None
+        self.gone = False
         self.value = 0
         self.arrivals: Iterator[tuple[int, int]] = iter(())
         self.coming: tuple[int, int] | None = None

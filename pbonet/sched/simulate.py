@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from .outcome import Account, Outcome, Segment
 from .servers import ServerKind
 from .simtasks import BACKGROUND, Job, PeriodicTask, ServerTask, check, poisson
-from .urgency import urgency
+from .urgency import NEVER, urgency
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,6 +77,7 @@ class Core:
         job = Job(len(self._jobs), account, None)
         job.priority, job.full = task.priority, task.effective_ns
         job.drop, job.least = task.drop_crit, task.least_ns
+        job.started, job.ended = task.begun, task.done
         if callable(task.cost):
             job.cost = task.cost
         else:
@@ -138,6 +139,46 @@ class Core:
             while events and events[0][0] == due:
                 self._happen(heappop(events)[1])
 
+    def next_ns(self) -> int:
+        """Return when something happens next that others can see; NEVER for never.
+
+        That is now where a cycle is about to begin.
+        """
+        due = self._events[0][0] if self._events else NEVER
+        job = self._top()
+        if job is None:
+            return due
+        if job.left < 0:
+            return self.now_ns
+        span = min(job.left, job.budget) if job.limited else job.left
+        return min(due, self.now_ns + span)
+
+    def step(self) -> None:
+        """Let that happen, and nothing behind it.
+
+        Several cores whose tasks talk to each other are run step by step, always the
+        one whose `next_ns` is the least.
+        """
+        job = self._top()
+        if job is not None and job.left < 0:
+            self._begin(job)
+        else:
+            self.run_until(self.next_ns())
+
+    def stop(self, name: str) -> None:
+        """Release a task no more; a cycle under way is given up."""
+        for job in self._jobs:
+            if job.name == name:
+                job.gone, job.active = True, False
+                job.stamp += 1
+
+    def _top(self) -> Job | None:
+        """Return the most urgent task that is ready."""
+        ready = self._ready
+        while ready and ready[0][3] != self._jobs[ready[0][2]].stamp:
+            heappop(ready)
+        return self._jobs[ready[0][2]] if ready else None
+
     def outcome(self) -> Outcome:
         """Return what has happened so far."""
         return Outcome(
@@ -187,6 +228,9 @@ class Core:
         job.begun = True
         job.own_dl = job.dl
         job.left = job.value if job.cost is None else max(0, job.cost())
+        if job.started is not None:
+            job.left = max(1, job.left)
+            job.started(self.now_ns, job.rel)
 
     def _finish(self, job: Job) -> None:
         account, now = job.account, self.now_ns
@@ -202,6 +246,8 @@ class Core:
             self._unmet(account, job.own_dl)
         job.active = job.begun = False
         job.stamp += 1
+        if job.ended is not None:
+            job.ended(now)
 
     def _rank(self, job: Job) -> None:
         """Put the task into the queue of ready ones where it belongs now."""
@@ -230,6 +276,8 @@ class Core:
             self._give_up(job)
 
     def _release(self, job: Job) -> None:
+        if job.gone:
+            return
         now, account = self.now_ns, job.account
         account.releases += 1
         if self._keep:

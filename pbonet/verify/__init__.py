@@ -7,7 +7,7 @@ the orders and priorities that a master needs.
 
 from __future__ import annotations
 
-from .demands import Figure, Source
+from .demands import Figure, Source, effective, least, worst
 from .judge import (
     ENDING,
     Change,
@@ -31,10 +31,12 @@ from .reports import (
     TaskReport,
     report,
     report_data,
+    report_head,
     report_text,
 )
 from .timing import Load, criticalities, loads, traffic
 from .units import conversion, same_unit
+from .virtual import Code as ModuleCode
 from .virtual import JobOutcome, Times, simulate_job
 from .wiring import producers
 
@@ -46,6 +48,7 @@ __all__ = [
     "Figure",
     "JobOutcome",
     "Load",
+    "ModuleCode",
     "Outlook",
     "Problem",
     "RtpuReport",
@@ -61,10 +64,12 @@ __all__ = [
     "check",
     "conversion",
     "criticalities",
+    "effective",
     "flow_order",
     "frequency",
     "job",
     "judge",
+    "least",
     "loads",
     "off_order",
     "on_order",
@@ -72,6 +77,7 @@ __all__ = [
     "reconfig",
     "report",
     "report_data",
+    "report_head",
     "report_text",
     "same_unit",
     "signal",
@@ -80,4 +86,5 @@ __all__ = [
     "spawn_order",
     "traffic",
     "user_priorities",
+    "worst",
 ]

@@ -325,15 +325,22 @@ def report_text(reports: Sequence[RtpuReport]) -> str:
     return "\n\n".join("\n".join(_lines(one)) for one in reports)
 
 
-def _lines(one: RtpuReport) -> list[str]:
+def report_head(one: RtpuReport) -> str:
+    """Return the first line of an RTPU's report."""
     least_used = "at least " if one.unknown else ""
-    lines = [
+    return (
         f"RTPU {one.rtpu} ({one.scheduler.value}): {one.outlook.value}, utilization "
         f"{least_used}{one.utilization:.1%} of {one.bound:.1%}"
-    ]
+    )
+
+
+def _lines(one: RtpuReport) -> list[str]:
     if not one.tasks:
-        return lines
-    lines.append(f"  critical set: {' '.join(one.critical_set) or 'none'}")
+        return [report_head(one)]
+    lines = [
+        report_head(one),
+        f"  critical set: {' '.join(one.critical_set) or 'none'}",
+    ]
     if late := [task.task for task in one.tasks if _may_miss(task)]:
         lines.append(f"  may miss deadlines: {' '.join(late)}")
     kept = [name for name, holds in one.by_scheduler.items() if holds]
@@ -377,7 +384,7 @@ def _table(one: RtpuReport) -> list[str]:
             f"{100 * task.utilization:.1f}",
             str(task.crit),
             "yes" if task.critical_set else "no",
-            _keeps(task),
+            _keeps(task) + (" if so" if task.guaranteed and one.unknown else ""),
         )
         for task in one.tasks
     ]

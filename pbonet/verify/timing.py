@@ -57,6 +57,9 @@ def criticalities(
 ) -> dict[str, Assigned]:
     """Return the criticality of each task that runs on one RTPU (6.2.3, 4.5.1).
 
+    It rests on what RMODs declare, and on E of soft tasks; what else was measured does
+    not count before it is adopted (decision 0096), here as on the RTPU itself.
+
     Under MUF the critical set is what EDF schedules below the servers, whose demand
     may come at the worst moment (section 6.5.2).
 
@@ -68,6 +71,7 @@ def criticalities(
     Returns:
         By name; `assumed` where it rests on a MAXC that is not known.
     """
+    tasks = [_as_declared(task) for task in tasks]
     periodic = [timing for task in tasks if (timing := _timing(task))]
     if rtpu.scheduler is Scheduler.EDF:
         found = criticality.edf(periodic)
@@ -79,6 +83,12 @@ def criticalities(
         if task.name not in found:
             found[task.name] = _aperiodic(task, rtpu)
     return {task.name: found[task.name] for task in tasks}
+
+
+def _as_declared(task: Task) -> Task:
+    """Return a task without measured times; of a soft one its profile stays, for E."""
+    profile = task.profile if task.rmod.softness else None
+    return structs.replace(task, minc=None, maxc=None, profile=profile)
 
 
 def _muf(
@@ -176,8 +186,11 @@ def _guaranteed(
 def _by_rule(tasks: Sequence[Task], levels: dict[str, int], inside: set[str]) -> bool:
     """Return whether the set has one criticality and all others a lower one.
 
-    A CRIT in an RMOD may make it otherwise; then each level has to be looked at.
+    A CRIT in an RMOD may make it otherwise, and measured times may be more than what
+    the set was made for; then each level has to be looked at.
     """
+    if any(t.measured is not None for t in tasks):
+        return False
     if not any(t.rmod.crit is not None for t in tasks if is_periodic(t)):
         return True
     lowest = min((levels[name] for name in inside), default=0)
@@ -232,10 +245,7 @@ def _declared(configuration: Configuration) -> Configuration | None:
     """Return the configuration without measured times; None where none count."""
     if not any(task.measured is not None for task in configuration.running):
         return None
-    tasks = tuple(
-        structs.replace(task, minc=None, maxc=None, profile=None)
-        for task in configuration.tasks
-    )
+    tasks = tuple(map(_as_declared, configuration.tasks))
     return structs.replace(configuration, tasks=tasks)
 
 

@@ -1,15 +1,15 @@
 """A configuration in virtual time: every RTPU's schedule, for given execution times.
 
 The tasks that are ON get the criticalities and user priorities that the runtime would
-give them, and the execution times that are known of them. No module code runs; for
-that see `pbonet.master.sim`.
+give them, and the execution times that are known of them. Module code runs only for a
+caller that brings it (`Code`); `pbonet.master.simcode` does.
 """
 
 from __future__ import annotations
 
 import random
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
@@ -18,7 +18,7 @@ from pbonet.errors import VerificationError
 from pbonet.sched import chart, criticality
 from pbonet.sched.outcome import Outcome
 from pbonet.sched.servers import ServerKind
-from pbonet.sched.simulate import PeriodicTask, ServerTask, simulate
+from pbonet.sched.simulate import Core, PeriodicTask, ServerTask
 
 from .demands import SERVER_TYPES, effective, is_periodic, least, ns
 from .order import user_priorities
@@ -40,6 +40,20 @@ class Times(StrEnum):
     """MAXC, always."""
     RANDOM = "random"
     """Drawn from the measured profile; without one, evenly from MINC to MAXC."""
+
+
+class Code(Protocol):
+    """Runs the tasks' own code while their cycles pass in virtual time."""
+
+    def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
+        """Run a cycle on the inputs of this instant; False when the task is ON no more.
+
+        Its outputs are not to be seen before `end`.
+        """
+        ...
+
+    def end(self, task: str, now_ns: int) -> None:
+        """Publish the outputs of the cycle that ends."""
 
 
 class JobOutcome(Struct, frozen=True, kw_only=True):
@@ -134,6 +148,7 @@ def simulate_job(
     assume: float | None = None,
     events: Mapping[str, Iterable[tuple[int, int]]] | None = None,
     keep: bool = True,
+    code: Code | None = None,
 ) -> JobOutcome:
     """Simulate the tasks of a configuration that are ON.
 
@@ -151,6 +166,7 @@ def simulate_job(
             task. A server that is not named is asked for its whole capacity at the
             begin of every period, a background task for nothing.
         keep: Keep segments, for charts.
+        code: Runs the tasks' own code; without it cycles only take their time.
 
     Raises:
         VerificationError: MAXC of a task is not known, or `seconds` is not above 0.
@@ -173,21 +189,27 @@ def simulate_job(
         events=dict(events or {}),
         priorities=user_priorities(tasks),
         until_ns=ns(seconds),
+        keep=keep,
+        code=code,
     )
+    cores = {
+        rtpu.name: build.core(
+            [task for task in tasks if task.rtpu == rtpu.name],
+            rtpu,
+            limit=configuration.limit,
+        )
+        for rtpu in configuration.rtpus
+    }
+    if code is not None:
+        build.in_step(cores)
+    for core in cores.values():
+        core.run_until(build.until_ns)
     return JobOutcome(
         seconds=seconds,
         times=times,
         seed=seed,
         assumed=unknown,
-        rtpus={
-            rtpu.name: build.run(
-                [task for task in tasks if task.rtpu == rtpu.name],
-                rtpu,
-                limit=configuration.limit,
-                keep=keep,
-            )
-            for rtpu in configuration.rtpus
-        },
+        rtpus={name: core.outcome() for name, core in cores.items()},
     )
 
 
@@ -211,22 +233,37 @@ class _Builder(Struct, kw_only=True):
     events: dict[str, Iterable[tuple[int, int]]]
     priorities: dict[str, int]
     until_ns: int
+    keep: bool
+    code: Code | None
 
-    def run(
-        self, tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float, keep: bool
-    ) -> Outcome:
-        """Simulate one RTPU."""
+    def core(self, tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float) -> Core:
+        """Return one RTPU before its first instant."""
         assigned = criticalities(tasks, rtpu, limit=limit)
-        return simulate(
-            [self._task(t, assigned[t.name]) for t in tasks if is_periodic(t)],
-            [
-                self._server(t, assigned[t.name], rtpu.scheduler)
-                for t in tasks
-                if not is_periodic(t) and self._serves(t)
-            ],
-            until_ns=self.until_ns,
-            keep=keep,
+        made: list[Core] = []
+        made.append(
+            Core(
+                [
+                    self._task(t, assigned[t.name], made)
+                    for t in tasks
+                    if is_periodic(t)
+                ],
+                [
+                    self._server(t, assigned[t.name], rtpu.scheduler)
+                    for t in tasks
+                    if not is_periodic(t) and self._serves(t)
+                ],
+                keep=self.keep,
+            )
         )
+        return made[0]
+
+    def in_step(self, cores: Mapping[str, Core]) -> None:
+        """Run all cores in the order in which their tasks read and write."""
+        while True:
+            core = min(cores.values(), key=Core.next_ns)
+            if core.next_ns() > self.until_ns:
+                return
+            core.step()
 
     def _serves(self, task: Task) -> bool:
         """Return whether a task can be simulated that the clock does not release."""
@@ -234,8 +271,18 @@ class _Builder(Struct, kw_only=True):
             return task.hz is not None and task.rmod.capacity is not None
         return task.name in self.events
 
-    def _task(self, task: Task, assigned: Assigned) -> PeriodicTask:
-        soft = effective(task)
+    def _task(self, task: Task, assigned: Assigned, on: list[Core]) -> PeriodicTask:
+        """Return a task; `on` will hold the core that it runs on."""
+        soft, code, name = effective(task), self.code, task.name
+
+        def begun(now_ns: int, release_ns: int) -> None:
+            if code is not None and not code.begin(name, now_ns, release_ns):
+                on[0].stop(name)
+
+        def done(now_ns: int) -> None:
+            if code is not None:
+                code.end(name, now_ns)
+
         return PeriodicTask(
             name=task.name,
             period_ns=ns(1.0 / (task.hz or 1.0)),
@@ -245,6 +292,8 @@ class _Builder(Struct, kw_only=True):
             least_ns=ns(least(task).seconds or 0.0),
             effective_ns=ns(soft.seconds or 0.0) if soft else 0,
             drop_crit=min(criticality.OUTSIDE, assigned.crit),
+            begun=begun if code is not None else None,
+            done=done if code is not None else None,
         )
 
     def _cost(self, task: Task) -> int | Callable[[], int]:

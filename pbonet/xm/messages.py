@@ -87,10 +87,8 @@ class Spawn(Request, tag="spawn"):
     """None: assigned by the scheduler's rule (section 6.2.3)."""
     priority: int = 0
     """User priority, from the data flow (section 6.2.4); higher runs first."""
-    minc: float | None = None
-    """Measured seconds, where the RMOD has none; so are `maxc` and `effc`."""
-    maxc: float | None = None
     effc: float | None = None
+    """E of a soft task as measured, seconds; counts where the RMOD has no EFFC."""
     timeout: float = 10.0
     """Seconds that `init` may take."""
 

@@ -14,7 +14,7 @@ from pbonet.cli import build, main
 from pbonet.errors import StateError
 from pbonet.master.commands import COMMANDS, Scope
 
-OWN = {"stop", "check"}
+OWN = {"stop", "check", "profile"}
 """Verbs that take more than the command of their name."""
 PUMA = Path(__file__).parents[2] / "examples" / "puma"
 ASKED = (

@@ -129,9 +129,10 @@ def test_errors_show_their_stack_only_when_asked():
 
 
 def test_check_says_legal_or_why_not():
-    assert render.text("check", {"legal": True, "warnings": []}) == "legal"
-    wire = PbonetError("two writers").to_wire()
-    assert render.text("check", {"legal": False, "error": wire}) == "ERROR> two writers"
+    good = {"legal": True, "warnings": ["slow"], "rtpus": []}
+    assert render.text("check", good) == "WARNING> slow\nlegal"
+    bad = {"legal": False, "error": PbonetError("two writers").to_wire()}
+    assert render.text("check", {**good, **bad, "warnings": []}) == "ERROR> two writers"
 
 
 def test_stop_says_what_was_forced():
@@ -142,7 +143,17 @@ def test_stop_says_what_was_forced():
 
 def test_commands_without_a_form_of_their_own_show_states():
     shown = {"display", "write", "get", "set", "module", "check", "freq", "stop"}
-    shown |= {"status", "status set", "events", "help", "network", "quit", "wait"}
+    shown |= {
+        "profile",
+        "profile save",
+        "status",
+        "status set",
+        "events",
+        "help",
+        "network",
+        "quit",
+        "wait",
+    }
     for command in COMMANDS:
         if command.name not in shown:
             assert render.text(command.name, {"states": {"pid": "ON"}}) == "pid ON"

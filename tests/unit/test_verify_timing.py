@@ -6,6 +6,7 @@ from verify_parts import configuration, rtpu, task, texts
 
 from pbonet import verify
 from pbonet.config.model import TaskType, Variable
+from pbonet.sched.soft import from_steps
 
 
 def figure_6_1(scheduler: str, **fourth) -> verify.Configuration:
@@ -289,3 +290,29 @@ def test_measured_times_refuse_nothing(scheduler: str) -> None:
 def test_a_server_beside_a_task_of_unknown_time() -> None:
     made = task("s", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
     assert texts(configuration(task("a", freq=50), made, rtpus=[rtpu()])) == []
+
+
+def test_measured_times_change_nobodys_criticality() -> None:
+    """A slow cycle of another run must not take a task out of the critical set."""
+    made = [
+        structs.replace(task("a", freq=100, critical=True, info=None), maxc=0.05),
+        task("b", freq=50, maxc=0.001),
+    ]
+    config = configuration(*made, rtpus=[rtpu()])
+    assert crits(config) == {"a": 5, "b": 5}
+    (load,) = verify.loads(config)
+    assert load.critical_set == ("a", "b")
+    assert load.guaranteed == ()
+    (problem,) = verify.check(config)
+    assert problem.severity == "warn"
+    assert problem.tasks == ("a",)
+
+
+def test_a_soft_task_is_ranked_by_its_measured_effective_time() -> None:
+    profile = from_steps([(2_000_000, 0.9), (30_000_000, 1.0)])
+    soft = structs.replace(task("s", freq=100, softness=0.1), profile=profile)
+    config = configuration(soft, task("b", freq=50, maxc=0.01), rtpus=[rtpu()])
+    assert crits(config) == {"s": 5, "b": 5}
+    assert texts(config) == []
+    hard = structs.replace(soft, rmod=structs.replace(soft.rmod, maxc=0.03))
+    assert crits(configuration(hard, rtpus=[rtpu()])) == {"s": 5}

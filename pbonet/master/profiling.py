@@ -1,0 +1,157 @@
+"""What `profile` shows: every figure of section 6.7.1, for tasks and for RTPUs.
+
+Stewart 1994, section 6.7.1, defines the figures; decision 0040 says where ours divide
+by something else. They run since the task was turned on, the execution profile Psi(t)
+since it was spawned.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from pbonet.errors import StateError
+from pbonet.master import profile
+from pbonet.master.measured import profile_of
+from pbonet.sched import histogram, soft
+from pbonet.xm import messages as m
+from pbonet.xm.messages import TaskProfile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from pbonet.config.model import Rmod
+    from pbonet.master.crew import Crew
+    from pbonet.master.measured import Saved
+    from pbonet.xm.messages import RtpuStatus
+
+Data = dict[str, Any]
+QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
+SUMS: Final = ("cycle", "miss", "totC", "minU", "avgU", "maxU")
+"""Figures of tasks that add up to a figure of their RTPU."""
+
+
+def ask(crew: Crew, tasks: Sequence[str]) -> list[TaskProfile]:
+    """Return the profiles of tasks, of all if none is named, RTPU by RTPU.
+
+    Raises:
+        UnknownTaskError: There is no such task.
+    """
+    crew.refresh(strict=False)
+    for task in tasks:
+        crew.picture.find(task)
+    results, errors = crew.fleet.each(lambda _: m.Profile(), list[TaskProfile])
+    crew.tell(map(str, errors))
+    found = [one for name in crew.fleet.names for one in results.get(name, [])]
+    return [one for one in found if not tasks or one.status.task in tasks]
+
+
+def save(crew: Crew, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
+    """Save profiles beside the ``.sbs`` file, for later starts; return them.
+
+    Where no task is named, those that have run too few cycles are told as warnings.
+
+    Raises:
+        UnknownTaskError: There is no such task.
+        StateError: One that was named has run too few cycles.
+        ConfigFileError: A file cannot be written.
+    """
+    saved: list[tuple[Saved, Path]] = []
+    for found in ask(crew, tasks):
+        rmod = crew.picture.find(found.status.task).rmod
+        host = crew.fleet.host(found.status.rtpu)
+        when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+        try:
+            saved.append(crew.files.profiles.keep(found, rmod, host=host, when=when))
+        except StateError as error:
+            if tasks:
+                raise
+            crew.warned(str(error))
+    return saved
+
+
+def task_data(found: TaskProfile, rmod: Rmod | None) -> Data:
+    """Return everything that is known of one task's execution times; seconds.
+
+    Args:
+        found: Its profile.
+        rmod: Its RMOD, for what is declared; None where it is not known.
+    """
+    fields = profile.profile(found.status).fields
+    counts = _counts(found.cpu)
+    psi = profile_of(tuple(found.cpu), found.most) if found.cpu else None
+    softness = rmod.softness if rmod else None
+    reserve = None
+    if rmod is not None and softness:
+        reserve = soft.effective(
+            softness,
+            given_ns=None if rmod.effc is None else round(rmod.effc * 1e9),
+            profile=psi,
+            worst_ns=None if rmod.maxc is None else round(rmod.maxc * 1e9),
+        )
+    return {
+        "task": found.status.task,
+        "rtpu": found.status.rtpu,
+        "figures": fields,
+        "counted": sum(counts),
+        "least": found.least if psi else None,
+        "most": found.most if psi else None,
+        "quantiles": _quantiles(counts, found.most),
+        "delays": _quantiles(_counts(found.jitter), found.status.jitter_max),
+        "late": found.late,
+        "failed": found.failed,
+        "failures": found.failures,
+        "sections": [msgspec.to_builtins(section) for section in found.sections],
+        "declared": {
+            key: getattr(rmod, key) if rmod else None
+            for key in ("minc", "maxc", "effc", "softness")
+        },
+        "effective": reserve.time_ns / 1e9 if reserve and reserve.time_ns else None,
+        "psi": [
+            [time / 1e9, share]
+            for time, share in zip(psi.times_ns, psi.shares, strict=True)
+        ]
+        if psi
+        else [],
+    }
+
+
+def rtpu_data(status: RtpuStatus, tasks: Iterable[Data]) -> Data:
+    """Return the figures of one RTPU: its own, and the sums over its tasks."""
+    here = [task["figures"] for task in tasks if task["rtpu"] == status.rtpu]
+    sums = {
+        name: sum(values)
+        if (values := [t[name] for t in here if t[name] is not None])
+        else None
+        for name in SUMS
+    }
+    return {
+        "rtpu": status.rtpu,
+        "backend": status.backend,
+        "scheduler": status.scheduler,
+        "util": status.util,
+        "dispatcher": status.dispatcher,
+        "tasks": len(here),
+        **sums,
+    }
+
+
+def _counts(bins: Sequence[tuple[int, int]]) -> list[int]:
+    counts = [0] * histogram.BINS
+    for index, count in bins:
+        counts[index] = count
+    return counts
+
+
+def _quantiles(counts: Sequence[int], most: float) -> dict[str, float | None]:
+    """Return quantiles; none is beyond the greatest value, which is known exactly."""
+    known = any(counts)
+    return {
+        f"p{100 * share:g}": min(histogram.quantile_ns(counts, share) / 1e9, most)
+        if known
+        else None
+        for share in QUANTILES
+    }

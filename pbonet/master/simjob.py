@@ -1,0 +1,172 @@
+"""A job's schedule in virtual time, with given execution times (section 6.2).
+
+No agent is asked. With `code` the modules run too: a cycle reads its inputs when it
+begins, its outputs appear when it ends, and what lies between is the given time. So a
+control law meets the delays and missed cycles of its schedule, the same ones each time.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import structs
+
+from pbonet import verify
+from pbonet.config.library import Library
+from pbonet.errors import ConfigFileError, PbonetError, SeveralError
+from pbonet.io.policy import no_devices
+from pbonet.master.checking import planned
+from pbonet.master.files import Files
+from pbonet.master.measured import here
+from pbonet.master.sim import BEGIN_NS, REASON, Simulation
+from pbonet.pbo import State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+_LOADS = frozenset({
+    verify.Code.OVERLOAD,
+    verify.Code.SERVER,
+    verify.Code.TIMES,
+    verify.Code.BANDWIDTH,
+})
+"""What a start is refused for, and what a simulation is there to show."""
+
+
+def simulate(
+    path: str | Path,
+    seconds: float,
+    folders: Iterable[str | Path] = (),
+    *,
+    host: str = "",
+    times: verify.Times = verify.Times.WORST,
+    seed: int = 0,
+    assume: float | None = None,
+    code: bool = False,
+) -> tuple[verify.JobOutcome, list[str]]:
+    """Run a job in virtual time; return its schedule and what is to be said.
+
+    Args:
+        path: The ``.job`` file.
+        seconds: How much virtual time passes, above 0.
+        folders: Of module libraries.
+        host: The machine whose saved profiles count; this one if empty.
+        times: Which execution times cycles take.
+        seed: Of random ones.
+        assume: Share of its period that a cycle of unknown MAXC takes.
+        code: Run the modules too.
+
+    Raises:
+        ConfigError: A file is missing or wrong.
+        VerificationError: The job is illegal in other ways than by its load, or an
+            execution time is not known.
+        PbonetError: A module does not load, or fails in `init` or `on`.
+    """
+    folders = list(folders)
+    files = Files(path, Library(folders))
+    verdict, parts = planned(files, host or here())
+    errors = [PbonetError.from_wire(error) for error in parts.errors]
+    if len(errors) > 1:
+        raise SeveralError("the job cannot be simulated", errors)
+    if errors or verdict is None:
+        raise errors[0]
+    verdict = without_loads(verdict)
+    verdict.check()
+    told = [*parts.warnings, *map(verify.as_text, verdict.warnings)]
+    run = Timed(path, folders) if code else None
+    with no_devices(REASON):
+        if run is not None:
+            run.start()
+        try:
+            outcome = verify.simulate_job(
+                verdict.after,
+                seconds=seconds,
+                times=times,
+                seed=seed,
+                assume=assume,
+                code=run,
+            )
+        finally:
+            if run is not None:
+                run.stop()
+    return outcome, [*told, *(run.events if run else [])]
+
+
+def without_loads(verdict: verify.Verdict) -> verify.Verdict:
+    """Return a verdict that only warns of what a schedule will show."""
+    problems = tuple(
+        structs.replace(problem, severity=verify.Severity.WARN)
+        if problem.code in _LOADS
+        else problem
+        for problem in verdict.problems
+    )
+    return structs.replace(verdict, problems=problems)
+
+
+class Timed(Simulation):
+    """The modules of a job, run when the schedule says so; a `verify.ModuleCode`."""
+
+    def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
+        """Run a cycle on the inputs of this instant; its outputs are held."""
+        del now_ns  # a cycle is told its release, as on an RTPU
+        if not self._is_on(task):
+            return False
+        found = self.task(task)
+        self.now_ns = BEGIN_NS + release_ns
+        found.copies.hold = True
+        self._cycle(found)
+        if not self._is_on(task):
+            self._let_go(task)
+        return self._is_on(task)
+
+    def end(self, task: str, now_ns: int) -> None:
+        """Publish the outputs of the cycle that ends."""
+        self.now_ns = BEGIN_NS + now_ns
+        self._let_go(task)
+
+    def _is_on(self, task: str) -> bool:
+        return self.task(task).executor.state is State.ON
+
+    def _let_go(self, task: str) -> None:
+        copies = self.task(task).copies
+        copies.publish()
+        copies.hold = False
+
+    def _judged(self, tasks: list[verify.Task], *, producers: bool) -> verify.Verdict:
+        """Judge the job but for its load; its warnings are told by `simulate`."""
+        verdict = without_loads(super()._judged(tasks, producers=producers))
+        return structs.replace(verdict, problems=verdict.refused)
+
+
+def write_svg(outcome: verify.JobOutcome, path: Path, show_ns: int = 0) -> list[Path]:
+    """Write a picture of each RTPU's schedule; of several, one file each.
+
+    Args:
+        outcome: The schedules.
+        path: The file; of several RTPUs each one's name is put before the suffix.
+        show_ns: How much of the schedule is shown; 0 for four times the longest
+            period.
+
+    Returns:
+        The files.
+
+    Raises:
+        ConfigFileError: A file cannot be written.
+    """
+    pictures = outcome.svg(show_ns=show_ns)
+    written: list[Path] = []
+    for rtpu, text in pictures.items():
+        name = path.name if len(pictures) == 1 else f"{path.stem}-{rtpu}{path.suffix}"
+        file = path.with_name(name)
+        try:
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ConfigFileError(
+                "the picture cannot be written",
+                where=str(file),
+                got=error.strerror or str(error),
+                remedy="name a folder that is there and writable",
+            ) from None
+        written.append(file)
+    return written
