@@ -346,7 +346,7 @@ class Simulation:
             tasks = [task.member.task for task in turns.tasks]
             assigned = verify.criticalities(tasks, entry, limit=PLANNED)
             for task in turns.tasks:
-                task.crit = assigned[task.name].crit
+                task.crit = task.source.crit = assigned[task.name].crit
                 task.priority = priorities[task.name]
                 turns.configure(task)
 

@@ -163,7 +163,6 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         rmod=request.rmod,
         rmod_name=request.rmod_name,
         freq=freq,
-        crit=request.crit or 0,
         ring=ring,
         libraries=rtpu.config.libraries,
         forker=rtpu.spawner.pid,

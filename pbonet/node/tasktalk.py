@@ -18,12 +18,9 @@ from . import wire
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ._rt import Slot
+    from ._rt import CoreTable, Slot
     from .executor import Executor
     from .failures import Raised
-
-_NAMED = Signal.OFF | Signal.FINISH | Signal.ERROR | Signal.WARNING | Signal.SHUTDOWN
-
 
 INTERRUPT = signal.SIGUSR2
 F_SETSIG = 10
@@ -173,9 +170,10 @@ def _signal_text(notice: Notice) -> str:
 
 
 class SlotTime:
-    """Time and cycle count as the slot has them; see `pbonet.pbo.TimeSource`."""
+    """Time, cycle count and criticality of a slot; see `pbonet.pbo.Schedule`."""
 
-    def __init__(self, slot: Slot) -> None:
+    def __init__(self, core: CoreTable, slot: Slot) -> None:
+        self._core = core
         self._slot = slot
         self._base = slot.cycles
         self.cycling = False
@@ -193,6 +191,11 @@ class SlotTime:
     def cyclecount(self) -> int:
         """Cycles executed since the task was turned on."""
         return self._slot.cycles - self._base
+
+    @property
+    def crit(self) -> int:
+        """The criticality that the dispatcher ranks the task by."""
+        return self._core.snapshot(self._slot.index).crit
 
 
 class Context(TaskContext):

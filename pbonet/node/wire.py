@@ -232,7 +232,6 @@ class TaskSpec(Struct, kw_only=True):
     rmod: str
     rmod_name: str
     freq: float
-    crit: int
     ring: str
     libraries: tuple[str, ...]
     forker: int

@@ -133,8 +133,8 @@ class BoundedOutbox:
         return notices
 
 
-class TimeSource(Protocol):
-    """Says which time and which cycle it is for a task."""
+class Schedule(Protocol):
+    """What a task's scheduler knows of it: time, cycles, criticality."""
 
     @property
     def now(self) -> int:
@@ -146,18 +146,27 @@ class TimeSource(Protocol):
         """Cycles executed since the task was turned on."""
         ...
 
+    @property
+    def crit(self) -> int:
+        """The criticality that the task has now."""
+        ...
+
 
 class Counted:
-    """A time source that its owner sets before each cycle.
+    """A schedule that its owner keeps up to date, cycle by cycle.
 
     Args:
         clock: Gives nanoseconds while `release` is None, that is, between cycles.
+        crit: The criticality to begin with.
     """
 
-    def __init__(self, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self, clock: Callable[[], int] = time.monotonic_ns, crit: int = 0
+    ) -> None:
         self.clock = clock
         self.release: int | None = None
         self.cyclecount = 0
+        self.crit = crit
 
     @property
     def now(self) -> int:
@@ -175,8 +184,7 @@ class TaskContext:
         name: The task's name.
         rmod: The name of the RMOD it runs.
         freq: Cycles per second; 0 for a task that is not periodic.
-        crit: Its criticality (section 6.2.3).
-        source: Where time and cycle count come from.
+        source: Where time, cycle count and criticality come from.
         outbox: Where signals and warnings go.
         handler: The criticality at which the handler of timing failures runs; None
             for the task's own.
@@ -190,8 +198,7 @@ class TaskContext:
         *,
         rmod: str = "",
         freq: float = 0.0,
-        crit: int = 0,
-        source: TimeSource | None = None,
+        source: Schedule | None = None,
         outbox: Outbox | None = None,
         handler: int | None = None,
         watch: Watch | None = None,
@@ -206,7 +213,6 @@ class TaskContext:
         """The last error or warning."""
         self.errnum = 0
         """Its number: 0 for none, 1 for an exception, else as the module gave it."""
-        self.crit = crit
         self.freq = freq
         self.nwarnings = 0
         """Warnings since the task was turned on."""
@@ -220,7 +226,7 @@ class TaskContext:
         """In `off`: True when a successor takes over the outputs at once."""
         self.off_requested = False
         """True when the module has sent `Signal.OFF`; the runtime obeys."""
-        self.source: TimeSource = source or Counted()
+        self.source: Schedule = source or Counted()
         self.outbox: Outbox = outbox or BoundedOutbox()
         self.on_fail: Callable[[MethodError], Answer] | None = None
         """How the runtime asks the module's `error`; None where it cannot."""
@@ -241,6 +247,11 @@ class TaskContext:
     def cyclecount(self) -> int:
         """Cycles executed since the task was turned on."""
         return self.source.cyclecount
+
+    @property
+    def crit(self) -> int:
+        """Criticality (section 6.2.3), as the scheduler has it now; 0 before that."""
+        return self.source.crit
 
     @property
     def period(self) -> float:

@@ -111,9 +111,13 @@ class Watched(Protocol):
     """The task that a `PythonWatch` belongs to."""
 
     name: str
-    crit: int
     handler: int | None
     handling: TimingFailure | None
+
+    @property
+    def crit(self) -> int:
+        """Its own criticality."""
+        ...
 
     @property
     def period(self) -> float:

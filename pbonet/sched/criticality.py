@@ -16,10 +16,6 @@ from msgspec import Struct
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-LOWEST = 0
-"""Reserved for background work."""
-HIGHEST = 63
-"""Reserved for the system."""
 OUTSIDE = 3
 """Periodic tasks outside the critical set (section 6.2.3)."""
 INSIDE = 5

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 BINS = 416
 PER_OCTAVE = 16
-OCTAVES = BINS // PER_OCTAVE - 1
 
 
 def bin_of(ns: int) -> int:

@@ -109,8 +109,7 @@ class Bench(Generic[M]):
         self.task = TaskContext(
             name,
             freq=freq,
-            crit=crit,
-            source=Counted(self.clock),
+            source=Counted(self.clock, crit),
             outbox=self._outbox,
             handler=handler,
         )

@@ -61,8 +61,6 @@ class Code(StrEnum):
     RATE = "rate"
     """A frequency is outside MINFREQ and MAXFREQ."""
     BANDWIDTH = "bandwidth"
-    ORDER = "order"
-    """A list of signals passes through an illegal configuration."""
 
 
 class Problem(Struct, frozen=True, kw_only=True):

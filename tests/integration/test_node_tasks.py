@@ -124,6 +124,30 @@ def test_parameters_change_between_two_cycles(arm):
     assert arm.status("a").state == "ON"
 
 
+def test_module_knows_its_criticality_and_rate_as_they_are(nodes, arm):
+    nodes.write_module(
+        "knows",
+        """
+        from typing import Annotated as A
+        from pbonet import OutVar, PortBasedObject, Vector
+
+        class Knows(PortBasedObject):
+            y: A[Vector, OutVar("Y", "2", "none", "criticality, rate")]
+
+            def cycle(self, dt):
+                self.y[:] = self.task.crit, self.task.freq
+        """,
+    )
+    arm.spawn("a", "knows", freq=200.0)
+    arm.on("a")
+    crit = arm.status("a").crit
+    assert crit == 5  # it fits, as the only one
+    wait_for(lambda: arm.value("Y0").values == [crit, 200.0], "what it is told")
+    arm.ask(m.Rank(tasks={"a": (1, 0)}))
+    arm.ask(m.Freq(task="a", hz=100.0), float)
+    wait_for(lambda: arm.value("Y0").values == [1.0, 100.0], "what it is told then")
+
+
 def test_frequency_changes_while_it_runs(arm):
     arm.spawn("a", "counts", freq=100.0)
     arm.on("a")

@@ -129,6 +129,13 @@ def test_illegal_job_is_refused_before_anything_runs(shop: Shop) -> None:
     assert simulation.states() == {}
 
 
+def test_modules_know_their_criticality(shop: Shop) -> None:
+    told = SOURCE.replace("self.y += 1.0", "self.y = float(self.task.crit)")
+    shop.module("told", told, "OUTVAR Y", "FREQ 100", "CRIT 7")
+    recording = shop.job("told a").run(0.03)
+    assert recording.arrays("told")["Y"].ravel().tolist() == [7.0, 7.0, 7.0]
+
+
 def test_more_urgent_task_runs_first_at_the_same_instant(shop: Shop) -> None:
     """On one RTPU the producer comes first, as the data flows (section 6.2.4)."""
     simulation = shop.job("sink a", "source a")

@@ -12,11 +12,13 @@ from pbonet.pbo import Answer, BoundedOutbox, Counted, TaskFailure
 @pytest.fixture
 def task():
     source = Counted(lambda: 5_000)
-    return TaskContext("arm", rmod="law", freq=200.0, crit=7, source=source)
+    return TaskContext("arm", rmod="law", freq=200.0, source=source)
 
 
 def test_the_fields_of_the_thesis(task):
-    assert (task.name, task.rmod, task.crit) == ("arm", "law", 7)
+    assert (task.name, task.rmod, task.crit) == ("arm", "law", 0)
+    task.source.crit = 7
+    assert task.crit == 7
     assert (task.freq, task.period) == (200.0, 0.005)
     assert (task.state, task.nextstate) == (State.NOT_CREATED, State.OFF)
     assert (task.errmsg, task.errnum, task.nwarnings) == ("", 0, 0)

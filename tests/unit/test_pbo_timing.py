@@ -23,8 +23,8 @@ class Ticking:
 
 @pytest.fixture
 def task():
-    source = Counted(lambda: 5_000)
-    return TaskContext("arm", freq=200.0, crit=7, source=source, handler=9)
+    source = Counted(lambda: 5_000, crit=7)
+    return TaskContext("arm", freq=200.0, source=source, handler=9)
 
 
 def timed(task):
@@ -183,7 +183,7 @@ def test_a_criticality_above_the_tasks_and_its_handlers_is_refused(task, crit):
 
 
 def test_without_a_criticality_for_the_handler_the_tasks_own_is_the_bound():
-    task = TaskContext("arm", crit=7)
+    task = TaskContext("arm", source=Counted(crit=7))
     handle(task, 1_000)
     task.criticality = 7
     with pytest.raises(MethodError, match="from 1 to 7"):
