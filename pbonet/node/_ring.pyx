@@ -50,7 +50,8 @@ cdef class Ring:
                 raise
         except OSError as error:
             raise RealTimeError("the ring cannot be made", where=path, got=error.strerror,
-                                expected=f"{sizeof(ring) + size} bytes") from None
+                                expected=f"{sizeof(ring) + size} bytes",
+                                remedy="make room there") from None
         cdef Ring self = _map_ring(name, path, fd)
         ring_init(self.r, size)
         return self

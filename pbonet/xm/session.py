@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ipaddress
 import json
+import re
 import time
 from typing import TYPE_CHECKING
 
@@ -97,7 +98,7 @@ def agent(
         raise NodeError(
             "the agent's session cannot be opened",
             where=" ".join([places.endpoint, *listen]),
-            got=_first_line(error),
+            got=_reason(error),
             remedy="is another program listening there?",
         ) from None
 
@@ -139,7 +140,7 @@ def client(
             raise UnreachableError(
                 f"no agent of domain {domain} answers",
                 where=" ".join(endpoints),
-                got=_first_line(error),
+                got=_reason(error),
                 remedy="is an agent running there, and does it listen on that address?",
             ) from None
 
@@ -194,5 +195,7 @@ def _config(
     return zenoh.Config.from_json5(json.dumps(settings))
 
 
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
+def _reason(error: Exception) -> str:
+    """Return the first line of what zenoh says, without the place in its sources."""
+    text = str(error) or type(error).__name__
+    return re.sub(r"\s+at \S+\.rs:\d+\.?", "", text.splitlines()[0])

@@ -103,6 +103,27 @@ def test_refusal_keeps_its_class_and_says_where(client):
     assert caught.value.where == "arm0/pid"
 
 
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ("/lib/broken.py:5", "arm0:/lib/broken.py:5"),
+        ("/lib/arm01.svar", "arm0:/lib/arm01.svar"),
+    ],
+)
+def test_the_place_of_a_refusal_begins_with_its_rtpu(client, agents, place, told):
+    agents["arm0"].fail["status", ""] = StateError("not now", where=place)
+    with pytest.raises(StateError) as caught:
+        client.call("arm0", m.Status(task=""), m.RtpuStatus)
+    assert caught.value.where == told
+
+
+def test_a_session_that_cannot_be_opened_names_no_source_file(world):
+    with pytest.raises(UnreachableError) as caught:
+        session.client(world.domain, connect=["tcp/127.0.0.1:1"], timeout=0.1)
+    assert "127.0.0.1:1" in caught.value.got
+    assert ".rs" not in caught.value.got
+
+
 def test_refusal_without_a_place_gets_the_name_of_the_rtpu(client, agents):
     agents["arm0"].fail["status", ""] = StateError("not now")
     with pytest.raises(StateError, match=r"^arm0: not now$"):
