@@ -244,18 +244,20 @@ def test_viscous_friction_sets_the_terminal_speed():
     assert arm.qd[0] == pytest.approx(2.0 / PUMA560.viscous[0], rel=1e-3)
 
 
-def test_end_stops_hold_whatever_pushes():
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_end_stops_hold_whatever_pushes(way):
+    stop = PUMA560.upper if way > 0 else PUMA560.lower
     arm = released(PUMA560, NOMINAL)
     for _ in range(1500):
-        arm.command(PUMA560.torque)
+        arm.command(way * PUMA560.torque)
         arm.advance(2e-3)
-        assert np.all(arm.q <= PUMA560.upper)
-    assert arm.q == pytest.approx(PUMA560.upper)
+        assert np.all(way * arm.q <= way * stop)
+    assert arm.q == pytest.approx(stop)
     assert np.array_equal(arm.qd, np.zeros(6))
     for _ in range(10):
-        arm.command(-PUMA560.torque)
+        arm.command(-way * PUMA560.torque)
         arm.advance(2e-3)
-    assert np.all(arm.q < PUMA560.upper), "a stop does not glue"
+    assert np.all(way * arm.q < way * stop), "a stop does not glue"
 
 
 def test_drives_limit_the_torque():

@@ -129,6 +129,10 @@ def test_a_signal_is_not_refused_for_what_was_wrong_before() -> None:
     verdict = verify.judge(config, verify.signal("grav", "on"))
     assert verdict.refused == ()
     assert codes(verdict.warnings) == ["two-writers"]
+    config = configuration(PID, OTHER, ARM, on={"pid", "dls", "arm"})
+    verdict = verify.judge(config, verify.spawn(task("log", invar="Q")))
+    assert verdict.refused == ()
+    assert codes(verdict.warnings) == ["two-writers"]
 
 
 @pytest.mark.parametrize("sent", ["clear", "reinit", "17"])
