@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.config.types import element_type
+from pbonet.config.types import TYPES, element_type
 from pbonet.errors import ConfigError, did_you_mean
 from pbonet.pbo import METHODS
-from pbonet.ports import NAME_FORM, Kind, name_fault, parse_shape
+from pbonet.ports import NAME_FORM, SHAPES, Kind, name_fault, parse_shape
 
 if TYPE_CHECKING:
     from pbonet.config.model import SvarFile, Variable
@@ -68,6 +68,8 @@ def read_port(text: str, kind: Kind, svar: SvarFile | None = None) -> NewPort:
             "a port has at most four parts",
             where=text,
             expected="NAME:SHAPE:UNIT:TYPE",
+            got=f"{1 + len(words)} parts",
+            remedy="leave out what is too many",
         )
     if variable is None and not given.get("unit"):
         raise ConfigError(
@@ -103,14 +105,26 @@ def _variable(name: str, svar: SvarFile | None) -> Variable | None:
 
 def _check(port: NewPort, text: str) -> None:
     if fault := name_fault(port.name):
-        raise ConfigError(fault, where=text, expected=NAME_FORM, got=f'"{port.name}"')
+        raise ConfigError(
+            fault,
+            where=text,
+            expected=NAME_FORM,
+            got=f'"{port.name}"',
+            remedy="choose another name",
+        )
     try:
         parse_shape(port.shape)
     except ValueError as error:
-        raise ConfigError(f"the shape {error}", where=text) from None
+        raise ConfigError(
+            f"the shape {error}",
+            where=text,
+            expected=SHAPES,
+            remedy="correct it, or leave it empty to take it from a .svar file",
+        ) from None
     if element_type(port.type) is None:
         raise ConfigError(
             f"there is no type {port.type}",
             where=text,
-            expected="double, int, bool ...",
+            expected=" or ".join(TYPES),
+            remedy=did_you_mean(port.type, TYPES) or "choose one of these",
         )

@@ -101,6 +101,7 @@ def _check_name(name: str) -> None:
             "the name cannot be a module's",
             where=name,
             expected="lower-case letters, digits and underscores, a letter first",
+            remedy="choose another name",
         )
     if name in sys.stdlib_module_names or name in _IMPORTED:
         raise ConfigError(

@@ -84,5 +84,6 @@ def new_module(
                 "the file cannot be written",
                 where=str(path),
                 got=error.strerror or str(error),
+                remedy="choose another folder by --folder, or correct its permissions",
             ) from None
     return list(paths)

@@ -92,7 +92,11 @@ def bind(
     """
     where = cls.__name__
     if cls.__abstract__:
-        raise DeclarationError("an abstract module cannot run", where=where)
+        raise DeclarationError(
+            "an abstract module cannot run",
+            where=where,
+            remedy="run a class that derives from it",
+        )
     if not isinstance(params, cls.__params__):
         raise ParameterError(
             "the parameters are of another class",

@@ -9,6 +9,7 @@ from ._attributes import SCALARS, ArrayPort, InScalar, OutScalar, attribute, vie
 from ._declare import (
     MARKS,
     NAME_FORM,
+    SHAPES,
     Declared,
     InConst,
     InVar,
@@ -27,6 +28,7 @@ __all__ = [
     "MARKS",
     "NAME_FORM",
     "SCALARS",
+    "SHAPES",
     "ArrayPort",
     "Declared",
     "Declaring",

@@ -26,6 +26,7 @@ NAME_FORM = (
     "all"
 )
 SHAPES = '"1", "6", "ndof" or "ndof,4"'
+"""What shapes look like, for messages."""
 _WORDS = ("name", "shape", "unit", "doc")
 
 

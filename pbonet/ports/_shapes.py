@@ -67,6 +67,7 @@ class _Sizes:
                 where=self.where,
                 expected=f"{name} of at least 1",
                 got=f"{size} from {origin}",
+                remedy="give the constant its value before this module is created",
             )
         before, who = self._known.setdefault(name, (size, origin))
         if before != size:
@@ -158,6 +159,7 @@ def _learn(sizes: _Sizes, port: Port, count: int) -> bool:
             where=sizes.where,
             expected=f"a number of elements that fits shape {shape_text(port.shape)}",
             got=f"{count} elements",
+            remedy=f"correct NELEM of the variable, or the shape of {port.attr}",
         )
     sizes.learn(name, size, origin)
     return True

@@ -369,7 +369,11 @@ def _size(word: str, value: Any) -> int:  # noqa: ANN401 - whatever was given
         return operator.index(value)
     except TypeError:
         raise PortError(
-            f"the size {word} is a whole number", where="Bench", got=repr(value)
+            f"the size {word} is a whole number",
+            where="Bench",
+            expected="a whole number of at least 1",
+            got=repr(value),
+            remedy=f"say `{word}=2` or the like",
         ) from None
 
 

@@ -112,14 +112,15 @@ FAULTS = [
         {"DH": 22},
         {},
         "port dh (DH) cannot have 22 elements (expected a number of elements that fits "
-        "shape n,4, got 22 elements)",
+        "shape n,4, got 22 elements); correct NELEM of the variable, or the shape of "
+        "dh",
     ),
     (
         "m:n,n",
         {"M": 8},
         {},
         "port m (M) cannot have 8 elements (expected a number of elements that fits "
-        "shape n,n, got 8 elements)",
+        "shape n,n, got 8 elements); correct NELEM of the variable, or the shape of m",
     ),
     (
         "j:m,n",
@@ -133,7 +134,8 @@ FAULTS = [
         "q:n",
         {},
         {"n": 0},
-        "a size cannot be 0 (expected n of at least 1, got 0 from constant n)",
+        "a size cannot be 0 (expected n of at least 1, got 0 from constant n); give "
+        "the constant its value before this module is created",
     ),
     (
         "ndof:1 q:ndof",

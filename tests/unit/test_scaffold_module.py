@@ -9,6 +9,7 @@ import pytest
 
 from pbonet.config import parse_rmod, parse_svar
 from pbonet.config.library import Library
+from pbonet.config.types import TYPES
 from pbonet.errors import ConfigError
 from pbonet.master.newport import NewPort, read_port
 from pbonet.master.scaffold import class_name, in_own_tree, scaffold
@@ -189,20 +190,23 @@ REFUSED = [
     (
         lambda: read_port("Q:6:rad:double:more", IV),
         "Q:6:rad:double:more: a port has at most four parts (expected "
-        "NAME:SHAPE:UNIT:TYPE)",
+        "NAME:SHAPE:UNIT:TYPE, got 5 parts); leave out what is too many",
     ),
     (
         lambda: read_port("Q:6*2:rad", IV),
-        "Q:6*2:rad: the shape has a part that is neither a size nor a name: '6*2'",
+        "Q:6*2:rad: the shape has a part that is neither a size nor a name: '6*2' "
+        '(expected "1", "6", "ndof" or "ndof,4"); correct it, or leave it empty to '
+        "take it from a .svar file",
     ),
     (
-        lambda: read_port("Q:6:rad:real", IV),
-        "Q:6:rad:real: there is no type real (expected double, int, bool ...)",
+        lambda: read_port("Q:6:rad:doubel", IV),
+        f"Q:6:rad:doubel: there is no type doubel (expected {' or '.join(TYPES)}); did "
+        "you mean double?",
     ),
     (
         lambda: scaffold("Law", []),
         "Law: the name cannot be a module's (expected lower-case letters, digits and "
-        "underscores, a letter first)",
+        "underscores, a letter first); choose another name",
     ),
     (
         lambda: scaffold("law", ports(IV, "Q:6:rad", OV, "Q:6:rad")),
@@ -213,7 +217,7 @@ REFUSED = [
         lambda: read_port("A-B:6:rad", IV),
         "A-B:6:rad: the port's name cannot stand in an .rmod file (expected a letter "
         "or _, then letters, digits and any of _ ^ ' ., at most 15 in all, got "
-        '"A-B")',
+        '"A-B"); choose another name',
     ),
     (
         lambda: scaffold("signal", []),
