@@ -178,19 +178,27 @@ class Dispatcher:
     @property
     def running(self) -> bool: ...
 
-class Aborted(BaseException):
-    """Leaves a cycle for the mark in `Slot.run`; no module should catch it."""
-
 class Failures:
-    """What a module may do about timing failures; see `pbonet.pbo.Watch`."""
+    """What the dispatcher and a module have to say to each other in a cycle."""
 
     criticality: int
     deadline: float
+    """Seconds from the release; setting it moves the deadline of this cycle."""
+    @property
+    def own_criticality(self) -> int:
+        """What the task was ranked by, whatever has become of it in this cycle."""
     @property
     def error(self) -> BaseException | None:
         """What the failure handler failed with in the last `Slot.run`."""
-    def critical(self) -> AbstractContextManager[None]: ...
-    def timed(self, name: str) -> AbstractContextManager[None]: ...
+    @property
+    def section(self) -> AbstractContextManager[None]:
+        """Holds failures off while it is entered; nests."""
+    def timed(self, name: str) -> AbstractContextManager[None]:
+        """Return what times a section in CPU time.
+
+        Raises:
+            ValueError: There is no room for one more.
+        """
 
 class Slot:
     """The task's own end of its slot; made once in the task's process, main thread."""

@@ -8,8 +8,7 @@ CONTINUE, ABORT, SKIP = range(3)
 HANDLER_BOUND_NS = 500_000_000
 
 
-class Aborted(BaseException):
-    """Leaves a cycle for the mark in `Slot.run`; no module should catch it."""
+from pbonet.pbo import CycleAborted as Aborted
 
 
 cdef class Critical:
@@ -29,14 +28,19 @@ cdef class Timed:
     """Times one section of the cycle in CPU time."""
 
     cdef rt_slot *slot
-    cdef int index
+    cdef CoreTable table        # keeps the memory
+    cdef int index, depth
     cdef uint64_t begun
 
     def __enter__(self):
-        self.begun = rt_thread_cpu()
+        self.depth += 1
+        if self.depth == 1:
+            self.begun = rt_thread_cpu()
 
     def __exit__(self, *_):
-        rt_time_section(self.slot, self.index, rt_thread_cpu() - self.begun)
+        self.depth -= 1
+        if self.depth == 0:
+            rt_time_section(self.slot, self.index, rt_thread_cpu() - self.begun)
 
 
 cdef class Failures:
@@ -47,13 +51,11 @@ cdef class Failures:
     cdef object handler
     cdef public object error
     cdef bint skip
-    cdef Critical section
-    cdef dict timers
+    cdef readonly Critical section
 
     cdef int guard(self, rt_task *task, CoreTable table) except -1:
         self.task = task
         self.table = table
-        self.timers = {}
         self.section = Critical()
         self.section.failures = self
         _signals.signal(RT_FAIL_SIGNAL, self.deliver)
@@ -107,27 +109,20 @@ cdef class Failures:
             self.skip = True
         return 0
 
-    def critical(self):
-        return self.section
-
     def timed(self, str name):
-        found = self.timers.get(name)
-        return self.timer(name) if found is None else found
-
-    cdef Timed timer(self, str name):
-        cdef bytes text = name.encode()
-        if not text or len(text) >= RT_SECTION_NAME:
-            raise ValueError(f"a timed section's name has 1 to {RT_SECTION_NAME - 1} "
-                             f"bytes, not {len(text)}: {name!r}")
         cdef Timed timer = Timed()
         self.table.open()
         timer.slot = self.task.slot
-        timer.index = rt_section(self.task.slot, text)
+        timer.index = rt_section(self.task.slot, name.encode(errors="replace"))
         if timer.index < 0:
-            raise ValueError(f"a task has at most {RT_SECTIONS} timed sections; "
-                             f"{name!r} is one too many")
-        self.timers[name] = timer
+            raise ValueError(f"a task has at most {RT_SECTIONS} timed sections")
+        timer.table = self.table
         return timer
+
+    @property
+    def own_criticality(self) -> int:
+        self.table.open()
+        return rt_own_crit_of(self.task.slot)
 
     @property
     def criticality(self) -> int:
@@ -136,7 +131,8 @@ cdef class Failures:
 
     @criticality.setter
     def criticality(self, int crit):
-        self.wish(_within("criticality", crit, 0, 63), 0)
+        self.table.open()
+        rt_wish(self.task, _within("criticality", crit, 0, 63), 0)
 
     @property
     def deadline(self) -> float:
@@ -147,16 +143,8 @@ cdef class Failures:
 
     @deadline.setter
     def deadline(self, double seconds):
-        cdef int64_t ns = <int64_t>(_within("deadline", seconds, 1e-6, 1e6) * 1e9)
-        self.wish(-1, self.task.rel_ns + ns)
-
-    cdef int wish(self, int crit, int64_t deadline) except -1:
         self.table.open()
-        if not rt_handles():
-            raise TaskError("only timing_failure() changes criticality and deadline",
-                            remedy="return from cycle() earlier, or write a handler")
-        rt_wish(self.task, crit, deadline)
-        return 0
+        rt_wish(self.task, -1, self.task.rel_ns + <int64_t>(min(seconds, 1e6) * 1e9))
 
     def __dealloc__(self):
         if self.task is not NULL:

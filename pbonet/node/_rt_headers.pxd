@@ -154,6 +154,7 @@ cdef extern from "view.h" nogil:
     int rt_leader(const rt_table *t)
     int64_t rt_posted_cpu(const rt_slot *slot)
     int rt_crit_of(const rt_slot *slot)
+    int rt_own_crit_of(const rt_slot *slot)
     int64_t rt_deadline_of(const rt_slot *slot)
     void rt_play(rt_table *t, rt_slot *slot, const rt_part *part)
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 
-from pbonet.sched.criticality import PLANNED
-from pbonet.verify import Task, criticalities
+from pbonet.config.model import Scheduler
+from pbonet.sched.criticality import PLANNED, dropped
+from pbonet.verify import SERVER_TYPES, Task, criticalities
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -41,6 +42,8 @@ class Ranked(Struct, frozen=True):
     crit: int
     priority: int
     assumed: bool
+    drop: int = 0
+    """Criticality once its reserve is used up."""
 
 
 def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
@@ -64,6 +67,11 @@ def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
             crit=assigned[wish.name].crit,
             priority=wish.priority if wish.told is None else wish.told[1],
             assumed=assigned[wish.name].assumed,
+            drop=dropped(
+                assigned[wish.name].crit,
+                fixed_rates=rtpu.scheduler is Scheduler.RM,
+                server=wish.rmod.tasktype in SERVER_TYPES,
+            ),
         )
         for wish in wishes
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
 import msgspec
 from msgspec import structs
@@ -16,7 +16,6 @@ from pbonet.errors import (
     PbonetError,
     Severity,
     StateError,
-    TaskError,
 )
 from pbonet.pbo import State
 from pbonet.sched.records import Kind
@@ -32,7 +31,15 @@ if TYPE_CHECKING:
     from .state import Rtpu
     from .tables import Opened
 
-KINDS = {TaskType.PERIODIC: Kind.PERIODIC, TaskType.SYNCHRONOUS: Kind.SYNCHRONOUS}
+KINDS = {
+    TaskType.PERIODIC: Kind.PERIODIC,
+    TaskType.SYNCHRONOUS: Kind.SYNCHRONOUS,
+    TaskType.DEFERRABLE: Kind.DEFERRABLE,
+    TaskType.SPORADIC: Kind.SPORADIC,
+    TaskType.BACKGROUND: Kind.BACKGROUND,
+}
+SILENCE = 2
+"""Periods after which a device that times a task counts as silent."""
 FASTEST = 1e9 / _rt.MIN_PERIOD_NS
 """Hz."""
 HIGHEST_CRIT = 62
@@ -98,15 +105,8 @@ def check_freq(rmod: Rmod, freq: float | None) -> float:
     """Return the frequency that a task of `rmod` gets, in Hz; 0 where it has none.
 
     Raises:
-        TaskError: The kind of task is not there yet.
         ParameterError: The frequency cannot be had.
     """
-    if rmod.tasktype not in KINDS:
-        raise TaskError(
-            f"tasks of type {rmod.tasktype} cannot run yet",
-            where=rmod.file,
-            expected=" or ".join(KINDS),
-        )
     wanted = rmod.freq if freq is None else freq
     if wanted is None:
         return 0.0
@@ -142,14 +142,43 @@ def check_rank(crit: int | None, priority: int, name: str) -> None:
         )
 
 
+class Limits(TypedDict, total=False):
+    """What the dispatcher watches, in nanoseconds."""
+
+    period_ns: int
+    deadline_ns: int
+    minc_ns: int
+    maxc_ns: int
+
+
+def limits(rmod: Rmod, freq: float) -> Limits:
+    """Return what the dispatcher watches of a task that runs at `freq` Hz.
+
+    The reserve is a server's capacity, the E of a soft task, or MAXC. A device that
+    times a task is expected at the task's frequency.
+    """
+    found = Limits(minc_ns=_ns(rmod.minc), maxc_ns=_ns(rmod.maxc))
+    if rmod.softness and rmod.effc is not None:
+        found["maxc_ns"] = _ns(rmod.effc)
+    if rmod.capacity is not None:
+        found["maxc_ns"] = _ns(rmod.capacity)
+    if freq:
+        found["period_ns"] = _ns(1.0 / freq)
+        if rmod.tasktype is TaskType.SYNCHRONOUS:
+            found["deadline_ns"] = SILENCE * found["period_ns"]
+    return found
+
+
+def _ns(seconds: float | None) -> int:
+    return round((seconds or 0.0) * 1e9)
+
+
 async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
     rmod, freq, slot, opened = plan
     key = (request.subsystem, request.task)
     ring = f"{rtpu.config.domain}.{request.subsystem}.{request.task}"
     rtpu.core.configure(
-        slot,
-        period_ns=round(1e9 / freq) if freq else None,
-        kind=KINDS[rmod.tasktype],
+        slot, kind=KINDS[rmod.tasktype], handler=rmod.handler or 0, **limits(rmod, freq)
     )
     spec = wire.TaskSpec(
         domain=rtpu.config.domain,
@@ -213,6 +242,7 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
         )
         raise
     task.ready = msgspec.convert(done.result, Ready)
+    rtpu.core.configure(task.facts.slot, tells=task.ready.tells)
     task.stopping = False
     rtpu.events.add(
         Severity.INFO,

@@ -208,7 +208,9 @@ class Rtpu:
         for key, rank in self.ranks.items():
             if before.get(key) != rank:
                 slot = self.tasks[key].facts.slot
-                self.core.configure(slot, crit=rank.crit, priority=rank.priority)
+                self.core.configure(
+                    slot, crit=rank.crit, priority=rank.priority, drop=rank.drop
+                )
 
     def _entry(self) -> RtpuEntry:
         """Return what those who use the RTPU say of it, taken together."""
@@ -346,7 +348,7 @@ class Rtpu:
             "off and ends",
         )
         for task in self.tasks.values():
-            if task.facts.rmod.tasktype is TaskType.SYNCHRONOUS:
+            if task.facts.rmod.tasktype is not TaskType.PERIODIC:
                 task.child.send_signal(INTERRUPT)  # it may wait in `sync`
 
     async def _watch_quietly(self) -> None:

@@ -23,7 +23,7 @@ from pbonet.config import parse_rmod
 from pbonet.config.library import Library
 from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
-from pbonet.pbo import State, bind, decode_params
+from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
 from pbonet.svar import Table
 
 from . import _rt, runtime, tasktalk, wire
@@ -33,12 +33,18 @@ from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
 from .taskparams import get_params, set_param
 from .taskports import check_ports, local_table
 from .tasks import DUMP_SIGNAL, Ready
+from .slotwatch import SlotWatch
 from .tasktalk import Context, SlotTime, Voice
 
 if TYPE_CHECKING:
     from pbonet.config.model import Rmod
 
 ORPHAN_SIGNAL = signal.SIGUSR1
+_RECOVERIES = {
+    Recovery.CONTINUE: _rt.CONTINUE,
+    Recovery.ABORT: _rt.ABORT,
+    Recovery.SKIP: _rt.SKIP,
+}
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
@@ -83,6 +89,7 @@ class Host:
             signal.signal(which, self._on_signal)
         self.core = _rt.CoreTable(spec.core, member=False)
         self.slot = _rt.Slot(self.core, spec.slot)
+        self.watch = SlotWatch(self.slot.failures)
         self.decoder: msgspec.msgpack.Decoder[wire.ToTask] = msgspec.msgpack.Decoder(
             wire.ToTask
         )
@@ -111,7 +118,10 @@ class Host:
             freq=spec.freq,
             source=self.time,
             outbox=self.voice,
+            handler=self.rmod.handler,
+            watch=self.watch,
         )
+        self.watch.task = self.context
         self.context.on_off = lambda: self.core.request(spec.slot)
         arrays = {
             port.attr: self.local.array(self.rmod.svar_name(port.name))
@@ -136,12 +146,13 @@ class Host:
         _rt.pin(self.spec.core)
         runtime.settle_memory()
         self.slot.command_level()
-        if self.synchronous:
+        if self.outside:
             tasktalk.interrupt_waits(self.voice.sock, self._on_message)
         ready = Ready(
             module=self.info.name,
             version=self.info.version,
             critical_ok=self.info.critical_ok,
+            tells="timing_failure" in self.info.methods,
             notes=notes,
         )
         self._answer(0, ready)
@@ -149,9 +160,9 @@ class Host:
     # -- life --------------------------------------------------------------------------
 
     @property
-    def synchronous(self) -> bool:
+    def outside(self) -> bool:
         """Whether the module says in `sync` when it is time."""
-        return self.rmod.tasktype is TaskType.SYNCHRONOUS
+        return self.rmod.tasktype is not TaskType.PERIODIC
 
     def live(self) -> None:
         """Obey messages and cycle until the task is killed or orphaned."""
@@ -182,13 +193,17 @@ class Host:
                 instance.cycle,
                 self.local,
                 stable=instance.stable if self.rmod.critical else None,
-                sync=self._sync if self.synchronous else None,
+                sync=self._sync if self.outside else None,
                 ring=self.ring,
                 leave=ALL_REFUSED,
+                failing=self._tell,
             )
             if reason == _rt.FLAGS:
                 self.time.cycling = False
                 self._fault(refused(self.slot.flags, self.local.blamed))
+            elif reason == _rt.ABORTED:
+                self.time.cycling = False
+                self._begin_anew()
         except tasktalk.Interrupted:
             self._waiting_outside = False
         except RAISED as error:
@@ -209,6 +224,8 @@ class Host:
 
     def _method(self) -> str:
         """Return which method the native loop runs, or ran last."""
+        if self.slot.failures.error is not None:
+            return "timing_failure"
         if self._waiting_outside:
             return "sync"
         return "stable" if self.slot.stable else "cycle"
@@ -216,6 +233,26 @@ class Host:
     def _on_message(self) -> None:
         if self._waiting_outside:
             raise tasktalk.Interrupted
+
+    def _tell(self, kind: str) -> int:
+        """Tell the module of a timing failure, amid its cycle."""
+        return _RECOVERIES[self.executor.timing_failure(TimingFailure(kind))]
+
+    def _begin_anew(self) -> None:
+        """Carry out what follows a cycle that the module's handler ended."""
+        try:
+            self.executor.abort()
+        except PbonetError as error:
+            self.voice.report(error, self.executor, self.time.cyclecount)
+        if self.executor.state is not State.ON:
+            self.slot.disarm()
+            self.voice.notice(
+                Severity.WARNING,
+                "STATE",
+                f"after a timing failure: {self.executor.state}",
+                cycle=self.time.cyclecount,
+                state=self.executor.state,
+            )
 
     def _fault(self, error: Raised) -> None:
         """Have the executor deal with what a cycle raised, and report it."""

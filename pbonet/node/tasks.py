@@ -63,6 +63,8 @@ class Ready(msgspec.Struct, kw_only=True):
     module: str
     version: str
     critical_ok: bool
+    tells: bool = False
+    """It has a handler of timing failures."""
     notes: list[str] = []
 
 

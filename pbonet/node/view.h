@@ -211,6 +211,11 @@ static inline int rt_crit_of(const struct rt_slot *slot)
     return atomic_load(&slot->grant.crit);
 }
 
+static inline int rt_own_crit_of(const struct rt_slot *slot)
+{
+    return atomic_load(&slot->config.crit);
+}
+
 static inline int64_t rt_deadline_of(const struct rt_slot *slot)
 {
     return atomic_load(&slot->grant.dl_ns);

@@ -20,12 +20,30 @@ OUTSIDE = 3
 """Periodic tasks outside the critical set (section 6.2.3)."""
 INSIDE = 5
 """The critical set."""
+EXHAUSTED = 4
+"""A server that has used its capacity up (section 6.5.2.1)."""
 RM_LEVELS = 62
 """Criticalities 1 to 62; 0 and 63 are reserved (section 4.5.1)."""
 
 
 PLANNED = 0.95
 """Share of a core that may be planned; above it the kernel throttles all of it."""
+
+
+def dropped(crit: int, *, fixed_rates: bool, server: bool = False) -> int:
+    """Return the criticality of a task that has used up what is reserved for it.
+
+    Section 6.4.1 lowers a soft task to 3, section 6.5.2.1 a server to 4; under RM,
+    whose criticalities are rates, what is left over is below all of them.
+
+    Args:
+        crit: That of the task.
+        fixed_rates: The RTPU schedules by RM.
+        server: The task is an aperiodic server.
+    """
+    if fixed_rates:
+        return LOWEST
+    return min(crit, EXHAUSTED if server else OUTSIDE)
 
 
 class Timing(Struct, frozen=True, kw_only=True):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from .criticality import INSIDE, OUTSIDE
+from .criticality import EXHAUSTED, INSIDE, OUTSIDE
 from .servers import ServerKind
 from .urgency import NEVER, urgency
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 SERVER = 6
 """Criticality of a server with capacity left (section 6.5.2.1)."""
-EXHAUSTED = 4
-"""Criticality of a server that has used its capacity up."""
 BACKGROUND = 1
 """Criticality of work that is not real-time (section 6.5.2)."""
 

@@ -240,15 +240,16 @@ class _Builder(Struct, kw_only=True):
         """Return one RTPU before its first instant."""
         assigned = criticalities(tasks, rtpu, limit=limit)
         made: list[Core] = []
+        rates = rtpu.scheduler is Scheduler.RM
         made.append(
             Core(
                 [
-                    self._task(t, assigned[t.name], made)
+                    self._task(t, assigned[t.name], made, rates=rates)
                     for t in tasks
                     if is_periodic(t)
                 ],
                 [
-                    self._server(t, assigned[t.name], rtpu.scheduler)
+                    self._server(t, assigned[t.name], rates=rates)
                     for t in tasks
                     if not is_periodic(t) and self._serves(t)
                 ],
@@ -271,7 +272,9 @@ class _Builder(Struct, kw_only=True):
             return task.hz is not None and task.rmod.capacity is not None
         return task.name in self.events
 
-    def _task(self, task: Task, assigned: Assigned, on: list[Core]) -> PeriodicTask:
+    def _task(
+        self, task: Task, assigned: Assigned, on: list[Core], *, rates: bool
+    ) -> PeriodicTask:
         """Return a task; `on` will hold the core that it runs on."""
         soft, code, name = effective(task), self.code, task.name
 
@@ -291,7 +294,7 @@ class _Builder(Struct, kw_only=True):
             priority=self.priorities.get(task.name, 0),
             least_ns=ns(least(task).seconds or 0.0),
             effective_ns=ns(soft.seconds or 0.0) if soft else 0,
-            drop_crit=min(criticality.OUTSIDE, assigned.crit),
+            drop_crit=criticality.dropped(assigned.crit, fixed_rates=rates),
             begun=begun if code is not None else None,
             done=done if code is not None else None,
         )
@@ -308,9 +311,7 @@ class _Builder(Struct, kw_only=True):
         low, high = ns(least(task).seconds or 0.0), ns(task.worst)
         return lambda: source.randint(min(low, high), high)
 
-    def _server(
-        self, task: Task, assigned: Assigned, scheduler: Scheduler
-    ) -> ServerTask:
+    def _server(self, task: Task, assigned: Assigned, *, rates: bool) -> ServerTask:
         kind = SERVER_TYPES.get(task.rmod.tasktype, ServerKind.BACKGROUND)
         if task.rmod.tasktype is TaskType.BACKGROUND:
             period = capacity = 0
@@ -320,7 +321,6 @@ class _Builder(Struct, kw_only=True):
         arrivals = self.events.get(task.name)
         if arrivals is None:
             arrivals = _all_of_it(period, capacity, self.until_ns)
-        rm = scheduler is Scheduler.RM
         return ServerTask(
             name=task.name,
             kind=kind,
@@ -328,7 +328,9 @@ class _Builder(Struct, kw_only=True):
             capacity_ns=capacity,
             period_ns=period,
             crit=assigned.crit,
-            drop_crit=None if rm else min(4, assigned.crit),
+            drop_crit=criticality.dropped(
+                assigned.crit, fixed_rates=rates, server=True
+            ),
             priority=self.priorities.get(task.name, 0),
         )
 

@@ -1,0 +1,60 @@
+"""Time as a module deals with it in a real task: `pbonet.pbo.Watch` over its slot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.pbo import TaskContext, check_criticality, check_deadline, check_section
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from ._rt import Failures
+
+
+class SlotWatch:
+    """The watch of a task that the dispatcher looks after.
+
+    Args:
+        failures: The native half, which tells the dispatcher.
+    """
+
+    def __init__(self, failures: Failures) -> None:
+        self._failures = failures
+        self._sections: dict[str, AbstractContextManager[None]] = {}
+        self.task = TaskContext()
+
+    @property
+    def criticality(self) -> int:
+        """What the dispatcher ranks the task by at this moment."""
+        return self._failures.criticality
+
+    @criticality.setter
+    def criticality(self, value: int) -> None:
+        self.task.crit = self._failures.own_criticality
+        self._failures.criticality = check_criticality(self.task, value)
+
+    @property
+    def deadline(self) -> float:
+        """Seconds from the release of this cycle to its deadline."""
+        return self._failures.deadline
+
+    @deadline.setter
+    def deadline(self, value: float) -> None:
+        self._failures.deadline = check_deadline(self.task, value)
+
+    def critical(self) -> AbstractContextManager[None]:
+        """Return what holds timing failures off, and the loss of criticality."""
+        return self._failures.section
+
+    def timed(self, name: str) -> AbstractContextManager[None]:
+        """Return what times the section `name` in CPU time.
+
+        Raises:
+            MethodError: The name cannot be, or there is no room for one more.
+        """
+        found = self._sections.get(name)
+        if found is None:
+            check_section(name, self._sections, where=self.task.name)
+            found = self._sections[name] = self._failures.timed(name)
+        return found
