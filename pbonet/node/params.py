@@ -55,7 +55,7 @@ async def set_freq(rtpu: Rtpu, task: Task, hz: float) -> None:
     """
     wanted = spawning.check_freq(task.facts.rmod, hz)
     await task.command("freq", lambda n: wire.SetFreq(n, wanted), TIMEOUT)
-    rtpu.core.configure(task.facts.slot, period_ns=round(1e9 / wanted))
+    rtpu.core.configure(task.facts.slot, **spawning.limits(task.facts.rmod, wanted))
     task.freq = wanted
     rtpu.rank()
     rtpu.events.add(

@@ -13,7 +13,7 @@ from msgspec import Struct, structs
 
 from pbonet.config.model import Scheduler
 from pbonet.sched.criticality import PLANNED, dropped
-from pbonet.verify import SERVER_TYPES, Task, criticalities
+from pbonet.verify import Task, criticalities
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -70,7 +70,7 @@ def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
             drop=dropped(
                 assigned[wish.name].crit,
                 fixed_rates=rtpu.scheduler is Scheduler.RM,
-                server=wish.rmod.tasktype in SERVER_TYPES,
+                server=wish.rmod.capacity is not None,
             ),
         )
         for wish in wishes

@@ -28,11 +28,13 @@ from .spawner import Spawner
 from .tables import Tables
 from .tasks import describe_end
 from .tasktalk import INTERRUPT
+from .timekeeping import Timekeeper
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.xm import rundir
+    from pbonet.sched.records import SlotStatus
     from pbonet.xm.messages import TaskStatus
 
     from .events import EventLog
@@ -74,6 +76,7 @@ class Rtpu:
         self.ranks: dict[Key, ranking.Ranked] = {}
         self.stopping: set[str] = set()
         self.turned_on = 0
+        self._timekeeper = Timekeeper(events)
         self.spawner = Spawner(config.core, self._forks_died)
         self.core: _rt.CoreTable
         self.dispatcher: _rt.Dispatcher
@@ -288,7 +291,7 @@ class Rtpu:
     def ended(self, task: Task, code: int) -> None:
         """Clean up after a task's process, however it ended."""
         key = (task.facts.subsystem, task.name)
-        was_on = self.core.snapshot(task.facts.slot).mode is not Mode.OFF
+        slot = self.core.snapshot(task.facts.slot)
         task.last_status = self.status_of(task)
         self.core.died(task.facts.slot)
         self.core.free(task.facts.slot)
@@ -296,7 +299,7 @@ class Rtpu:
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop(key, None)
         if not task.stopping:
-            self._died(task, code, was_on=was_on)
+            self._died(task, code, slot)
         self.rank()
         self.save()
 
@@ -312,13 +315,18 @@ class Rtpu:
         except (PbonetError, OSError) as error:
             self.events.add(Severity.ERROR, "INTERNAL", f"after {task.name}: {error}")
 
-    def _died(self, task: Task, code: int, *, was_on: bool) -> None:
+    def _died(self, task: Task, code: int, slot: SlotStatus) -> None:
         """Report a task that ended unasked, and remember its last status."""
         text = f"the task ended by itself: {describe_end(code)}"
+        if slot.hangs:
+            text = (
+                "the task ended itself: timing_failure() did not return, not even when "
+                "it was aborted"
+            )
         last = task.last_status or self.status_of(task)
         last.error, last.tid = text, 0
         self.tombs[task.facts.subsystem, task.name] = last
-        if was_on:
+        if slot.mode is not Mode.OFF:
             self._raise_flag(task, "has died")
         trace = task.child.crash_text()
         self.events.add(
@@ -357,6 +365,10 @@ class Rtpu:
         while True:
             await asyncio.sleep(WATCH_PERIOD)
             self.flags.relieve()
+            self._timekeeper.look(
+                self.core.status(),
+                [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
+            )
             for subsystem in self.tables.vanished():
                 self.events.add(
                     Severity.ERROR,

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from pbonet.pbo import State
 from pbonet.sched.histogram import edge_ns
-from pbonet.xm.messages import RtpuStatus, TaskProfile, TaskStatus
+from pbonet.xm.messages import RtpuStatus, SectionStatus, TaskProfile, TaskStatus
+
+from ._rt import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,6 +82,24 @@ def task_status(rtpu: str, task: Task, slot: SlotStatus, rank: Ranked) -> TaskSt
         on_ns=slot.on_ns,
         now=slot.now_ns,
         ring=task.facts.ring,
+        rank=slot.rank,
+        reserve=slot.maxc_ns * _NS,
+        failures=dict(zip(KINDS, slot.failures, strict=True)),
+        overruns=slot.overruns,
+        aborted=slot.aborted,
+        skipped=slot.skipped,
+        handlers=slot.handlers,
+        delivery_max=slot.delivery_max_ns * _NS,
+        held_off=slot.held_off,
+        sections={
+            one.name: SectionStatus(
+                count=one.count,
+                total=one.total_ns * _NS,
+                min=one.min_ns * _NS,
+                max=one.max_ns * _NS,
+            )
+            for one in slot.sections
+        },
     )
 
 
@@ -148,4 +168,6 @@ def rtpu_status(
         util=spent_ns / since if since > 0 else 0.0,
         dispatcher=core.cpu_ns / since if since > 0 else 0.0,
         illegal=illegal,
+        stalls=core.stalls,
+        stalled=core.stalled_ns * _NS,
     )

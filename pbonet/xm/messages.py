@@ -273,6 +273,15 @@ class TableInfo(Struct, kw_only=True):
     machine: str
 
 
+class SectionStatus(Struct, kw_only=True):
+    """One timed section of a task's cycle; CPU seconds."""
+
+    count: int
+    total: float
+    min: float
+    max: float
+
+
 class TaskStatus(Struct, kw_only=True):
     """Everything that section 4.4.1 lists for one task, and a little more.
 
@@ -324,6 +333,26 @@ class TaskStatus(Struct, kw_only=True):
     """CLOCK_MONOTONIC nanoseconds at which this was read."""
     ring: str = ""
     """Name of the ring in shared memory that gets one record a cycle."""
+    rank: int = 0
+    """Criticality at this moment: lower while a reserve is used up."""
+    reserve: float = 0.0
+    """CPU seconds reserved for each cycle, or for a server's period; 0 for none."""
+    failures: dict[str, int] = {}
+    """Timing failures by kind, since the task was spawned (section 6.3)."""
+    overruns: int = 0
+    """How often the reserve was used up."""
+    aborted: int = 0
+    """Cycles ended by the module's handler of timing failures."""
+    skipped: int = 0
+    """Releases left out: too late to begin, or because the handler said so."""
+    handlers: int = 0
+    """Calls of that handler."""
+    delivery_max: float = 0.0
+    """Longest time from the finding of a failure to its handler's begin, seconds."""
+    held_off: int = 0
+    """Critical sections that lasted too long, and were overruled."""
+    sections: dict[str, SectionStatus] = {}
+    """Timed sections by name (section 6.7.2)."""
 
 
 class RtpuStatus(Struct, kw_only=True):
@@ -337,6 +366,10 @@ class RtpuStatus(Struct, kw_only=True):
     """CPU share used by the tasks since the dispatcher started, of one core."""
     dispatcher: float = 0.0
     """CPU share used by the dispatcher."""
+    stalls: int = 0
+    """How often the core stood still for more than 20 ms."""
+    stalled: float = 0.0
+    """Seconds that it stood still, in all."""
     illegal: list[str] = []
     """Causes for which the illegal-configuration flag is up."""
 
