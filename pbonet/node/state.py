@@ -33,8 +33,8 @@ from .timekeeping import Timekeeper
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.xm import rundir
     from pbonet.sched.records import SlotStatus
+    from pbonet.xm import rundir
     from pbonet.xm.messages import TaskStatus
 
     from .events import EventLog

@@ -30,10 +30,10 @@ from . import _rt, runtime, tasktalk, wire
 from ._ring import Ring
 from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
+from .slotwatch import SlotWatch
 from .taskparams import get_params, set_param
 from .taskports import check_ports, local_table
 from .tasks import DUMP_SIGNAL, Ready
-from .slotwatch import SlotWatch
 from .tasktalk import Context, SlotTime, Voice
 
 if TYPE_CHECKING:

@@ -39,9 +39,7 @@ class Timekeeper:
         self._stalled_ns = 0
         self._errors = 0
 
-    def look(
-        self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]
-    ) -> None:
+    def look(self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]) -> None:
         """Tell what has come since the last look."""
         seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
         for task, slot in tasks:
@@ -91,8 +89,8 @@ class Timekeeper:
                 Severity.ERROR,
                 "CALLS_REFUSED",
                 f"the kernel refused {core.errors - self._errors} calls about tasks of "
-                f"core {core.core}; their order may be wrong. Has somebody taken rights "
-                "away? `pbonet doctor` says which there are",
+                f"core {core.core}; their order may be wrong. Has somebody taken "
+                "rights away? `pbonet doctor` says which there are",
             )
         self._stalls, self._stalled_ns = core.stalls, core.stalled_ns
         self._errors = core.errors
