@@ -1,9 +1,10 @@
 """Which criticality a task gets: the rule of verification fills in what nobody says."""
 
 import pytest
+from msgspec import structs
 
 from pbonet.config import parse_rmod
-from pbonet.config.model import RtpuEntry, Scheduler
+from pbonet.config.model import RtpuEntry, Scheduler, TaskType
 from pbonet.node.ranking import Ranked, Wish, rank
 
 RMOD = """
@@ -36,9 +37,21 @@ def crits(*wishes, **entry):
 def test_muf_assumes_what_it_does_not_know():
     found = ranked(wish("a", 100.0, lines=["MAXC 0.001"]), wish("b", 50.0))
     assert found == {
-        "a": Ranked(5, 0, assumed=False),
-        "b": Ranked(5, 0, assumed=True),
+        "a": Ranked(5, 0, assumed=False, drop=3),
+        "b": Ranked(5, 0, assumed=True, drop=3),
     }
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "drops"), [("MUF", (3, 4)), ("EDF", (3, 4)), ("RM", (0, 0))]
+)
+def test_what_is_left_of_a_task_whose_reserve_is_used_up(scheduler, drops):
+    """Sections 6.4.1 and 6.5.2.1; under RM criticalities are rates, and 0 is below."""
+    server = wish("s", 100.0)
+    kept = structs.replace(server.rmod, tasktype=TaskType.DEFERRABLE, capacity=0.001)
+    server.rmod = kept
+    found = ranked(wish("a", 100.0), server, scheduler=Scheduler(scheduler))
+    assert (found["a"].drop, found["s"].drop) == drops
 
 
 def test_muf_leaves_out_what_does_not_fit():
@@ -88,13 +101,13 @@ def test_edf_gives_all_the_same():
 def test_who_is_asked_first():
     """The master's last word, then the spawn, then the RMOD, then the rule."""
     one = wish("a", 10.0, lines=["MAXC 0.001", "CRIT 20"], priority=7)
-    assert ranked(one)["a"] == Ranked(20, 7, assumed=False)
+    assert ranked(one)["a"] == Ranked(20, 7, assumed=False, drop=3)
     one.spawn_crit = 30
     assert ranked(one)["a"].crit == 30
     one.told = (40, 8)
-    assert ranked(one)["a"] == Ranked(40, 8, assumed=False)
+    assert ranked(one)["a"] == Ranked(40, 8, assumed=False, drop=3)
     one.told = (None, 9)
-    assert ranked(one)["a"] == Ranked(20, 9, assumed=False)
+    assert ranked(one)["a"] == Ranked(20, 9, assumed=False, drop=3)
 
 
 def test_nobody():
