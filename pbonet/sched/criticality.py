@@ -16,6 +16,8 @@ from msgspec import Struct
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+LOWEST = 0
+"""Reserved for work that only uses what is left over."""
 OUTSIDE = 3
 """Periodic tasks outside the critical set (section 6.2.3)."""
 INSIDE = 5
