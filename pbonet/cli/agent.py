@@ -25,7 +25,9 @@ class Backend(enum.StrEnum):
 def command(
     *,
     name: A[str | None, typer.Option(help="The RTPU's name.")] = None,
-    core: A[int | None, typer.Option(help="The core it owns.", min=0)] = None,
+    core: A[
+        int | None, typer.Option(help="The core it owns; chosen if left out.", min=0)
+    ] = None,
     config: A[Path | None, typer.Option(help="An agent.toml.")] = None,
     domain: A[
         str | None,

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 from pbonet import verify
 from pbonet.config import parse_rmod
-from pbonet.errors import PbonetError, ReconfigError, StateError
+from pbonet.errors import PbonetError, StateError
 from pbonet.master import modules
+from pbonet.master.failures import stuck
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
 from pbonet.pbo import State
@@ -363,14 +364,14 @@ class Crew:
                     rtpu, request, m.Reconfigured, timeout=CONTROL_TIME * len(part)
                 )
             except PbonetError as error:
-                raise _stuck(items, done, error) from error
+                raise stuck(items, done, error) from error
             for task, state in answer.states.items():
                 self._move(task, State(state))
             states |= answer.states
             done += answer.done
             if answer.error is not None:
                 cause = rpc.placed(rtpu, PbonetError.from_wire(answer.error))
-                raise _stuck(items, done, cause) from cause
+                raise stuck(items, done, cause) from cause
         return states
 
     def _runs(
@@ -472,26 +473,3 @@ class Crew:
             if member.rtpu in results:
                 self.picture.remove(member.name)
         return stopped, errors
-
-
-def _stuck(
-    items: Sequence[tuple[str, str]], done: int, error: PbonetError
-) -> ReconfigError:
-    """Return the error that says which item failed, what was done, and what was not."""
-    task, signal = items[done]
-    parts = [
-        f"{what}: " + ", ".join(f"{signal} {task}" for task, signal in some)
-        for what, some in (("done", items[:done]), ("not sent", items[done + 1 :]))
-        if some
-    ]
-    stuck = ReconfigError(
-        f"item {done + 1} of {len(items)}, {signal} {task}: {error.what}",
-        where=error.where,
-        expected=error.expected,
-        got=error.got,
-        remedy="; ".join(filter(None, (error.remedy, *parts))),
-        debug=error.debug,
-    )
-    stuck.done = done
-    stuck.rest = tuple(items[done:])
-    return stuck

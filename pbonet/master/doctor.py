@@ -18,6 +18,7 @@ import pbonet
 from pbonet.errors import PbonetError, UnreachableError
 from pbonet.master import render
 from pbonet.master.fleet import client_name
+from pbonet.sched.criticality import PLANNED
 from pbonet.svar import files as shared
 from pbonet.xm import messages as m
 from pbonet.xm import rpc, rundir, session
@@ -128,6 +129,11 @@ def rights(probe: Probe) -> Iterator[Finding]:
     """Look at real-time rights and cores."""
     if probe.fifo:
         yield Finding(Level.PASS, f"real time by SCHED_FIFO, kernel {probe.preempt}")
+        share = 1.0
+        if 0 <= probe.rt_runtime_us < probe.rt_period_us:
+            share = probe.rt_runtime_us / probe.rt_period_us
+        text = f"real-time tasks may take {share:.0%} of each core"
+        yield Finding(Level.PASS, f"{text}, verification plans with {PLANNED:.0%}")
     else:
         yield Finding(
             Level.WARN,

@@ -27,6 +27,7 @@ from pbonet.errors import (
 )
 from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, Reply, convert
+from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import client_name
 from pbonet.master.network import Order
@@ -201,7 +202,7 @@ def stop(
     Raises:
         UnreachableError: No agent can be reached.
         NodeError: No RTPU knows the subsystem.
-        SeveralError: Several RTPUs did not confirm; of one, its own error.
+        SeveralError: An RTPU did not confirm; the others were stopped.
     """
     client = rpc.Client(
         session.client(domain, connect=connect), domain, client_name("stop")
@@ -223,9 +224,9 @@ def stop(
         ) from None
     finally:
         client.close()
-    rpc.raise_all(f"{len(errors)} RTPUs did not confirm the stop", errors)
-    return {
-        "off": [task for stopped in results.values() for task in stopped.off],
-        "killed": [task for stopped in results.values() for task in stopped.killed],
-        "rtpus": rtpus,
-    }
+    stopped = m.Stopped(
+        off=[task for one in results.values() for task in one.off],
+        killed=[task for one in results.values() for task in one.killed],
+    )
+    must_be_stopped(stopped, errors)
+    return {**msgspec.to_builtins(stopped), "rtpus": rtpus}

@@ -30,6 +30,7 @@ from pbonet.errors import (
 from pbonet.master import assembly, modules, profiling
 from pbonet.master.changing import Changing
 from pbonet.master.crew import CONTROL_TIME, Crew
+from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
 from pbonet.master.words import (
@@ -194,7 +195,8 @@ class Subsystem:
         try:
             self.crew.off()
             _, errors = self.crew.stop()
-            errors += self.crew.leave()
+            told = {str(error) for error in errors}
+            errors += [error for error in self.crew.leave() if str(error) not in told]
         finally:
             self.detach()
         rpc.raise_all(f"the end of subsystem {self.name} left something behind", errors)
@@ -472,11 +474,11 @@ class Subsystem:
         finished.
 
         Raises:
-            PbonetError: An RTPU did not answer; the others were stopped.
+            SeveralError: An RTPU did not confirm; the others were stopped.
         """
         self.stopped.set()
         stopped, errors = self.crew.stop()
-        rpc.raise_all(f"{len(errors)} RTPUs did not confirm the stop", errors)
+        must_be_stopped(stopped, errors)
         if self.fleet.claimed:
             self.crew.settle()
         return stopped

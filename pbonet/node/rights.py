@@ -6,6 +6,7 @@ import os
 import resource
 from pathlib import Path
 
+from pbonet.sched.criticality import PLANNED
 from pbonet.sched.records import Probe
 
 _CAP_SYS_NICE = 23
@@ -81,11 +82,14 @@ def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> 
 
 
 def _throttling(runtime: int, period: int) -> list[str]:
-    if runtime < 0 or runtime >= period:
+    """Say when the kernel gives real-time tasks less than verification plans with."""
+    wanted = round(PLANNED * period)
+    if runtime < 0 or runtime >= wanted:
         return []
     return [
         f"real-time tasks together get {runtime} us of every {period} us "
-        "(sched_rt_runtime_us); keep each core's load below that"
+        f"(sched_rt_runtime_us), and verification plans with {wanted} us; raise it "
+        f"(sysctl -w kernel.sched_rt_runtime_us={wanted})"
     ]
 
 

@@ -98,12 +98,8 @@ class Rtpu:
                 f"core {self.config.core} cannot be used by this process",
                 where=self.name,
                 expected="one of " + " ".join(map(str, probe.cores)),
-                remedy="choose another core, or widen the process's CPU affinity",
-            )
-        if len(probe.cores) == 1:
-            self.limits.append(
-                "this process may use one core alone, so everything else that runs "
-                "disturbs the tasks"
+                remedy="choose another core, leave --core out to have one chosen, or "
+                "widen the process's CPU affinity",
             )
         os.sched_setaffinity(0, runtime.housekeeping_cores(self.config.core))
         try:

@@ -50,6 +50,7 @@ _ALONE_TIME: Final = 1.2
 """When nobody at all can be reached, the agent through which we reach the others has
 gone; in this time zenoh finds the next."""
 _PROBE_TIME: Final = 1.0
+_DIGITS: Final = "0123456789"
 _RETRY_PAUSE: Final = 0.05
 _TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
 
@@ -278,10 +279,12 @@ def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None
 def unreachable(rtpu: str, domain: str, names: list[str]) -> UnreachableError:
     """Return the error for an RTPU that is not among `names`."""
     there = ", ".join(names) or "none"
-    hint = did_you_mean(rtpu, names)
-    start = f"start it with 'pbonet agent --name {rtpu}'"
+    stem = rtpu.rstrip(_DIGITS)  # arm1 is no misspelt arm0
+    hint = did_you_mean(rtpu, [n for n in names if n.rstrip(_DIGITS) != stem])
+    start = f"pbonet agent --name {rtpu}"
     if domain != "default":
         start += f" --domain {domain}"
+    start = f"start it with '{start}'"
     return UnreachableError(
         "no agent of this name can be reached",
         where=rtpu,

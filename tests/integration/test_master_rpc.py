@@ -40,13 +40,16 @@ def test_agents_are_listed_by_their_tokens(client):
 def test_missing_agent_is_named_with_those_that_are_there(client):
     start = time.monotonic()
     with pytest.raises(UnreachableError) as caught:
-        client.call("arm00", m.Hello(), m.AgentInfo)
+        client.call("amr0", m.Hello(), m.AgentInfo)
     assert time.monotonic() - start < 2.0  # "a clear error within 2 s" is the promise
     assert str(caught.value) == (
-        "arm00: no agent of this name can be reached (got RTPUs of the domain "
+        "amr0: no agent of this name can be reached (got RTPUs of the domain "
         f"{client.domain} that can be reached: arm0, arm1); did you mean arm0? else "
-        f"start it with 'pbonet agent --name arm00' --domain {client.domain}"
+        f"start it with 'pbonet agent --name amr0 --domain {client.domain}'"
     )
+    with pytest.raises(UnreachableError) as caught:
+        client.call("arm2", m.Hello(), m.AgentInfo)
+    assert caught.value.remedy.startswith("start it with")  # it is no misspelt arm1
 
 
 def test_silent_agent_is_there_but_does_not_answer(client, agents):

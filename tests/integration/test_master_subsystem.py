@@ -382,8 +382,12 @@ def test_finish_turns_off_as_the_job_states_and_leaves_nothing(world, agents, pu
 def test_stop_reaches_the_others_when_one_agent_is_gone(arm, agents):
     arm.start("puma")
     agents["arm1"].close()
-    with pytest.raises(UnreachableError, match="arm1"):
+    with pytest.raises(SeveralError) as caught:
         arm.stop()
+    assert caught.value.what == (
+        "an RTPU did not confirm the stop; on the others was turned off: puma_pidg"
+    )
+    assert [error.where for error in caught.value.errors] == ["arm1"]
     assert agents["arm0"].tasks == {}
 
 

@@ -1,0 +1,51 @@
+"""What is raised when a list of signals, or a stop, was carried out in part."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PbonetError, ReconfigError, SeveralError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.xm import messages as m
+
+
+def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
+    """Raise the errors of a stop; they say what was stopped all the same.
+
+    Raises:
+        SeveralError: An RTPU did not confirm; the parts say which, and why.
+    """
+    if not errors:
+        return
+    count = "an RTPU" if len(errors) == 1 else f"{len(errors)} RTPUs"
+    done = " ".join([*stopped.off, *stopped.killed]) or "nothing, for nothing was ON"
+    raise SeveralError(
+        f"{count} did not confirm the stop; on the others was turned off: {done}",
+        errors,
+    )
+
+
+def stuck(
+    items: Sequence[tuple[str, str]], done: int, error: PbonetError
+) -> ReconfigError:
+    """Return the error that says which item failed, what was done, and what was not."""
+    task, signal = items[done]
+    parts = [
+        f"{what}: " + ", ".join(f"{signal} {task}" for task, signal in some)
+        for what, some in (("done", items[:done]), ("not sent", items[done + 1 :]))
+        if some
+    ]
+    stuck = ReconfigError(
+        f"item {done + 1} of {len(items)}, {signal} {task}: {error.what}",
+        where=error.where,
+        expected=error.expected,
+        got=error.got,
+        remedy="; ".join(filter(None, (error.remedy, *parts))),
+        debug=error.debug,
+    )
+    stuck.done = done
+    stuck.rest = tuple(items[done:])
+    return stuck
