@@ -23,6 +23,17 @@ from a task to the master without losing anything.
     │   ├── SvarFullError (OSError)        no room in the table or in shared memory
     │   ├── SvarOwnerError                 somebody else writes this variable
     │   └── UnknownVariableError (KeyError)
+    ├── XmError                            express mail: semaphores, queues
+    │   ├── XmNameError (ValueError)       not of the form RTPU:RESOURCE
+    │   ├── XmMissingError (FileNotFoundError)
+    │   ├── XmExistsError (FileExistsError)
+    │   ├── XmAccessError (PermissionError)
+    │   ├── XmLayoutError                  another version or other settings
+    │   ├── XmDamagedError                 not such an object, or overwritten
+    │   ├── XmDestroyedError               somebody destroyed it
+    │   ├── XmFullError (OSError)          no room in shared memory, or in the line
+    │   ├── XmQueueFullError               no room in the queue
+    │   └── XmTooLongError (ValueError)    longer than the queue or the buffer
     ├── ModuleLoadError (ImportError)      module code is missing or does not load
     ├── TaskError
     │   ├── StateError                     the signal is not valid in this state
@@ -231,6 +242,72 @@ class UnknownVariableError(SvarError, KeyError):
     """The table has no variable of that name."""
 
     code = "UNKNOWN_VARIABLE"
+
+
+class XmError(PbonetError):
+    """Express mail: something is wrong with a semaphore or a message queue."""
+
+    code = "XM"
+
+
+class XmNameError(XmError, ValueError):
+    """This is no name of a resource."""
+
+    code = "XM_NAME"
+
+
+class XmMissingError(XmError, FileNotFoundError):
+    """There is no such resource."""
+
+    code = "XM_MISSING"
+
+
+class XmExistsError(XmError, FileExistsError):
+    """A resource of that name stands and is in use."""
+
+    code = "XM_EXISTS"
+
+
+class XmAccessError(XmError, PermissionError):
+    """The resource's file is not this user's own, or cannot be opened."""
+
+    code = "XM_ACCESS"
+
+
+class XmLayoutError(XmError):
+    """The resource is of another version, or was made with other settings."""
+
+    code = "XM_LAYOUT"
+
+
+class XmDamagedError(XmError):
+    """The file is not such a resource, or was overwritten."""
+
+    code = "XM_DAMAGED"
+
+
+class XmDestroyedError(XmError):
+    """Somebody destroyed the resource."""
+
+    code = "XM_DESTROYED"
+
+
+class XmFullError(XmError, OSError):
+    """No room in shared memory, or too many processes use or wait."""
+
+    code = "XM_FULL"
+
+
+class XmQueueFullError(XmError):
+    """The queue has no room for the message."""
+
+    code = "XM_QUEUE_FULL"
+
+
+class XmTooLongError(XmError, ValueError):
+    """The message is longer than the queue, or than the buffer it shall go to."""
+
+    code = "XM_TOO_LONG"
 
 
 class ModuleLoadError(PbonetError, ImportError):

@@ -1,4 +1,23 @@
-"""Express mail: what agents and masters say to each other (Stewart 1994, section 5.3).
+"""Express mail: how tasks, agents and masters reach each other (Stewart 1994, 5.3).
 
-Keys, messages, sessions and the request layer; everything over zenoh is opened here.
+Semaphores and message queues in shared memory are what modules and programs import from
+here. Keys, messages, sessions and the request layer stand in files of their own, and
+everything over zenoh is opened there: importing this loads no network.
 """
+
+from ._ipc import Full, Policy, Queue, Semaphore, Taken
+from .files import sweep
+from .names import live_on
+from .open import queue, semaphore
+
+__all__ = [
+    "Full",
+    "Policy",
+    "Queue",
+    "Semaphore",
+    "Taken",
+    "live_on",
+    "queue",
+    "semaphore",
+    "sweep",
+]

@@ -1,0 +1,150 @@
+"""Names of resources, ``RTPU:RESOURCE``, and the files that stand for them.
+
+A name without a colon is a resource of the RTPU that the process belongs to, so that a
+module need not know where it runs. Nothing here imports zenoh: tasks use it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from pbonet.errors import UnreachableError, XmMissingError, XmNameError, did_you_mean
+
+from . import rundir
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NOWHERE = "local"
+"""The RTPU of a process that belongs to none."""
+_RESOURCE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
+
+
+class Home(NamedTuple):
+    """Where a process is at home."""
+
+    domain: str
+    rtpu: str
+    priority: Callable[[], int]
+    """What its waits have that name no priority: a task's criticality."""
+
+
+class Name(NamedTuple):
+    """A resource's name, resolved: it is on this machine."""
+
+    domain: str
+    rtpu: str
+    resource: str
+
+    def __str__(self) -> str:
+        """Return the name as it is written."""
+        return f"{self.rtpu}:{self.resource}"
+
+    def path(self, kind: str) -> Path:
+        """Return the file of the resource; `kind` is ``sem`` or ``queue``."""
+        place = ":".join(self)
+        return folder() / f"pbonet.{os.geteuid()}.{place}.{kind}"
+
+
+def _no_priority() -> int:
+    return 0
+
+
+_home = Home(os.environ.get("PBONET_DOMAIN", "default"), NOWHERE, _no_priority)
+
+
+def live_on(
+    rtpu: str, *, domain: str = "default", priority: Callable[[], int] = _no_priority
+) -> None:
+    """Tell where this process is at home; the runtime does so for its tasks.
+
+    Args:
+        rtpu: The RTPU that names without a colon belong to.
+        domain: The domain of all its names.
+        priority: Called when a wait names no priority.
+    """
+    global _home  # noqa: PLW0603 - a process has one home
+    rundir.check_name("an RTPU", rtpu)
+    rundir.check_name("a domain", domain)
+    _home = Home(domain, rtpu, priority)
+
+
+def home() -> Home:
+    """Return where this process is at home."""
+    return _home
+
+
+def folder() -> Path:
+    """Return where shared memory files stand: ``PBONET_SHM_DIR``, or ``/dev/shm``."""
+    return Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108 - its place
+
+
+def parse(text: str) -> Name:
+    """Return the parts of a name, wherever its RTPU is.
+
+    Raises:
+        XmNameError: It is no name.
+    """
+    rtpu, colon, resource = text.rpartition(":")
+    rtpu = rtpu if colon else _home.rtpu
+    if not _RESOURCE.fullmatch(resource) or not rundir.NAME.fullmatch(rtpu):
+        raise XmNameError(
+            "this is no name of a resource",
+            expected="RTPU:RESOURCE, or RESOURCE alone for the task's own RTPU, of "
+            "letters, digits, and _ - . behind the first",
+            got=repr(text[:100]),
+        )
+    return Name(_home.domain, rtpu, resource)
+
+
+def resolve(text: str) -> Name:
+    """Return the name of a resource of this machine.
+
+    Raises:
+        XmNameError: It is no name.
+        UnreachableError: Its RTPU is on another machine, or nowhere.
+    """
+    name = parse(text)
+    if name.rtpu in {_home.rtpu, NOWHERE} or name.rtpu in rtpus(name.domain):
+        return name
+    raise UnreachableError(
+        f"RTPU {name.rtpu} is not on this machine",
+        where=str(name),
+        expected="an RTPU that runs here, in domain " + name.domain,
+        got=f"{', '.join(sorted(rtpus(name.domain))) or 'none'}",
+        remedy=did_you_mean(name.rtpu, rtpus(name.domain))
+        or "start its agent here; semaphores and queues of other machines cannot be "
+        "used yet",
+    )
+
+
+def rtpus(domain: str) -> set[str]:
+    """Return the RTPUs of `domain` that run on this machine."""
+    here = rundir.folder() / domain
+    names = {path.stem for path in here.glob("*.rtpu")}
+    return {name for name in names if rundir.is_held(here / f"{name}.rtpu")}
+
+
+def standing(kind: str, domain: str) -> list[str]:
+    """Return the names of the resources of a kind that stand on this machine."""
+    prefix, suffix = f"pbonet.{os.geteuid()}.{domain}:", f".{kind}"
+    found = (path.name for path in folder().glob(f"{prefix}*{suffix}"))
+    return sorted(name.removeprefix(prefix).removesuffix(suffix) for name in found)
+
+
+def missing(name: Name, kind: str) -> XmMissingError:
+    """Return the error for a resource that does not stand."""
+    what = {"sem": "semaphore", "queue": "queue"}[kind]
+    there = standing(kind, name.domain)
+    return XmMissingError(
+        f"there is no such {what}",
+        where=str(name),
+        got=f"{', '.join(there) or 'none at all'}",
+        remedy=did_you_mean(str(name), there) or f"create it; xm.{_MAKER[kind]} does",
+    )
+
+
+_MAKER = {"sem": "semaphore(name, initial=...)", "queue": "queue(name)"}

@@ -1,0 +1,120 @@
+"""Attach to a resource, or make it: whoever comes first need not be known."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from pbonet.errors import XmExistsError, XmLayoutError, XmMissingError
+
+from ._ipc import Policy, Queue, Semaphore
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+T = TypeVar("T", Semaphore, Queue)
+
+
+def semaphore(
+    name: str,
+    *,
+    initial: int | None = None,
+    maximum: int | None = None,
+    binary: bool | None = None,
+) -> Semaphore:
+    """Attach to a semaphore; make it if there is none and `initial` is given.
+
+    Args:
+        name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
+        initial: Its value when it is made; a binary one is free (1) or taken (0).
+        maximum: Its highest value, 2**31 - 1 unless told otherwise.
+        binary: Whether it guards a critical section: its holder is known, and when that
+            dies the next P is told.
+
+    Raises:
+        XmNameError: It is no name.
+        UnreachableError: The RTPU is not on this machine.
+        XmMissingError: There is none, and no `initial` was given.
+        XmLayoutError: It stands with another maximum, or is not what `binary` says.
+        XmError: Its file cannot be used.
+    """
+
+    def make() -> Semaphore:
+        if initial is None:
+            return Semaphore.attach(name)  # which says what is missing
+        return Semaphore.create(
+            name, initial=initial, maximum=maximum, binary=bool(binary)
+        )
+
+    return _open(lambda: Semaphore.attach(name), make, maximum=maximum, binary=binary)
+
+
+def queue(
+    name: str,
+    *,
+    policy: Policy | None = None,
+    messages: int | None = None,
+    blocks: int | None = None,
+    block: int | None = None,
+) -> Queue:
+    """Attach to a message queue; make it if there is none.
+
+    Args:
+        name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
+        policy: Which message is received first; FIFO unless told otherwise.
+        messages: How many it holds at most; 64 unless told otherwise.
+        blocks: How many blocks the messages share; as many as messages.
+        block: Bytes of a block; 64. A longer message takes several.
+
+    Raises:
+        XmNameError: It is no name.
+        UnreachableError: The RTPU is not on this machine.
+        XmLayoutError: It stands with another setting than one given here.
+        XmError: Its file cannot be used.
+    """
+
+    def make() -> Queue:
+        return Queue.create(
+            name,
+            policy=Policy.FIFO if policy is None else policy,
+            messages=64 if messages is None else messages,
+            blocks=blocks,
+            block=64 if block is None else block,
+        )
+
+    return _open(
+        lambda: Queue.attach(name),
+        make,
+        policy=policy,
+        messages=messages,
+        blocks=blocks,
+        block=block,
+    )
+
+
+def _open(attach: Callable[[], T], make: Callable[[], T], **wanted: object) -> T:
+    """Attach, or make, whatever others do meanwhile; refuse other settings."""
+    while True:
+        try:
+            return _checked(attach(), wanted)
+        except XmMissingError:
+            pass
+        try:
+            return make()
+        except XmExistsError:
+            continue
+
+
+def _checked(found: T, wanted: dict[str, object]) -> T:
+    for key, value in wanted.items():
+        if value is not None and getattr(found, key) != value:
+            got = getattr(found, key)
+            found.close()
+            raise XmLayoutError(
+                "it stands with another setting",
+                where=found.name,
+                expected=f"{key} {value}",
+                got=f"{key} {got}",
+                remedy="ask for the same everywhere, or destroy it first",
+            )
+    return found

@@ -1,0 +1,100 @@
+"""Names of resources: their form, where they are, and what refusals say."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pbonet import xm
+from pbonet.errors import UnreachableError, XmMissingError, XmNameError
+from pbonet.xm import names, rundir
+
+
+@pytest.fixture(autouse=True)
+def home(monkeypatch, tmp_path):
+    monkeypatch.setenv("PBONET_RUN_DIR", str(tmp_path / "run"))
+    monkeypatch.setattr(names, "_home", names.home())
+
+
+def test_a_name_alone_belongs_to_the_processs_own_rtpu() -> None:
+    assert names.resolve("events") == ("default", "local", "events")
+    xm.live_on("arm0", domain="lab")
+    assert str(names.resolve("events")) == "arm0:events"
+    assert names.resolve("events") == names.resolve("arm0:events")
+    assert names.resolve("events").path("queue").name.endswith(".lab:arm0:events.queue")
+
+
+@pytest.mark.parametrize(
+    "name", ["", ":", "a:", ":b", "a:b:c", "a/b", "../x", "-a", "a b", "x" * 65]
+)
+def test_what_is_no_name_is_refused(name) -> None:
+    with pytest.raises(XmNameError, match="this is no name of a resource") as error:
+        xm.semaphore(name)
+    assert isinstance(error.value, ValueError)
+
+
+def test_a_name_of_another_machine_says_so() -> None:
+    with pytest.raises(UnreachableError) as error:
+        xm.semaphore("arm1:grip", initial=1)
+    assert str(error.value) == (
+        "arm1:grip: RTPU arm1 is not on this machine (expected an RTPU that runs here, "
+        "in domain default, got none); start its agent here; semaphores and queues of "
+        "other machines cannot be used yet"
+    )
+
+
+def test_an_rtpu_that_runs_here_is_found() -> None:
+    lock = rundir.NameLock(rundir.Places("default", "arm1").ctl_lock)
+    try:
+        with pytest.raises(UnreachableError, match=r"got arm1\); did you mean arm1\?"):
+            xm.semaphore("amr1:grip", initial=1)
+        grip = xm.semaphore("arm1:grip", initial=1)
+        assert grip.name == "arm1:grip"
+        grip.destroy()
+    finally:
+        lock.release()
+
+
+def test_a_missing_one_names_those_that_stand() -> None:
+    with pytest.raises(XmMissingError) as error:
+        xm.Queue.attach("events")
+    assert str(error.value) == (
+        "local:events: there is no such queue (got none at all); create it; "
+        "xm.queue(name) does"
+    )
+    queue = xm.queue("events")
+    with pytest.raises(XmMissingError, match=r"did you mean local:events\?"):
+        xm.Queue.attach("event")
+    with pytest.raises(XmMissingError, match="there is no such semaphore"):
+        xm.semaphore("events")
+    queue.destroy()
+
+
+def test_domains_are_apart() -> None:
+    queue = xm.queue("events")
+    xm.live_on("local", domain="other")
+    with pytest.raises(XmMissingError):
+        xm.Queue.attach("events")
+    queue.destroy()
+
+
+def test_a_sweep_removes_what_nobody_uses_of_one_rtpu(shared_memory) -> None:
+    xm.live_on("arm0")
+    used = xm.queue("used")
+    for name in ("left", "left2"):
+        xm.queue(name).close()
+    xm.semaphore("left", initial=1).close()
+    xm.live_on("arm01")
+    other = xm.semaphore("left", initial=1)
+    other.close()
+    assert xm.sweep("arm0") == ["left.queue", "left.sem", "left2.queue"]
+    assert xm.sweep("arm01") == ["left.sem"]
+    assert [path.name for path in shared_memory.iterdir()] == [Path(used.path).name]
+    used.destroy()
+
+
+def test_express_mail_loads_no_network() -> None:
+    code = "import sys\nfrom pbonet import xm\nsys.exit('zenoh' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert xm.__all__ == sorted(xm.__all__)
