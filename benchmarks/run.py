@@ -9,7 +9,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-NAMES = ("svar", "ports", "jitter", "overhead", "steering", "transfer", "simulate")
+NAMES = (
+    "svar",
+    "ports",
+    "jitter",
+    "overhead",
+    "steering",
+    "transfer",
+    "simulate",
+    "ipc",
+)
 ROOT = Path(__file__).resolve().parents[1]
 
 

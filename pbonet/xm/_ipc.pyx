@@ -136,8 +136,10 @@ cdef class Shared:
         while True:
             with nogil:
                 code = xm_sleep(&o.slots[slot], until)
-                if code == XM_AGAIN:
+                if code == XM_AGAIN or code == XM_TIMED_OUT:
                     self.look_around()
+                    if code == XM_TIMED_OUT:    # it may have been called by that
+                        code = xm_sleep(&o.slots[slot], until)
             if xm_destroyed(o):
                 self.open()
             if code == 0 or code == XM_TIMED_OUT:

@@ -268,7 +268,6 @@ static inline int xm_send(struct xm_queue *q, uint32_t me, int slot, const uint8
 static inline int xm_queue_wait(struct xm_queue *q, uint32_t me, uint32_t role,
                                 int32_t priority, uint32_t size)
 {
-    xm_queue_patrol(q, me);
     int code = xm_queue_lock(q);
     if (code)
         return code;

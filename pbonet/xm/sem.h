@@ -187,7 +187,8 @@ static inline int xm_sem_begin(struct xm_sem *s, uint32_t me, int32_t priority, 
         return code;
     if (!wait && !atomic_load(&s->word))
         return code;
-    xm_sem_patrol(s, me);
+    if (!wait)
+        xm_sem_patrol(s, me);   /* who waits looks around later: it reads /proc */
     if (xm_lock(&s->o))
         return XM_STUCK;
     struct xm_tally t = xm_tally(&s->o, 0);
