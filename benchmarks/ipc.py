@@ -38,7 +38,7 @@ from benchmarks.rtbench import machine
 from pbonet import xm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator
 
 CALLS, TRIPS = 5000, 500
 SIZES = (16, 1024)
@@ -56,7 +56,7 @@ class Pair(NamedTuple):
 
 
 @contextlib.contextmanager
-def pairs() -> Iterator[dict[str, Pair]]:
+def pairs() -> Generator[dict[str, Pair], None, None]:
     """Yield each contestant of the ping-pong."""
     tag = secrets.token_hex(4)
     ours = [xm.semaphore(f"bench-{tag}-{n}", initial=0) for n in range(2)]
@@ -100,9 +100,11 @@ def ping_pong(pair: Pair, cores: tuple[int, int]) -> float:
         os._exit(0)
     os.sched_setaffinity(0, {cores[0]})
     try:
-        for n in range(TRIPS + 10):
-            if n == 10:
-                begin = time.perf_counter_ns()
+        for _ in range(10):
+            wake()
+            wait()
+        begin = time.perf_counter_ns()
+        for _ in range(TRIPS):
             wake()
             wait()
         return (time.perf_counter_ns() - begin) / TRIPS
@@ -117,7 +119,7 @@ def measure(call: Callable[[], object]) -> float:
 
 
 @contextlib.contextmanager
-def calls() -> Iterator[dict[str, dict[str, Callable[[], object]]]]:
+def calls() -> Generator[dict[str, dict[str, Callable[[], object]]], None, None]:
     """Yield the cases of one process: contestants by case."""
     tag = secrets.token_hex(4)
     ours = xm.semaphore(f"bench-{tag}", initial=1)

@@ -6,7 +6,14 @@ import sys
 
 import pytest
 
-PUBLIC = ["pbonet", "pbonet.master", "pbonet.testing", "pbonet.config", "pbonet.svar"]
+PUBLIC = [
+    "pbonet",
+    "pbonet.config",
+    "pbonet.master",
+    "pbonet.svar",
+    "pbonet.testing",
+    "pbonet.xm",
+]
 
 
 @pytest.mark.parametrize("name", PUBLIC)
@@ -17,7 +24,9 @@ def test_exported_names_exist(name: str) -> None:
         assert getattr(module, exported) is not None
 
 
-@pytest.mark.parametrize("name", ["pbonet", "pbonet.master", "pbonet.verify"])
+@pytest.mark.parametrize(
+    "name", ["pbonet", "pbonet.master", "pbonet.verify", "pbonet.xm"]
+)
 def test_no_network_is_loaded_before_it_is_asked_for(name: str) -> None:
     code = f"import sys, {name}; sys.exit('zenoh' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
