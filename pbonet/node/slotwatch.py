@@ -31,7 +31,6 @@ class SlotWatch:
 
     @criticality.setter
     def criticality(self, value: int) -> None:
-        self.task.crit = self._failures.own_criticality
         self._failures.criticality = check_criticality(self.task, value)
 
     @property

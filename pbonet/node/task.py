@@ -111,7 +111,7 @@ class Host:
         self.table = Table.attach(spec.table, layout=spec.layout)
         self.local = local_table(self.table, spec.task, self.rmod)
         self.ring = Ring.create(spec.ring)
-        self.time = SlotTime(self.core, self.slot)
+        self.time = SlotTime(self.slot)
         self.context = Context(
             spec.task,
             rmod=self.rmod.name,

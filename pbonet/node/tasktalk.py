@@ -18,7 +18,7 @@ from . import wire
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ._rt import CoreTable, Slot
+    from ._rt import Slot
     from .executor import Executor
     from .failures import Raised
 
@@ -172,8 +172,7 @@ def _signal_text(notice: Notice) -> str:
 class SlotTime:
     """Time, cycle count and criticality of a slot; see `pbonet.pbo.Schedule`."""
 
-    def __init__(self, core: CoreTable, slot: Slot) -> None:
-        self._core = core
+    def __init__(self, slot: Slot) -> None:
         self._slot = slot
         self._base = slot.cycles
         self.cycling = False
@@ -195,7 +194,7 @@ class SlotTime:
     @property
     def crit(self) -> int:
         """The criticality that the dispatcher ranks the task by."""
-        return self._core.snapshot(self._slot.index).crit
+        return self._slot.failures.own_criticality
 
 
 class Context(TaskContext):
