@@ -111,14 +111,6 @@ class Library:
         self._loaded[str(path), version] = loaded
         return loaded
 
-    def find_module(self, module: str) -> Path:
-        """Return the file of a module, without running it.
-
-        Raises:
-            ModuleLoadError: There is none of that name.
-        """
-        return self._find(_checked(module))[1]
-
     def find_rmod(self, name: str) -> Path:
         """Return the file of an RMOD.
 
