@@ -3,7 +3,8 @@
 A task that was late proves nothing on a machine that others use as well: the virtual
 machine may have stood still, or somebody else's real-time processes may have had the
 core. A loop on the same core at the same level was late then too; what it lost, a task
-may lose.
+may lose. A task's level is a label that changes as others come and go, so the loop has
+that of the task which it stands beside, and looks it up whenever it wakes up.
 """
 
 from __future__ import annotations
@@ -16,15 +17,26 @@ from typing import Self
 PERIOD = 0.005
 LOOP = """
 import json, os, select, sys, time
-core, level, period = map(int, sys.argv[1:])
+core, level, period, beside = map(int, sys.argv[1:])
 os.sched_setaffinity(0, {core})
-try:
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))
-except OSError:
-    pass
+def take(level):
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))
+    except OSError:
+        pass
+take(level)
 late, asked, due = [], False, time.monotonic_ns()
 print(flush=True)
 while True:
+    if beside:
+        try:
+            wanted = max(os.sched_getparam(beside).sched_priority, 1)
+        except OSError:
+            beside = 0
+        else:
+            if wanted != level:
+                level = wanted
+                take(level)
     due += period
     if (left := due - time.monotonic_ns()) > 0:
         time.sleep(left * 1e-9)
@@ -48,12 +60,13 @@ class Reference:
     Args:
         core: Where.
         level: Of SCHED_FIFO, where that can be had.
+        beside: The process of a task whose level it has instead, as that changes.
     """
 
-    def __init__(self, core: int, level: int) -> None:
-        period = round(PERIOD * 1e9)
+    def __init__(self, core: int, level: int = 1, *, beside: int = 0) -> None:
+        settings = map(str, (core, level, round(PERIOD * 1e9), beside))
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", LOOP, *map(str, (core, level, period))],
+            [sys.executable, "-I", "-S", "-c", LOOP, *settings],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,

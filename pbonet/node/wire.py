@@ -252,7 +252,7 @@ def encode(message: Struct) -> bytes:
 
 def frame(message: Struct) -> bytes:
     """Return `message` with its length before it."""
-    body = msgspec.msgpack.encode(message)
+    body = encode(message)
     return LENGTH.pack(len(body)) + body
 
 

@@ -23,7 +23,7 @@ def sibling(arm):
     arm.spawn("good", "counts", out="Y7", freq=40.0)
     arm.on("good")
     tid = arm.wait_cycles("good", 5).tid
-    with Reference(CORE, level(tid)) as reference:
+    with Reference(CORE, beside=tid) as reference:
         before = arm.status("good")
         yield tid
         after = arm.wait_cycles("good", 5)

@@ -5,7 +5,7 @@ import signal
 import time
 
 import pytest
-from nodekit import CORE, Master, alive, level, wait_gone, wait_hung
+from nodekit import CORE, Master, alive, wait_gone, wait_hung
 from reference import Reference
 from watching import wait_for
 
@@ -74,7 +74,7 @@ class TestAgent:
         rtpu = nodes.state("arm0").pid
         before = split.wait_cycles("t0", 10)
         ring = Ring.attach(before.ring)
-        with Reference(CORE, level(before.tid)) as reference:
+        with Reference(CORE, beside=before.tid) as reference:
             before = split.status("t0")
             nodes.processes["arm0"].kill()
             nodes.processes["arm0"].wait()
@@ -289,7 +289,7 @@ class TestTwoRtpus:
         task = "t1" if victim == "arm0" else "t0"
         before = alive_one.status(task)
         old = nodes.state(victim).pid
-        with Reference(CORE, level(before.tid)) as reference:
+        with Reference(CORE, beside=before.tid) as reference:
             before = alive_one.status(task)
             os.kill(old, signal.SIGKILL)
             nodes.wait_restarted(victim, old)
