@@ -3,7 +3,7 @@
 from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 
 cdef extern from "local.h" nogil:
-    enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
+    enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_CAUSES_EACH, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
     enum: PB_FREE, PB_HELD, PB_STUCK, PB_GROUP_VARS, PB_GROUP_CONSTS
     struct pb_stamp:
         int64_t time_ns
@@ -23,8 +23,11 @@ cdef extern from "local.h" nogil:
     struct pb_reg:
         uint64_t state, uid, bytes, owner, pid, start, space, head
         char task[64]
+    struct pb_live:
+        uint64_t unlisted
     struct pb_table:
         uint8_t *base
+        pb_live *live
         pb_static *fixed
         pb_var *vars
         pb_reg *regs
@@ -60,6 +63,8 @@ cdef extern from "local.h" nogil:
         uint64_t first
     struct pb_counts:
         uint64_t copies, retries, torn, lost, stale, commits, refused, clipped
+    struct pb_seen:
+        uint64_t changes
     struct pb_local:
         pb_table table
         uint8_t *data
@@ -70,6 +75,7 @@ cdef extern from "local.h" nogil:
         uint64_t *consumed
         uint32_t n_consumed, fault_var
         uint64_t fault_element
+        pb_seen flag
     struct pb_view:
         pb_stamp stamp
         uint64_t uid, seq
@@ -91,8 +97,9 @@ cdef extern from "local.h" nogil:
     pb_cause pb_cause_of(const char *cause, const char *raiser, const char *machine)
     int pb_raise(pb_table *t, const pb_cause *cause)
     int pb_clear(pb_table *t, const pb_cause *which)
-    bint pb_cause_at(pb_table *t, int i, pb_cause *cause)
-    uint64_t pb_illegal(pb_table *t)
+    int pb_causes(pb_table *t, pb_cause *copies)
+    bint pb_illegal(pb_table *t, pb_seen *seen)
+    int pb_reap(pb_table *t, uint32_t r, uint64_t uid)
     uint64_t pb_generation_seen(pb_table *t)
     uint64_t pb_process_start(uint64_t pid)
     uint64_t pb_process_space()

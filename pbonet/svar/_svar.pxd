@@ -14,8 +14,8 @@ cdef class Arena:
     cdef void *base
     cdef size_t bytes
     cdef int fd
-    # Raise a cause of the illegal-configuration flag, clear all that a raiser raised; both
-    # take the claimers' lock for at most 2 s. 0 is good, negative: full or stuck.
+    # Raise an entry of the illegal-configuration flag, clear all that a raiser raised: no
+    # lock, no waiting. Negative: no room, or another process that lives has raised them.
     cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil
     cdef int c_clear_illegal(self, const char *raiser) noexcept nogil
     cdef bint c_illegal(self) noexcept nogil

@@ -14,6 +14,7 @@ from pbonet.svar._headers cimport *
 
 VERSION = PB_VERSION
 CAUSES = PB_CAUSES
+CAUSES_EACH = PB_CAUSES_EACH
 STATIC_BYTES = sizeof(pb_static)
 
 
@@ -150,10 +151,10 @@ cdef class Arena:
                 for r in range(1, table(self).fixed.n_regs) if regs[r].state != PB_FREE]
 
     def reap(self, unsigned r, unsigned long long uid) -> int:
-        """Give up what a dead process owns; returns 0 or a negative code."""
+        """Free what a dead process holds; returns 0 or a negative code."""
         if r == 0 or r >= table(self).fixed.n_regs:
             raise ValueError("no such register")
-        return pb_let_go(table(self), r, uid, True, True)
+        return pb_reap(table(self), r, uid)
 
     cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil:
         cdef pb_cause c = pb_cause_of(cause, raiser, self.machine_text)
@@ -164,7 +165,9 @@ cdef class Arena:
         return pb_clear(table(self), &c)
 
     cdef bint c_illegal(self) noexcept nogil:
-        return pb_illegal(table(self)) != 0
+        cdef pb_seen seen
+        seen.changes = 0
+        return pb_illegal(table(self), &seen)
 
     def raise_illegal(self, bytes cause, bytes raiser, bytes machine) -> int:
         cdef pb_cause c = pb_cause_of(cause, raiser, machine)
@@ -174,12 +177,22 @@ cdef class Arena:
         cdef pb_cause c = pb_cause_of(cause, raiser, machine)
         return pb_clear(table(self), &c)
 
-    def causes(self) -> list:
-        """Return (cause, raiser, machine, time_ns) of every cause that stands."""
-        cdef pb_cause cause
-        return [(cause.cause.decode(errors="replace"), cause.raiser.decode(errors="replace"),
-                 cause.machine.decode(errors="replace"), cause.time_ns)
-                for i in range(PB_CAUSES) if pb_cause_at(table(self), i, &cause)]
+    def causes(self):
+        """Return (cause, raiser, machine, time_ns) of every entry that stands.
+
+        None when they changed again and again.
+        """
+        cdef bytearray memory = bytearray(PB_CAUSES * sizeof(pb_cause))
+        cdef pb_cause *c = <pb_cause *>PyByteArray_AS_STRING(memory)
+        cdef int i, n = pb_causes(table(self), c)
+        if n < 0:
+            return None
+        return [(c[i].cause.decode(errors="replace"), c[i].raiser.decode(errors="replace"),
+                 c[i].machine.decode(errors="replace"), c[i].time_ns) for i in range(n)]
+
+    @property
+    def unlisted(self) -> int:
+        return table(self).live.unlisted
 
 
 cdef inline pb_local *local(LocalTable task) noexcept nogil:
@@ -306,7 +319,7 @@ cdef class LocalTable:
         return self.flags
 
     cdef bint c_illegal(self) noexcept nogil:
-        return pb_illegal(&local(self).table) != 0
+        return pb_illegal(&local(self).table, &local(self).flag)
 
     def copy_in(self) -> int:
         """Bring the in-vars as one consistent cut; returns flags."""

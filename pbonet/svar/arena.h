@@ -21,7 +21,7 @@
 
 #define PB_MAGIC "pbSVAR\r\n"
 
-enum { PB_VERSION = 1, PB_CAUSES = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
+enum { PB_VERSION = 2, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
 
 struct pb_static {
     char magic[8];
@@ -49,9 +49,11 @@ struct pb_cause {
 
 struct pb_live {
     _Alignas(PB_LINE) _Atomic uint64_t generation; /* head of the directory */
-    _Atomic uint64_t illegal; /* bit i: causes[i] stands */
+    _Atomic uint64_t changes;  /* moves with every change of the flag (flag.h) */
+    _Atomic uint64_t unlisted; /* entries that found no room */
     _Alignas(PB_LINE) pthread_mutex_t lock; /* between claimers only */
     uint64_t uids;
+    _Atomic uint64_t words[PB_CAUSES]; /* of the flag's entries: phase and process */
     struct pb_cause causes[PB_CAUSES];
 };
 

@@ -2,8 +2,9 @@
  * an instant exists at which all of them were current (thesis, section 5.5: data is always
  * transferred as a complete set).
  *
- * Note the generation and every register's head, copy, look again. All unchanged: every
- * group was current from the last first look to the first second look. Else again, at most
+ * Note the generation and every register's head, copy, look again. All unchanged but the one
+ * that was looked at last, and that one copied whole: every group was current at the instant
+ * of the last first look. Else again, at most
  * PB_TRIES times; then whole groups are accepted, and the caller is told that the cut is
  * not proven. Nothing waits: no turn of this loop depends on another process's progress.
  */
@@ -149,12 +150,12 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
         pb_read_fence();
         for (uint32_t i = 0; i < p->n_sources; i++) {
             uint64_t again = pb_read_end(&p->sources[i].reg->head);
-            same &= again == p->sources[i].head;
+            same &= again == p->sources[i].head || i + 1 == p->n_sources;
             whole &= pb_whole_or_ask(p->sources + i, again);
         }
         /* SYNC POINT C4, partner R1 on the generation: the registers were not reused. */
         if (pb_read_end(&t->live->generation) != generation) continue;
-        if (same) return PB_CONSISTENT;
+        if (same && whole) return PB_CONSISTENT;
         if (whole && try + 1 >= PB_TRIES) return PB_WHOLE;
     }
     return PB_LOST;

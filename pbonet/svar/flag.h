@@ -1,62 +1,197 @@
-/* The illegal-configuration flag (thesis, section 3.10): a set of causes, up while any of
- * them stands. Looking at it is one load; changing it takes the lock. */
+/* The illegal-configuration flag (thesis, section 3.10): a set of entries (cause, raiser,
+ * machine), up while any of them stands. Raising and clearing never wait, not even for the
+ * claimers' lock: a dispatcher does both amid its turn.
+ *
+ * An entry's word says what it is (idle, being filled, up) and by which process. A process
+ * takes an idle entry by compare-and-swap, fills it, and publishes it by one store. Killed
+ * anywhere it leaves the entry up or not there; one that it was filling is taken by the next
+ * who needs it. An entry is cleared by the process that raised it, or by anybody once that
+ * process is dead. `changes` moves with every change, so that looking is one load as long
+ * as nothing has changed. */
 #ifndef PBONET_FLAG_H
 #define PBONET_FLAG_H
 
-#include "directory.h"
+#include "cut.h"
+#include "owner.h"
 
-static inline uint64_t pb_illegal(const struct pb_table *t) {
-    /* SYNC POINT F1, partner F2: who sees the bit sees the cause behind it. */
-    return atomic_load_explicit(&t->live->illegal, memory_order_acquire);
+enum { PB_IDLE, PB_FILLING, PB_UP, PB_PHASE = 3 };
+
+/* What a look at the flag remembers. */
+struct pb_seen {
+    uint64_t changes; /* 0: never looked */
+    bool up;
+};
+
+/* A process as an entry's word names it: when it started, its number, its name space. */
+static inline uint64_t pb_identity(uint64_t pid, uint64_t start, uint64_t space) {
+    return start << 32 | (pid & 0x3fffff) << 10 | (space & 0xff) << 2;
 }
 
-static inline bool pb_same(const struct pb_cause *a, const struct pb_cause *b) {
-    return !strncmp(a->cause, b->cause, PB_TEXT) && !strncmp(a->raiser, b->raiser, PB_NAME) &&
-           !strncmp(a->machine, b->machine, PB_NAME);
+static inline uint64_t pb_own_identity(void) {
+    const uint64_t pid = (uint64_t)getpid();
+    return pb_identity(pid, pb_process_start(pid), pb_process_space());
 }
 
-/* Add a cause; adding it again changes nothing. PB_FULL when PB_CAUSES others stand. */
-static inline int pb_raise(const struct pb_table *t, const struct pb_cause *cause) {
-    uint64_t up;
-    int free = -1;
-    if (pb_lock(t->live)) return PB_STUCK;
-    up = pb_illegal(t);
-    for (int i = PB_CAUSES - 1; i >= 0; i--) {
-        if (!(up >> i & 1)) {
-            free = i;
-        } else if (pb_same(t->live->causes + i, cause)) {
-            pb_unlock(t->live);
-            return 0;
+/* Whether the process behind an entry's word lives; who cannot be judged does. */
+static inline bool pb_raiser_lives(uint64_t word) {
+    const uint64_t pid = word >> 10 & 0x3fffff, then = word >> 32;
+    uint64_t now;
+    if ((word >> 2 & 0xff) != (pb_process_space() & 0xff)) return true;
+    now = pb_process_start(pid);
+    return now && (now == PB_UNKNOWN || then == UINT32_MAX || (uint32_t)now == then);
+}
+
+static inline uint64_t pb_cause_word(const struct pb_table *t, uint32_t i) {
+    /* SYNC POINT F1, partner F2: who sees an entry up sees its texts. */
+    return atomic_load_explicit(t->live->words + i, memory_order_acquire);
+}
+
+static inline void pb_changed(const struct pb_table *t) {
+    /* SYNC POINT F3, partner F4: who sees the number sees the change before it. */
+    atomic_fetch_add_explicit(&t->live->changes, 1, memory_order_release);
+}
+
+/* Is the flag up? One load while nothing has changed since the last look. */
+static inline bool pb_illegal(const struct pb_table *t, struct pb_seen *seen) {
+    /* SYNC POINT F4, partner F3: a change behind this load moves the number once more. */
+    const uint64_t changes = atomic_load_explicit(&t->live->changes, memory_order_acquire);
+    if (changes == seen->changes) return seen->up;
+    seen->changes = changes;
+    seen->up = false;
+    for (uint32_t i = 0; i < PB_CAUSES && !seen->up; i++)
+        seen->up = (pb_cause_word(t, i) & PB_PHASE) == PB_UP;
+    return seen->up;
+}
+
+/* Copy an entry that was seen up; false when it has gone meanwhile. */
+static inline bool pb_cause_at(const struct pb_table *t, uint32_t i, uint64_t word,
+                               uint64_t changes, struct pb_cause *copy) {
+    pb_copy(copy, t->live->causes + i, sizeof *copy);
+    /* SYNC POINT F5, partner F6: bytes of a later entry show that the number has moved. */
+    pb_read_fence();
+    return atomic_load_explicit(t->live->words + i, memory_order_relaxed) == word &&
+           atomic_load_explicit(&t->live->changes, memory_order_relaxed) == changes;
+}
+
+/* Copy all entries that stand, in one piece; returns how many, or PB_STUCK when they
+ * changed again and again. `copies` has room for PB_CAUSES. */
+static inline int pb_causes(const struct pb_table *t, struct pb_cause *copies) {
+    for (int tries = 0; tries < PB_TRIES_WHOLE; tries++) {
+        const uint64_t changes =
+            atomic_load_explicit(&t->live->changes, memory_order_acquire); /* SYNC POINT F4 */
+        int n = 0;
+        uint32_t i = 0;
+        for (; i < PB_CAUSES; i++) {
+            const uint64_t word = pb_cause_word(t, i);
+            if ((word & PB_PHASE) == PB_UP && !pb_cause_at(t, i, word, changes, copies + n++))
+                break;
         }
+        if (i == PB_CAUSES) return n;
     }
-    if (free >= 0) {
-        pb_copy_out(t->live->causes + free, cause, sizeof *cause);
-        PBONET_STEP(10);
-        /* SYNC POINT F2, partner F1. */
-        atomic_fetch_or_explicit(&t->live->illegal, UINT64_C(1) << free, memory_order_release);
+    return PB_STUCK;
+}
+
+static inline bool pb_text_is(const char *text, const char *wanted, size_t size) {
+    return !*wanted || !strncmp(text, wanted, size);
+}
+
+/* Whether entry `i` stands under `word` and is one of `which`; an empty text is any. */
+static inline bool pb_cause_is(const struct pb_table *t, uint32_t i, uint64_t word,
+                               const struct pb_cause *which) {
+    struct pb_cause c;
+    if ((word & PB_PHASE) != PB_UP) return false;
+    pb_copy(&c, t->live->causes + i, sizeof c);
+    return pb_text_is(c.raiser, which->raiser, PB_NAME) &&
+           pb_text_is(c.machine, which->machine, PB_NAME) &&
+           pb_text_is(c.cause, which->cause, PB_TEXT);
+}
+
+/* Fill entry `i`, which is idle under `word` or was left half-filled by a dead process. */
+static inline bool pb_fill_cause(const struct pb_table *t, uint32_t i, uint64_t word,
+                                 uint64_t me, const struct pb_cause *cause) {
+    _Atomic uint64_t *at = t->live->words + i;
+    uint64_t filling = me | PB_FILLING;
+    if (!atomic_compare_exchange_strong(at, &word, filling)) return false;
+    PBONET_STEP(30);
+    pb_changed(t);
+    /* SYNC POINT F6, partner F5: whoever sees a byte below sees that the number moved. */
+    atomic_thread_fence(memory_order_release);
+    pb_copy_out(t->live->causes + i, cause, sizeof *cause);
+    PBONET_STEP(31);
+    /* SYNC POINT F2, partner F1. */
+    if (!atomic_compare_exchange_strong(at, &filling, me | PB_UP)) return false;
+    PBONET_STEP(32);
+    pb_changed(t);
+    return true;
+}
+
+/* Add an entry; adding it again changes nothing. PB_FULL, counted, when there is no room or
+ * this process has raised PB_CAUSES_EACH already: no process can use all of it up. */
+static inline int pb_raise(const struct pb_table *t, const struct pb_cause *cause) {
+    const uint64_t me = pb_own_identity();
+    uint32_t mine = 0;
+    for (uint32_t i = 0; i < PB_CAUSES; i++) {
+        const uint64_t word = pb_cause_word(t, i);
+        if ((word & ~(uint64_t)PB_PHASE) != me) continue;
+        if (pb_cause_is(t, i, word, cause)) return 0;
+        mine += (word & PB_PHASE) != PB_IDLE;
     }
-    pb_unlock(t->live);
-    return free < 0 ? PB_FULL : 0;
+    for (uint32_t i = 0; i < PB_CAUSES && mine < PB_CAUSES_EACH; i++) {
+        const uint64_t word = pb_cause_word(t, i);
+        const bool left = (word & PB_PHASE) == PB_FILLING && !pb_raiser_lives(word);
+        if (((word & PB_PHASE) == PB_IDLE || left) && pb_fill_cause(t, i, word, me, cause))
+            return 0;
+    }
+    atomic_fetch_add_explicit(&t->live->unlisted, 1, memory_order_relaxed);
+    return PB_FULL;
+}
+
+/* Take an entry away. */
+static inline bool pb_drop_cause(const struct pb_table *t, uint32_t i, uint64_t word) {
+    bool gone;
+    PBONET_STEP(34);
+    gone = atomic_compare_exchange_strong(t->live->words + i, &word, PB_IDLE);
+    PBONET_STEP(33);
+    return gone;
 }
 
 /* Take away what `raiser` raised on `machine`, all of it or only one cause; an empty text
- * stands for all. Returns how many causes went. */
+ * is any. Returns how many entries went; PB_ALIVE when there are some, and all of them are
+ * of other processes that live. */
 static inline int pb_clear(const struct pb_table *t, const struct pb_cause *which) {
+    const uint64_t me = pb_own_identity();
     int count = 0;
-    uint64_t up;
-    if (pb_lock(t->live)) return PB_STUCK;
-    up = pb_illegal(t);
-    for (int i = 0; i < PB_CAUSES; i++) {
-        const struct pb_cause *c = t->live->causes + i;
-        if (!(up >> i & 1) || strncmp(c->raiser, which->raiser, PB_NAME)) continue;
-        if (*which->machine && strncmp(c->machine, which->machine, PB_NAME)) continue;
-        if (*which->cause && strncmp(c->cause, which->cause, PB_TEXT)) continue;
-        /* SYNC POINT F3, partner F1: what was put right is seen by who sees the flag down. */
-        atomic_fetch_and_explicit(&t->live->illegal, ~(UINT64_C(1) << i), memory_order_release);
-        count++;
+    bool others = false;
+    for (uint32_t i = 0; i < PB_CAUSES; i++) {
+        const uint64_t word = pb_cause_word(t, i);
+        if (!pb_cause_is(t, i, word, which)) continue;
+        if ((word & ~(uint64_t)PB_PHASE) != me && pb_raiser_lives(word))
+            others = true;
+        else
+            count += pb_drop_cause(t, i, word);
     }
-    pb_unlock(t->live);
-    return count;
+    pb_changed(t); /* also for who died between a change and this */
+    PBONET_STEP(35);
+    return !count && others ? PB_ALIVE : count;
+}
+
+/* Free what a dead process holds: the variables behind register `r`, and its entries in
+ * the flag. Returns 0, PB_STUCK, or PB_ALIVE. */
+static inline int pb_reap(const struct pb_table *t, uint32_t r, uint64_t uid) {
+    struct pb_reg who;
+    uint64_t dead;
+    int code;
+    pb_copy(&who, t->regs + r, sizeof who);
+    code = pb_let_go(t, r, uid, true, true);
+    if (code || atomic_load_explicit(&who.uid, memory_order_relaxed) != uid) return code;
+    dead = pb_identity(who.pid, who.start, who.space);
+    for (uint32_t i = 0; i < PB_CAUSES; i++) {
+        const uint64_t word = pb_cause_word(t, i);
+        if ((word & ~(uint64_t)PB_PHASE) == dead && !pb_raiser_lives(word))
+            pb_drop_cause(t, i, word);
+    }
+    pb_changed(t);
+    return 0;
 }
 
 static inline struct pb_cause pb_cause_of(const char *cause, const char *raiser,
@@ -66,14 +201,6 @@ static inline struct pb_cause pb_cause_of(const char *cause, const char *raiser,
     snprintf(c.raiser, sizeof c.raiser, "%s", raiser);
     snprintf(c.machine, sizeof c.machine, "%s", machine);
     return c;
-}
-
-/* Copy a cause that stands; false when it does not (any more). */
-static inline bool pb_cause_at(const struct pb_table *t, int i, struct pb_cause *cause) {
-    if (pb_lock(t->live)) return false;
-    *cause = t->live->causes[i];
-    pb_unlock(t->live);
-    return pb_illegal(t) >> i & 1;
 }
 
 #endif

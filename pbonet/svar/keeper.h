@@ -63,6 +63,7 @@ static inline int pb_format(void *base, const struct pb_static *s, const struct 
     for (uint32_t v = 0; v < s->n_vars; v++)
         first[v] = (struct pb_entry){PB_KEEPER, 0, vars[v].keep};
     pb_publish(&t, head);
+    atomic_store(&t.live->changes, 1);
     memcpy(fixed->magic, PB_MAGIC, sizeof fixed->magic);
     fixed->version = PB_VERSION;
     fixed->abi = PB_ABI;

@@ -44,6 +44,7 @@ struct pb_local {
     uint32_t n_consumed;
     uint32_t fault_var; /* of the last refused commit, or the stale input */
     uint64_t fault_element;
+    struct pb_seen flag;
 };
 
 static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {

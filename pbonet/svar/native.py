@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING or os.environ.get("PBONET_PURE") != "1":
     from ._svar import (
         CAUSES,
+        CAUSES_EACH,
         STATIC_BYTES,
         VERSION,
         Arena,
@@ -24,6 +25,7 @@ if TYPE_CHECKING or os.environ.get("PBONET_PURE") != "1":
 else:
     from .pure import (
         CAUSES,
+        CAUSES_EACH,
         STATIC_BYTES,
         VERSION,
         Arena,
@@ -42,6 +44,7 @@ else:
 
 __all__ = [
     "CAUSES",
+    "CAUSES_EACH",
     "STATIC_BYTES",
     "VERSION",
     "Arena",

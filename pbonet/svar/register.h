@@ -25,7 +25,7 @@
 #define PBONET_STEP(n) ((void)0)
 #endif
 
-enum { PB_SLOTS = 4, PB_LINE = 64 };
+enum { PB_SLOTS = 4, PB_LINE = 64, PB_STREAM = 16384 };
 
 /* Stands in the line before the data of every slot. */
 struct pb_stamp {
@@ -56,8 +56,12 @@ static inline void pb_copy(void *to, const void *from, size_t bytes) {
 }
 #endif
 
-/* The same towards shared memory; a test build stops between any two words of it. */
+/* The same towards shared memory; a test build stops between any two words of it.
+ * Blocks from PB_STREAM on may be copied by stores that pass by the cache. On x86-64 those
+ * may also pass earlier stores, the head among them: only a full fence holds them back, and
+ * SYNC POINT R1 relies on it. The C library puts its own fence behind them. */
 static inline void pb_copy_out(void *to, const void *from, size_t bytes) {
+    if (bytes >= PB_STREAM) atomic_thread_fence(memory_order_seq_cst);
 #ifdef PBONET_STEP_WORDS
     size_t done = 0;
     for (; done < bytes; done += 8) {

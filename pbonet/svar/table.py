@@ -22,7 +22,7 @@ from . import layout as lay
 from .closing import Closing
 from .codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .local import LocalTable
-from .native import CAUSES, STATIC_BYTES, Arena, Blueprint, now_ns
+from .native import CAUSES, CAUSES_EACH, STATIC_BYTES, Arena, Blueprint, now_ns
 from .records import Cause, Register, VarInfo
 
 if TYPE_CHECKING:
@@ -308,6 +308,8 @@ class Table(Closing):
     def reap(self, owner: int | str) -> list[str]:
         """Free the claims of a task whose process has ended; its values stand.
 
+        What the process raised in the illegal-configuration flag goes as well.
+
         Args:
             owner: `LocalTable.owner`, or the task's name.
 
@@ -341,30 +343,64 @@ class Table(Closing):
 
     @property
     def illegal(self) -> list[Cause]:
-        """Why the illegal-configuration flag is up; empty: it is down."""
-        return [Cause(*fields) for fields in self._open().causes()]
+        """Why the illegal-configuration flag is up; empty: it is down.
+
+        What several processes have raised is listed once.
+
+        Raises:
+            SvarError: The causes change faster than they can be read.
+        """
+        found = self._open().causes()
+        if found is None:
+            raise SvarError(
+                "the causes of the flag change faster than they can be read",
+                where=self.name,
+                remedy="look for a module that raises and clears without end",
+            )
+        first = {fields[:3]: Cause(*fields) for fields in reversed(found)}
+        return [first[key] for key in dict.fromkeys(fields[:3] for fields in found)]
+
+    @property
+    def unlisted(self) -> int:
+        """How many causes were refused for want of room since the table was made."""
+        return self._open().unlisted
 
     def raise_illegal(self, cause: str, raiser: str, machine: str = "") -> None:
         """Raise the flag; raising the same cause again changes nothing.
 
+        The entry belongs to this process: it alone may clear it, and anybody once it is
+        dead. Raising never waits.
+
         Raises:
-            SvarFullError: As many causes as there is room for stand.
+            SvarFullError: There is no room; the refusal is counted. The flag is up, but
+                not by this cause: raise it again when others have gone.
         """
         words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
         code = self._open().raise_illegal(*words)
         if code == FULL:
             raise SvarFullError(
-                f"{CAUSES} causes stand, this one was not added: {cause}",
+                f"too many causes stand, this one was not added: {cause}",
                 where=self.name,
-                remedy="the flag is up all the same; clear what has been dealt with",
+                expected=f"at most {CAUSES_EACH} of a process and {CAUSES} in all",
+                remedy="the flag is up all the same; clear what has been dealt with "
+                "and raise this one again",
             )
-        self._check_stuck(code)
 
     def clear_illegal(self, raiser: str, cause: str = "", machine: str = "") -> int:
-        """Take back what `raiser` raised on this machine; return how many went."""
+        """Take back what `raiser` raised on this machine; return how many went.
+
+        Raises:
+            SvarOwnerError: Another process has raised it, and lives.
+        """
         words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
         code = self._open().clear_illegal(*words)
-        self._check_stuck(code)
+        if code == ALIVE:
+            raise SvarOwnerError(
+                f"what {raiser} raised is not cleared, its process lives",
+                where=self.name,
+                expected="the process that raised it, or its end",
+                remedy=f"let {raiser} clear it, or end it first",
+            )
         return code
 
     def close(self) -> None:

@@ -202,15 +202,52 @@ def test_registers_of_the_killed_are_used_again(table, steps):
         task.close()
 
 
-def test_a_cause_is_raised_whole_or_not_at_all(table, steps):
-    for counter in Steps(steps, table, "raise"):
-        assert all(
-            (c.cause, c.machine) == ("killed while it raised", "here")
-            for c in table.illegal
-        )
-        cleared = table.clear_illegal(str(counter), machine="here")
-        assert cleared in {0, 1}
+def test_a_task_killed_at_any_step_of_being_turned_on_again_moves_all_or_none(
+    table, steps
+):
+    sides = set()
+    for counter in Steps(steps, table, "again"):
+        found = value(table)
+        assert found in {counter - 1, counter}
+        moved = {table.info(name).owner for name in names(0)}
+        assert moved == ({"writer0"} if found == counter else {None})
+        sides.add(found == counter)
+        with table.local("heir", os.getpid(), invar=names(1), outvar=names(0)) as heir:
+            take(table, heir, counter + 1)
+        assert len(table.registers()) <= 3, "what the dead left is used again"
+    assert sides == {True, False}
+
+
+@pytest.mark.parametrize("change", ["raise", "clear"])
+def test_a_cause_stands_whole_or_not_at_all_and_goes_when_the_dead_is_reaped(
+    table, steps, change
+):
+    looker = table.local("looker", os.getpid())
+    sides = set()
+    killed = Steps(steps, table, change)
+    for counter in killed:
+        texts = {(c.cause, c.raiser, c.machine) for c in table.illegal}
+        sides.add(bool(texts))
+        ed = {"raise": "raised", "clear": "cleared"}[change]
+        assert texts <= {(f"killed while it {ed}", str(counter), "here")}
+        if change == "clear":
+            assert looker.illegal or not texts, "up too long at most, never too short"
+        assert table.clear_illegal(str(counter), machine="here") == len(texts)
         assert table.illegal == []
+        assert not looker.illegal
+        table.raise_illegal("mine", "me")
+        assert looker.illegal
+        assert [c.cause for c in table.illegal] == ["mine"]
+        table.clear_illegal("me")
+        assert not looker.illegal
+    assert sides == {True, False}
+    table.clear_illegal(str(killed.counter), machine="here")  # of the one that lived
+    for n in range(64):
+        table.raise_illegal(f"{n}", "me")
+    assert [c.cause for c in table.illegal] == [str(n) for n in range(64)], (
+        "no entry is lost to the dead"
+    )
+    assert table.clear_illegal("me") == 64
 
 
 def test_a_claimer_that_stops_blocks_claimers_for_two_seconds_and_nobody_else(

@@ -85,13 +85,19 @@ class Mutant(NamedTuple):
     symptom: str
 
 
-ACCEPT = "if (same) return PB_CONSISTENT;"
+ACCEPT = "if (same && whole) return PB_CONSISTENT;"
 MUTANTS = {
     "no second look": Mutant(
-        "cut.h", ACCEPT, "(void)same; return PB_CONSISTENT;", "torn"
+        "cut.h", ACCEPT, "(void)same; (void)whole; return PB_CONSISTENT;", "torn"
     ),
     "whole is enough": Mutant(
-        "cut.h", ACCEPT, "if (whole) return PB_CONSISTENT;", "false_cuts"
+        "cut.h", ACCEPT, "(void)same; if (whole) return PB_CONSISTENT;", "false_cuts"
+    ),
+    "the first need not stand still": Mutant(
+        "cut.h", "i + 1 == p->n_sources", "i == 0", "false_cuts"
+    ),
+    "the last need not be whole": Mutant(
+        "cut.h", ACCEPT, "if (same) return PB_CONSISTENT;", "torn"
     ),
     "one slot": Mutant(
         "register.h", "slots + head % PB_SLOTS", "slots + head % 1", "torn"

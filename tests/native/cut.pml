@@ -103,8 +103,8 @@ active proctype WriterQ() { short last, next; write_all(Q, COMMITS_Q) }
 #define SAME (whole(P) && whole(Q))
 #elif defined(HALF_LOOK)
 #define SAME (whole(P) && same(Q))
-#else
-#define SAME (same(P) && same(Q))
+#else /* q is looked at last: at the instant of that look both stand */
+#define SAME (same(P) && whole(Q))
 #endif
 
 inline forget() {

@@ -355,7 +355,7 @@ inline second_look(v) {
     again = mem[HEAD(reg[v])];
     if
     :: !WHOLE(head[v], again) -> check_plan(); goto finished
-    :: WHOLE(head[v], again) && again != head[v] -> same = false
+    :: WHOLE(head[v], again) && again != head[v] -> same = same && (v == Y || reg[X] == reg[Y])
     :: else
     fi;
     again = 0

@@ -1,6 +1,6 @@
 /* Does one change to a table and kills itself at a given step of it.
  *
- *   svar_steps FILE enter|claim|commit|one|release|set|raise WRITER STEP COUNTER
+ *   svar_steps FILE enter|claim|again|commit|one|release|set|raise|clear WRITER STEP COUNTER
  *
  * FILE is a table with the variables of svar_rig.h. A step lies between any two words that
  * are copied to shared memory, and around every publishing store and the lock. Ends with 0
@@ -79,6 +79,19 @@ int main(int argc, char **argv) {
         cause = pb_cause_of("killed while it raised", argv[5], "here");
         steps_left = step;
         if (pb_raise(&t, &cause)) die("raise");
+    } else if (!strcmp(what, "clear")) {
+        cause = pb_cause_of("killed while it cleared", argv[5], "here");
+        if (pb_raise(&t, &cause)) die("raise");
+        steps_left = step;
+        if (pb_clear(&t, &cause) != 1) die("clear");
+    } else if (!strcmp(what, "again")) { /* on, off, one variable set, on */
+        uint64_t *value = zeroed(t.vars[0].bytes);
+        for (uint64_t i = 0; i < t.vars[0].bytes / 8; i++) value[i] = counter - 1;
+        claim_as(l, writer, counter - 1);
+        if (rig_release(l, false) || pb_set(&t, 0, value, pb_now())) die("set");
+        rig_fill(l, writer, counter);
+        steps_left = step;
+        if (rig_claim(l)) die("claim");
     } else {
         return 2;
     }

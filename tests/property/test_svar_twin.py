@@ -246,7 +246,7 @@ class InStep(RuleBasedStateMachine):
         assert native[regs:] == twin[regs:], "registers, directory and arena"
         live = struct.unpack_from("<Q", native, 80)[0]
         assert native[:live] == twin[:live], "the static part"
-        assert native[live : live + 16] == twin[live : live + 16], "generation, flag"
+        assert native[live : live + 24] == twin[live : live + 24], "generation, flag"
 
 
 def test_native_and_twin_stay_in_step():
@@ -291,7 +291,7 @@ def run_units(**env: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     tests = [
         str(root / "tests" / "unit" / f"test_svar_{n}.py")
-        for n in ("guards", "local", "single", "table")
+        for n in ("flag", "guards", "local", "single", "table")
     ]
     return subprocess.run(
         [*command, "-W", "ignore:PBONET_PURE:RuntimeWarning", *tests],

@@ -405,53 +405,6 @@ def test_unknown_names_are_said(table):
         table.local("t", ME, invar=["V1"]).array("V0")
 
 
-# -- the illegal-configuration flag ---------------------------------------------------
-
-
-def test_flag_is_up_while_any_cause_stands(table):
-    local = table.local("t", ME)
-    assert not local.illegal
-    table.raise_illegal("task pid is dead", "arm0")
-    table.raise_illegal("task pid is dead", "arm0")
-    table.raise_illegal("task pid is stale", "arm0")
-    table.raise_illegal("reconfiguring", "master", "host2")
-    assert [(c.cause, c.raiser) for c in table.illegal] == [
-        ("task pid is dead", "arm0"),
-        ("task pid is stale", "arm0"),
-        ("reconfiguring", "master"),
-    ]
-    assert table.illegal[0].machine == os.uname().nodename
-    assert table.illegal[2].machine == "host2"
-    assert local.illegal
-    assert table.clear_illegal("master") == 0, "raised on another machine"
-    assert table.clear_illegal("master", machine="host2") == 1
-    assert table.clear_illegal("arm0", "task pid is stale") == 1
-    assert local.illegal
-    assert table.clear_illegal("arm0") == 1
-    assert not local.illegal
-    assert table.illegal == []
-
-
-def test_flag_holds_64_causes_and_says_when_full(table):
-    for n in range(64):
-        table.raise_illegal(f"cause {n}", "t")
-    with pytest.raises(
-        SvarFullError, match="64 causes stand, this one was not added: one more"
-    ):
-        table.raise_illegal("one more", "t")
-    table.raise_illegal("cause 5", "t")
-    assert table.clear_illegal("t", "cause 5") == 1
-    table.raise_illegal("one more", "t")
-    assert table.clear_illegal("t") == 64
-
-
-def test_long_texts_of_a_cause_are_cut(table):
-    table.raise_illegal("c" * 500, "r" * 500, "m" * 500)
-    (cause,) = table.illegal
-    assert (len(cause.cause), len(cause.raiser), len(cause.machine)) == (127, 63, 63)
-    assert table.clear_illegal("r" * 500, "c" * 500, "m" * 500) == 1
-
-
 def test_a_closed_table_writes_into_nobodys_register(table):
     gone = table.local("gone", ME, outvar=["V0"], outconst=["V2"])
     gone.claim()

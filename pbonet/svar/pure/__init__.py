@@ -1,17 +1,13 @@
 """The table's protocol in plain Python, a test oracle; see `arena` and `local`."""
 
-from .arena import (
-    CAUSES,
-    STATIC_BYTES,
-    VERSION,
-    Arena,
-    Blueprint,
-)
+from .arena import STATIC_BYTES, VERSION, Arena, Blueprint
+from .flag import CAUSES, CAUSES_EACH
 from .local import LocalTable
 from .process import now_ns, process_start
 
 __all__ = [
     "CAUSES",
+    "CAUSES_EACH",
     "STATIC_BYTES",
     "VERSION",
     "Arena",

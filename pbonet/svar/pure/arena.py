@@ -11,34 +11,29 @@ import mmap
 import os
 import platform
 import struct
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pbonet.svar.codes import ALIVE, FULL, RIVAL, Verdict
 
-from .process import lives, now_ns, process_start
+from .flag import FLAG_BYTES, Flag, identity
+from .process import lives, process_start, space
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from .local import Group
 
-VERSION, CAUSES, STATIC_BYTES = 1, 64, 144
+VERSION, STATIC_BYTES = 2, 144
 SLOTS, LINE = 4, 64
 _EVER = 1 << 64
 _NUMBERS = (1 << 56) - 1
 FREE, HELD, LEFT = range(3)
 _MAGIC = b"pbSVAR\r\n"
-_WORD = struct.Struct("<Q")
 _STATIC = struct.Struct("<8s4I2Q16s11Q")
 _MUTEX = {"x86_64": 40, "aarch64": 48}.get(platform.machine(), 40)
 _UIDS = 64 + _MUTEX
-_CAUSES = _UIDS + 8
-_CAUSE = struct.Struct("<q128s64s64s")
 _REG_BYTES, _TASK, _TASK_BYTES = 256, 144, 64
 _STATE, _SLOTS, _STRIDE, _UID, _CROWD = range(64, 104, 8)
 _BYTES, _OWNER, _PID, _START, _SPACE = range(104, 144, 8)
@@ -65,7 +60,7 @@ def _stride(size: int) -> int:
     return LINE + _round(size, LINE)
 
 
-_LIVE_BYTES = _round(_CAUSES + CAUSES * _CAUSE.size, LINE)
+_LIVE_BYTES = _round(_UIDS + 8 + FLAG_BYTES, LINE)
 _ABI = _LIVE_BYTES + _MUTEX
 
 
@@ -102,7 +97,7 @@ class Blueprint:
         self.fixed = _STATIC.pack(_MAGIC, *counts, *places, arena, keep, stamps, mode)
 
 
-class Arena:
+class Arena(Flag):
     """A table's file, mapped whole."""
 
     def __init__(self, fd: int, size: int, machine: bytes) -> None:
@@ -112,13 +107,6 @@ class Arena:
     def __del__(self) -> None:
         if hasattr(self, "fileno"):
             os.close(self.fileno)
-
-    def _get(self, at: int) -> int:
-        value: int = _WORD.unpack_from(self.map, at)[0]
-        return value
-
-    def _set(self, at: int, value: int) -> None:
-        _WORD.pack_into(self.map, at, value)
 
     def format(self, plan: Blueprint, values: NDArray[Any]) -> int:
         """Fill fresh zeroed memory."""
@@ -136,6 +124,7 @@ class Arena:
         self.commit(0, values[: self.keep_stamps].tobytes(), (0, 0))
         entries = ((0, 0, self.keep_of(v)) for v in range(self.n_vars))
         self._publish(dict(enumerate(entries)))
+        self._set(self.live + 8, 1)
         self._set(32, self._checksum())
         return 0
 
@@ -145,6 +134,7 @@ class Arena:
         (self.layout, self.vars, self.records, self.text_bytes, self.live) = fields[
             7:12
         ]
+        self.flag = self.live + _UIDS + 8
         (self.regs, self.dir, self.dir_stride, self.arena) = fields[12:16]
         (self.keep_bytes, self.keep_stamps, self.mode) = fields[16:]
 
@@ -272,7 +262,7 @@ class Arena:
         }
         fields |= {_OWNER: owner or uid, _START: process_start(pid), _STATE: HELD}
         fields |= {_CROWD: 0}
-        fields[_SPACE] = Path("/proc/self/ns/pid").stat().st_ino
+        fields[_SPACE] = space()
         for field, value in fields.items():
             self._set_reg(found, field, value)
         at = self.regs + found * _REG_BYTES + _TASK
@@ -352,8 +342,13 @@ class Arena:
         return code != FULL
 
     def reap(self, r: int, uid: int) -> int:
-        """Give up what a dead process owns."""
-        return self.let_go(r, uid, leave=True, dead=True)
+        """Free what a dead process holds."""
+        who = identity(self.reg(r, _PID), self.reg(r, _START), self.reg(r, _SPACE))
+        ours = self.uid(r) == uid
+        code = self.let_go(r, uid, leave=True, dead=True)
+        if not code and ours:
+            self.forget(who)
+        return code
 
     def let_go(self, r: int, uid: int, *, leave: bool, dead: bool) -> int:
         """Give up what stands in a register."""
@@ -441,52 +436,3 @@ class Arena:
             for r in range(1, self.n_regs)
             if self.reg(r, _STATE) != FREE
         ]
-
-    # -- the flag (flag.h) -------------------------------------------------------------
-
-    @property
-    def illegal(self) -> int:
-        """One bit for every cause that stands."""
-        return self._get(self.live + 8)
-
-    def _standing(self) -> Iterator[tuple[int, tuple[bytes, bytes, bytes], int]]:
-        for i in range(CAUSES):
-            if self.illegal >> i & 1:
-                at = self.live + _CAUSES + i * _CAUSE.size
-                time_ns, *texts = _CAUSE.unpack_from(self.map, at)
-                cause, raiser, machine = (t.partition(b"\0")[0] for t in texts)
-                yield i, (cause, raiser, machine), time_ns
-
-    def causes(self) -> list[tuple[str, str, str, int]]:
-        """Return every cause that stands."""
-        found: list[tuple[str, str, str, int]] = []
-        for _, texts, time_ns in self._standing():
-            cause, raiser, machine = (t.decode(errors="replace") for t in texts)
-            found.append((cause, raiser, machine, time_ns))
-        return found
-
-    def raise_illegal(self, cause: bytes, raiser: bytes, machine: bytes) -> int:
-        """Add a cause."""
-        texts = cause[:127], raiser[:63], machine[:63]
-        if any(stands == texts for _, stands, _ in self._standing()):
-            return 0
-        free = [i for i in range(CAUSES) if not self.illegal >> i & 1]
-        if not free:
-            return FULL
-        at = self.live + _CAUSES + free[0] * _CAUSE.size
-        _CAUSE.pack_into(self.map, at, now_ns(), *texts)
-        self._set(self.live + 8, self.illegal | 1 << free[0])
-        return 0
-
-    def clear_illegal(self, cause: bytes, raiser: bytes, machine: bytes) -> int:
-        """Take causes away."""
-        wanted = cause[:127], raiser[:63], machine[:63]
-        gone = [
-            i
-            for i, texts, _ in self._standing()
-            if texts[1] == wanted[1]
-            and wanted[0] in {b"", texts[0]}
-            and wanted[2] in {b"", texts[2]}
-        ]
-        self._set(self.live + 8, self.illegal & ~sum(1 << i for i in gone))
-        return len(gone)

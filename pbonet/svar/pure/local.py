@@ -172,7 +172,8 @@ class LocalTable:
             for r in torn:
                 arena.crowd(r, again[r])
             if arena.dir_head == generation:
-                if again == heads:
+                *first, last = heads or {0: 0}
+                if last not in torn and all(again[r] == heads[r] for r in first):
                     return _CONSISTENT, heads, values
                 if attempt >= TRIES - 1 and not torn:
                     return _WHOLE, heads, values
@@ -291,7 +292,7 @@ class LocalTable:
     @property
     def illegal(self) -> bool:
         """Whether the illegal-configuration flag is up."""
-        return self.arena.illegal != 0
+        return self.arena.illegal
 
 
 def _narrow(check: Check, at: int, size: int) -> Check:

@@ -34,6 +34,11 @@ def _unseen(pid: int) -> int:
     return UNKNOWN
 
 
+def space() -> int:
+    """Return the name space in which process numbers mean something."""
+    return Path("/proc/self/ns/pid").stat().st_ino
+
+
 def lives(pid: int, start: int) -> bool:
     """Return whether a process lives; who cannot be judged counts as alive."""
     now = process_start(pid)
