@@ -15,11 +15,14 @@ from .records import Code, Problem, Severity, Task
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+SHORTEST_NS = 100_000
+"""The shortest period that an RTPU grants (``RT_MIN_PERIOD_NS`` in node/layout.h)."""
 _EXACT = 1 + 1e-9
 
 
 def check_times(task: Task) -> Iterator[Problem]:
     """Yield the times of an RMOD that do not fit the task's period."""
+    yield from _too_fast(task)
     if is_periodic(task):
         wanted = "EFFC" if task.rmod.softness else "MAXC"
         found = next(_beyond(task, (wanted, "MINC")), None)
@@ -28,6 +31,26 @@ def check_times(task: Task) -> Iterator[Problem]:
     elif is_server(task):
         yield from _beyond(task, ("CAPACITY",))
     yield from _understated(task)
+
+
+def _too_fast(task: Task) -> Iterator[Problem]:
+    fastest = 1e9 / SHORTEST_NS
+    if task.hz is not None and task.hz > fastest * _EXACT:
+        yield Problem(
+            code=Code.RATE,
+            what=f"task {task.name} is faster than an RTPU can be",
+            where=task.place(
+                "FREQ" if task.freq or not _says_period(task) else "PERIOD"
+            ),
+            expected=f"at most {fastest:g} Hz",
+            got=f"{task.hz:g} Hz",
+            remedy="lower the frequency",
+            tasks=(task.name,),
+        )
+
+
+def _says_period(task: Task) -> bool:
+    return "PERIOD" in task.rmod.places
 
 
 def _beyond(task: Task, keywords: tuple[str, ...]) -> Iterator[Problem]:

@@ -7,6 +7,7 @@ import pytest
 from pbonet.sched.criticality import Timing, edf, muf, rate_monotonic
 from pbonet.sched.outcome import distribution
 from pbonet.sched.simulate import Core, PeriodicTask, simulate
+from pbonet.sched.urgency import NEVER
 
 MS = 1_000_000
 SET = {"t1": (6, 2), "t2": (10, 4), "t3": (12, 3), "t4": (15, 4)}
@@ -219,3 +220,47 @@ def test_ranges_are_those_of_the_runtime() -> None:
         simulate([PeriodicTask(name="a", period_ns=5, cost=1, crit=64)], until_ns=9)
     with pytest.raises(ValueError, match="time cannot begin at -1 ns"):
         simulate([], until_ns=9, start_ns=-1)
+
+
+def test_step_by_step_is_the_same_as_all_at_once() -> None:
+    """Several cores go in step by `next_ns`; a step must not change the schedule."""
+    tasks = [
+        PeriodicTask(name="a", period_ns=6, cost=2, crit=5),
+        PeriodicTask(name="b", period_ns=10, cost=4, crit=5, effective_ns=3),
+        PeriodicTask(name="c", period_ns=15, cost=4, crit=3, least_ns=2),
+    ]
+    whole = simulate(tasks, until_ns=300)
+    core = Core(tasks)
+    last = 0
+    while (soon := core.next_ns()) <= 300:
+        assert soon >= last
+        last = soon
+        core.step()
+    core.run_until(300)
+    assert core.outcome() == whole
+
+
+def test_a_task_that_is_stopped_is_released_no_more() -> None:
+    begun: list[tuple[int, int]] = []
+    ended: list[int] = []
+    first = PeriodicTask(name="a", period_ns=4, cost=2)
+    second = PeriodicTask(
+        name="b",
+        period_ns=10,
+        cost=3,
+        begun=lambda *at: begun.append(at),
+        done=ended.append,
+    )
+    core = Core([first, second])
+    core.run_until(14)
+    core.stop("b")
+    core.run_until(100)
+    assert begun == [(2, 0), (10, 10)]
+    assert ended == [7]
+    outcome = core.outcome()
+    assert outcome.tasks["b"].releases == 2
+    assert outcome.tasks["a"].cycles == 25
+    assert core.next_ns() == 100  # where the next cycle is about to begin
+    core.stop("a")
+    core.run_until(200)
+    assert core.next_ns() == NEVER

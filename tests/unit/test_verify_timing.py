@@ -6,7 +6,9 @@ from verify_parts import configuration, rtpu, task, texts
 
 from pbonet import verify
 from pbonet.config.model import TaskType, Variable
+from pbonet.node import _rt
 from pbonet.sched.soft import from_steps
+from pbonet.verify import times
 
 
 def figure_6_1(scheduler: str, **fourth) -> verify.Configuration:
@@ -316,3 +318,15 @@ def test_a_soft_task_is_ranked_by_its_measured_effective_time() -> None:
     assert texts(config) == []
     hard = structs.replace(soft, rmod=structs.replace(soft.rmod, maxc=0.03))
     assert crits(configuration(hard, rtpus=[rtpu()])) == {"s": 5}
+
+
+def test_a_rate_that_no_rtpu_grants_is_refused() -> None:
+    """By the same bound that a spawn is refused for."""
+    assert _rt.MIN_PERIOD_NS == times.SHORTEST_NS
+    assert texts(configuration(task("a", freq=10_000))) == []
+    (problem,) = verify.check(configuration(task("a", freq=10_001)))
+    assert problem.severity == "refuse"
+    assert verify.as_text(problem) == (
+        "a.rmod: task a is faster than an RTPU can be (expected at most 10000 Hz, got "
+        "10001 Hz); lower the frequency"
+    )
