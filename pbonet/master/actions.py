@@ -277,12 +277,8 @@ def events(desk: Desk, given: Given) -> Data:
     return {"events": [msgspec.to_builtins(event) for event in shown]}
 
 
-def help_(_: Desk, given: Given) -> Data:
+def help_(desk: Desk, given: Given) -> Data:
     """Show the commands."""
-    from pbonet.master.commands import COMMANDS, find
-
-    name: str | None = given.get("command")
-    chosen = COMMANDS if name is None else (find(name),)
     return {
         "commands": [
             {
@@ -301,7 +297,7 @@ def help_(_: Desk, given: Given) -> Data:
                     for arg in command.args
                 ],
             }
-            for command in chosen
+            for command in desk.commands(given.get("command"))
         ]
     }
 

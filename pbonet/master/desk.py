@@ -15,7 +15,15 @@ from msgspec import Struct
 from pbonet.errors import ClaimError, NodeError, StateError, did_you_mean
 from pbonet.master import profile
 from pbonet.master.actions import no_task
-from pbonet.master.commands import BY_NAME, Arg, Command, Kind, Scope, find
+from pbonet.master.commands import (
+    BY_NAME,
+    COMMANDS,
+    Arg,
+    Command,
+    Kind,
+    Scope,
+    find,
+)
 from pbonet.master.words import collected, is_sequence, sequence
 
 if TYPE_CHECKING:
@@ -173,6 +181,15 @@ class Desk:
             if self.default not in self.subsystem.picture:
                 self.default = ""  # it was killed, or never there
         return Reply(command=command.name, data=data, warnings=warnings)
+
+    @staticmethod
+    def commands(name: str | None = None) -> tuple[Command, ...]:
+        """Return the command of that name, or all.
+
+        Raises:
+            NodeError: There is none of that name.
+        """
+        return COMMANDS if name is None else (find(name),)
 
     def _knows(self, task: str) -> bool:
         return task in self.subsystem.picture

@@ -68,7 +68,7 @@ def run(
         libraries=place.libraries,
         kind="sbs",
         take_over=place.take_over,
-        warned=lambda text: print_error(render.warning(text)),
+        warned=lambda text: render.print_error(render.warning(text)),
     )
     failed = False
     with subsystem:
@@ -89,8 +89,8 @@ def run(
 
 def serve(subsystem: Subsystem, portname: str) -> None:
     """Let a program on the network steer until it ends (`sbsNetwork`)."""
-    with Port(subsystem, portname, told=print_error) as port:
-        print_error(f"port {portname} waits for a client")
+    with Port(subsystem, portname, told=render.print_error) as port:
+        render.print_error(f"port {portname} waits for a client")
         port.serve(threading.Event())
 
 
@@ -149,35 +149,23 @@ class Script:
 
     def _show(self, reply: Reply) -> None:
         if self._as_data:
-            print_line(msgspec.json.encode(reply).decode())
+            render.print_line(msgspec.json.encode(reply).decode())
             return
         for warning in reply.warnings:
-            print_error(render.warning(warning))
+            render.print_error(render.warning(warning))
         if text := render.text(reply.command, reply.data):
-            print_line(text)
+            render.print_line(text)
 
     def _tell(self, error: PbonetError, place: str) -> None:
         if self._as_data:
             fault = {"place": place, "error": error.to_wire()}
-            print_line(msgspec.json.encode(fault).decode())
+            render.print_line(msgspec.json.encode(fault).decode())
         else:
-            print_error(f"{place}: {render.error(error, debug=self._debug)}")
+            render.print_error(f"{place}: {render.error(error, debug=self._debug)}")
 
 
 def _heard(event: Event) -> None:
-    print_error(render.event(event))
-
-
-def print_line(text: str) -> None:
-    """Print a line of output."""
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
-
-
-def print_error(text: str) -> None:
-    """Print a line beside the output."""
-    sys.stderr.write(f"{text}\n")
-    sys.stderr.flush()
+    render.print_error(render.event(event))
 
 
 def _read(name: str) -> Iterable[str]:

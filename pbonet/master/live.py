@@ -12,11 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from pbonet.master import render
-from pbonet.master.profile import profile
+from pbonet.master.profile import Window
 
 if TYPE_CHECKING:
-    from pbonet.master.profile import Value
-    from pbonet.xm.messages import Event, RtpuStatus, TaskStatus
+    from pbonet.xm.messages import Event, RtpuStatus
 
 _COLORS: Final = {"ON": "green", "OFF": "cyan", "ERROR": "red"}
 _HEAD: Final = (
@@ -25,8 +24,6 @@ _HEAD: Final = (
 )
 _EVENTS: Final = 6
 _PLAIN_PERIOD: Final = 5.0
-_WINDOW: Final = 1.0
-"""Seconds over which rates and shares are measured."""
 
 
 class View(Protocol):
@@ -53,22 +50,6 @@ def view(*, quiet: bool = False) -> View:
     return Screen() if sys.stdout.isatty() else Plain()
 
 
-class Window:
-    """Remembers statuses, to tell rates over the last second."""
-
-    def __init__(self) -> None:
-        self._seen: dict[str, deque[TaskStatus]] = {}
-
-    def rates(self, status: TaskStatus) -> dict[str, Value]:
-        """Return the fields of status over the last second."""
-        seen = self._seen.setdefault(status.task, deque())
-        seen.append(status)
-        while len(seen) > 1 and status.now - seen[1].now > _WINDOW * 1e9:
-            seen.popleft()
-        before = seen[0] if len(seen) > 1 else None
-        return profile(status, before).fields
-
-
 class Screen:
     """A table that renews itself, with the last events below it."""
 
@@ -89,7 +70,8 @@ class Screen:
         self._events.extend(render.event(event) for event in events)
         below = [Text(line, style="yellow") for line in self._events]
         self._live.update(
-            Group(self._table(passed, rtpus), *_notes(rtpus), *below), refresh=True
+            Group(self._table(passed, rtpus), *self._notes(rtpus), *below),
+            refresh=True,
         )
 
     def _table(self, passed: float, rtpus: list[RtpuStatus]) -> Table:
@@ -116,27 +98,28 @@ class Screen:
         table.caption = f"{passed:.0f} s; Ctrl-C turns everything off in order"
         return table
 
+    def _notes(self, rtpus: list[RtpuStatus]) -> list[Text]:
+        notes: list[Text] = []
+        for rtpu in rtpus:
+            load = f"{rtpu.rtpu}: {rtpu.scheduler} over {rtpu.backend}, tasks take "
+            load += f"{self._window.load(rtpu.tasks):.1%} of the core"
+            notes.append(Text(load, style="dim"))
+            notes += [
+                Text(f"ILLEGAL {cause}", style="bold red") for cause in rtpu.illegal
+            ]
+            notes += [
+                Text(f"{task.task}: {task.error}", style="red")
+                for task in rtpu.tasks
+                if task.state == "ERROR"
+            ]
+        return notes
+
     def __enter__(self) -> Self:
         self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._live.stop()
-
-
-def _notes(rtpus: list[RtpuStatus]) -> list[Text]:
-    notes: list[Text] = []
-    for rtpu in rtpus:
-        load = f"{rtpu.rtpu}: {rtpu.scheduler} over {rtpu.backend}"
-        load += f", tasks {rtpu.util:.1%}, dispatcher {rtpu.dispatcher:.1%} of the core"
-        notes.append(Text(load, style="dim"))
-        notes += [Text(f"ILLEGAL {cause}", style="bold red") for cause in rtpu.illegal]
-        notes += [
-            Text(f"{task.task}: {task.error}", style="red")
-            for task in rtpu.tasks
-            if task.state == "ERROR"
-        ]
-    return notes
 
 
 class Plain:

@@ -8,6 +8,7 @@ made here, by subtracting what the same interface saw last time.
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from msgspec import Struct
@@ -67,6 +68,9 @@ DEFAULT: Final = (
     *("avgC", "maxC", "avgU", "maxU", "warn"),
 )
 """What is shown until `status set` says otherwise."""
+
+_WINDOW: Final = 1.0
+"""Seconds over which rates and shares are measured."""
 
 
 class Profile(Struct, frozen=True, kw_only=True):
@@ -178,6 +182,37 @@ def _ratio(part: float, whole: float | None) -> float | None:
 
 def _percent(part: float | None, whole: float | None) -> float | None:
     return 100.0 * part / whole if part is not None and whole else None
+
+
+class Window:
+    """Remembers statuses, to tell rates over the last second."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, deque[TaskStatus]] = {}
+
+    def rates(self, status: TaskStatus) -> dict[str, Value]:
+        """Return the fields of status over the last second; one call a look."""
+        seen = self._seen.setdefault(status.task, deque())
+        seen.append(status)
+        while len(seen) > 1 and status.now - seen[1].now > _WINDOW * 1e9:
+            seen.popleft()
+        return profile(status, seen[0] if len(seen) > 1 else None).fields
+
+    def load(self, tasks: Iterable[TaskStatus]) -> float:
+        """Return the share of a core that tasks took over the last second.
+
+        Args:
+            tasks: Those of one core, as the last `rates` saw them.
+        """
+        share = 0.0
+        for task in tasks:
+            seen = self._seen.get(task.task, ())
+            if task.state == "ON" and seen:
+                fields = profile(task, seen[0] if len(seen) > 1 else None).fields
+                spent, passed = fields["totC"], fields["ptime"]
+                if isinstance(spent, float) and isinstance(passed, float) and passed:
+                    share += spent / passed
+        return share
 
 
 def delay_quantile(histogram: list[int], share: float) -> float | None:

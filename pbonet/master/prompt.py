@@ -27,8 +27,8 @@ from pbonet.errors import PbonetError
 from pbonet.master import render
 from pbonet.master.completion import complete
 from pbonet.master.desk import Desk
-from pbonet.master.interfaces import print_line
 from pbonet.master.network import Port
+from pbonet.master.profile import Window
 from pbonet.master.watching import Listener
 from pbonet.xm import messages as m
 
@@ -74,7 +74,7 @@ class Prompt:
         history: History | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
-        self._say = say or print_line
+        self._say = say or render.print_line
         self._subsystem = subsystem
         self._debug = debug
         self._input = source or create_input()
@@ -212,6 +212,7 @@ class _Toolbar:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._poll, name="bar", daemon=True)
         self._about = ""
+        self._window = Window()
 
     def open(self) -> None:
         self._thread.start()
@@ -232,18 +233,25 @@ class _Toolbar:
             except PbonetError as error:
                 self._about = error.what
                 return
-            self._about = summary(list(results.values()), errors)
+            for status in results.values():
+                for task in status.tasks:
+                    self._window.rates(task)
+            self._about = summary(list(results.values()), errors, self._window)
             if self._end.wait(_POLL):
                 return
 
 
-def summary(rtpus: list[m.RtpuStatus], errors: list[PbonetError]) -> str:
-    """Return one line on how a subsystem stands."""
+def summary(
+    rtpus: list[m.RtpuStatus], errors: list[PbonetError], window: Window
+) -> str:
+    """Return one line on how a subsystem stands; loads are those of the window."""
     states = [task.state for rtpu in rtpus for task in rtpu.tasks]
     counts = [f"{states.count(s)} {s}" for s in ("ON", "OFF", "ERROR") if s in states]
     causes = [cause for rtpu in rtpus for cause in rtpu.illegal]
     parts = [", ".join(counts) or "no tasks"]
-    parts += [f"{rtpu.rtpu} {rtpu.backend} {rtpu.util:.0%}" for rtpu in rtpus]
+    parts += [
+        f"{rtpu.rtpu} {rtpu.backend} {window.load(rtpu.tasks):.0%}" for rtpu in rtpus
+    ]
     parts += [f"{error.where}: {error.what}" for error in errors]
     parts += [f"ILLEGAL {cause}" for cause in sorted(set(causes))[:1]]
     return "   ".join(parts)

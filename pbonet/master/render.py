@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import TYPE_CHECKING, Any, Final
 
@@ -39,6 +40,18 @@ def error(fault: PbonetError, *, debug: bool = False) -> str:
     """Return an error's lines; with `debug`, those of its cause behind it."""
     lines = f"ERROR> {fault}"
     return f"{lines}\n{fault.debug.rstrip()}" if debug and fault.debug else lines
+
+
+def print_line(text: str) -> None:
+    """Print a line of output."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def print_error(text: str) -> None:
+    """Print a line beside the output."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
 
 
 def seconds(value: float | None) -> str:

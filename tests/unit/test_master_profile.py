@@ -50,6 +50,20 @@ def fields(now, before=None):
     return profile.profile(now, before).fields
 
 
+def test_load_is_that_of_the_last_second():
+    """Half a core since it was turned on, a tenth of it in the last second."""
+    window = profile.Window()
+    first = status(now=10_000_000_000, ptime=4.0, tot_c=2.0)
+    window.rates(first)
+    assert window.load([first]) == pytest.approx(0.5)
+    later = status(now=11_000_000_000, ptime=5.0, tot_c=2.1, cycle=1500)
+    window.rates(later)
+    resting = status(task="traj", state="OFF")
+    window.rates(resting)
+    assert window.load([later, resting]) == pytest.approx(0.1)
+    assert window.rates(later)["cycle"] == 500
+
+
 def test_every_field_of_section_4_4_1_is_there_in_its_order():
     assert list(profile.NAMES[: len(THESIS)]) == THESIS
     assert list(fields(status())) == list(profile.NAMES)
