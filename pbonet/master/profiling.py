@@ -32,6 +32,8 @@ Data = dict[str, Any]
 QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
 SUMS: Final = ("cycle", "miss", "totC", "minU", "avgU", "maxU")
 """Figures of tasks that add up to a figure of their RTPU."""
+FAILURES: Final = ("failures", "overruns", "aborted", "skipped", "delivery_max")
+"""What a status says about timing failures (section 6.3)."""
 
 
 def ask(crew: Crew, tasks: Sequence[str]) -> list[TaskProfile]:
@@ -103,8 +105,8 @@ def task_data(found: TaskProfile, rmod: Rmod | None) -> Data:
         "delays": _quantiles(_counts(found.jitter), found.status.jitter_max),
         "late": found.late,
         "failed": found.failed,
-        "failures": found.failures,
-        "sections": [msgspec.to_builtins(section) for section in found.sections],
+        **{name: getattr(found.status, name) for name in FAILURES},
+        "sections": msgspec.to_builtins(found.status.sections),
         "declared": {
             key: getattr(rmod, key) if rmod else None
             for key in ("minc", "maxc", "effc", "softness")

@@ -180,22 +180,32 @@ def _profile_of(task: Data) -> list[str]:
         table(("figure", "value", "what it says"), rows),
         f"CPU time of {task['counted']} cycles since it was spawned: " + _times(spread),
         "delay from release to cycle: " + _times(task["delays"]),
-        f"ended late {task['late']}, failed {task['failed']}"
-        + "".join(f", {kind} {count}" for kind, count in task["failures"].items()),
+        f"ended late {task['late']}, failed {task['failed']}",
+        _failures(task),
         "declared: " + _declared(task),
     ]
     lines += [
-        f"section {one['name']}: {one['count']} times, "
+        f"section {name}: {one['count']} times, "
         + _times({
-            "least": one["least"],
+            "least": one["min"],
             "mean": one["total"] / one["count"] if one["count"] else None,
-            "most": one["most"],
+            "most": one["max"],
         })
-        for one in task["sections"]
+        for name, one in task["sections"].items()
     ]
     if task["psi"]:
         lines += ["share of the cycles within a CPU time:", curve.as_text(task["psi"])]
     return lines
+
+
+def _failures(task: Data) -> str:
+    """Return the line about timing failures (section 6.3)."""
+    found = {**task["failures"], "reserve used up": task["overruns"]}
+    found |= {"aborted": task["aborted"], "skipped": task["skipped"]}
+    told = ", ".join(f"{what} {count}" for what, count in found.items())
+    if not any(found.values()):
+        return "timing failures: none"
+    return f"timing failures: {told}; longest delivery {seconds(task['delivery_max'])}"
 
 
 def _times(named: dict[str, float | None]) -> str:

@@ -390,19 +390,6 @@ class TaskProfile(Struct, kw_only=True):
     """Cycles that ended after their deadline, since the task was spawned."""
     failed: int = 0
     """Cycles in which the module raised, since then."""
-    failures: dict[str, int] = {}
-    """Timing failures by kind, and how often a reserve was used up (section 6.3)."""
-    sections: list[SectionProfile] = []
-
-
-class SectionProfile(Struct, kw_only=True):
-    """A part of the cycle that the module times (section 6.7.2); seconds."""
-
-    name: str
-    count: int
-    total: float
-    least: float
-    most: float
 
 
 class Reconfigured(Struct, kw_only=True):

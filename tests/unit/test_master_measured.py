@@ -200,14 +200,17 @@ RTPUS = {"rtpus": []}
 
 
 def test_one_task_is_shown_whole_and_several_as_a_table():
-    sections = [
-        m.SectionProfile(name="jac", count=2, total=4e-6, least=1e-6, most=3e-6)
-    ]
-    one = structs.replace(found(), failures={"maxexec": 3}, sections=sections)
+    sections = {"jac": m.SectionStatus(count=2, total=4e-6, min=1e-6, max=3e-6)}
+    failures = {"deadline": 0, "maxexec": 3}
+    one = found(failures=failures, overruns=2, delivery_max=5e-6, sections=sections)
     data = profiling.task_data(one, rmod("MAXC 0.002\nSOFTNESS 0.1\n"))
     text = render.text("profile", {"tasks": [data]} | RTPUS)
     assert "CPU time of 200 cycles since it was spawned: least 50 us" in text
-    assert "ended late 0, failed 0, maxexec 3\n" in text
+    assert "ended late 0, failed 0\n" in text
+    assert (
+        "timing failures: deadline 0, maxexec 3, reserve used up 2, aborted 0, skipped "
+        "0; longest delivery 5 us\n"
+    ) in text
     assert "declared: MAXC 2 ms, SOFTNESS 0.1, E " in text
     assert "section jac: 2 times, least 1 us, mean 2 us, most 3 us\n" in text
     assert text.splitlines()[-1].endswith("0.9 ms")
