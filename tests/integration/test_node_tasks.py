@@ -19,7 +19,6 @@ from pbonet.errors import (
     ProtocolError,
     StateError,
     SvarOwnerError,
-    TaskError,
     UnknownVariableError,
 )
 from pbonet.node._ring import Ring
@@ -411,13 +410,6 @@ def test_a_task_that_the_clock_does_not_time_says_how_it_waits(arm):
     )
     assert error.where == "arm0/a.rmod:8:1"
     assert error.expected.startswith("def sync(self) in /")
-
-
-@pytest.mark.parametrize("kind", ["sporadic", "deferrable"])
-def test_servers_are_not_there_yet(arm, kind):
-    text = rmod("counts").replace("periodic", kind)
-    text = text.replace("FREQ 200", "FREQ 200\nCAPACITY 0.001")
-    arm.refused(TaskError, arm.spawn, "a", "counts", text=text)
 
 
 def test_nothing_is_left_of_a_spawn_that_failed(arm, nodes, shared_memory):
