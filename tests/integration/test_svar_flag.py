@@ -3,10 +3,11 @@
 import os
 import random
 import signal
+import subprocess
 import time
 
 import pytest
-from svar_rig import Child, counters, variables, wait_for
+from svar_rig import Child, build, counters, mutant, variables, wait_for
 
 from pbonet.svar import Table
 
@@ -80,3 +81,31 @@ def test_raisers_at_full_speed_killed_at_random_leave_whole_causes(table):
     for n in range(64):
         table.raise_illegal(f"{n}", "me")
     assert len(table.illegal) == 64
+
+
+def looks(program) -> list[str]:
+    """Return what looks between the steps of a raise, and of a clear, have seen."""
+    done = subprocess.run([program], check=True, capture_output=True, text=True)
+    return done.stdout.split()
+
+
+def test_a_look_amid_a_change_does_not_hide_it_from_the_next(tmp_path):
+    raised, cleared = looks(build("svar_flag.c", tmp_path / "flag"))
+    assert raised == "0" * raised.count("0") + "1" * raised.count("1")
+    assert cleared == "1" * cleared.count("1") + "0" * cleared.count("0")
+    assert raised[-1] == "1"
+    assert cleared[-1] == "0"
+    assert len(raised) > 30
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("PBONET_STEP(32);\n    pb_changed(t);", "PBONET_STEP(32);"),
+        ("    pb_changed(t); /* also for who died", "    /* also for who died"),
+    ],
+)
+def test_the_number_of_changes_moves_behind_every_change(tmp_path, right, wrong):
+    headers = mutant(tmp_path, "flag.h", right, wrong)
+    seen = looks(build("svar_flag.c", tmp_path / "flag", headers=headers))
+    assert [line[-1] for line in seen] != ["1", "0"]

@@ -300,9 +300,7 @@ def _narrow(check: Check, at: int, size: int) -> Check:
     width = int(_TYPES[check.type][1])
     first = max(check.at, at)
     stop = min(check.at + check.n * width, at + size)
-    skip = first - check.at
-    low, high = (x if x is None else x[skip:] for x in (check.low, check.high))
-    return check._replace(at=first, n=(stop - first) // width, low=low, high=high)
+    return check._replace(at=first, n=(stop - first) // width)
 
 
 def _now() -> int:
