@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError
 from pbonet.svar import files
-from pbonet.xm import rundir
+from pbonet.xm import rundir, sweep
 
 from . import _rt, runtime
 from ._ring import Ring
@@ -92,7 +92,7 @@ def clean(places: rundir.Places, patience: float = PATIENCE) -> list[str]:
     state = read(places.state)
     if state is None:
         places.remove(places.ctl, places.state)
-        return []
+        return _sweep_mail(places)
     if state.alive:
         return []
     done = _end_tasks(state, patience)
@@ -100,6 +100,7 @@ def clean(places: rundir.Places, patience: float = PATIENCE) -> list[str]:
         done += _remove_ring(task.ring)
     for name in state.tables:
         done += _remove_table(name)
+    done += _sweep_mail(places)
     done += _sweep_core(state.core)
     places.remove(places.ctl, places.state)
     return done
@@ -140,6 +141,12 @@ def _remove_table(name: str) -> list[str]:
     if path.exists() and remove_unused(path):
         return [f"table {name} was removed"]
     return []
+
+
+def _sweep_mail(places: rundir.Places) -> list[str]:
+    """Remove semaphores and queues that nobody uses; return what was done."""
+    swept = sweep(places.name, places.domain)
+    return [f"express mail {places.name}:{name} was removed" for name in swept]
 
 
 def _sweep_core(core: int) -> list[str]:

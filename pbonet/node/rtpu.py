@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.xm import rundir
+from pbonet.xm import rundir, sweep
 
 from . import control, leftovers, runtime, wire
 from .events import EventLog
@@ -197,6 +197,7 @@ async def _serve(rtpu: Rtpu, places: rundir.Places, end: asyncio.Future[str]) ->
         await link.close(reason)
     finally:
         await rtpu.close()
+        sweep(places.name, places.domain)
         places.remove(places.ctl, places.state, places.log)
         _remove_dead_agent(places)
 

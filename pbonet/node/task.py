@@ -25,6 +25,7 @@ from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
 from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
 from pbonet.svar import Table
+from pbonet.xm import live_on
 
 from . import _rt, runtime, tasktalk, wire
 from ._ring import Ring
@@ -127,6 +128,7 @@ class Host:
             port.attr: self.local.array(self.rmod.svar_name(port.name))
             for port in self.info.ports
         }
+        live_on(spec.rtpu, domain=spec.domain, priority=lambda: self.watch.criticality)
         instance = bind(loaded.cls, params, arrays, self.context)
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.local, illegal=illegal)

@@ -84,14 +84,10 @@ static inline int xm_held(struct xm_object *o, int error)
 /* Returns 0, or XM_STUCK when somebody holds the lock for seconds and does not run. */
 static inline int xm_lock(struct xm_object *o)
 {
-    struct timespec until;
     PBONET_STEP(30);
     int error = pthread_mutex_trylock(&o->lock);
-    if (error == EBUSY) {
-        clock_gettime(CLOCK_REALTIME, &until);
-        until.tv_sec += PB_PATIENCE;
-        error = pthread_mutex_timedlock(&o->lock, &until);
-    }
+    if (error == EBUSY)
+        error = pb_lock_wait(&o->lock);
     return xm_held(o, error);
 }
 
