@@ -146,6 +146,8 @@ def status(desk: Desk, given: Given) -> Data:
                 "util": rtpu.util,
                 "dispatcher": rtpu.dispatcher,
                 "illegal": rtpu.illegal,
+                "stalls": rtpu.stalls,
+                "stalled": rtpu.stalled,
             }
             for rtpu in rtpus
         ],

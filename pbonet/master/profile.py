@@ -59,6 +59,16 @@ FIELDS: Final = (
     Field("xfer", "%", "share of the CPU time spent on transfers of variables"),
     Field("module", "", "module behind the RMOD"),
     Field("version", "", "version of the module's code that was loaded"),
+    Field("rank", "", "criticality at this moment: another one behind a failure"),
+    Field("reserve", "s", "CPU time reserved for a cycle, or for a server's period"),
+    Field("fail", "", "timing failures since the last status"),
+    Field("over", "", "times that the reserve was used up, since the last status"),
+    Field("abort", "", "cycles that the handler aborted, since the last status"),
+    Field("skip", "", "releases left out after a failure, since the last status"),
+    Field("handler", "", "calls of the module's handler, since the last status"),
+    Field("told", "s", "longest time from a failure to its handler, since spawned"),
+    Field("held", "", "critical sections overruled, since the last status"),
+    Field("sections", "", "timed sections: calls and mean CPU time, since spawned"),
 )
 """The thesis's fields in its order, then what today's machines let us add."""
 
@@ -82,6 +92,8 @@ class Profile(Struct, frozen=True, kw_only=True):
     """The first warning since the last status; shown once."""
     error: str = ""
     """Shown as long as the task is in ERROR."""
+    timing: str = ""
+    """What failed in time since the last status."""
 
 
 class Baselines:
@@ -153,13 +165,72 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
         ),
         "module": now.module,
         "version": now.version,
+        **_timing_fields(now, before),
     }
     return Profile(
         task=now.task,
         fields=fields,
         warning=now.warning if warn > 0 else "",
         error=now.error if now.state == "ERROR" else "",
+        timing=_timing_text(now, before),
     )
+
+
+def _spawned_before(now: TaskStatus, before: TaskStatus | None) -> TaskStatus | None:
+    """Return the earlier look if it was at the same process.
+
+    What is counted since the task was spawned goes on when it is turned on again.
+    """
+    return before if before is not None and before.tid == now.tid else None
+
+
+def _timing_fields(now: TaskStatus, before: TaskStatus | None) -> dict[str, Value]:
+    since = _spawned_before(now, before)
+
+    def news(name: str) -> int:
+        count: int = getattr(now, name)
+        return count - (getattr(since, name) if since else 0)
+
+    return {
+        "rank": now.rank,
+        "reserve": now.reserve or None,
+        "fail": sum(_failures(now, since).values()),
+        "over": news("overruns"),
+        "abort": news("aborted"),
+        "skip": news("skipped"),
+        "handler": news("handlers"),
+        "told": now.delivery_max or None,
+        "held": news("held_off"),
+        "sections": "; ".join(
+            f"{name} {one.count} x {one.total / one.count * 1e3:.3g} ms"
+            for name, one in now.sections.items()
+            if one.count
+        ),
+    }
+
+
+def _failures(now: TaskStatus, since: TaskStatus | None) -> dict[str, int]:
+    """Return the timing failures by kind since that look."""
+    then = since.failures if since else {}
+    return {kind: n - then.get(kind, 0) for kind, n in now.failures.items()}
+
+
+def _timing_text(now: TaskStatus, before: TaskStatus | None) -> str:
+    """Return the failures since an earlier look in words; empty without any."""
+    since = _spawned_before(now, before)
+    fields = _timing_fields(now, before)
+    parts = [f"{n} {kind}" for kind, n in _failures(now, since).items() if n]
+    servers = bool(fields["over"]) and not now.failures.get("maxexec")
+    words = (
+        ("over", "capacity used up" if servers else ""),
+        ("abort", "aborted"),
+        ("skip", "skipped"),
+        ("held", "overlong critical sections"),
+    )
+    parts += [f"{fields[key]} {text}" for key, text in words if fields[key] and text]
+    if parts and now.rank != now.crit and now.state == "ON":
+        parts.append(f"criticality {now.rank} now")
+    return ", ".join(parts)
 
 
 def _continues(now: TaskStatus, before: TaskStatus) -> bool:

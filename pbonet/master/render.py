@@ -24,6 +24,8 @@ Data = dict[str, Any]
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 _UNITS: Final = {field.name: field.unit for field in profile.FIELDS}
 _WIDEST_VALUES: Final = 8
+_BELOW: Final = {"WARNING": "warning", "TIMING": "timing", "ERROR": "error"}
+"""Marks of lines below a task, and the texts behind them."""
 
 
 def text(command: str, data: Data) -> str:
@@ -120,10 +122,11 @@ def _status(data: Data) -> str:
         lines.append(head)
         for one, row in zip(profiles, body, strict=True):
             lines.append(row)
-            lines += [f"WARNING> {one['task']}: {one['warning']}"] * bool(
-                one["warning"]
-            )
-            lines += [f"ERROR> {one['task']}: {one['error']}"] * bool(one["error"])
+            lines += [
+                f"{mark}> {one['task']}: {one[key]}"
+                for mark, key in _BELOW.items()
+                if one[key]
+            ]
     else:
         lines.append("no tasks")
     raised: dict[str, list[str]] = {}  # RTPUs of one machine share one flag
@@ -131,6 +134,12 @@ def _status(data: Data) -> str:
         for cause in rtpu["illegal"]:
             raised.setdefault(cause, []).append(rtpu["rtpu"])
     lines += [f"ILLEGAL> {', '.join(at)}: {cause}" for cause, at in raised.items()]
+    lines += [
+        f"STALLED> {rtpu['rtpu']}: its core stood still {rtpu['stalls']} times, "
+        f"{seconds(rtpu['stalled'])} in all"
+        for rtpu in data["rtpus"]
+        if rtpu["stalls"]
+    ]
     return "\n".join(lines)
 
 

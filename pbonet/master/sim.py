@@ -252,6 +252,7 @@ class Simulation:
             tid=0,
             S="P" if task.member.rmod.tasktype is TaskType.PERIODIC else "Y",
             crit=task.crit,
+            rank=task.crit,
             priority=task.priority,
             state=state,
             cycle=cycles,

@@ -7,7 +7,7 @@ from msgspec import structs
 
 from pbonet.master import profile
 from pbonet.master.profile import Baselines, delay_quantile
-from pbonet.xm.messages import TaskStatus
+from pbonet.xm.messages import SectionStatus, TaskStatus
 
 THESIS = [
     *("rmod", "rtpu", "tid", "S", "crit", "state", "cycle", "miss", "refF", "refT"),
@@ -156,3 +156,40 @@ def test_quantile_of_the_histogram_is_an_upper_edge():
     assert delay_quantile(histogram, 0.99) == pytest.approx(8e-6)
     assert delay_quantile(histogram, 1.0) == pytest.approx(32e-6)
     assert delay_quantile([], 0.5) is None
+
+
+FAILED = {
+    "failures": {"deadline": 2, "maxexec": 3, "minexec": 0},
+    "overruns": 3,
+    "aborted": 1,
+    "handlers": 5,
+    "rank": 3,
+    "reserve": 0.004,
+    "delivery_max": 35e-6,
+}
+
+
+def test_timing_failures_are_told_since_the_last_status():
+    seen = Baselines()
+    quiet = seen.since([status(rank=5)])[0]
+    assert (quiet.timing, quiet.fields["fail"]) == ("", 0)
+    failed = seen.since([status(**FAILED)])[0]
+    assert failed.timing == "2 deadline, 3 maxexec, 1 aborted, criticality 3 now"
+    shown = [failed.fields[n] for n in ("fail", "over", "abort", "skip", "handler")]
+    assert shown == [5, 3, 1, 0, 5]
+    assert (failed.fields["rank"], failed.fields["told"]) == (3, 35e-6)
+    again = seen.since([status(**FAILED, on_ns=6)])[0]  # off and on: the same process
+    assert (again.timing, again.fields["fail"]) == ("", 0)
+    other = seen.since([status(**FAILED, tid=8)])[0]
+    assert other.fields["fail"] == 5
+
+
+def test_a_server_without_failures_tells_of_its_capacity():
+    found = profile.profile(status(overruns=4, rank=5, S="S"))
+    assert found.timing == "4 capacity used up"
+
+
+def test_timed_sections_have_a_mean():
+    section = SectionStatus(count=4, total=0.002, min=0.0004, max=0.0006)
+    found = fields(status(sections={"jacobian": section}))
+    assert found["sections"] == "jacobian 4 x 0.5 ms"

@@ -41,25 +41,37 @@ def test_columns_line_up_and_numbers_stand_to_the_right():
 def test_status_has_warning_and_error_below_their_task():
     values = dict.fromkeys(NAMES) | {"rmod": "pid", "state": "ERROR"}
     profiles = [
-        Profile(task="pid", fields=values, warning="slow", error="q is NaN"),
+        Profile(
+            task="pid", fields=values, warning="slow", error="q is NaN", timing="1 late"
+        ),
         Profile(task="traj", fields=values | {"rmod": "traj", "state": "ON"}),
     ]
     data = {
         "fields": list(DEFAULT),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "rtpus": [
-            {"rtpu": "arm0", "illegal": ["equation 2"]},
-            {"rtpu": "arm1", "illegal": ["equation 2", "arm1/pid died"]},
+            {"rtpu": "arm0", "illegal": ["equation 2"], "stalls": 0, "stalled": 0.0},
+            {
+                "rtpu": "arm1",
+                "illegal": ["equation 2", "arm1/pid died"],
+                "stalls": 2,
+                "stalled": 0.1,
+            },
         ],
     }
     lines = render.text("status", data).splitlines()
     assert lines[0].split() == list(DEFAULT)
     assert lines[1].startswith("pid ")
-    assert lines[2:4] == ["WARNING> pid: slow", "ERROR> pid: q is NaN"]
-    assert lines[4].startswith("traj ")
-    assert lines[5:] == [
+    assert lines[2:5] == [
+        "WARNING> pid: slow",
+        "TIMING> pid: 1 late",
+        "ERROR> pid: q is NaN",
+    ]
+    assert lines[5].startswith("traj ")
+    assert lines[6:] == [
         "ILLEGAL> arm0, arm1: equation 2",
         "ILLEGAL> arm1: arm1/pid died",
+        "STALLED> arm1: its core stood still 2 times, 100 ms in all",
     ]
     assert render.text("display", {"variables": []}) == "no variables"
     empty = render.text("status", {"fields": ["rmod"], "tasks": [], "rtpus": []})
