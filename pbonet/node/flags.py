@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from pbonet.errors import SvarError
+from pbonet.errors import SvarError, SvarFullError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -30,6 +30,8 @@ class Flags:
         self._rtpu = rtpu
         self._tables = tables
         self._outputs: dict[tuple[str, str], Collection[str]] = {}
+        self._refused: dict[tuple[str, str], str] = {}
+        """Causes for which there was no room; raised again when others have gone."""
 
     def up(
         self, subsystem: str, name: str, cause: str, outputs: Collection[str] = ()
@@ -48,19 +50,27 @@ class Flags:
             return
         if outputs:
             self._outputs[subsystem, name] = outputs
-        with contextlib.suppress(SvarError):  # full: it is up all the same
+        self._refused.pop((subsystem, name), None)
+        try:
             opened.table.raise_illegal(cause, self._raiser(name))
+        except SvarFullError:  # other causes hold the flag up meanwhile
+            self._refused[subsystem, name] = cause
+        except SvarError:
+            pass  # the table is gone, and with it the flag
 
     def down(self, subsystem: str, name: str) -> None:
         """Withdraw an entry; harmless when there is none."""
         self._outputs.pop((subsystem, name), None)
+        self._refused.pop((subsystem, name), None)
         opened = self._tables.get(subsystem)
         if opened is not None:
             with contextlib.suppress(SvarError):
                 opened.table.clear_illegal(self._raiser(name))
 
     def relieve(self) -> None:
-        """Withdraw the entries for outputs that others have taken over."""
+        """Withdraw entries for outputs that others write now; raise refused ones."""
+        for (subsystem, name), cause in list(self._refused.items()):
+            self.up(subsystem, name, cause)
         for (subsystem, name), outputs in list(self._outputs.items()):
             opened = self._tables.get(subsystem)
             if opened is None:

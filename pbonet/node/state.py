@@ -291,11 +291,13 @@ class Rtpu:
         task.last_status = self.status_of(task)
         self.core.died(task.facts.slot)
         self.core.free(task.facts.slot)
-        self._reap(task)
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop(key, None)
         if not task.stopping:
-            self._died(task, code, slot)
+            self._died(
+                task, code, slot
+            )  # the flag is up before the task's own entries go
+        self._reap(task)
         self.rank()
         self.save()
 

@@ -1,0 +1,61 @@
+"""An RTPU's entries in the illegal-configuration flag."""
+
+import pytest
+
+from pbonet.config import parse_svar
+from pbonet.errors import SvarFullError
+from pbonet.node.flags import Flags
+from pbonet.svar import Table
+
+SVAR = """NAME X
+TYPE double
+DESC an output
+UNITS none
+NELEM 1
+
+EOF
+"""
+
+
+class Opened:
+    """A table as the RTPU process has it open."""
+
+    def __init__(self, table):
+        self.table = table
+
+
+@pytest.fixture
+def table(monkeypatch, tmp_path):
+    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
+    table = Table.create("flags", parse_svar(SVAR, "t.svar").variables)
+    yield table
+    table.destroy()
+
+
+def flags(table):
+    return Flags("arm0", {"arm": Opened(table)})
+
+
+def test_an_entry_stands_until_it_is_withdrawn(table):
+    mine = flags(table)
+    mine.up("arm", "servo", "servo is in ERROR")
+    assert table.illegal
+    mine.down("arm", "servo")
+    assert not table.illegal
+
+
+def test_a_cause_without_room_is_raised_when_others_have_gone(table):
+    crowd = 0
+    with pytest.raises(SvarFullError):
+        for crowd in range(1000):
+            table.raise_illegal("one of many", f"crowd/{crowd}")
+    mine = flags(table)
+    mine.up("arm", "servo", "servo has died")
+    for k in range(crowd):
+        table.clear_illegal(f"crowd/{k}")
+    assert not table.illegal
+    mine.relieve()
+    assert [one.cause for one in table.illegal] == ["servo has died"]
+    mine.down("arm", "servo")
+    mine.relieve()
+    assert not table.illegal
