@@ -6,6 +6,7 @@ from pbonet.config import parse_svar
 from pbonet.errors import SvarFullError
 from pbonet.node.flags import Flags
 from pbonet.svar import Table
+from pbonet.svar.native import CAUSES_EACH
 
 SVAR = """NAME X
 TYPE double
@@ -45,10 +46,11 @@ def test_an_entry_stands_until_it_is_withdrawn(table):
 
 
 def test_a_cause_without_room_is_raised_when_others_have_gone(table):
-    crowd = 0
+    crowd = CAUSES_EACH
+    for k in range(crowd):
+        table.raise_illegal("one of many", f"crowd/{k}")
     with pytest.raises(SvarFullError):
-        for crowd in range(1000):
-            table.raise_illegal("one of many", f"crowd/{crowd}")
+        table.raise_illegal("one too many", "crowd")
     mine = flags(table)
     mine.up("arm", "servo", "servo has died")
     for k in range(crowd):
