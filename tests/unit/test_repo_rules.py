@@ -62,3 +62,25 @@ def test_every_decision_says_whether_it_holds() -> None:
         assert re.search(r"^Status: \w+", text, re.MULTILINE), page.name
         for part in ("## Context", "## Decision", "## Consequences"):
             assert part in text, f"{page.name} has no {part}"
+
+
+def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
+    """It may be set at any moment; only people are told the time of day."""
+    wall = re.compile(
+        r"CLOCK_REALTIME|gettimeofday|\btime\.time(_ns)?\b|\bdatetime\b|\blocaltime\b"
+        r"|\btime\(\s*(NULL|0)?\s*\)"
+    )
+    parts = ("node", "sched", "svar", "xm", "pbo", "io")
+    found = {
+        f"{path.parent.name}/{path.name}"
+        for path in tracked()
+        if path.suffix in CODE | {".pxi"}
+        and path.relative_to(ROOT).parts[0] == "pbonet"
+        and path.relative_to(ROOT).parts[1] in parts
+        and wall.search(path.read_text())
+    }
+    assert found == {
+        "node/events.py",  # the date of an event, for people
+        "node/state.py",  # a number of claims that no process before it gave
+        "svar/lock.h",  # where the C library cannot wait by another clock
+    }
