@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from pathlib import Path
 from typing import Annotated as A
 
@@ -13,6 +14,8 @@ from pbonet import (
     OutVar,
     Params,
     PortBasedObject,
+    Recovery,
+    TimingFailure,
     param,
 )
 
@@ -41,7 +44,21 @@ class OracleProbe(PortBasedObject[Told]):
         return Answer(told) if told else None
 
     def cycle(self, dt: float) -> None:  # noqa: ARG002
-        self.obey("cycle")
+        self.given_up = False
+        if self.obey("cycle") == "abort":
+            self.overrun()
+
+    def overrun(self) -> None:
+        """Say so, wait until the script changes, then take time until it is aborted."""
+        (Path(self.params.folder) / "overruns").touch()
+        while self.script().get("cycle") == "abort":
+            time.sleep(0.001)
+        self.given_up = True
+        while True:
+            pass
+
+    def timing_failure(self, kind: TimingFailure) -> Recovery:  # noqa: ARG002
+        return Recovery.ABORT if self.given_up else Recovery.CONTINUE
 
     def sync(self) -> None:
         self.obey("sync")

@@ -1,9 +1,10 @@
 """Real task processes against the oracle that knows only the thesis's text.
 
-Random signals go to a task that cycles by itself in between. Its diary, in which every
-method notes what it found in its ports, is replayed: every note must be the one that
-the oracle expects, in order, and when the task stands still the global table must hold
-what the oracle says.
+Random signals go to a task that cycles by itself in between, and that now and then is
+made to overrun its reserve, which its handler answers by an abort. Its diary, in which
+every method notes what it found in its ports, is replayed: every note must be the one
+that the oracle expects, in order, and when the task stands still the global table must
+hold what the oracle says.
 """
 
 import json
@@ -12,7 +13,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from oracle_lifecycle import METHODS, ON, Note, Oracle
+from oracle_lifecycle import ABORT, MEANWHILE, METHODS, ON, Note, Oracle
 from watching import wait_for
 
 from pbonet.errors import MethodError, StateError
@@ -32,6 +33,7 @@ INVAR X
 OUTVAR Y
 TASKTYPE periodic
 FREQ 100
+MAXC 0.005
 LOCAL
 FOLDER {folder}
 EOF
@@ -76,6 +78,10 @@ class RealTask:
         self.write("X", x)
         self.oracle.table.c_in = c_in
         new_x = x
+        if signal == ABORT:
+            self.abort(script, new_x)
+            self.compare_table()
+            return
         if signal == "cycle":
             self.cycle(script)
         else:
@@ -92,6 +98,30 @@ class RealTask:
             rest = self.replay_cycles(rest[len(wanted.notes) :], {}, new_x)
         assert rest == []
         self.compare_table()
+
+    def abort(self, script, new_x):
+        """Have a cycle overrun, change its input meanwhile, and have it aborted."""
+        self.script({"cycle": "abort"})
+        overruns = self.folder / "overruns"
+        wait_for(overruns.exists, "a cycle that overruns")
+        *before, cycle = self.notes()
+        self.seen += len(before) + 1
+        assert self.replay_cycles(before, {}, new_x) == []
+        self.oracle.table.x = cycle.x
+        wanted = self.oracle.send(ABORT, script)
+        self.write("X", cycle.x + MEANWHILE)
+        overruns.unlink()
+        self.script({k: v for k, v in script.items() if k != "cycle"})
+        more = 2 if self.oracle.state == ON else 0
+        left = len(wanted.notes) - 1
+        wait_for(lambda: len(self.notes()) >= left + more, "what follows an abort")
+        wait_for(lambda: self.state() == self.oracle.state, self.oracle.state)
+        self.script({})
+        notes = self.notes()
+        self.seen += len(notes)
+        assert [cycle, *notes[:left]] == wanted.notes
+        self.old_x = cycle.x + MEANWHILE
+        assert self.replay_cycles(notes[left:], {}, self.old_x) == []
 
     def replay_cycles(self, notes, script, new_x):
         """Take cycles off the notes as long as the oracle is ON; return the rest."""
@@ -162,7 +192,7 @@ def random_step(rng, state):
     likely = {
         "NOT-CREATED": ["spawn"],
         "OFF": ["on", "on", "on", "kill", "reinit", "set"],
-        "ON": ["cycle", "cycle", "off", "kill", "reinit", "set"],
+        "ON": ["cycle", "cycle", ABORT, ABORT, "off", "kill", "reinit", "set"],
         "ERROR": ["clear", "clear", "kill", "reinit", "set"],
     }[state]
     anything = ["spawn", "on", "cycle", "off", "kill", "clear", "reinit", "set"]
