@@ -14,8 +14,8 @@ from .pbo import (
     State,
     TaskContext,
     TimingFailure,
+    UserSignal,
     param,
-    user_signal,
 )
 from .ports import InConst, InVar, Matrix, OutConst, OutVar, Vector
 
@@ -34,9 +34,9 @@ __all__ = [
     "State",
     "TaskContext",
     "TimingFailure",
+    "UserSignal",
     "Vector",
     "param",
-    "user_signal",
 ]
 
 __version__ = "0.1.0"

@@ -26,7 +26,8 @@ VERBS = (
     *("run", "sbs", "check", "describe", "new", "agent", "doctor"),
     *("start", "stop", "spawn", "on", "off", "kill", "clear", "reinit", "reconfig"),
     *("status", "profile", "adopt", "simulate"),
-    *("display", "write", "get", "set", "freq", "module", "events"),
+    *("display", "write", "get", "set", "freq", "module"),
+    *("events", "sigwait", "sigmask"),
 )
 """The verbs in the order of the help; each stands in a file of its name."""
 

@@ -318,6 +318,33 @@ def wait(desk: Desk, given: Given) -> Data:
     return {}
 
 
+def sigwait(desk: Desk, given: Given) -> Data:
+    """Wait for a signal of a task."""
+    timeout: float | None = given.get("timeout")
+    if timeout is not None and not 0 <= timeout <= threading.TIMEOUT_MAX:
+        raise StateError(
+            "this is no time limit",
+            expected=f"0 to {threading.TIMEOUT_MAX:g} s",
+            got=f"{timeout:g} s",
+        )
+    sent = desk.subsystem.sigwait(
+        given.get("signal") or (), tasks=_split(given.get("task")), timeout=timeout
+    )
+    desk.point_at(sent.task)
+    return {"sent": msgspec.to_builtins(sent)}
+
+
+def sigmask(desk: Desk, given: Given) -> Data:
+    """Show or set the masks of signals."""
+    return {
+        "masks": desk.subsystem.sigmask(given.get("signal") or None, given.get("task"))
+    }
+
+
+def _split(word: str | None) -> list[str]:
+    return [name for name in (word or "").split(",") if name]
+
+
 def network(desk: Desk, given: Given) -> Data:
     """Hand control to a program on the network."""
     portname: str = given["portname"]

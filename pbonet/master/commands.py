@@ -33,6 +33,7 @@ class Kind(StrEnum):
     FIELD = "field"
     COMMAND = "command"
     PARAM = "parameter"
+    SIGNAL = "signal"
     ITEM = "task:signal"
     WORD = "word"
     NUMBER = "number"
@@ -257,6 +258,26 @@ COMMANDS: Final = (
             Arg("value", Kind.WORD, "its new value", Use.ANY),
         ),
         changes=True,
+    ),
+    Command(
+        "sigmask",
+        "Show or set which signals of tasks nobody wants: names, 'none' or 'unset'.",
+        actions.sigmask,
+        (
+            Arg("signal", Kind.SIGNAL, "names; shows the masks if left out", Use.ANY),
+            Arg("task", Kind.TASK, "whose; the subsystem's if left out", Use.NAMED),
+        ),
+        changes=True,
+    ),
+    Command(
+        "sigwait",
+        "Wait until a task sends a signal, and take it; a stop ends it.",
+        actions.sigwait,
+        (
+            Arg("signal", Kind.SIGNAL, "which; any if left out", Use.ANY),
+            Arg("task", Kind.TASK, "of these tasks, with commas", Use.NAMED),
+            Arg("timeout", Kind.NUMBER, "seconds; for ever if left out", Use.NAMED),
+        ),
     ),
     Command(
         "spawn",

@@ -8,7 +8,7 @@ from pbonet.errors import PbonetError
 from pbonet.master import profile
 from pbonet.master.commands import BY_NAME, Arg, Command, Kind
 from pbonet.master.crew import SIGNALS
-from pbonet.pbo import State
+from pbonet.pbo import PREDEFINED, State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -111,6 +111,11 @@ def _variables(desk: Desk) -> Iterable[str]:
     return [variable.name for variable in desk.subsystem.files.table.variables]
 
 
+def _signals(desk: Desk) -> Iterable[str]:
+    own = [name for task in desk.subsystem.status_all() for name in task.signals]
+    return dict.fromkeys([*PREDEFINED, *own])
+
+
 def _items(desk: Desk) -> Iterable[str]:
     return [f"{t}:{signal}" for t in desk.subsystem.picture.names for signal in SIGNALS]
 
@@ -123,5 +128,6 @@ _KINDS: Final[dict[Kind, Callable[[Desk], Iterable[str]]]] = {
     Kind.JOB: lambda desk: desk.subsystem.files.jobs(),
     Kind.FIELD: lambda _: [*profile.NAMES, "all", "default"],
     Kind.COMMAND: lambda _: BY_NAME,
+    Kind.SIGNAL: _signals,
     Kind.ITEM: _items,
 }

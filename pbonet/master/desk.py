@@ -55,6 +55,8 @@ class Call(Struct, frozen=True):
         """Whether it will change the subsystem; some commands can also only show."""
         if self.command.name == "freq":
             return self.given.get("hz") is not None
+        if self.command.name == "sigmask":
+            return bool(self.given.get("signal"))
         if self.command.name == "set":
             return bool(self.given.get("value"))
         return self.command.changes

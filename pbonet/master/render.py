@@ -354,6 +354,20 @@ def _events(data: Data) -> str:
     return "\n".join(map(event, found)) or "no events"
 
 
+def _sigwait(data: Data) -> str:
+    sent = data["sent"]
+    times = f" ({sent['count']} times)" if sent["count"] > 1 else ""
+    return f"{sent['task']} {sent['signal']}{times}"
+
+
+def _sigmask(data: Data) -> str:
+    rows = [
+        [task or "(subsystem)", " ".join(names) or "none"]
+        for task, names in sorted(data["masks"].items())
+    ]
+    return table(("task", "masked signals"), rows) if rows else "no signal is masked"
+
+
 def _help(data: Data) -> str:
     commands: list[Data] = data["commands"]
     rows = [[one["usage"], one["help"]] for one in commands]
@@ -385,6 +399,8 @@ _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "freq": _freq,
     "stop": _stop,
     "events": _events,
+    "sigmask": _sigmask,
+    "sigwait": _sigwait,
     "help": _help,
     "network": _nothing,
     "quit": _nothing,

@@ -33,6 +33,7 @@ from pbonet.master.crew import CONTROL_TIME, Crew
 from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
+from pbonet.master.signalling import Inbox, Signalled
 from pbonet.master.words import (
     check_rate,
     check_signal,
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
 
 
-class Subsystem:
+class Subsystem(Signalled):
     """A subsystem of tasks on one or more RTPUs, steered by this master.
 
     Args:
@@ -91,6 +92,7 @@ class Subsystem:
         self._connect = connect
         self._kind = kind
         self._take_over = take_over
+        self.inbox = Inbox()
         self._crew: Crew | None = None
         self._busy = threading.RLock()
 
@@ -168,7 +170,8 @@ class Subsystem:
         try:
             if not self.watch:
                 crew.take(take_over=self._take_over)
-            crew.refresh(strict=False)
+            for rtpu in crew.refresh(strict=False):
+                self.inbox.begin(rtpu.tasks)
         except BaseException:
             fleet.drop()
             client.close()
@@ -406,19 +409,6 @@ class Subsystem:
             ModuleLoadError: No library has a module `name`, or it does not load.
         """
         return modules.of(self.fleet, name)
-
-    def events(self, since: int = 0) -> list[m.Event]:
-        """Return the last events of the RTPUs that concern the subsystem.
-
-        Args:
-            since: Number of the first event wanted of each RTPU.
-        """
-        request = m.Events
-        results, errors = self.fleet.each(lambda _: request(since=since), list[m.Event])
-        rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
-        found = [event for events in results.values() for event in events]
-        mine = [event for event in found if event.subsystem in {"", self.name}]
-        return sorted(mine, key=lambda event: (event.wall, event.n))
 
     # -- the whole --------------------------------------------------------------------
 

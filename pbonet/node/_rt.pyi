@@ -123,6 +123,10 @@ class CoreTable:
     def slots(self, rtpu: str | None = None) -> list[int]:
         """Return the slots in use, of one RTPU or of all."""
     def snapshot(self, i: int) -> SlotStatus: ...
+    def signals(self, i: int) -> tuple[int, ...]:
+        """Return how often the task has sent each signal that was not masked."""
+    def mask_signals(self, i: int, bits: int) -> None:
+        """Say which signals nobody wants of the task, as bits of `pbonet.Signal`."""
     def histograms(self, i: int) -> Histograms: ...
     def status(self) -> CoreStatus: ...
     def trace(self, since: int = 0) -> tuple[int, int, list[Decision]]:
@@ -245,6 +249,11 @@ class Slot:
         """No more releases, until `run` arms again. Idempotent."""
     def command_level(self) -> None:
         """Go to the level of commands (after ``init``); nothing under ``park``."""
+    def signal(self, bits: int) -> int:
+        """Count the signals that are not masked, and return them; never waits."""
+    @property
+    def sigmask(self) -> int:
+        """Signals that nobody wants of this task."""
     @property
     def armed(self) -> bool: ...
     @property

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = layout.h state.h watch.h muf.h dispatch.h sys.h table.h loop.h slot.h failure.h view.h ring.h guard.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi
+# distutils: depends = layout.h state.h watch.h muf.h dispatch.h sys.h table.h loop.h slot.h failure.h signals.h view.h ring.h guard.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -240,13 +240,16 @@ cdef class Slot:
                                 expected=f"SCHED_FIFO {RT_COMMAND_LEVEL}",
                                 got=os.strerror(error))
 
+    def signal(self, uint32_t bits) -> int:
+        return rt_send_signal(self.live(), bits)
+
+    @property
+    def sigmask(self) -> int:
+        return rt_signal_mask(self.live())
+
     @property
     def armed(self) -> bool:
         return rt_mode_of(self.live()) != RT_OFF
-
-    @property
-    def stable(self) -> bool:
-        return bool(self.cost.stable)
 
     @property
     def stable(self) -> bool:

@@ -5,7 +5,7 @@ from libc.stdint cimport int32_t, int64_t, uint16_t, uint32_t, uint64_t
 
 cdef extern from "layout.h" nogil:
     enum:
-        RT_SLOTS, RT_MEMBERS, RT_NAME, RT_TRACE, RT_BINS, RT_VERSION
+        RT_SLOTS, RT_MEMBERS, RT_NAME, RT_TRACE, RT_BINS, RT_VERSION, RT_SIGNALS
         RT_COMMAND_LEVEL, RT_DISPATCHER_LEVEL
         RT_OFF, RT_ON, RT_COMMAND
         RT_PERIODIC, RT_SYNCHRONOUS, RT_DEFERRABLE, RT_SPORADIC, RT_BACKGROUND
@@ -85,6 +85,12 @@ cdef extern from "slot.h" nogil:
     void rt_request(rt_slot *slot, uint32_t ask)
     uint64_t rt_faults()
     void rt_count_faults(rt_slot *slot, uint64_t n)
+
+cdef extern from "signals.h" nogil:
+    uint32_t rt_send_signal(rt_slot *slot, uint32_t bits)
+    uint64_t rt_signal_count(const rt_slot *slot, int k)
+    void rt_mask_signals(rt_slot *slot, uint32_t bits)
+    uint32_t rt_signal_mask(const rt_slot *slot)
 
 cdef extern from "Python.h" nogil:
     int PyErr_SetInterruptEx(int signum) noexcept

@@ -175,6 +175,14 @@ cdef class CoreTable:
                         v.sections[k].total_ns, v.sections[k].min_ns,
                         v.sections[k].max_ns) for k in range(v.n_sections)]))
 
+    def signals(self, int i) -> tuple:
+        cdef rt_slot *slot = self.slot(i)
+        cdef int k
+        return tuple([rt_signal_count(slot, k) for k in range(RT_SIGNALS)])
+
+    def mask_signals(self, int i, uint32_t bits) -> None:
+        rt_mask_signals(self.slot(i), bits)
+
     def histograms(self, int i):
         cdef rt_view v
         rt_snapshot(self.slot(i), &v)

@@ -6,6 +6,7 @@
  *   grant   the leading dispatcher; `bell` and `ask` by anybody, atomically
  *   state   the leading dispatcher alone; a standby reads it when it takes over
  *   stats   the task, fenced by `seq` for readers
+ *   signals the task counts, the RTPU process masks; each number is whole
  * Nobody waits for another one here, except for the edit lock among RTPU processes.
  */
 #ifndef PBONET_LAYOUT_H
@@ -26,7 +27,8 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 2,
+    RT_VERSION = 3,
+    RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
     RT_PIECES = 8,           /* of capacity on their way back to a sporadic server */
@@ -155,6 +157,11 @@ struct rt_stats {
     _Atomic uint64_t jitter[RT_BINS], cpu[RT_BINS];
 };
 
+struct rt_signals {
+    _Alignas(64) _Atomic uint32_t mask; /* bits that nobody wants */
+    _Atomic uint64_t counts[RT_SIGNALS]; /* sent and not masked; never go down */
+};
+
 struct rt_slot {
     _Alignas(64) struct rt_config config;
     struct rt_post post;
@@ -162,6 +169,7 @@ struct rt_slot {
     struct rt_state state;
     _Atomic uint64_t errors;            /* dispatcher: calls that the kernel refused */
     struct rt_stats stats;
+    struct rt_signals signals;
     _Atomic uint32_t n_sections;
     struct rt_section sections[RT_SECTIONS];
 };

@@ -76,6 +76,7 @@ class Operations:
             m.Modules: self._modules,
             m.Stop: self._stop,
             m.Flag: self._flag,
+            m.Sigmask: self._sigmask,
             m.Events: self._events,
         }
 
@@ -147,6 +148,8 @@ class Operations:
             return
         if isinstance(request, m.Freq | m.Get) and getattr(request, "hz", None) is None:
             return
+        if isinstance(request, m.Sigmask) and not request.changes:
+            return
         self._rtpu.claims.check(request)
         if request.subsystem in self._rtpu.stopping:
             raise StateError(
@@ -204,6 +207,7 @@ class Operations:
     async def _release(self, request: m.Release) -> Result:
         self._must_be_idle(request.subsystem, "given back")
         self._rtpu.forget(request.subsystem)
+        self._rtpu.signals.forget(request.subsystem)
         self._rtpu.tables.close(request.subsystem)
         self._rtpu.claims.release(request.subsystem)
         self._rtpu.tell_claims()
@@ -247,6 +251,17 @@ class Operations:
         else:
             table.clear_illegal("master", cause=request.cause)
         return self._rtpu.tables.causes(request.subsystem), []
+
+    async def _sigmask(self, request: m.Sigmask) -> Result:
+        rtpu, subsystem = self._rtpu, request.subsystem
+        if request.changes:
+            if request.task:
+                rtpu.need(subsystem, request.task)
+            names = None if request.unset else request.names
+            rtpu.signals.mask(subsystem, request.task, names)
+            for task in rtpu.of(subsystem):
+                rtpu.signals.apply(rtpu.core, task)
+        return rtpu.signals.masks(subsystem), []
 
     # -- tasks -------------------------------------------------------------------------
 

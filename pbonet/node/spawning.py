@@ -215,6 +215,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
     task.freq = freq
     task.stopping = True  # until it is OFF, its end is the spawn's answer, no event
     rtpu.core.configure(slot, pid=child.pid)
+    rtpu.signals.apply(rtpu.core, task)  # as far as names are known before `init`
     rtpu.tasks[key] = task
     rtpu.spawned[key] = (request.crit, request.priority)
     rtpu.rank()
@@ -243,6 +244,7 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
         raise
     task.ready = msgspec.convert(done.result, Ready)
     rtpu.core.configure(task.facts.slot, tells=task.ready.tells)
+    rtpu.signals.apply(rtpu.core, task)
     task.stopping = False
     rtpu.events.add(
         Severity.INFO,

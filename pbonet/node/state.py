@@ -17,13 +17,14 @@ from pbonet.errors import (
     UnknownTaskError,
     did_you_mean,
 )
-from pbonet.pbo import State
+from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
 from . import _rt, leftovers, ranking, runtime, status, wire
 from ._ring import Ring
 from .claims import Claims
 from .flags import Flags
+from .signalling import Signals
 from .spawner import Spawner
 from .tables import Tables
 from .tasks import describe_end
@@ -76,6 +77,7 @@ class Rtpu:
         self.ranks: dict[Key, ranking.Ranked] = {}
         self.stopping: set[str] = set()
         self.turned_on = 0
+        self.signals = Signals(events)
         self._timekeeper = Timekeeper(events)
         self.spawner = Spawner(config.core, self._forks_died)
         self.core: _rt.CoreTable
@@ -241,7 +243,8 @@ class Rtpu:
         key = (task.facts.subsystem, task.name)
         rank = self.ranks.get(key, ranking.Ranked(0, 0, assumed=True))
         slot = self.core.snapshot(task.facts.slot)
-        return status.task_status(self.name, task, slot, rank)
+        signals = self.core.signals(task.facts.slot)
+        return status.task_status(self.name, task, slot, rank, signals)
 
     # -- what happens unasked ----------------------------------------------------------
 
@@ -257,6 +260,7 @@ class Rtpu:
             self.settle(task)
         elif not task.budget.take(time.monotonic_ns()):
             return
+        self.signals.told(task, notice.bits)
         if held := task.budget.told():
             notice.text = f"[{held} notices held back before this one] {notice.text}"
         self.events.add(
@@ -289,6 +293,7 @@ class Rtpu:
         key = (task.facts.subsystem, task.name)
         slot = self.core.snapshot(task.facts.slot)
         task.last_status = self.status_of(task)
+        self.signals.end(self.core, task)
         self.core.died(task.facts.slot)
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
@@ -323,6 +328,7 @@ class Rtpu:
             )
         last = task.last_status or self.status_of(task)
         last.error, last.tid = text, 0
+        last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
         if slot.mode is not Mode.OFF:
             self._raise_flag(task, "has died")
@@ -334,6 +340,7 @@ class Rtpu:
             subsystem=task.facts.subsystem,
             task=task.name,
             cycle=last.cycle,
+            bits=int(Signal.ERROR),
         )
 
     def bury(self, subsystem: str, name: str) -> None:
@@ -363,6 +370,7 @@ class Rtpu:
         while True:
             await asyncio.sleep(WATCH_PERIOD)
             self.flags.relieve()
+            self.signals.look(self.core, self.tasks.values())
             self._timekeeper.look(
                 self.core.status(),
                 [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],

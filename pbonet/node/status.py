@@ -13,6 +13,7 @@ from pbonet.sched.histogram import edge_ns
 from pbonet.xm.messages import RtpuStatus, SectionStatus, TaskProfile, TaskStatus
 
 from ._rt import KINDS
+from .signalling import by_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +35,9 @@ def letter(rmod: Rmod) -> str:
     return LETTERS.get(rmod.tasktype.value, "B")
 
 
-def task_status(rtpu: str, task: Task, slot: SlotStatus, rank: Ranked) -> TaskStatus:
+def task_status(
+    rtpu: str, task: Task, slot: SlotStatus, rank: Ranked, signals: Sequence[int]
+) -> TaskStatus:
     """Return everything that is known of a task.
 
     Args:
@@ -42,6 +45,7 @@ def task_status(rtpu: str, task: Task, slot: SlotStatus, rank: Ranked) -> TaskSt
         task: What the RTPU process knows of it.
         slot: What stands in the core table.
         rank: What it was ranked by.
+        signals: How often it has sent each signal.
     """
     cycles = slot.cycles - slot.on_cycles
     missed = slot.missed - slot.on_missed
@@ -91,6 +95,7 @@ def task_status(rtpu: str, task: Task, slot: SlotStatus, rank: Ranked) -> TaskSt
         handlers=slot.handlers,
         delivery_max=slot.delivery_max_ns * _NS,
         held_off=slot.held_off,
+        signals=by_name(signals, task.signals),
         sections={
             one.name: SectionStatus(
                 count=one.count,

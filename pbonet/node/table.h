@@ -326,6 +326,9 @@ static inline void rt_reset_watch(struct rt_slot *slot)
         atomic_store(words[k], 0);
     for (int k = 0; k < RT_FAILURES; k++)
         atomic_store(&g->failures[k], 0);
+    atomic_store(&slot->signals.mask, 0);
+    for (int k = 0; k < RT_SIGNALS; k++)
+        atomic_store(&slot->signals.counts[k], 0);
     atomic_store(&post->event_ns, 0);
     atomic_store(&post->cpu_ns, 0);
     atomic_store(&g->overruns, 0);

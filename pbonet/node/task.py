@@ -122,6 +122,8 @@ class Host:
             handler=self.rmod.handler,
             watch=self.watch,
         )
+        self.context.slot = self.slot
+        self.voice.own = {one.name: one.bit for one in self.info.signals}
         self.watch.task = self.context
         self.context.on_off = lambda: self.core.request(spec.slot)
         arrays = {
@@ -156,6 +158,7 @@ class Host:
             critical_ok=self.info.critical_ok,
             tells="timing_failure" in self.info.methods,
             notes=notes,
+            signals=self.voice.own,
         )
         self._answer(0, ready)
 

@@ -66,6 +66,8 @@ class Ready(msgspec.Struct, kw_only=True):
     tells: bool = False
     """It has a handler of timing failures."""
     notes: list[str] = []
+    signals: dict[str, int] = {}
+    """Names and bits of the module's own signals."""
 
 
 class Task:
@@ -124,6 +126,11 @@ class Task:
     def name(self) -> str:
         """The task's name in its subsystem."""
         return self.facts.name
+
+    @property
+    def signals(self) -> dict[str, int]:
+        """Names and bits of the module's own signals, as far as it is known."""
+        return self.ready.signals if self.ready else {}
 
     @property
     def busy(self) -> str:

@@ -11,9 +11,10 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import MethodError, PbonetError, Severity
-from pbonet.pbo import Notice, Signal, TaskContext
+from pbonet.pbo import Notice, Signal, TaskContext, signal_names
 
 from . import wire
+from .signalling import severity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,6 +58,8 @@ class Voice:
 
     def __init__(self, sock: socket.socket) -> None:
         self.sock = sock
+        self.own: dict[str, int] = {}
+        """Names and bits of the module's own signals."""
         self._dropped = 0
 
     def hear(self) -> bytes | None:
@@ -94,9 +97,9 @@ class Voice:
         warned = notice.bits & Signal.WARNING
         self._post(
             wire.Notice(
-                severity=int(_severity(notice.bits)),
+                severity=int(severity(notice.bits)),
                 code="WARNING" if warned else "SIGNAL",
-                text=notice.text if warned else _signal_text(notice),
+                text=notice.text if warned else self._signal_text(notice),
                 cycle=notice.cycle,
                 bits=notice.bits,
             )
@@ -140,6 +143,10 @@ class Voice:
             error=told,
         )
 
+    def _signal_text(self, notice: Notice) -> str:
+        names = " ".join(signal_names(notice.bits, self.own))
+        return f"{names}: {notice.text}" if notice.text else names
+
     def _post(self, notice: wire.Notice) -> None:
         if self._dropped:
             notice.text = (
@@ -151,22 +158,6 @@ class Voice:
             self._dropped += 1
         else:
             self._dropped = 0
-
-
-def _severity(bits: int) -> Severity:
-    if bits & (Signal.ERROR | Signal.SHUTDOWN):
-        return Severity.ERROR
-    return Severity.WARNING if bits & Signal.WARNING else Severity.INFO
-
-
-def _signal_text(notice: Notice) -> str:
-    names = [one.name or "" for one in Signal if notice.bits & one]
-    users = [
-        f"user {i - len(Signal)}"
-        for i in range(len(Signal), 32)
-        if notice.bits >> i & 1
-    ]
-    return ": ".join(filter(None, [" ".join(names + users), notice.text]))
 
 
 class SlotTime:
@@ -198,12 +189,24 @@ class SlotTime:
 
 
 class Context(TaskContext):
-    """``self.task`` in a task's process: asking for OFF wakes the runtime."""
+    """``self.task`` in a task's process: asking for OFF wakes the runtime.
+
+    Signals are counted in the task's slot, where no flood can drop them.
+    """
 
     on_off: Callable[[], None] | None = None
+    slot: Slot
+
+    @property
+    def sigmask(self) -> int:
+        """Signals that the master does not want from this task, as bits."""
+        return self.slot.sigmask
 
     def signal(self, signal: Signal | int, text: str = "") -> None:
         """Send `signal` to the master; see `TaskContext.signal`."""
         super().signal(signal, text)
         if self.off_requested and self.on_off is not None:
             self.on_off()
+
+    def _wanted(self, bits: int) -> int:
+        return self.slot.signal(bits)

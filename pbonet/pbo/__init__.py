@@ -24,6 +24,15 @@ from ._params import (
     param,
     params_type,
 )
+from ._signals import (
+    PREDEFINED,
+    SIGNALS,
+    Signal,
+    SignalInfo,
+    UserSignal,
+    signal_bits,
+    signal_names,
+)
 from ._task import (
     Answer,
     BoundedOutbox,
@@ -31,11 +40,9 @@ from ._task import (
     Notice,
     Outbox,
     Schedule,
-    Signal,
     State,
     TaskContext,
     TaskFailure,
-    user_signal,
 )
 from ._timing import (
     CycleAborted,
@@ -51,6 +58,8 @@ from ._timing import (
 
 __all__ = [
     "METHODS",
+    "PREDEFINED",
+    "SIGNALS",
     "Answer",
     "BoundedOutbox",
     "Counted",
@@ -69,10 +78,12 @@ __all__ = [
     "Schedule",
     "Section",
     "Signal",
+    "SignalInfo",
     "State",
     "TaskContext",
     "TaskFailure",
     "TimingFailure",
+    "UserSignal",
     "Watch",
     "bind",
     "change_param",
@@ -90,6 +101,7 @@ __all__ = [
     "param",
     "params_type",
     "render",
+    "signal_bits",
+    "signal_names",
     "source_version",
-    "user_signal",
 ]

@@ -12,6 +12,7 @@ from msgspec import Struct, structs
 from pbonet.ports import Kind, Port, shape_text
 
 from ._object import PortBasedObject
+from ._signals import SignalInfo
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,6 +49,8 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     """Methods that the module writes itself."""
     critical_ok: bool
     """True when it has `stable`, and so may be marked CRITICAL."""
+    signals: tuple[SignalInfo, ...] = ()
+    """Its own signals (section 4.4.4)."""
 
     def named(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of the ports of one kind, as an RMOD lists them."""
@@ -90,6 +93,7 @@ def describe(
         params=_params(cls),
         methods=declared.methods,
         critical_ok="stable" in declared.methods,
+        signals=declared.signals,
     )
 
 
@@ -151,6 +155,11 @@ def render(info: ModuleInfo) -> str:
         for param in info.params
     ]
     lines += [*_table(params or [("none",)]), ""]
+    if info.signals:
+        signals: list[tuple[str, ...]] = [
+            (one.name, f"user {one.number}", one.doc) for one in info.signals
+        ]
+        lines += ["signals", *_table(signals), ""]
     lines.append(f"methods   {' '.join(info.methods)}")
     lines.append(
         f"CRITICAL  {'possible' if info.critical_ok else 'no: has no stable()'}"

@@ -20,6 +20,7 @@ from pbonet.errors import DeclarationError, did_you_mean
 from pbonet.ports import MARKS, Declared, Declaring, Port, attribute, here, make_port
 
 from ._params import Params
+from ._signals import SignalInfo, UserSignal, refusal
 from ._task import Answer, TaskContext
 from ._timing import Recovery, TimingFailure
 
@@ -56,6 +57,7 @@ class Interface(Struct, frozen=True):
     ports: tuple[Port, ...]
     methods: tuple[str, ...]
     """Methods that the module writes itself, in the order of `METHODS`."""
+    signals: tuple[SignalInfo, ...] = ()
 
 
 class PortBasedObject(Generic[P]):
@@ -98,7 +100,8 @@ class PortBasedObject(Generic[P]):
         cls.__params__ = _params(cls, body)
         _refuse_constructor(cls, body)
         ports = _ports(cls, body)
-        cls.__interface__ = Interface(ports, _methods(cls, body, abstract=abstract))
+        methods = _methods(cls, body, abstract=abstract)
+        cls.__interface__ = Interface(ports, methods, _signals(cls, body))
 
     def init(self) -> None:
         """Prepare the task: called once, when it is created (signal spawn).
@@ -415,6 +418,30 @@ def _methods(cls: type, body: Declaring, *, abstract: bool) -> tuple[str, ...]:
             or "or say `abstract=True` behind the base class",
         )
     return own
+
+
+def _signals(cls: type, body: Declaring) -> tuple[SignalInfo, ...]:
+    """Return inherited and own signals of a module."""
+    found: dict[int, SignalInfo] = {}
+    for base in reversed(cls.__mro__):
+        for name, value in vars(base).items():
+            if not isinstance(value, UserSignal):
+                continue
+            if reason := refusal(name):
+                raise body.error(name, reason, got=name)
+            other = found.get(value.number)
+            if other is not None and other.name != name:
+                raise body.error(
+                    name,
+                    f"user signal {value.number} is {other.name} already",
+                    remedy="give each signal of the module a number of its own",
+                )
+            found[value.number] = SignalInfo(name, value.number, value.doc)
+    names = [one.name for one in found.values()]
+    for name in names:
+        if names.count(name) > 1:
+            raise body.error(name, f"the signal {name} has two numbers")
+    return tuple(found.values())
 
 
 def _check_method(body: Declaring, name: str, form: str, method: object) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from enum import IntFlag, StrEnum
+from enum import StrEnum
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from msgspec import Struct
 
 from pbonet.errors import MethodError
 
+from ._signals import Signal
 from ._timing import PythonWatch, TimingFailure, Watch
 
 if TYPE_CHECKING:
@@ -36,41 +37,6 @@ class Answer(StrEnum):
     """`error` only: the cause is gone and it is safe to go on."""
     ERROR = "ERROR"
     """`error`, `clear`: an operator is needed."""
-
-
-class Signal(IntFlag):
-    """Signals from a task to its master (Stewart 1994, section 4.4.4), 32 at most."""
-
-    OFF = 1 << 0
-    """The goal is reached; the task turns itself off after this cycle."""
-    FINISH = 1 << 1
-    """The goal is reached; the task goes on cycling."""
-    ERROR = 1 << 2
-    """The task has entered the ERROR state; sent by the runtime."""
-    WARNING = 1 << 3
-    """The task has warned; sent by the runtime."""
-    SHUTDOWN = 1 << 4
-    """A fatal error; the task has begun to shut the system down gracefully."""
-    ILLEGAL = 1 << 5
-    """The task has raised the illegal-configuration flag."""
-    LEGAL = 1 << 6
-    """The task has withdrawn its entry from the illegal-configuration flag."""
-
-
-SIGNALS = 32
-"""How many signals there are, the predefined ones included."""
-
-
-def user_signal(number: int) -> Signal:
-    """Return the signal that module and master agree on as `number`, 0 to 24.
-
-    Raises:
-        ValueError: There is no such signal.
-    """
-    if not 0 <= number < SIGNALS - len(Signal):
-        message = f"user signals go from 0 to {SIGNALS - len(Signal) - 1}, not {number}"
-        raise ValueError(message)
-    return Signal(1 << (len(Signal) + number))
 
 
 class TaskFailure(BaseException):
@@ -218,8 +184,6 @@ class TaskContext:
         """Warnings since the task was turned on."""
         self.signals = 0
         """Every signal sent since the task was turned on, as bits."""
-        self.sigmask = 0
-        """Signals that the master does not want from this task, as bits."""
         self.arg = ""
         """The text that came with the signal that is being carried out."""
         self.handover = False
@@ -234,6 +198,11 @@ class TaskContext:
         self.handling: TimingFailure | None = None
         """In `timing_failure`: the failure that is handled; else None."""
         self.watch: Watch = watch or PythonWatch(self)
+
+    @property
+    def sigmask(self) -> int:
+        """Signals that the master does not want from this task, as bits."""
+        return 0
 
     @property
     def now(self) -> int:
@@ -309,14 +278,14 @@ class TaskContext:
         """Send `signal` to the master, unless it is masked; never waits.
 
         Args:
-            signal: One of `Signal`, or of `user_signal`.
+            signal: One of `Signal`, or a `UserSignal` of the module.
             text: Shown with it.
         """
         self.signals |= signal
         if signal & Signal.OFF:
             self.off_requested = True
-        if signal & ~self.sigmask:
-            self._notice(signal & ~self.sigmask, text, 0)
+        if wanted := self._wanted(int(signal)):
+            self._notice(wanted, text, 0)
 
     def warn(self, text: str, code: int = 0) -> None:
         """Report something that is not right but lets the task go on; never waits.
@@ -329,7 +298,7 @@ class TaskContext:
         self.errmsg = text
         self.errnum = code
         self.signals |= Signal.WARNING
-        if not self.sigmask & Signal.WARNING:
+        if self._wanted(int(Signal.WARNING)):
             self._notice(Signal.WARNING, text, code)
 
     def fail(self, text: str, code: int = 1) -> None:
@@ -359,6 +328,10 @@ class TaskContext:
         self.errmsg = ""
         self.errnum = 0
         self.off_requested = False
+
+    def _wanted(self, bits: int) -> int:
+        """Count the signals that are not masked, and return them."""
+        return bits & ~self.sigmask
 
     def _notice(self, bits: int, text: str, code: int) -> None:
         self.outbox.put(Notice(int(bits), text, code, self.cyclecount, self.now))

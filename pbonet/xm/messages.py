@@ -201,6 +201,26 @@ class Flag(Request, tag="flag"):
     up: bool
 
 
+class Sigmask(Request, tag="sigmask"):
+    """Get or set which signals of tasks nobody wants (section 4.4.4).
+
+    Result: dict of the names masked, by task; ``""`` stands for the subsystem, whose
+    mask holds for every task without one of its own.
+    """
+
+    task: str = ""
+    """Whose mask is changed; empty: the subsystem's."""
+    names: list[str] | None = None
+    """The new mask; None: none is changed."""
+    unset: bool = False
+    """Remove the mask instead."""
+
+    @property
+    def changes(self) -> bool:
+        """Whether it sets or removes a mask."""
+        return self.unset or self.names is not None
+
+
 class Events(Request, tag="events"):
     """Ask for the agent's last events. Result: list of `Event`."""
 
@@ -228,6 +248,7 @@ AnyRequest = (
     | Modules
     | Stop
     | Flag
+    | Sigmask
     | Events
 )
 
@@ -353,6 +374,8 @@ class TaskStatus(Struct, kw_only=True):
     """Critical sections that lasted too long, and were overruled."""
     sections: dict[str, SectionStatus] = {}
     """Timed sections by name (section 6.7.2)."""
+    signals: dict[str, int] = {}
+    """How often it has sent each signal since it was spawned, masked ones left out."""
 
 
 class RtpuStatus(Struct, kw_only=True):

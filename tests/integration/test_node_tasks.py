@@ -7,7 +7,7 @@ import pytest
 from nodekit import alive, rmod, wait_gone
 from watching import wait_for
 
-from pbonet import Signal, user_signal
+from pbonet import Signal
 from pbonet.errors import (
     ConfigError,
     DeclarationError,
@@ -205,7 +205,7 @@ def test_events_of_a_module(arm):
     found = [(e.bits, e.text, e.cycle) for e in arm.events("SIGNAL", "a")]
     assert found == [
         (Signal.FINISH, "FINISH: ten", 9),
-        (user_signal(3), "user 3", 14),
+        (1 << 10, "HALFWAY", 14),
         (Signal.OFF, "OFF: twenty is enough", 19),
     ]
     wait_for(lambda: arm.status("a").state == "OFF", "it turns itself off")

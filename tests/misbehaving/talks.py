@@ -2,11 +2,13 @@
 
 from typing import Annotated as A
 
-from pbonet import OutVar, PortBasedObject, Signal, Vector, user_signal
+from pbonet import OutVar, PortBasedObject, Signal, UserSignal, Vector
 
 
 class Talks(PortBasedObject):
     """Warns in cycle 5, sends FINISH in cycle 10, user 3 in 15, and OFF in cycle 20."""
+
+    HALFWAY = UserSignal(3, "most of the cycles are done")
 
     y: A[Vector, OutVar("Y", "2", "none", "cycles")]
 
@@ -21,6 +23,6 @@ class Talks(PortBasedObject):
             case 10.0:
                 self.task.signal(Signal.FINISH, "ten")
             case 15.0:
-                self.task.signal(user_signal(3))
+                self.task.signal(self.HALFWAY)
             case 20.0:
                 self.task.signal(Signal.OFF, "twenty is enough")

@@ -153,6 +153,16 @@ def test_stop_says_what_was_forced():
     assert render.text("stop", {"off": [], "killed": []}) == "nothing was ON"
 
 
+def test_signals_and_masks():
+    sent = {"task": "arm", "signal": "FINISH", "count": 1, "rtpu": "arm0"}
+    assert render.text("sigwait", {"sent": sent}) == "arm FINISH"
+    text = render.text("sigwait", {"sent": sent | {"count": 3}})
+    assert text == "arm FINISH (3 times)"
+    assert render.text("sigmask", {"masks": {}}) == "no signal is masked"
+    text = render.text("sigmask", {"masks": {"": ["OFF"], "arm": []}})
+    assert text.splitlines()[1:] == ["(subsystem)  OFF", "arm          none"]
+
+
 def test_commands_without_a_form_of_their_own_show_states():
     shown = {"display", "write", "get", "set", "module", "check", "freq", "stop"}
     shown |= {
@@ -162,6 +172,8 @@ def test_commands_without_a_form_of_their_own_show_states():
         "status set",
         "events",
         "help",
+        "sigmask",
+        "sigwait",
         "network",
         "quit",
         "wait",

@@ -4,7 +4,7 @@ import contextlib
 
 import pytest
 
-from pbonet import Signal, State, TaskContext, user_signal
+from pbonet import Signal, State, TaskContext, UserSignal
 from pbonet.errors import MethodError
 from pbonet.pbo import Answer, BoundedOutbox, Counted, TaskFailure
 
@@ -47,8 +47,11 @@ def test_the_signal_off_asks_to_be_turned_off(task):
     assert task.off_requested
 
 
-def test_masked_signals_are_noted_but_not_sent(task):
-    task.sigmask = Signal.FINISH | Signal.WARNING
+def test_masked_signals_are_noted_but_not_sent():
+    class Masked(TaskContext):
+        sigmask = Signal.FINISH | Signal.WARNING
+
+    task = Masked()
     task.signal(Signal.FINISH)
     task.warn("hot")
     assert task.signals == Signal.FINISH | Signal.WARNING
@@ -76,11 +79,11 @@ def test_a_full_outbox_drops_the_oldest_and_counts():
 
 
 def test_user_signals_stand_behind_the_predefined_ones():
-    assert user_signal(0) == 1 << 7
-    assert user_signal(24) == 1 << 31
+    assert UserSignal(0, "first") == 1 << 7
+    assert UserSignal(24, "last") == 1 << 31
     for wrong in (-1, 25):
         with pytest.raises(ValueError, match="user signals go from 0 to 24"):
-            user_signal(wrong)
+            UserSignal(wrong, "none")
 
 
 def test_fail_unwinds_where_nobody_can_be_asked(task):

@@ -1,0 +1,291 @@
+"""What tasks tell a program: signals, waited for by name, and events (section 4.4.4).
+
+Every task counts its signals; what a program has not taken yet is *pending*, however
+long ago it was sent and however often. So nothing is missed between two waits.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from threading import Event, Lock
+from typing import TYPE_CHECKING, Protocol
+
+import zenoh
+from msgspec import Struct
+
+from pbonet.errors import NoAnswerError, StateError, did_you_mean
+from pbonet.pbo import PREDEFINED
+from pbonet.xm import keys, rpc
+from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterable, Sequence
+
+    from pbonet.master.crew import Crew
+    from pbonet.master.fleet import Fleet
+
+LOOK_TIME = 0.5
+"""Seconds after which a wait looks at the counts though no event has come."""
+_FIRST = ("SHUTDOWN", "ERROR")
+"""Signals that are handed out before others."""
+
+
+class Sent(Struct, frozen=True):
+    """A signal that a task has sent."""
+
+    task: str
+    signal: str
+    count: int
+    """How often it was sent since it was taken last."""
+    rtpu: str
+
+
+class Inbox:
+    """Which signals of the tasks are pending: those counted, less those taken."""
+
+    def __init__(self) -> None:
+        self._taken: dict[tuple[str, str], tuple[int, dict[str, int]]] = {}
+        self._busy = Lock()
+
+    def begin(self, statuses: Iterable[m.TaskStatus]) -> None:
+        """Take everything that was sent so far."""
+        for status in statuses:
+            key = (status.rtpu, status.task)
+            self._taken[key] = (status.tid, dict(status.signals))
+
+    def pending(self, statuses: Iterable[m.TaskStatus]) -> list[Sent]:
+        """Return what is pending, the most urgent first."""
+        with self._busy:
+            return self._pending(statuses)
+
+    def take(
+        self,
+        statuses: Iterable[m.TaskStatus],
+        signals: Sequence[str],
+        tasks: Sequence[str],
+    ) -> Sent | None:
+        """Take what is pending first of some signals of some tasks; empty: of all."""
+        with self._busy:
+            for sent in self._pending(statuses):
+                if signals and sent.signal not in signals:
+                    continue
+                if not tasks or sent.task in tasks:
+                    taken = self._taken[sent.rtpu, sent.task][1]
+                    taken[sent.signal] = taken.get(sent.signal, 0) + sent.count
+                    return sent
+        return None
+
+    def _pending(self, statuses: Iterable[m.TaskStatus]) -> list[Sent]:
+        found: list[Sent] = []
+        for status in statuses:
+            taken = self._of(status)
+            found += [
+                Sent(status.task, name, count - taken.get(name, 0), status.rtpu)
+                for name, count in status.signals.items()
+                if count > taken.get(name, 0)
+            ]
+        return sorted(found, key=lambda one: one.signal not in _FIRST)
+
+    def _of(self, status: m.TaskStatus) -> dict[str, int]:
+        """Return what was taken of a task; a task that was spawned anew begins at 0."""
+        key = (status.rtpu, status.task)
+        tid, taken = self._taken.get(key, (status.tid, {}))
+        if status.tid not in {tid, 0}:  # 0: it has died
+            taken = {}
+        self._taken[key] = (status.tid or tid, taken)
+        return taken
+
+
+class Opened(Protocol):
+    """What an open subsystem has."""
+
+    stopped: Event
+
+    @property
+    def name(self) -> str:
+        """The subsystem's name."""
+        ...
+
+    @property
+    def crew(self) -> Crew:
+        """Its tasks."""
+        ...
+
+    @property
+    def fleet(self) -> Fleet:
+        """Its RTPUs."""
+        ...
+
+
+class Signalled(Opened, Protocol):
+    """The part of `pbonet.master.Subsystem` that hears what its tasks tell."""
+
+    inbox: Inbox
+
+    def sigwait(
+        self,
+        signals: Sequence[str] = (),
+        *,
+        tasks: Sequence[str] = (),
+        timeout: float | None = None,
+    ) -> Sent:
+        """Wait until a task has sent one of some signals, and take it (`sbsSigWait`).
+
+        A signal that was sent before, and not taken, is returned at once. Others stay
+        pending until they are waited for; to be rid of them, mask them.
+
+        Args:
+            signals: Names, such as ``FINISH`` or one of the module's own; none: any.
+            tasks: Whose; none: of any task.
+            timeout: Seconds; None: as long as it takes.
+
+        Returns:
+            The signal, the task that sent it, and how often it did.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: No task has such a signal, or the subsystem was stopped.
+            NoAnswerError: The time is over.
+        """
+        self.stopped.clear()
+        deadline = None if timeout is None else time.monotonic() + timeout
+        with self._news() as news:
+            statuses = self._statuses()
+            self._must_be_known(signals, tasks, statuses)
+            while True:
+                if sent := self.inbox.take(statuses, signals, tasks):
+                    return sent
+                left = LOOK_TIME if deadline is None else deadline - time.monotonic()
+                if left <= 0:
+                    raise self._too_late(signals, tasks, timeout or 0.0)
+                news.wait(min(left, LOOK_TIME))
+                news.clear()
+                self._must_go_on()
+                statuses = self._statuses()
+
+    def signals(self) -> list[Sent]:
+        """Return the signals that are pending, and leave them so."""
+        return self.inbox.pending(self._statuses())
+
+    def sigmask(
+        self, signals: Sequence[str] | None = None, task: str | None = None
+    ) -> dict[str, list[str]]:
+        """Say which signals nobody wants; masked ones are not even counted.
+
+        A task without a mask of its own obeys that of the subsystem.
+
+        Args:
+            signals: Names; ``["none"]`` is a mask that lets all through, ``["unset"]``
+                takes the mask away. None: only ask.
+            task: Whose mask; None: the subsystem's.
+
+        Returns:
+            The masks that are set, by task; ``""`` is the subsystem's.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: No task has such a signal.
+            ClaimError: It is open for watching only.
+        """
+        tasks = [] if task is None else [task]
+        names = [] if signals in (["none"], ["unset"]) else list(signals or ())
+        if signals is not None:
+            self.fleet.must_be_claimed()
+        self._must_be_known(names, tasks, self._statuses())
+        request = m.Sigmask(
+            task=task or "",
+            names=None if signals is None else names,
+            unset=signals == ["unset"],
+        )
+        if task is not None and signals is not None:
+            self.fleet.call(self.crew.locate(task), request, dict[str, list[str]])
+            request = m.Sigmask()
+        found, errors = self.fleet.each(lambda _: request, dict[str, list[str]])
+        rpc.raise_all(f"{len(errors)} RTPUs do not take a signal mask", errors)
+        return {key: mask for masks in found.values() for key, mask in masks.items()}
+
+    def events(self, since: int = 0) -> list[m.Event]:
+        """Return the last events of the RTPUs that concern the subsystem.
+
+        Args:
+            since: Number of the first event wanted of each RTPU.
+        """
+        request = m.Events
+        results, errors = self.fleet.each(lambda _: request(since=since), list[m.Event])
+        rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
+        found = [event for events in results.values() for event in events]
+        mine = [event for event in found if event.subsystem in {"", self.name}]
+        return sorted(mine, key=lambda event: (event.wall, event.n))
+
+    # -- how --------------------------------------------------------------------------
+
+    def _statuses(self) -> list[m.TaskStatus]:
+        return [task for rtpu in self.crew.refresh(strict=False) for task in rtpu.tasks]
+
+    @contextmanager
+    def _news(self) -> Generator[Event]:
+        """Have an event set whenever an RTPU tells something."""
+        news = Event()
+
+        def told(_: zenoh.Sample) -> None:
+            news.set()
+
+        client = self.fleet.client
+        declared: list[zenoh.Subscriber[None]] = [
+            client.session.declare_subscriber(
+                keys.rtpu(client.domain, rtpu, "event"),
+                zenoh.handlers.Callback(told, indirect=False),
+            )
+            for rtpu in self.fleet.names
+        ]
+        try:
+            yield news
+        finally:
+            for subscriber in declared:
+                if not client.session.is_closed():
+                    subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+    def _must_go_on(self) -> None:
+        if self.stopped.is_set():
+            raise StateError(
+                "the subsystem was stopped while a signal was waited for",
+                where=self.name,
+            )
+
+    def _must_be_known(
+        self,
+        signals: Sequence[str],
+        tasks: Sequence[str],
+        statuses: Sequence[m.TaskStatus],
+    ) -> None:
+        """Refuse tasks and signals that there are not."""
+        there = {status.task for status in statuses}
+        for task in tasks:
+            if task not in there:
+                self.crew.picture.find(task)
+        known = dict.fromkeys(PREDEFINED)
+        for status in statuses:
+            if not tasks or status.task in tasks:
+                known |= dict.fromkeys(status.signals)
+        for signal in signals:
+            if signal not in known:
+                raise StateError(
+                    f"no task has a signal {signal}",
+                    where=", ".join(tasks) or self.name,
+                    expected="one of " + ", ".join(known),
+                    remedy=did_you_mean(signal, known)
+                    or "a module declares its own: NAME = UserSignal(0, ...)",
+                )
+
+    def _too_late(
+        self, signals: Sequence[str], tasks: Sequence[str], timeout: float
+    ) -> NoAnswerError:
+        others = self.signals()
+        return NoAnswerError(
+            f"no signal {' or '.join(signals) or 'at all'} within {timeout:g} s",
+            where=", ".join(tasks) or self.name,
+            got="pending: "
+            + (", ".join(f"{one.task} {one.signal}" for one in others) or "nothing"),
+            remedy="'status' shows how the tasks stand",
+        )

@@ -1,0 +1,211 @@
+"""Signals of real tasks: counted under load, masked, waited for by a master."""
+
+import threading
+
+import pytest
+from nodekit import rmod
+from watching import wait_for
+
+from pbonet.errors import ClaimError, NoAnswerError, StateError, UnknownTaskError
+from pbonet.master import oneshot
+from pbonet.master.subsystem import Subsystem
+from pbonet.xm import messages as m
+
+TASKS = 8
+TOTAL = 1252
+"""Signals of each task; 10,016 in all."""
+
+
+def sent(arm, task):
+    return arm.status(task).signals
+
+
+@pytest.fixture
+def program(nodes, tmp_path):
+    """An open subsystem of its own files, with tasks that talk and flood."""
+    nodes.agent_process("arm0")
+    (tmp_path / "t.svar").write_text(
+        "".join(
+            f"NAME Y{n}\nTYPE double\nDESC y\nUNITS none\nNELEM 2\n\n" for n in range(3)
+        )
+        + "EOF\n"
+    )
+    for n, (name, module, local) in enumerate((
+        ("talks", "talks", None),
+        ("floods", "floods", {"TOTAL": 30}),
+        ("dies", "segfaults", None),
+    )):
+        text = rmod(module, out=f"Y{n}", local=local)
+        (tmp_path / f"{name}.rmod").write_text(text)
+    (tmp_path / "t.sbs").write_text(
+        "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nUSAGE exclusive\nEOF\n"
+    )
+    libraries = [*nodes.config("x").libraries]
+    with Subsystem(
+        tmp_path / "t.sbs", domain=nodes.domain, libraries=libraries
+    ) as subsystem:
+        yield subsystem
+
+
+class TestCounts:
+    """What a task sends is counted where nothing can be dropped."""
+
+    def test_no_signal_is_lost_under_load(self, arm):
+        for n in range(TASKS):
+            local = {"TOTAL": TOTAL, "BURST": 100}
+            arm.spawn(f"f{n}", "floods", out=f"Y{n}", freq=50.0, local=local)
+        arm.ask(m.Reconfig(items=[(f"f{n}", "on") for n in range(TASKS)]))
+        for n in range(TASKS):
+            wait_for(
+                lambda n=n: sum(sent(arm, f"f{n}").values()) == TOTAL,
+                f"all signals of f{n}",
+            )
+        found = arm.status()
+        counts = [found[f"f{n}"].signals for n in range(TASKS)]
+        assert sum(sum(one.values()) for one in counts) == TASKS * TOTAL > 10_000
+        for one in counts:
+            assert (one["DROP"], one["FINISH"], one["WARNING"]) == (418, 417, 417)
+        held = [e for e in arm.events() if e.code in {"SIGNAL", "WARNING"}]
+        assert len(held) < TASKS * TOTAL / 2  # most notices did not become events
+
+    def test_events_account_for_what_notices_did_not_tell(self, arm):
+        arm.spawn("f", "floods", freq=50.0, local={"TOTAL": 3000, "BURST": 1000})
+        arm.on("f")
+
+        def told():
+            total = 0
+            for event in arm.events(task="f"):
+                if event.code == "SIGNALS":
+                    text = event.text.removeprefix("not told one by one: ")
+                    total += sum(int(part.split()[0]) for part in text.split(", "))
+                elif event.bits:
+                    total += 1
+            return total
+
+        wait_for(lambda: told() == 3000, "3000 signals in events")
+        events = [e for e in arm.events(task="f") if e.bits]
+        assert len(events) < 400
+        assert {e.code for e in events} == {"SIGNAL", "WARNING", "SIGNALS"}
+
+    def test_a_death_counts_as_error_and_the_rest_stands(self, arm):
+        arm.spawn("d", "segfaults")
+        arm.on("d")
+        wait_for(lambda: arm.status("d").state == "NOT-CREATED", "its death")
+        assert sent(arm, "d")["ERROR"] == 1
+
+    def test_masks_of_task_and_subsystem(self, arm):
+        arm.ask(m.Sigmask(names=["WARNING", "DROP"]))
+        arm.spawn("a", "floods", out="Y0", local={"TOTAL": 300})
+        arm.spawn("b", "floods", out="Y1", local={"TOTAL": 300})
+        got = arm.ask(m.Sigmask(task="b", names=["FINISH"]), dict[str, list[str]])
+        assert got == {"": ["WARNING", "DROP"], "b": ["FINISH"]}
+        arm.on("a")
+        arm.on("b")
+        wait_for(lambda: sent(arm, "a")["FINISH"] == 100, "the signals of a")
+        wait_for(lambda: sent(arm, "b")["DROP"] == 100, "the signals of b")
+        wait_for(lambda: arm.value("Y0").values[0] == 300, "the end of a")
+        wait_for(lambda: arm.value("Y1").values[0] == 300, "the end of b")
+        a, b = sent(arm, "a"), sent(arm, "b")
+        assert (a["WARNING"], a["DROP"], a["FINISH"]) == (0, 0, 100)
+        assert (b["WARNING"], b["DROP"], b["FINISH"]) == (100, 100, 0)
+        assert arm.ask(m.Sigmask(task="b", unset=True)) == {"": ["WARNING", "DROP"]}
+        arm.stop()
+        arm.ask(m.Release())
+
+
+class TestSigwait:
+    """A program, and the prompt's commands, wait for what tasks tell."""
+
+    def test_in_the_order_of_a_run_and_by_name(self, program):
+        program.spawn("talks")
+        program.control("talks", "on")
+        for name in ("WARNING", "FINISH", "HALFWAY", "OFF"):
+            one = program.sigwait([name], tasks=["talks"], timeout=30.0)
+            assert (one.task, one.signal, one.count, one.rtpu) == (
+                *("talks", name),
+                *(1, "arm0"),
+            )
+        assert program.signals() == []
+
+    def test_what_is_not_waited_for_stays_pending(self, program):
+        program.spawn("talks")
+        program.control("talks", "on")
+        assert program.sigwait(["OFF"], timeout=30.0).signal == "OFF"
+        rest = {(one.signal, one.count) for one in program.signals()}
+        assert rest == {("WARNING", 1), ("FINISH", 1), ("HALFWAY", 1)}
+
+    def test_repeats_are_counted_over_several_waits(self, program):
+        program.spawn("floods")
+        program.spawn("talks")
+        program.control("floods", "on")
+        program.control("talks", "on")
+        got = 0
+        while got < 10:
+            got += program.sigwait(["DROP"], timeout=30.0).count
+        assert got == 10
+        with pytest.raises(NoAnswerError, match=r"floods: no signal DROP within 0 s"):
+            program.sigwait(["DROP"], tasks=["floods"], timeout=0.0)
+
+    def test_a_death_is_an_error_and_comes_first(self, program):
+        program.spawn("dies")
+        program.control("dies", "on")
+        one = program.sigwait(["FINISH", "ERROR"], timeout=30.0)
+        assert (one.task, one.signal) == ("dies", "ERROR")
+
+    def test_a_task_spawned_anew_begins_anew(self, program):
+        for _ in range(2):
+            program.spawn("talks")
+            program.control("talks", "on")
+            assert program.sigwait(["HALFWAY"], timeout=30.0).count == 1
+            program.control("talks", "kill")
+
+    def test_refusals(self, program):
+        program.spawn("talks")
+        with pytest.raises(
+            StateError, match=r"no task has a signal HALFWY .*HALFWAY\?"
+        ):
+            program.sigwait(["HALFWY"])
+        with pytest.raises(UnknownTaskError):
+            program.sigwait(tasks=["nobody"])
+        with pytest.raises(StateError, match="no task has a signal NONE"):
+            program.sigmask(["NONE"], "talks")
+
+    def test_a_stop_ends_it(self, program):
+        program.spawn("talks")
+        timer = threading.Timer(0.3, program.stop)
+        timer.start()
+        with pytest.raises(StateError, match="stopped while a signal"):
+            program.sigwait(["FINISH"], timeout=30.0)
+        timer.join()
+
+    def test_masks_through_the_program(self, program):
+        program.spawn("talks")
+        assert program.sigmask(["FINISH"]) == {"": ["FINISH"]}
+        assert program.sigmask(["none"], "talks") == {"": ["FINISH"], "talks": []}
+        assert program.sigmask(["unset"], "talks") == {"": ["FINISH"]}
+        program.control("talks", "on")
+        program.sigwait(["OFF"], timeout=30.0)
+        assert "FINISH" not in {one.signal for one in program.signals()}
+        looker = Subsystem(program.files.path, domain=program.domain, watch=True)
+        with looker:
+            assert looker.sigmask() == {"": ["FINISH"]}
+            with pytest.raises(ClaimError):
+                looker.sigmask(["OFF"])
+
+    def test_verb_and_prompt(self, program):
+        program.spawn("talks")
+        place = oneshot.Place(domain=program.domain)
+        timer = threading.Timer(0.3, program.control, ("talks", "on"))
+        timer.start()
+        reply = oneshot.run(
+            program.files.path, "sigwait", {"signal": ["HALFWAY"], "timeout": 30}, place
+        )
+        timer.join()
+        assert reply.data["sent"]["task"] == "talks"
+        from pbonet.master import render
+        from pbonet.master.desk import Desk
+
+        reply = Desk(program).execute("sigwait HALFWAY task=talks timeout=30")
+        assert render.text(reply.command, reply.data) == "talks HALFWAY"
+        reply = Desk(program).execute("sigmask WARNING OFF task=talks")
+        assert "talks  WARNING OFF" in render.text(reply.command, reply.data)
