@@ -7,35 +7,41 @@ switches, copies, guards, accounting, the record. Figures are the kernel's own
 on clock_nanosleep, which does nothing else. "together": all tasks have one period, so
 that one turn releases them all; "apart": every task has a period of its own.
 
-    python -m benchmarks.overhead [--seconds 3] [--core 1] [--json FILE]
+With ``--checks`` the same tasks are measured in turns without and with everything that
+is looked after: MAXC and MINC declared, a handler with a criticality of its own.
+
+    python -m benchmarks.overhead [--seconds 3] [--blocks 1] [--checks] [--core 1]
+        [--rate 2000] [--counts 1 4 16 64] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import statistics
 import tempfile
+import time
 from pathlib import Path
+from typing import NamedTuple
 
 from benchmarks import rtbench
 from pbonet.node import _rt
 
-COUNTS = (1, 4, 16, 64)
-RATE = 2000
-"""Cycles a second of all tasks together; 64 tasks then have 31 Hz each."""
+
+class Load(NamedTuple):
+    """Tasks that run."""
+
+    core: _rt.CoreTable
+    tasks: list[tuple[int, int, int, _rt.Ring]]
+    """Slot, pid, period and ring of each."""
 
 
-def measure(
-    core: _rt.CoreTable,
-    tables: rtbench.Tables,
-    count: int,
-    seconds: float,
-    *,
-    apart: bool,
-) -> dict[str, float]:
-    """Return microseconds per cycle for `count` tasks."""
-    tasks: list[tuple[int, int, _rt.Ring]] = []
-    base = int(1e9 * count / RATE)
+def start(
+    core: _rt.CoreTable, tables: rtbench.Tables, count: int, rate: int, *, apart: bool
+) -> Load:
+    """Start `count` tasks with `rate` releases a second in all."""
+    load = Load(core, [])
+    base = int(1e9 * count / rate)
     for k in range(count):
         slot = core.alloc("bench", f"overhead{k}")
         period = base + (7919 * k * base // (count * 100_000) if apart else 0)
@@ -43,92 +49,154 @@ def measure(
         ring = _rt.Ring.create(f"overhead{k}", 1 << 22)
 
         def body(end: _rt.Slot, k: int = k, ring: _rt.Ring = ring) -> None:
-            end.run(lambda _dt: None, tables.local(k), ring=ring)
+            end.run(
+                lambda _dt: None,
+                tables.local(k),
+                ring=ring,
+                failing=lambda _kind: _rt.CONTINUE,
+            )
 
-        tasks.append((slot, rtbench.start_task(core, slot, body), ring))
-    slots = [slot for slot, _, _ in tasks]
+        load.tasks.append((slot, rtbench.start_task(core, slot, body), period, ring))
     rtbench.wait_for(
-        lambda: all(core.snapshot(slot).cycles >= 10 for slot in slots),
+        lambda: all(core.snapshot(slot).cycles >= 10 for slot, *_ in load.tasks),
         "every task runs",
         30.0,
     )
-    before = totals(core, tasks)
-    wanted = before["cycles"] + RATE * seconds
-    rtbench.wait_for(
-        lambda: totals(core, tasks)["cycles"] >= wanted, "cycles", 10 + 4 * seconds
-    )
-    after = totals(core, tasks)
-    for slot, pid, ring in tasks:
-        rtbench.end_task(core, slot, pid)
+    return load
+
+
+def end(load: Load) -> None:
+    """End them."""
+    for slot, pid, _, ring in load.tasks:
+        rtbench.end_task(load.core, slot, pid)
         ring.destroy()
-    cycles = after["cycles"] - before["cycles"]
-    cost = {key: (after[key] - before[key]) / cycles for key in after}
+
+
+def totals(load: Load) -> dict[str, float]:
+    """Return sums over the tasks, and the dispatcher's counters."""
+    status = load.core.status()
+    slots = [load.core.snapshot(slot) for slot, *_ in load.tasks]
+    return {
+        "task": sum(rtbench.thread_cpu_ns(pid) for _, pid, *_ in load.tasks),
+        "accounted": sum(slot.cpu_total_ns for slot in slots),
+        "cycles": sum(slot.cycles for slot in slots),
+        "missed": sum(slot.missed for slot in slots),
+        "failures": sum(sum(slot.failures) for slot in slots),
+        "dispatcher": status.cpu_ns,
+        "turns": status.turns,
+        "levels": status.level_changes,
+        "now": time.monotonic_ns(),
+    }
+
+
+def block(load: Load, cycles: float, seconds: float, *, checks: bool) -> dict[str, float]:
+    """Return microseconds per cycle over `cycles` cycles that take `seconds`."""
+    for slot, _, period, _ in load.tasks:
+        rtbench.watch(load.core, slot, period, on=checks)
+    before = totals(load)
+    wanted = before["cycles"] + cycles
+    rtbench.wait_for(
+        lambda: totals(load)["cycles"] >= wanted, "cycles", 10 + 4 * seconds
+    )
+    after = totals(load)
+    run = after["cycles"] - before["cycles"]
+    cost = {key: (after[key] - before[key]) / run for key in after}
     return {
         "task": cost["task"] / 1e3,
         "accounted": cost["accounted"] / 1e3,
         "dispatcher": cost["dispatcher"] / 1e3,
         "total": (cost["task"] + cost["dispatcher"]) / 1e3,
+        "share": 100 * cost["dispatcher"] / cost["now"],
         "turns": cost["turns"],
         "levels": cost["levels"],
         "missed": after["missed"] - before["missed"],
-        "cycles": cycles,
+        "failures": after["failures"] - before["failures"],
+        "cycles": run,
     }
 
 
-def totals(
-    core: _rt.CoreTable, tasks: list[tuple[int, int, _rt.Ring]]
-) -> dict[str, float]:
-    """Return sums over the tasks, and the dispatcher's counters."""
-    status = core.status()
-    slots = [core.snapshot(slot) for slot, _, _ in tasks]
-    return {
-        "task": sum(rtbench.thread_cpu_ns(pid) for _, pid, _ in tasks),
-        "accounted": sum(slot.cpu_total_ns for slot in slots),
-        "cycles": sum(slot.cycles for slot in slots),
-        "missed": sum(slot.missed for slot in slots),
-        "dispatcher": status.cpu_ns,
-        "turns": status.turns,
-        "levels": status.level_changes,
-    }
+HEAD = (
+    "tasks releases checks   task us (accounted) dispatcher us   core %"
+    "      total us [least greatest]   turns/cycle levels/cycle missed failures"
+)
+
+
+def line(name: str, blocks: list[dict[str, float]]) -> str:
+    """Return a line of the table: medians of the blocks."""
+    m = {key: statistics.median(b[key] for b in blocks) for key in blocks[0]}
+    return (
+        f"{name:21} {m['task']:9.1f} {m['accounted']:11.1f} {m['dispatcher']:13.1f} "
+        f"{m['share']:8.2f} {rtbench.spread([b['total'] for b in blocks], 1)} "
+        f"{m['turns']:13.3f} {m['levels']:12.3f} "
+        f"{sum(b['missed'] for b in blocks):6.0f} "
+        f"{sum(b['failures'] for b in blocks):8.0f}"
+    )
+
+
+def measure(
+    core: _rt.CoreTable, tables: rtbench.Tables, args: argparse.Namespace
+) -> dict[str, object]:
+    """Print a line for each number of tasks; return the blocks."""
+    found: dict[str, object] = {}
+    for apart in (False, True):
+        for count in args.counts:
+            load = start(core, tables, count, args.rate, apart=apart)
+            modes = (False, True) if args.checks else (False,)
+            blocks: dict[bool, list[dict[str, float]]] = {mode: [] for mode in modes}
+            for _ in range(args.blocks):
+                for mode in modes:
+                    cycles = args.rate * args.seconds
+                    blocks[mode].append(
+                        block(load, cycles, args.seconds, checks=mode)
+                    )
+            end(load)
+            for mode in modes:
+                how = "apart" if apart else "together"
+                name = f"{count:5} {how:8} {'all' if mode else 'none':6}"
+                found[" ".join(name.split())] = blocks[mode]
+                print(line(name, blocks[mode]), flush=True)
+    return found
+
+
+def arguments() -> argparse.Namespace:
+    """Return what the command line says."""
+    parser = argparse.ArgumentParser(description="Overhead per cycle.")
+    parser.add_argument("--seconds", type=float, default=3.0)
+    parser.add_argument("--blocks", type=int, default=1)
+    parser.add_argument("--checks", action="store_true")
+    parser.add_argument("--core", type=int, default=1)
+    parser.add_argument("--rate", type=int, default=2000)
+    parser.add_argument("--counts", type=int, nargs="+", default=[1, 4, 16, 64])
+    parser.add_argument("--json", type=Path)
+    return parser.parse_args()
 
 
 def main() -> None:
     """Measure and report."""
-    parser = argparse.ArgumentParser(description="Overhead per cycle.")
-    parser.add_argument("--seconds", type=float, default=3.0)
-    parser.add_argument("--core", type=int, default=1)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    core, tables = _rt.CoreTable(args.core), rtbench.Tables(max(COUNTS))
+    args = arguments()
+    core, tables = _rt.CoreTable(args.core), rtbench.Tables(max(args.counts))
     dispatcher = _rt.Dispatcher(core)
     level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
-    cycles = int(RATE * args.seconds)
+    cycles = int(args.rate * args.seconds)
     result: dict[str, object] = {"machine": rtbench.machine()}
     try:
         with tempfile.TemporaryDirectory() as folder:
-            loop = rtbench.compile_loop(Path(folder))
-            c = rtbench.run_loop(loop, args.core, level, int(1e9 / RATE), cycles)
-        result["c_loop"] = c.cpu_ns / cycles / 1e3
+            loop = rtbench.compile_c("clockloop", Path(folder))
+            loops = [
+                rtbench.run_loop(loop, args.core, level, int(1e9 / args.rate), cycles)
+                for _ in range(args.blocks)
+            ]
+        c_loop = [run.cpu_ns / cycles / 1e3 for run in loops]
+        result["c_loop"] = c_loop
         print(rtbench.machine())
         print(
-            f"back end {dispatcher.backend}, {RATE} cycles a second in all; C loop "
-            f"{c.cpu_ns / cycles / 1e3:.1f} us a cycle"
+            f"back end {dispatcher.backend}, {args.rate} cycles a second in all; "
+            f"C loop {statistics.median(c_loop):.1f} us a cycle, "
+            f"{statistics.median(c_loop) * args.rate / 1e4:.2f} % of the core"
         )
-        print(
-            "tasks releases   task us  (accounted)  dispatcher us  total us  "
-            "turns/cycle  level changes/cycle  missed"
-        )
+        print(HEAD)
         dispatcher.start()
-        for apart in (False, True):
-            for count in COUNTS:
-                got = measure(core, tables, count, args.seconds, apart=apart)
-                how = "apart" if apart else "together"
-                result[f"{count} {how}"] = got
-                print(
-                    f"{count:5} {how:8} {got['task']:9.1f} {got['accounted']:12.1f} "
-                    f"{got['dispatcher']:14.1f} {got['total']:9.1f} "
-                    f"{got['turns']:12.3f} {got['levels']:20.3f} {got['missed']:7.0f}"
-                )
+        result |= measure(core, tables, args)
     finally:
         dispatcher.stop()
         core.close()

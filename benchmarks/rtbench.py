@@ -6,6 +6,7 @@ import gc
 import os
 import platform
 import signal
+import statistics
 import subprocess
 import sys
 import time
@@ -19,7 +20,7 @@ from pbonet.node import _rt
 from pbonet.svar import LocalTable, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -35,11 +36,13 @@ class Loop(NamedTuple):
     cpu_ns: int
 
 
-def compile_loop(folder: Path) -> Path:
-    """Return the compiled C loop."""
-    program = folder / "clockloop"
-    source = Path(__file__).with_name("clockloop.c")
-    subprocess.run(["cc", "-O2", "-o", program, source], check=True)  # noqa: S607 - the compiler is where PATH says
+def compile_c(name: str, folder: Path) -> Path:
+    """Return the program made of the C file of that name beside this one."""
+    here = Path(__file__).parent
+    program = folder / name
+    native = here.parent / "pbonet" / "node"
+    options = ["-O2", "-std=c11", "-I", native, "-o", program]
+    subprocess.run(["cc", *options, here / f"{name}.c", "-lm"], check=True)  # noqa: S607 - the compiler is where PATH says
     return program
 
 
@@ -106,6 +109,28 @@ def start_task(core: _rt.CoreTable, slot: int, body: Callable[[_rt.Slot], None])
         os._exit(status)
 
 
+def watch(core: _rt.CoreTable, slot: int, period: int, *, on: bool) -> None:
+    """Have the dispatcher look after everything that can fail, or after nothing.
+
+    With a reserve, a least time and a handler of its own priority every cycle gives the
+    dispatcher instants to look at the task again. None of these failures happens.
+
+    Args:
+        core: The core's table.
+        slot: The task's slot.
+        period: Nanoseconds; half of them are the reserve.
+        on: Whether to look.
+    """
+    core.configure(
+        slot,
+        maxc_ns=period // 2 if on else 0,
+        minc_ns=10_000 if on else 0,
+        drop=3,
+        handler=6 if on else 0,
+        tells=on,
+    )
+
+
 def end_task(core: _rt.CoreTable, slot: int, pid: int) -> None:
     """Ask a task to end, and wait for it.
 
@@ -139,6 +164,15 @@ def thread_cpu_ns(pid: int) -> int:
     """Return the kernel's CPU time of a process's main thread."""
     text = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="ascii")
     return int(text.split()[0])
+
+
+def spread(values: Sequence[float], digits: int) -> str:
+    """Return the median, the least and the greatest."""
+    low, high = min(values), max(values)
+    return (
+        f"{statistics.median(values):9.{digits}f} "
+        f"[{low:7.{digits}f} {high:8.{digits}f}]"
+    )
 
 
 def machine() -> str:
