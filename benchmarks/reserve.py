@@ -1,0 +1,231 @@
+"""Timing failures: how exactly a reserve is kept, and how soon its handler is there.
+
+A task has a reserve of 5 ms of CPU time and uses more of it in every cycle. *Overshoot*
+is the CPU time that it had used beyond that when the dispatcher lowered its
+criticality: from then on it harms nobody. *Handler* is the time from the reserve's
+exhaustion to the first line of the handler in Python. A task in a loop of Python is
+measured, one within a single matmul of whole numbers (numpy does that in one thread,
+and no handler runs before it has returned), and one that sleeps when its deadline is
+reached, for which the time counts from the deadline. The rival, in turns with them:
+the kernel's timers in a C program, CLOCK_THREAD_CPUTIME_ID for the busy ones and
+CLOCK_MONOTONIC for the one asleep, from expiry to the first line of a C handler.
+
+Given are medians of the blocks' quantiles with the least and the greatest.
+
+    python -m benchmarks.reserve [--blocks 5] [--cycles 100] [--core 1] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from benchmarks import rtbench
+from pbonet.node import _rt
+from pbonet.sched.dispatch import turns
+from pbonet.sched.events import Event
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+LIMIT_NS = 5_000_000
+PERIOD_NS = 50_000_000
+BUSY_NS = 8_000_000
+ASLEEP = 0.02
+SIZE = 256
+"""Rows and columns of the matrix; its matmul takes longer than LIMIT_NS."""
+QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+
+
+class Found(NamedTuple):
+    """Nanoseconds of one block."""
+
+    overshoot: NDArray[np.int64]
+    handler: NDArray[np.int64]
+
+
+def in_python() -> None:
+    """Compute in Python for BUSY_NS of CPU time."""
+    end = time.thread_time_ns() + BUSY_NS
+    while time.thread_time_ns() < end:
+        pass
+
+
+def in_numpy() -> Callable[[], None]:
+    """Return what computes in one call of numpy."""
+    matrix = np.ones((SIZE, SIZE), dtype=np.int64)
+    out = np.empty_like(matrix)
+
+    def work() -> None:
+        np.matmul(matrix, matrix, out=out)
+
+    return work
+
+
+def asleep() -> None:
+    """Wait."""
+    time.sleep(ASLEEP)
+
+
+WORK = {"Python": lambda: in_python, "numpy": in_numpy, "asleep": lambda: asleep}
+
+
+class Failures:
+    """Reads from the trace what the dispatcher found about one slot."""
+
+    def __init__(self, core: _rt.CoreTable, slot: int) -> None:
+        self._core, self._slot = core, slot
+        self._next = core.trace(1 << 62)[0]
+        self._mark = -1
+        self.found: list[tuple[int, int]] = []
+        """Instant of each failure, and CPU time used beyond the reserve by then."""
+
+    def read(self) -> None:
+        """Take in what has come since the last call.
+
+        Raises:
+            RuntimeError: The trace was read too late.
+        """
+        self._next, lost, trace = self._core.trace(self._next)
+        if lost:
+            msg = f"{lost} records of the trace were overwritten before they were read"
+            raise RuntimeError(msg)
+        for head, inputs, decisions in turns(trace):
+            self._one(head.a, [*inputs, *decisions])
+
+    def _one(self, now: int, records: list[_rt.Decision]) -> None:
+        mine = {Event(r.kind): r for r in records if r.slot == self._slot}
+        used = mine[Event.USED].a if Event.USED in mine else 0
+        if Event.FAIL in mine:
+            self.found.append((now, used - self._mark - LIMIT_NS))
+        if Event.RELEASE in mine:
+            self._mark = used
+
+
+def run_task(core: _rt.CoreTable, work: str, cycles: int) -> Found:
+    """Measure one block.
+
+    Raises:
+        RuntimeError: Not every failure was found and told.
+    """
+    slot = core.alloc("bench", f"reserve {work}")
+    core.configure(slot, period_ns=PERIOD_NS, crit=5, drop=3, handler=6, tells=True)
+    if work == "asleep":
+        core.configure(slot, deadline_ns=LIMIT_NS)
+    else:
+        core.configure(slot, maxc_ns=LIMIT_NS)
+    with tempfile.TemporaryFile() as file:
+        out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 3,))
+        out[:] = 0
+
+        def body(end: _rt.Slot) -> None:
+            instants, function, count = out.data, WORK[work](), 0
+
+            def failing(_kind: str) -> int:
+                nonlocal count
+                at = time.monotonic_ns()
+                if count < cycles + 2:
+                    instants[count] = at
+                count += 1
+                return _rt.CONTINUE
+
+            end.run(lambda _dt: function(), None, failing=failing)
+
+        failures = Failures(core, slot)
+        pid = rtbench.start_task(core, slot, body)
+
+        def all_there() -> bool:
+            failures.read()
+            return bool(out[cycles + 1])
+
+        rtbench.wait_for(all_there, "failures", 10 + 4e-9 * PERIOD_NS * cycles)
+        rtbench.end_task(core, slot, pid)
+        handled = np.array(out[1 : cycles + 1])
+    found = np.array(failures.found, dtype=np.int64)
+    which = np.searchsorted(found[:, 0], handled) - 1
+    if len(set(which)) < len(which) or which[0] < 0:
+        msg = f"{work}: {len(found)} failures, {len(set(which))} of them handled"
+        raise RuntimeError(msg)
+    overshoot = found[which, 1] if work != "asleep" else np.zeros(0, dtype=np.int64)
+    exhausted = found[which, 0] - (overshoot if work != "asleep" else 0)
+    if work == "asleep":
+        exhausted = handled // PERIOD_NS * PERIOD_NS + LIMIT_NS
+    return Found(overshoot, handled - exhausted)
+
+
+def run_rival(program: Path, core: int, level: int, what: str, n: int) -> Found:
+    """Measure one block of the kernel's timers."""
+    command = [str(x) for x in (program, core, level, LIMIT_NS, n, what)]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE)
+    late = np.array(done.stdout.split(), dtype=np.int64)
+    return Found(late if what == "busy" else late[:0], late)
+
+
+def report(found: dict[str, list[Found]]) -> dict[str, object]:
+    """Print the table and return what it says."""
+    result: dict[str, object] = {}
+    print(f"{'microseconds':31}" + " ".join(f"{name:>27}" for name in QUANTILES))
+    for what in Found._fields:
+        for name, blocks in found.items():
+            values = [getattr(block, what) for block in blocks]
+            if not len(values[0]):
+                continue
+            row = {
+                quantile: [float(np.quantile(v, q)) / 1e3 for v in values]
+                for quantile, q in QUANTILES.items()
+            }
+            result[f"{what} {name}"] = row
+            cells = " ".join(rtbench.spread(v, 1) for v in row.values())
+            print(f"{what:10} {name:20}{cells}")
+    return result
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description="Timing failures.")
+    parser.add_argument("--blocks", type=int, default=5)
+    parser.add_argument("--cycles", type=int, default=100)
+    parser.add_argument("--core", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    core = _rt.CoreTable(args.core)
+    dispatcher = _rt.Dispatcher(core)
+    level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
+    rivals = {"C, kernel, busy": "busy", "C, kernel, asleep": "asleep"}
+    found: dict[str, list[Found]] = {name: [] for name in (*WORK, *rivals)}
+    print(rtbench.machine())
+    print(
+        f"back end {dispatcher.backend}, {args.blocks} blocks of {args.cycles} cycles, "
+        f"limit {LIMIT_NS / 1e6:g} ms"
+    )
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            program = rtbench.compile_c("cputimer", Path(folder))
+            for _ in range(args.blocks):
+                for name, what in rivals.items():
+                    found[name].append(
+                        run_rival(program, args.core, level, what, args.cycles)
+                    )
+                dispatcher.start()
+                for work in WORK:
+                    found[work].append(run_task(core, work, args.cycles))
+                dispatcher.stop()
+    finally:
+        dispatcher.stop()
+        core.close()
+    result = report(found) | {"machine": rtbench.machine()}
+    if args.json:
+        args.json.write_text(json.dumps(result, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
