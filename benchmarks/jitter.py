@@ -182,7 +182,9 @@ def main() -> None:
     rig = Rig(core, tables, dispatcher, period, cycles)
     result: dict[str, object] = {"machine": rtbench.machine()}
     print(rtbench.machine())
-    print(f"back end {dispatcher.backend}, {args.blocks} blocks of {cycles} cycles each")
+    print(
+        f"back end {dispatcher.backend}, {args.blocks} blocks of {cycles} cycles each"
+    )
     try:
         with tempfile.TemporaryDirectory() as folder:
             loop = rtbench.compile_c("clockloop", Path(folder))

@@ -89,7 +89,9 @@ def totals(load: Load) -> dict[str, float]:
     }
 
 
-def block(load: Load, cycles: float, seconds: float, *, checks: bool) -> dict[str, float]:
+def block(
+    load: Load, cycles: float, seconds: float, *, checks: bool
+) -> dict[str, float]:
     """Return microseconds per cycle over `cycles` cycles that take `seconds`."""
     for slot, _, period, _ in load.tasks:
         rtbench.watch(load.core, slot, period, on=checks)
@@ -146,9 +148,7 @@ def measure(
             for _ in range(args.blocks):
                 for mode in modes:
                     cycles = args.rate * args.seconds
-                    blocks[mode].append(
-                        block(load, cycles, args.seconds, checks=mode)
-                    )
+                    blocks[mode].append(block(load, cycles, args.seconds, checks=mode))
             end(load)
             for mode in modes:
                 how = "apart" if apart else "together"

@@ -9,29 +9,41 @@ import subprocess
 import sys
 from pathlib import Path
 
-NAMES = (
-    "svar",
-    "ports",
-    "jitter",
-    "overhead",
-    "steering",
-    "transfer",
-    "simulate",
-    "ipc",
-)
+RUNS: dict[str, tuple[str, ...]] = {
+    "svar": ("svar",),
+    "ports": ("ports",),
+    "jitter": ("jitter",),
+    "jitter-checks": ("jitter", "--checks", *"--tasks 1 4 16".split()),
+    "overhead": ("overhead",),
+    "overhead-checks": ("overhead", "--checks", *"--blocks 5 --seconds 1".split()),
+    "dispatcher": (
+        *("overhead", "--checks", "--rate", "3000"),
+        *"--counts 1 15 --blocks 5 --seconds 1".split(),
+    ),
+    "reserve": ("reserve",),
+    "costs": ("costs",),
+    "aperiodic": ("aperiodic",),
+    "steering": ("steering",),
+    "transfer": ("transfer",),
+    "simulate": ("simulate",),
+    "ipc": ("ipc",),
+}
+"""Module and arguments of each benchmark, by its name."""
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> int:
     """Run those named, or all; return the first exit status that is not 0."""
-    wanted = sys.argv[1:] or NAMES
-    if unknown := sorted(set(wanted) - set(NAMES)):
-        sys.stderr.write(f"no benchmark {', '.join(unknown)}; there are {NAMES}\n")
+    wanted = sys.argv[1:] or list(RUNS)
+    if unknown := sorted(set(wanted) - set(RUNS)):
+        there = ", ".join(RUNS)
+        sys.stderr.write(f"no benchmark {', '.join(unknown)}; there are {there}\n")
         return 2
     failed = 0
     for name in wanted:
         print(f"\n== {name}", flush=True)
-        command = [sys.executable, "-m", f"benchmarks.{name}"]
+        module, *arguments = RUNS[name]
+        command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
         failed = failed or subprocess.run(command, cwd=ROOT, check=False).returncode
     return failed
 

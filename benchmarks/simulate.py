@@ -5,11 +5,6 @@ at and around 100 Hz, without module code; beside it the twin of the dispatcher,
 keeps every decision (`pbonet.sched.inline`), and the whole of `simulate_job`. The
 median of five runs; the goal is 100 for the first line.
 
-Then the mean response time of aperiodic events, in virtual time, for the policies of
-section 6.5 of Stewart 1994: Poisson events of 1 ms on average that ask for 30 % of
-what three periodic tasks leave, served with the largest capacity that the exact test
-allows. Every policy gets the same events, and no periodic task misses.
-
     python -m benchmarks.simulate [--json FILE]
 """
 
@@ -17,20 +12,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
-import random
 import statistics
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbonet import verify
 from pbonet.config.model import Rmod, RtpuEntry, SvarFile
-from pbonet.sched.analysis import Demand, largest_server
 from pbonet.sched.inline import Inline
-from pbonet.sched.servers import Server, ServerKind
-from pbonet.sched.simulate import PeriodicTask, ServerTask, poisson, simulate
+from pbonet.sched.simulate import PeriodicTask, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,82 +97,12 @@ def speeds() -> dict[str, float]:
     }
 
 
-POLICIES = {
-    "background": (ServerKind.BACKGROUND, False),
-    "polling (MUF)": (ServerKind.POLLING, False),
-    "RDS": (ServerKind.DEFERRABLE, True),
-    "RSS": (ServerKind.SPORADIC, True),
-    "MDS": (ServerKind.DEFERRABLE, False),
-    "MSS": (ServerKind.SPORADIC, False),
-}
-"""Kind of server, and whether RM schedules the tasks, not MUF."""
-SERVER_PERIOD = 20 * MS
-
-
-def periodic_tasks(load: float) -> list[Demand]:
-    """Return three tasks that use `load` of the core."""
-    shares = {20: 0.4, 50: 0.35, 90: 0.25}
-    return [
-        Demand(
-            name=f"T{period}",
-            period_ns=period * MS,
-            cost_ns=round(load * share * period * MS),
-        )
-        for period, share in shares.items()
-    ]
-
-
-def events(load: float, until_ns: int) -> list[tuple[int, int]]:
-    """Return events that ask for 30 % of what `load` leaves, 1 ms each on average."""
-    draw = partial(random.Random(7).expovariate, 1.0)
-    rate = 0.3 * (1 - load) / 1e-3
-    return list(poisson(draw, rate, lambda: max(1000, round(draw() * MS)), until_ns))
-
-
-def serve(load: float, kind: ServerKind, *, rm: bool, seconds: int = 200) -> float:
-    """Return the mean response time of the events in ms; NaN without any capacity."""
-    asked = periodic_tasks(load)
-    capacity = 0
-    if kind is not ServerKind.BACKGROUND:
-        room = Server(kind=kind, capacity_ns=0, period_ns=SERVER_PERIOD)
-        capacity = largest_server(room, asked, rm=rm)
-        if not capacity:
-            return math.nan
-    server = ServerTask(
-        name="server",
-        kind=kind,
-        arrivals=events(load, seconds * SECOND),
-        capacity_ns=capacity,
-        period_ns=SERVER_PERIOD,
-        crit=62 if rm else 6,
-        drop_crit=None if rm else 4,
-    )
-    made = [
-        PeriodicTask(
-            name=one.name,
-            period_ns=one.period_ns,
-            cost=one.cost_ns,
-            crit=50 - place if rm else 5,
-        )
-        for place, one in enumerate(asked)
-    ]
-    outcome = simulate(made, [server], until_ns=seconds * SECOND, keep=False)
-    if outcome.missing:
-        raise SystemExit(f"{kind.value}: {outcome.missing} missed deadlines")
-    return statistics.fmean(outcome.tasks["server"].responses_ns) / MS
-
-
 def main() -> int:
     """Measure, print, and say whether the goal was met."""
     parser = argparse.ArgumentParser(description="Speed of virtual time.")
     parser.add_argument("--json", metavar="FILE", help="write the figures there too")
     arguments = parser.parse_args()
-    found = {"times real time": speeds()} | {
-        f"mean response in ms at U = {load}": {
-            name: serve(load, kind, rm=rm) for name, (kind, rm) in POLICIES.items()
-        }
-        for load in (0.5, 0.8)
-    }
+    found = {"times real time": speeds()}
     for title, rows in found.items():
         print(title)
         for name, value in rows.items():
