@@ -105,7 +105,7 @@ def demands(load: float) -> list[Demand]:
 
 def arrivals(load: float, until_ns: int) -> list[tuple[int, int]]:
     """Return events that ask for 30 % of what `load` leaves, 1 ms each on average."""
-    draw = partial(random.Random(7).expovariate, 1.0)  # noqa: S311 - repeatable
+    draw = partial(random.Random(7).expovariate, 1.0)
     rate = 0.3 * (1 - load) / 1e-3
     return list(poisson(draw, rate, lambda: max(1000, round(draw() * MS)), until_ns))
 

@@ -7,9 +7,9 @@ in, and its outputs are committed afterwards. Given are the median of the blocks
 quantiles with the least and the greatest, and the same of neighbouring blocks' ratios.
 
 With ``--tasks`` others of 100 Hz with the same ports run on the core beside the task;
-the C loop always has it alone. With ``--checks`` a third block follows in every turn, in
-which everything is looked after: MAXC and MINC declared, a handler with a criticality
-of its own, for all tasks.
+the C loop always has it alone. With ``--checks`` a third block follows in every turn,
+in which everything is looked after: MAXC and MINC declared, a handler with a
+criticality of its own, for all tasks.
 
     python -m benchmarks.jitter [--blocks 7] [--seconds 4] [--tasks 1] [--checks]
         [--core 1] [--json FILE]

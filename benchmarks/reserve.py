@@ -31,6 +31,7 @@ from benchmarks import rtbench
 from pbonet.node import _rt
 from pbonet.sched.dispatch import turns
 from pbonet.sched.events import Event
+from pbonet.sched.records import Decision
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,7 +77,11 @@ def asleep() -> None:
     time.sleep(ASLEEP)
 
 
-WORK = {"Python": lambda: in_python, "numpy": in_numpy, "asleep": lambda: asleep}
+WORK: dict[str, Callable[[], Callable[[], None]]] = {
+    "Python": lambda: in_python,
+    "numpy": in_numpy,
+    "asleep": lambda: asleep,
+}
 
 
 class Failures:
@@ -102,7 +107,7 @@ class Failures:
         for head, inputs, decisions in turns(trace):
             self._one(head.a, [*inputs, *decisions])
 
-    def _one(self, now: int, records: list[_rt.Decision]) -> None:
+    def _one(self, now: int, records: list[Decision]) -> None:
         mine = {Event(r.kind): r for r in records if r.slot == self._slot}
         used = mine[Event.USED].a if Event.USED in mine else 0
         if Event.FAIL in mine:

@@ -41,8 +41,8 @@ def compile_c(name: str, folder: Path) -> Path:
     here = Path(__file__).parent
     program = folder / name
     native = here.parent / "pbonet" / "node"
-    options = ["-O2", "-std=c11", "-I", native, "-o", program]
-    subprocess.run(["cc", *options, here / f"{name}.c", "-lm"], check=True)  # noqa: S607 - the compiler is where PATH says
+    options = ["-O2", "-std=c11", "-I", str(native), "-o", str(program)]
+    subprocess.run(["cc", *options, str(here / f"{name}.c")], check=True)  # noqa: S607 - the compiler is where PATH says
     return program
 
 
