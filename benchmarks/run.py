@@ -15,7 +15,7 @@ RUNS = {
     "jitter": "jitter",
     "jitter-checks": "jitter --checks --tasks 1 4 16 --blocks 5 --seconds 2",
     "overhead": "overhead",
-    "overhead-checks": "overhead --checks --blocks 5 --seconds 1",
+    "overhead-checks": "overhead --checks --blocks 3 --seconds 1",
     "dispatcher": "overhead --checks --rate 3000 --counts 1 15 --blocks 5 --seconds 1",
     "reserve": "reserve",
     "costs": "costs",
