@@ -13,11 +13,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
-
 from pbonet import verify
 from pbonet.config.library import Library
-from pbonet.config.model import TaskType
+from pbonet.config.model import JobTask, TaskType
 from pbonet.errors import (
     NodeError,
     PbonetError,
@@ -26,10 +24,12 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.io.policy import no_devices
+from pbonet.master.failures import stuck
 from pbonet.master.files import Files
 from pbonet.master.picture import Member
-from pbonet.master.recording import STABLE, Recording, TaskRecord
+from pbonet.master.recording import STABLE, Recording
 from pbonet.master.simtable import MemoryCopies, MemoryTable
+from pbonet.master.simtask import SimTask, Turns
 from pbonet.node.executor import Executor
 from pbonet.node.taskports import check_ports
 from pbonet.pbo import (
@@ -42,55 +42,19 @@ from pbonet.pbo import (
     decode_params,
 )
 from pbonet.sched.criticality import PLANNED
-from pbonet.sched.dispatch import Dispatcher
-from pbonet.sched.events import Event, pack
-from pbonet.sched.records import Decision, Kind, Mode
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from pbonet.config.model import JobFile, JobTask
+    from pbonet.config.model import JobFile
     from pbonet.pbo import Notice
 
 REASON = "this is a simulation"
 BEGIN_NS = 1_000_000_000
 """The virtual clock's first instant."""
 _SIMULATED = {TaskType.PERIODIC, TaskType.SYNCHRONOUS}
-
-
-class SimTask(Struct, kw_only=True, eq=False):
-    """One task of a simulation."""
-
-    member: Member
-    executor: Executor
-    copies: MemoryCopies
-    source: Counted
-    outbox: BoundedOutbox
-    slot: int
-    record: TaskRecord
-    crit: int = 0
-    priority: int = 0
-    arms: int = 0
-    on_ns: int = 0
-    """When it was last turned on; 0 for never."""
-    last_ns: int = 0
-    """The release of the last executed cycle; 0 when there was none since ON."""
-    warnings: int = 0
-    """Since it was last turned on."""
-    warning: str = ""
-    """The first of them."""
-
-    @property
-    def name(self) -> str:
-        """The task's name."""
-        return self.member.name
-
-    @property
-    def period_ns(self) -> int:
-        """Nanoseconds from release to release."""
-        return round(1e9 / self.member.freq)
 
 
 class Simulation:
@@ -121,7 +85,7 @@ class Simulation:
         })
         self.events: list[str] = []
         self._tasks: dict[str, SimTask] = {}
-        self._turns = {rtpu.name: _Turns() for rtpu in self._files.sbs.rtpus}
+        self._turns = {rtpu.name: Turns() for rtpu in self._files.sbs.rtpus}
 
     # -- the job ----------------------------------------------------------------------
 
@@ -135,16 +99,12 @@ class Simulation:
         """
         members = {m.name: m for m in map(self._member, self.job.tasks)}
         tasks = [member.task for member in members.values()]
-        verdict = self._judged(tasks, producers=False)
-        if verdict.problems:
-            verdict = self._judged(tasks, producers=True)
-        verdict.check()
-        self.events += map(verify.as_text, verdict.warnings)
+        self._check(verify.job(tasks))
         with no_devices(REASON):
             try:
                 for name in verify.spawn_order(tasks):
                     self._spawn(members[name])
-                self._rank(verify.user_priorities(tasks))
+                self._rank()
                 for name in verify.on_order(tasks):
                     self.signal(name, "on")
             except BaseException:
@@ -165,8 +125,13 @@ class Simulation:
                         self._turn(turns)
         self.now_ns = end_ns
 
-    def signal(self, task: str, name: str) -> State:
+    def signal(self, task: str, name: str, *, handover: bool = False) -> State:
         """Send ``on``, ``off``, ``kill``, ``clear`` or ``reinit`` to a task.
+
+        Args:
+            task: The task.
+            name: What is sent.
+            handover: For ``off`` and ``kill``: a successor takes over the outputs.
 
         Raises:
             UnknownTaskError: There is no such task.
@@ -176,9 +141,58 @@ class Simulation:
         found = self.task(task)
         with no_devices(REASON):
             try:
-                return found.executor.signal(name)
+                return found.executor.signal(name, handover=handover)
             finally:
                 self._after(found, found.outbox.drain())
+
+    def spawn(
+        self, rmod: str, rtpu: str | None = None, freq: float | None = None
+    ) -> SimTask:
+        """Create one more task; it is OFF, as by `Subsystem.spawn`.
+
+        Raises:
+            ConfigError: There is no such RMOD, or its file is wrong.
+            StateError: There is a task of this name.
+            VerificationError: It does not fit the table or its module.
+            PbonetError: The module does not load, or its `init` failed.
+        """
+        member = self._member(JobTask(rmod=rmod, rtpu=rtpu, freq=freq))
+        if member.name in self._tasks:
+            raise StateError(
+                f"the simulation has a task {member.name} already",
+                remedy="an RMOD is one task; copy it under another name for a second",
+            )
+        self._check(verify.spawn(member.task))
+        with no_devices(REASON):
+            self._spawn(member)
+            self._rank()
+        return self.task(member.name)
+
+    def reconfig(self, items: Sequence[tuple[str, str]]) -> dict[str, State]:
+        """Send an ordered list of signals at one instant; it is judged by its end.
+
+        Args:
+            items: Pairs of task and signal.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            UnknownTaskError: There is no such task; nothing was sent.
+            VerificationError: The end would be illegal; nothing was sent.
+            ReconfigError: An item failed; it says which, and what was not sent.
+        """
+        for task, _ in items:
+            self.task(task)
+        self._check(verify.reconfig(items))
+        states: dict[str, State] = {}
+        for done, (task, name) in enumerate(items):
+            try:
+                heir = name == "off" and self._has_heir(task, items[done + 1 :])
+                states[task] = self.signal(task, name, handover=heir)
+            except PbonetError as error:
+                raise stuck(items, done, error) from error
+        return states
 
     def set(self, task: str, name: str, value: str) -> object:
         """Change a parameter of a task; `value` is what a LOCAL line would have."""
@@ -293,15 +307,37 @@ class Simulation:
         info = self._library.load(record.module).info
         return Member(source=source, rtpu=rtpu, freq=freq, info=info, told=wanted.told)
 
-    def _judged(self, tasks: list[verify.Task], *, producers: bool) -> verify.Verdict:
-        """Judge the job; with `producers`, remedies can name RMODs of the library."""
-        empty = verify.Configuration(
+    def _has_heir(self, task: str, rest: Sequence[tuple[str, str]]) -> bool:
+        """Tell whether a list goes on to turn on who writes what `task` writes."""
+        outputs = {*self.task(task).copies.out_vars}
+        return any(
+            signal == "on" and outputs & {*self.task(other).copies.out_vars}
+            for other, signal in rest
+        )
+
+    def _check(self, change: verify.Change) -> None:
+        """Refuse a change that would be illegal; its warnings are events.
+
+        Raises:
+            VerificationError: It would be.
+        """
+        verdict = self._judged(change, producers=False)
+        if verdict.problems:
+            verdict = self._judged(change, producers=True)
+        verdict.check()
+        self.events += map(verify.as_text, verdict.warnings)
+
+    def _judged(self, change: verify.Change, *, producers: bool) -> verify.Verdict:
+        """Judge a change; with `producers`, remedies can name RMODs of the library."""
+        now = verify.Configuration(
             svar=self._files.table,
+            tasks=tuple(task.member.task for task in self._tasks.values()),
+            on=frozenset(n for n, state in self.states().items() if state is State.ON),
             rtpus=self._files.sbs.rtpus,
             producers=self._files.producers() if producers else {},
             limit=PLANNED,
         )
-        return verify.judge(empty, verify.job(tasks))
+        return verify.judge(now, change)
 
     def _spawn(self, member: Member) -> None:
         rmod = member.rmod
@@ -341,7 +377,9 @@ class Simulation:
         executor.spawn()
         self._after(task, outbox.drain())
 
-    def _rank(self, priorities: dict[str, int]) -> None:
+    def _rank(self) -> None:
+        everyone = [task.member.task for task in self._tasks.values()]
+        priorities = verify.user_priorities(everyone)
         for entry in self._files.sbs.rtpus:
             turns = self._turns[entry.name]
             tasks = [task.member.task for task in turns.tasks]
@@ -353,7 +391,7 @@ class Simulation:
 
     # -- running ----------------------------------------------------------------------
 
-    def _turn(self, turns: _Turns) -> None:
+    def _turn(self, turns: Turns) -> None:
         """Let every task run that has a release now, the most urgent one first."""
         while task := turns.next(self.now_ns):
             self._cycle(task)
@@ -424,55 +462,6 @@ class Simulation:
 
     def _clock(self) -> str:
         return f"{(self.now_ns - BEGIN_NS) * 1e-9:.3f} s"
-
-
-class _Turns:
-    """The dispatcher of one RTPU, and the tasks in its slots."""
-
-    def __init__(self) -> None:
-        self.tasks: list[SimTask] = []
-        self.due_ns = 0
-        """When it wants its next turn; 0 for never."""
-        self._rules = Dispatcher(park=True)
-        self._inputs: list[Decision] = []
-
-    def add(self, task: SimTask) -> None:
-        """Give a task the next slot."""
-        self.tasks.append(task)
-        self._tell(Event.LIFE, task, 1)
-        self.configure(task)
-
-    def configure(self, task: SimTask) -> None:
-        """Tell the dispatcher a task's period and rank."""
-        arg = pack(task.crit, task.priority, int(Kind.PERIODIC))
-        self._tell(Event.CONFIG, task, arg, task.period_ns)
-
-    def mode(self, task: SimTask, *, on: bool) -> bool:
-        """Arm or disarm a task; False when it was so before."""
-        armed = bool(task.arms % 2)
-        if armed == on:
-            return False
-        task.arms += 1
-        word = (Mode.ON if on else Mode.OFF) | (task.arms & 0x7FFF) << 2
-        self._tell(Event.MODE, task, word)
-        self.due_ns = self.due_ns or 1  # as soon as time goes on
-        return True
-
-    def next(self, now_ns: int) -> SimTask | None:
-        """Take a turn; return the task that is let run, None when nobody is."""
-        inputs, self._inputs = self._inputs, []
-        decisions, self.due_ns = self._rules.turn(now_ns, inputs)
-        for decision in decisions:
-            if decision.kind == Event.WAKE:
-                return self.tasks[decision.slot]
-        return None
-
-    def done(self, task: SimTask) -> None:
-        """Tell the dispatcher that a granted cycle has ended."""
-        self._tell(Event.DONE, task)
-
-    def _tell(self, event: Event, task: SimTask, arg: int = 0, a: int = 0) -> None:
-        self._inputs.append(Decision(int(event), task.slot, arg, a, 0))
 
 
 def simulate(

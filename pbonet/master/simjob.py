@@ -133,9 +133,9 @@ class Timed(Simulation):
         copies.publish()
         copies.hold = False
 
-    def _judged(self, tasks: list[verify.Task], *, producers: bool) -> verify.Verdict:
+    def _judged(self, change: verify.Change, *, producers: bool) -> verify.Verdict:
         """Judge the job but for its load; its warnings are told by `simulate`."""
-        verdict = without_loads(super()._judged(tasks, producers=producers))
+        verdict = without_loads(super()._judged(change, producers=producers))
         return structs.replace(verdict, problems=verdict.refused)
 
 

@@ -1,0 +1,130 @@
+"""Geometry of a serial arm with revolute joints, from its Denavit-Hartenberg table.
+
+Row i of the table is (theta, d, a, alpha), and frame i stands in frame i-1 at
+Rz(theta + q) Tz(d) Tx(a) Rx(alpha), as in `pbonet.io.chain`. A pose is the matrix
+[R p] of three rows and four columns: orientation and origin (m) of a frame in the base.
+Velocities and small displacements are (m/s, rad/s) and (m, rad) in the base's axes.
+"""
+
+from __future__ import annotations
+
+from math import acos, pi, sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pbonet import Matrix, Vector
+
+_SMALL = 1e-9
+
+
+class Geometry:
+    """Pose and Jacobian of the last frame of an arm.
+
+    Args:
+        dh: Rows of theta (rad), d (m), a (m), alpha (rad); n of them.
+    """
+
+    def __init__(self, dh: Matrix) -> None:
+        theta, d, a, alpha = np.asarray(dh, dtype=np.float64).reshape(-1, 4).T
+        self.n = len(theta)
+        self._theta, self._a = theta.copy(), a.copy()
+        self._sin, self._cos = np.sin(alpha), np.cos(alpha)
+        self._step = np.zeros((self.n, 4, 4))  # each frame in the one before
+        self._step[:, 2, 1], self._step[:, 2, 2] = self._sin, self._cos
+        self._step[:, 2, 3], self._step[:, 3, 3] = d, 1.0
+        self._frame = np.zeros((self.n + 1, 4, 4))  # each frame in the base
+        self._frame[0] = np.eye(4)
+
+    def frames(self, q: Vector) -> Matrix:
+        """Return the base and all frames at `q` (rad), [n + 1, 4, 4].
+
+        It is a view of memory that the next call writes again.
+        """
+        step = self._step
+        s, c = np.sin(self._theta + q), np.cos(self._theta + q)
+        step[:, 0, 0], step[:, 1, 0] = c, s
+        step[:, 0, 1], step[:, 1, 1] = -s * self._cos, c * self._cos
+        step[:, 0, 2], step[:, 1, 2] = s * self._sin, -c * self._sin
+        step[:, 0, 3], step[:, 1, 3] = self._a * c, self._a * s
+        for k in range(self.n):
+            np.matmul(self._frame[k], step[k], out=self._frame[k + 1])
+        return self._frame
+
+    def pose(self, q: Vector) -> Matrix:
+        """Return the pose of the last frame at `q` (rad)."""
+        return self.frames(q)[-1, :3].copy()
+
+    def jacobian(self, q: Vector) -> tuple[Matrix, Matrix]:
+        """Return pose and geometric Jacobian, [6, n], at `q` (rad).
+
+        Column i is what joint i adds to the last frame's velocity by each rad/s: the
+        joint's axis z times the lever, and z itself (Whitney 1972).
+        """
+        frames = self.frames(q)
+        pose = frames[-1, :3].copy()
+        z, lever = frames[:-1, :3, 2].T, pose[:, 3:] - frames[:-1, :3, 3].T
+        jacobian = np.empty((6, self.n))
+        jacobian[0] = z[1] * lever[2] - z[2] * lever[1]
+        jacobian[1] = z[2] * lever[0] - z[0] * lever[2]
+        jacobian[2] = z[0] * lever[1] - z[1] * lever[0]
+        jacobian[3:] = z
+        return pose, jacobian
+
+
+def rotation(turn: Vector) -> Matrix:
+    """Return the rotation matrix of a turn: axis times angle, rad (Rodrigues)."""
+    angle = sqrt(float(turn @ turn))
+    if angle < _SMALL:
+        return np.eye(3) + _cross(turn)
+    k = _cross(turn / angle)
+    turned: Matrix = np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+    return turned
+
+
+def turn_of(matrix: Matrix) -> Vector:
+    """Return the turn, axis times angle (rad, at most pi), of a rotation matrix."""
+    m = matrix
+    axis = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    size = sqrt(float(axis @ axis))  # twice the sine
+    cosine = 0.5 * (float(np.trace(m)) - 1.0)
+    angle = float(np.arctan2(0.5 * size, cosine))
+    if size > _SMALL:
+        return axis * (angle / size)
+    if cosine > 0.0:
+        return 0.5 * axis
+    # half a turn: the axis is the eigenvector of 1, up to its sign
+    column = int(np.argmax(np.diag(m)))
+    axis = m[:, column] + np.eye(3)[column]
+    half: Vector = axis * (pi / sqrt(float(axis @ axis)))
+    return half
+
+
+def difference(wanted: Matrix, pose: Matrix) -> Vector:
+    """Return the displacement (m, rad) that takes `pose` to `wanted`, [6]."""
+    turn = turn_of(wanted[:, :3] @ pose[:, :3].T)
+    return np.concatenate((wanted[:, 3] - pose[:, 3], turn))
+
+
+def gap(wanted: Matrix, pose: Matrix) -> tuple[float, float]:
+    """Return how far two poses are apart: m, and rad."""
+    step = wanted[:, 3] - pose[:, 3]
+    cosine = 0.5 * (float(np.trace(wanted[:, :3].T @ pose[:, :3])) - 1.0)
+    return sqrt(float(step @ step)), acos(min(1.0, max(-1.0, cosine)))
+
+
+def is_rotation(matrix: Matrix) -> bool:
+    """Tell whether a matrix turns and does nothing else, to a millionth."""
+    close = np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6  # noqa: PLR2004
+    return bool(close and np.linalg.det(matrix) > 0.0)
+
+
+def scale(length: float) -> Vector:
+    """Return what makes six rows (m, rad) comparable: `length` (m) counts as 1 rad."""
+    return np.array([1.0 / length] * 3 + [1.0] * 3)
+
+
+def _cross(v: Vector) -> Matrix:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,103 @@
+"""Cartesian velocity control by damped least squares, for any arm."""
+
+from math import sqrt
+from typing import Annotated as A
+
+import numpy as np
+
+from pbonet import (
+    InConst,
+    InVar,
+    Matrix,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+    param,
+)
+
+from ._dh import difference, is_rotation, scale
+
+
+class Damping(Params):
+    """How the pose is followed, and what is given up near a singularity."""
+
+    gain: A[float, param("1/s", "how briskly the pose is followed", gt=0)] = 4.0
+    sigma: A[
+        float, param("none", "singular value from which on nothing is damped", gt=0)
+    ] = 0.2
+    damping: A[float, param("none", "damping at the singularity", gt=0)] = 0.2
+    linear: A[float, param("m/s", "fastest the hand is asked to move", gt=0)] = 0.5
+    angular: A[float, param("rad/s", "fastest the hand is asked to turn", gt=0)] = 1.5
+    length: A[float, param("m", "counts as much as one radian", gt=0)] = 0.2
+
+
+class DampedLS(PortBasedObject[Damping]):
+    """qd = J'(J J' + L)^-1 v, with v = gain * (x_des - x) + xd_des and damping L.
+
+    Least squares that weigh the hand's error against the joints' speed (Nakamura and
+    Hanafusa 1986; Wampler and Leifer 1988). Each direction of the hand is damped by how
+    well the arm can move there, its singular value s: not at all while s is at least
+    SIGMA, and by (1 - (s/SIGMA)^2) DAMPING^2 below, which grows as s shrinks
+    (Chiaverini, Siciliano and Egeland 1994; in the directions that are lost only, as
+    in Maciejewski and Klein 1988). So away from singularities the hand follows exactly,
+    near one it gives up what would cost most, and nowhere do the joints' speeds exceed
+    sqrt(1/(2 DAMPING)^2 + 1/SIGMA^2) times the size of v, positions counted in LENGTH.
+    """
+
+    ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
+    x_des: A[Matrix, InVar("X_DES", "3,4", "mixed", "desired pose, [R p], p in m")]
+    v_des: A[Vector, InVar("X^_DES", "6", "mixed", "its velocity, m/s and rad/s")]
+    x: A[Matrix, InVar("X_MEZ", "3,4", "mixed", "measured pose, [R p], p in m")]
+    jacobian: A[
+        Matrix, InVar("J_MEZ", "6,ndof", "mixed", "m/rad in three rows, then rad/rad")
+    ]
+    qd: A[Vector, OutVar("Q^_CMD", "ndof", "rad/s", "commanded joint velocity")]
+
+    def init(self) -> None:
+        self._take_scale()
+
+    def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
+        self._take_scale()
+
+    def on(self) -> None:
+        self._lost = False
+        self.cycle(0.0)  # who integrates Q^_CMD is turned on next
+
+    def cycle(self, dt: float) -> None:  # noqa: ARG002 - a velocity
+        if not is_rotation(self.x_des[:, :3]):
+            if not self._lost:
+                self.task.warn("X_DES is no pose: its orientation is no rotation")
+            self._lost = True
+            self.qd[:] = 0.0
+            return
+        self._lost = False
+        wish = self.params.gain * difference(self.x_des, self.x) + self.v_des
+        shorten(wish[:3], self.params.linear)
+        shorten(wish[3:], self.params.angular)
+        self.qd[:] = self._solve(wish)
+
+    def off(self) -> None:
+        if not self.task.handover:
+            self.qd[:] = 0.0
+
+    def _solve(self, wish: Vector) -> Vector:
+        """Return the joint velocities, rad/s, for one of the hand, [6]."""
+        u, s, v = np.linalg.svd(
+            self._scale[:, None] * self.jacobian, full_matrices=False
+        )
+        left = np.minimum(s / self.params.sigma, 1.0)
+        square = (1.0 - left * left) * self.params.damping**2
+        share = s / (s * s + square)  # s is zero only where the square is not
+        joints: Vector = v.T @ (share * (u.T @ (self._scale * wish)))
+        return joints
+
+    def _take_scale(self) -> None:
+        self._scale = scale(self.params.length)
+
+
+def shorten(v: Vector, limit: float) -> None:
+    """Shorten a vector to `limit` if it is longer, in place."""
+    size = sqrt(float(v @ v))
+    if size > limit:
+        v *= limit / size

@@ -1,0 +1,119 @@
+"""Inverse kinematics of the PUMA 560 and arms built like it, in closed form."""
+
+from typing import Annotated as A
+
+from pbonet import (
+    InConst,
+    InVar,
+    Matrix,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+    param,
+)
+from pbonet.errors import ParameterError
+
+from ._dh import is_rotation
+from ._puma_arm import PumaArm
+from ._values import PerElement, spread
+
+AGAIN = 1.5
+"""A singularity is told anew when it was left this much farther than NEAR."""
+
+
+class Posture(Params):
+    """Within what limits solutions are looked for, and how they are taken up."""
+
+    lower: A[PerElement, param("rad", "smallest angle of each joint")]
+    upper: A[PerElement, param("rad", "largest angle of each joint")]
+    near: A[
+        float, param("none", "a singularity nearer than this is told", ge=0, lt=1)
+    ] = 0.1
+    fade: A[float, param("s", "until Q_REF has moved to the solution", gt=0)] = 0.5
+
+
+class PumaInvKin(PortBasedObject[Posture]):
+    """q_ref = the joint angles that take the hand to the pose x, nearest to the last.
+
+    When it is turned on, Q_REF moves from where it stands to the solution within FADE.
+    A pose without a solution leaves Q_REF where it is, with a warning; so does one
+    that is no pose. A warning also names a singularity that is near: there, small
+    motions of the hand take large ones of the joints, and this module asks for them.
+    """
+
+    ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
+    dh: A[Matrix, InConst("DH", "ndof,4", "mixed", "rows of theta, d, a, alpha")]
+    x: A[Matrix, InVar("X_DES", "3,4", "mixed", "desired pose, [R p], p in m")]
+    q_ref: A[Vector, OutVar("Q_REF", "ndof", "rad", "reference joint position")]
+
+    def init(self) -> None:
+        self._take_arm()
+
+    def reinit(self) -> None:
+        self._take_arm()
+
+    def set(self, name: str, value: object) -> None:  # noqa: ARG002 - all at once
+        self._take_arm()
+
+    def on(self) -> None:
+        self._solution = self.q_ref.copy()
+        self._holds = True
+        self._told = ""
+        self._close: set[str] = set()
+
+    def cycle(self, dt: float) -> None:
+        if not is_rotation(self.x[:, :3]):
+            self._hold("pose", "X_DES is no pose: its orientation is no rotation")
+            return
+        found, why = self._arm.solve(self.x, self._solution)
+        if found is None:
+            self._hold(why.partition(":")[0], f"no solution, {why}")
+            return
+        if self._holds:
+            self._holds, self._time = False, 0.0
+            self._offset = self.q_ref - found
+            self._told = ""
+        self._time += dt
+        self._solution = found
+        self.q_ref[:] = found + self._left() * self._offset
+        self._watch()
+
+    def _left(self) -> float:
+        """Return how much of the offset from the solution is left."""
+        x = min(self._time / self.params.fade, 1.0)
+        return 1.0 - x * x * (3.0 - 2.0 * x)
+
+    def _hold(self, kind: str, text: str) -> None:
+        """Leave Q_REF where it is, and say why once."""
+        self._holds = True
+        if kind != self._told:
+            self._told = kind
+            self.task.warn(f"{text}; Q_REF stays where it is")
+
+    def _watch(self) -> None:
+        """Say once that a singularity is near, and which."""
+        near = self.params.near
+        for name, distance in self._arm.singular(self._solution).items():
+            if distance < near and name not in self._close:
+                self._close.add(name)
+                self.task.warn(
+                    f"the arm comes near its {name} singularity: {distance:.3f} of 1"
+                )
+            elif distance > AGAIN * near:
+                self._close.discard(name)
+
+    def _take_arm(self) -> None:
+        k = self.params
+        lower, upper = (
+            spread(k.lower, self.ndof, "lower"),
+            spread(k.upper, self.ndof, "upper"),
+        )
+        if (lower >= upper).any():
+            raise ParameterError(
+                "the joint limits leave a joint no room",
+                expected="LOWER below UPPER",
+                got=f"LOWER {k.lower}, UPPER {k.upper}",
+                remedy="exchange the two, or widen them",
+            )
+        self._arm = PumaArm(self.dh, lower, upper)
