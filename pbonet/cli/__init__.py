@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 VERBS = (
     *("run", "sbs", "check", "describe", "new", "agent", "doctor"),
     *("start", "stop", "spawn", "on", "off", "kill", "clear", "reinit", "reconfig"),
+    *("swap", "switch"),
     *("status", "profile", "adopt", "simulate"),
     *("display", "write", "get", "set", "freq", "module"),
     *("events", "sigwait", "sigmask"),

@@ -86,6 +86,11 @@ def _parameter(arg: Arg) -> inspect.Parameter:
     """Return one argument of the table as typer wants it."""
     kind: Any = _TYPES.get(arg.kind, str)
     where = inspect.Parameter.KEYWORD_ONLY
+    if arg.kind is Kind.FLAG:
+        flag = typer.Option(f"--{arg.name.replace('_', '-')}", help=arg.doc)
+        return inspect.Parameter(
+            arg.name, where, annotation=A[bool, flag], default=False
+        )
     if arg.use is Use.NAMED:
         about: Any = typer.Option(f"--{arg.name}", help=arg.doc, metavar=arg.kind)
     else:

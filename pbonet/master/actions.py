@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.master.desk import Desk
+    from pbonet.master.switching import Transition
 
 Given: TypeAlias = dict[str, Any]
 Data: TypeAlias = dict[str, Any]
@@ -70,6 +71,29 @@ def reconfig(desk: Desk, given: Given) -> Data:
     states = desk.subsystem.reconfig(items)
     desk.point_at(items[-1][0])
     return {"states": states}
+
+
+def swap(desk: Desk, given: Given) -> Data:
+    """Put tasks into the place of others."""
+    old, new = (
+        [name for name in given[arg].split(",") if name] for arg in ("old", "new")
+    )
+    found = desk.subsystem.swap(
+        old, new, rtpu=given.get("rtpu"), dry_run=given.get("dry_run", False)
+    )
+    desk.point_at(new[-1])
+    return _transition(found)
+
+
+def switch(desk: Desk, given: Given) -> Data:
+    """Go over to another job."""
+    dry_run = given.get("dry_run", False)
+    return _transition(desk.subsystem.switch(given["job"], dry_run=dry_run))
+
+
+def _transition(found: Transition) -> Data:
+    data: Data = msgspec.to_builtins(found)
+    return data
 
 
 def start(desk: Desk, given: Given) -> Data:

@@ -7,6 +7,7 @@ CRITICAL tasks, which drive hardware and so find their inputs flowing.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pbonet import verify
@@ -16,6 +17,7 @@ from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
     import threading
+    from collections.abc import Generator
 
     from pbonet.config.model import JobFile
     from pbonet.master.crew import Crew
@@ -71,44 +73,59 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
     tasks = [member.task for member in wanted]
     crew.judge(verify.job(tasks))
     by_name = {member.name: member for member in wanted}
-    done = _Done(crew)
-    try:
+    done = Done(crew)
+    with done.undone_on_error(f"the job {job.name} did not start"):
         for name in verify.spawn_order(tasks):
-            _go_on(stopped)
-            if not _stands(crew, by_name[name]):
+            go_on(stopped)
+            if not stands(crew, by_name[name]):
                 done.spawn(by_name[name])
         crew.rank()
         for name in verify.on_order(tasks):
-            _go_on(stopped)
+            go_on(stopped)
             if not crew.picture.find(name).is_on:
                 done.turn_on(name)
-    except BaseException as error:
-        left = done.undo()
-        if left and isinstance(error, PbonetError):
-            raise SeveralError(
-                f"the job {job.name} did not start, and not all could be undone",
-                [error, *left],
-                remedy="'stop' ends what is left",
-            ) from error
-        raise
     statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
     return [status for status in statuses if status.task in by_name]
 
 
-class _Done:
-    """What a start has done so far, and how it is undone."""
+class Done:
+    """What was done so far, and how it is undone."""
 
     def __init__(self, crew: Crew) -> None:
         self._crew = crew
         self._spawned: list[str] = []
         self._on: list[str] = []
 
+    @contextmanager
+    def undone_on_error(self, what: str) -> Generator[None]:
+        """Undo what was done when the block fails.
+
+        Args:
+            what: What has failed then, for the error.
+
+        Raises:
+            SeveralError: It failed, and not all could be undone.
+        """
+        try:
+            yield
+        except BaseException as error:
+            left = self.undo()
+            if left and isinstance(error, PbonetError):
+                raise SeveralError(
+                    f"{what}, and not all could be undone",
+                    [error, *left],
+                    remedy="'stop' ends what is left",
+                ) from error
+            raise
+
     def spawn(self, member: Member) -> None:
+        """Create a task."""
         freq = member.freq if member.freq != member.rmod.freq else None
         self._crew.create(member, freq)
         self._spawned.append(member.name)
 
     def turn_on(self, name: str) -> None:
+        """Turn a task on."""
         self._crew.control(name, "on", "")
         self._on.append(name)
 
@@ -128,7 +145,7 @@ class _Done:
         return errors
 
 
-def _stands(crew: Crew, member: Member) -> bool:
+def stands(crew: Crew, member: Member) -> bool:
     """Tell whether the task is there already, made from the same RMOD on its RTPU.
 
     Raises:
@@ -137,18 +154,24 @@ def _stands(crew: Crew, member: Member) -> bool:
     old = crew.picture.get(member.name)
     if old is None:
         return False
-    same = (old.source.text, old.rtpu) == (member.source.text, member.rtpu)
-    if same and old.state is not State.ERROR:
+    same = old.source.text == member.source.text
+    if same and old.rtpu == member.rtpu and old.state is not State.ERROR:
         return True
     raise StateError(
         f"the task {old.name} stands in the way",
         where=f"{old.rtpu}/{old.name}",
         expected=f"none, or one of the same RMOD on {member.rtpu} without error",
-        got=f"state {old.state}, " + ("the same RMOD" if same else "another RMOD"),
+        got=f"state {old.state}, {'the same' if same else 'another'} RMOD "
+        f"on {old.rtpu}",
         remedy=f"'kill {old.name}' removes it",
     )
 
 
-def _go_on(stopped: threading.Event) -> None:
+def go_on(stopped: threading.Event) -> None:
+    """Go on, unless a stop came in between.
+
+    Raises:
+        StateError: One did.
+    """
     if stopped.is_set():
         raise StateError("the start was given up because a stop came in between")

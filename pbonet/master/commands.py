@@ -38,6 +38,8 @@ class Kind(StrEnum):
     WORD = "word"
     NUMBER = "number"
     COUNT = "count"
+    FLAG = "yes"
+    """Yes or no: ``name=yes`` at the prompt, ``--name`` alone else."""
 
 
 class Use(StrEnum):
@@ -125,6 +127,9 @@ class Command(Struct, frozen=True):
 
 _TASK: Final = Arg("task", Kind.TASK, "the task", Use.MAYBE, last=True)
 _TASKS: Final = Arg("task", Kind.TASK, "the tasks", Use.ANY, last=True)
+_DRY: Final = Arg(
+    "dry_run", Kind.FLAG, "verify, and only show what would be done", Use.NAMED
+)
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 
 COMMANDS: Final = (
@@ -314,6 +319,25 @@ COMMANDS: Final = (
         scope=Scope.SESSION,
     ),
     Command("stop", "Turn everything OFF and end it, now.", actions.stop),
+    Command(
+        "swap",
+        "Put tasks into the place of others; the old ones stay OFF.",
+        actions.swap,
+        (
+            Arg("old", Kind.TASK, "the tasks that leave, with commas"),
+            Arg("new", Kind.RMOD, "the tasks or RMODs that come, with commas"),
+            Arg("rtpu", Kind.RTPU, "where to spawn; beside the old ones", Use.NAMED),
+            _DRY,
+        ),
+        changes=True,
+    ),
+    Command(
+        "switch",
+        "Go over to another job; what both have stays ON, the rest is killed.",
+        actions.switch,
+        (Arg("job", Kind.JOB, "the job"), _DRY),
+        changes=True,
+    ),
     Command(
         "wait",
         "Wait before the next command; a stop ends it.",

@@ -130,4 +130,5 @@ _KINDS: Final[dict[Kind, Callable[[Desk], Iterable[str]]]] = {
     Kind.COMMAND: lambda _: BY_NAME,
     Kind.SIGNAL: _signals,
     Kind.ITEM: _items,
+    Kind.FLAG: lambda _: ("yes", "no"),
 }

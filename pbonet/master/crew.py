@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pbonet import verify
 from pbonet.config import parse_rmod
-from pbonet.errors import PbonetError, StateError
+from pbonet.errors import NoAnswerError, PbonetError, StateError, UnreachableError
 from pbonet.master import modules
 from pbonet.master.failures import stuck
 from pbonet.master.files import RmodSource
@@ -346,8 +346,14 @@ class Crew:
         self.note(status)
         return status
 
-    def send(self, items: Sequence[tuple[str, str]]) -> dict[str, str]:
+    def send(
+        self, items: Sequence[tuple[str, str]], before: Sequence[tuple[str, str]] = ()
+    ) -> dict[str, str]:
         """Send signals in order, in as few messages as the order allows.
+
+        Args:
+            items: Pairs of task and signal.
+            before: What of the same list was carried out already, for errors.
 
         Returns:
             The states of the tasks concerned.
@@ -356,23 +362,39 @@ class Crew:
             ReconfigError: An item failed; the rest was not sent.
         """
         states: dict[str, str] = {}
-        done = 0
+        done = len(before)
+        handover = self._handed_over(items)
+        whole = [*before, *items]
         for rtpu, part in self._runs(items):
-            request = m.Reconfig(items=part, timeout=CONTROL_TIME)
+            request = m.Reconfig(items=part, handover=handover, timeout=CONTROL_TIME)
             try:
                 answer = self.fleet.call(
                     rtpu, request, m.Reconfigured, timeout=CONTROL_TIME * len(part)
                 )
+            except (UnreachableError, NoAnswerError) as error:
+                raise stuck(whole, done, error, unsure=len(part)) from error
             except PbonetError as error:
-                raise stuck(items, done, error) from error
+                raise stuck(whole, done, error) from error
             for task, state in answer.states.items():
                 self._move(task, State(state))
             states |= answer.states
             done += answer.done
             if answer.error is not None:
                 cause = rpc.placed(rtpu, PbonetError.from_wire(answer.error))
-                raise stuck(items, done, cause) from cause
+                raise stuck(whole, done, cause) from cause
         return states
+
+    def _handed_over(self, items: Sequence[tuple[str, str]]) -> list[str]:
+        """Return the tasks that go off and whose outputs a later item takes over."""
+        found: list[str] = []
+        taken: set[str] = set()
+        for task, signal in reversed(items):
+            outputs = self.picture.find(task).task.outputs
+            if signal == "on":
+                taken.update(outputs)
+            elif signal == "off" and taken.intersection(outputs):
+                found.append(task)
+        return found
 
     def _runs(
         self, items: Sequence[tuple[str, str]]

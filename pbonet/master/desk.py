@@ -59,7 +59,7 @@ class Call(Struct, frozen=True):
             return bool(self.given.get("signal"))
         if self.command.name == "set":
             return bool(self.given.get("value"))
-        return self.command.changes
+        return self.command.changes and not self.given.get("dry_run")
 
 
 class Desk:
@@ -308,6 +308,10 @@ def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by i
         raise _usage(command, f"{arg.name.upper()} has {len(word)} characters")
     if arg.kind in {Kind.NUMBER, Kind.COUNT}:
         return _number(command, arg, word)
+    if arg.kind is Kind.FLAG:
+        if word not in {"yes", "no"}:
+            raise _usage(command, f"{arg.name} is yes or no, not {word}")
+        return word == "yes"
     if arg.kind is Kind.ITEM:
         task, colon, signal = word.partition(":")
         if not colon or not task or not signal:

@@ -29,13 +29,25 @@ def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
 
 
 def stuck(
-    items: Sequence[tuple[str, str]], done: int, error: PbonetError
+    items: Sequence[tuple[str, str]], done: int, error: PbonetError, *, unsure: int = 0
 ) -> ReconfigError:
-    """Return the error that says which item failed, what was done, and what was not."""
+    """Return the error that says which item failed, what was done, and what was not.
+
+    Args:
+        items: All items.
+        done: How many were carried out.
+        error: What came of the next one.
+        unsure: How many from there on were sent without an answer.
+    """
     task, signal = items[done]
+    rest = done + max(unsure, 1)
     parts = [
         f"{what}: " + ", ".join(f"{signal} {task}" for task, signal in some)
-        for what, some in (("done", items[:done]), ("not sent", items[done + 1 :]))
+        for what, some in (
+            ("done", items[:done]),
+            ("sent, and not known whether done", items[done : done + unsure]),
+            ("not sent", items[rest:]),
+        )
         if some
     ]
     stuck = ReconfigError(

@@ -339,6 +339,17 @@ def _states(data: Data) -> str:
     return "  ".join(f"{task} {state}" for task, state in states.items())
 
 
+def _transition(data: Data) -> str:
+    lines = [f"spawn {task} on {rtpu}" for task, rtpu in data["spawns"].items()]
+    lines += [f"{signal} {task}" for task, signal in data["items"]]
+    lines += [f"kill {task}" for task in data["kills"]]
+    lines = lines or ["nothing to do"]
+    lines.append("stays ON: " + (", ".join(data["stays"]) or "nothing"))
+    if data["states"]:
+        lines.append(_states(data))
+    return "\n".join(lines)
+
+
 def event(one: Event) -> str:
     """Return an event as one line, or more if its text has more."""
     clock = time.strftime("%H:%M:%S", time.localtime(one.wall))
@@ -398,6 +409,8 @@ _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "check": _check,
     "freq": _freq,
     "stop": _stop,
+    "swap": _transition,
+    "switch": _transition,
     "events": _events,
     "sigmask": _sigmask,
     "sigwait": _sigwait,

@@ -34,6 +34,7 @@ from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
 from pbonet.master.signalling import Inbox, Signalled
+from pbonet.master.switching import Switching
 from pbonet.master.words import (
     check_rate,
     check_signal,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
 
 
-class Subsystem(Signalled):
+class Subsystem(Signalled, Switching):
     """A subsystem of tasks on one or more RTPUs, steered by this master.
 
     Args:
@@ -262,33 +263,6 @@ class Subsystem(Signalled):
             finally:
                 crew.settle()
 
-    def reconfig(self, items: Sequence[tuple[str, str]]) -> dict[str, str]:
-        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
-
-        Args:
-            items: Pairs of task and signal.
-
-        Returns:
-            The states of the tasks concerned.
-
-        Raises:
-            UnknownTaskError: There is no such task; nothing was sent.
-            VerificationError: The end would be illegal; nothing was sent.
-            ReconfigError: An item failed; it says which, and what was not sent.
-        """
-        for _, signal in items:
-            check_signal(signal)
-        judged = any(signal == "on" for _, signal in items)
-        with self._changing(strict=judged) as crew:
-            for task, _ in items:
-                crew.picture.find(task)
-            if judged:
-                crew.judge(verify.reconfig(items))
-            try:
-                return crew.send(items)
-            finally:
-                crew.settle()
-
     def freq(self, task: str, hz: float | None = None) -> float:
         """Return a task's frequency in Hz; with `hz`, set it first.
 
@@ -477,8 +451,8 @@ class Subsystem(Signalled):
         """Hand a warning to the command that gave it, else to whoever listens."""
         (collector() or self.warned)(text)
 
-    def _changing(self, *, strict: bool = True) -> Changing:
-        return Changing(self.crew, self._busy, strict=strict)
+    def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
+        return Changing(self.crew, self._busy, strict=strict, claimed=claimed)
 
     def _must_be_variable(self, name: str) -> None:
         known = [variable.name for variable in self.files.table.variables]

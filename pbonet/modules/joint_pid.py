@@ -17,7 +17,11 @@ class Gains(Params):
 
 
 class JointPID(PortBasedObject[Gains]):
-    """Hold q at q_ref: tau = kp*e + integral(ki*e) - kd*qd, with e = q_ref - q."""
+    """Hold q at q_ref: tau = kp*e + integral(ki*e) - kd*qd, with e = q_ref - q.
+
+    With an integral term the torque begins at what the table holds: what another
+    controller commanded last, or nothing at the first start.
+    """
 
     ndof: A[int, InConst("NDOF", "1", "none", "degrees of freedom")]
     q_ref: A[Vector, InVar("Q_REF", "ndof", "rad", "reference position")]
@@ -26,7 +30,10 @@ class JointPID(PortBasedObject[Gains]):
     tau: A[Vector, OutVar("T_REF", "ndof", "N*m", "commanded torque, within +-limit")]
 
     def on(self) -> None:
+        k = self.params
         self._integral = np.zeros_like(self.q)  # N*m: one limit bounds every term
+        if k.ki:  # go on from the torque that the table holds: a swap without a jump
+            self._integral += self.tau + k.kd * self.qd - k.kp * (self.q_ref - self.q)
 
     def cycle(self, dt: float) -> None:
         k, error = self.params, self.q_ref - self.q

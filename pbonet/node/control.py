@@ -160,7 +160,10 @@ async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
     try:
         for i, (name, signal) in enumerate(request.items):
             task = rtpu.need(subsystem, name)
-            handover = signal == "off" and _has_heir(rtpu, task, request.items[i + 1 :])
+            handover = signal == "off" and (
+                name in request.handover
+                or _has_heir(rtpu, task, request.items[i + 1 :])
+            )
             await control(rtpu, task, signal, request.timeout, handover=handover)
             result.done += 1
             result.states[name] = task.state.value

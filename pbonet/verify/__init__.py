@@ -22,7 +22,14 @@ from .judge import (
     signal,
     spawn,
 )
-from .order import flow_order, off_order, on_order, spawn_order, user_priorities
+from .order import (
+    change_order,
+    flow_order,
+    off_order,
+    on_order,
+    spawn_order,
+    user_priorities,
+)
 from .records import Code, Configuration, Problem, Severity, Task
 from .reports import (
     Outlook,
@@ -61,6 +68,7 @@ __all__ = [
     "Verdict",
     "as_error",
     "as_text",
+    "change_order",
     "check",
     "conversion",
     "criticalities",

@@ -127,3 +127,44 @@ def off_order(tasks: Sequence[Task], stated: Sequence[str] = ()) -> list[str]:
     names = {task.name for task in tasks}
     first = [name for name in stated if name in names]
     return first + [name for name in reversed(on_order(tasks)) if name not in first]
+
+
+def change_order(
+    going: Sequence[Task], coming: Sequence[Task], staying: Sequence[Task] = ()
+) -> list[tuple[str, str]]:
+    """Return the signals that lead from one configuration to another (section 3.10).
+
+    Tasks are turned on in the order of `on_order`. Whoever wrote an output of one of
+    them is turned off directly before it, and the other heirs of that one follow
+    directly, so that a variable is without a writer for as short a time as can be.
+    Tasks without an heir go off at the end: until then somebody may read them.
+
+    Args:
+        going: The tasks that are turned off.
+        coming: The tasks that are turned on.
+        staying: The tasks that stay ON.
+
+    Returns:
+        Pairs of task and signal.
+    """
+    known = {task.name: task for task in coming}
+    left = {task.name: task for task in going}
+    todo = [name for name in on_order([*staying, *coming]) if name in known]
+    items: list[tuple[str, str]] = []
+    while todo:
+        heir = known[todo.pop(0)]
+        before = [
+            left.pop(name)
+            for name in off_order(list(left.values()))
+            if _share_outputs(left[name], heir)
+        ]
+        items += [(task.name, "off") for task in before]
+        items.append((heir.name, "on"))
+        todo.sort(
+            key=lambda name: not any(_share_outputs(old, known[name]) for old in before)
+        )
+    return items + [(name, "off") for name in off_order(list(left.values()))]
+
+
+def _share_outputs(one: Task, other: Task) -> bool:
+    return bool(set(one.outputs) & set(other.outputs))

@@ -111,6 +111,9 @@ class Reconfig(Request, tag="reconfig"):
 
     items: list[tuple[str, str]]
     """Pairs of task and signal."""
+    handover: list[str] = []
+    """Tasks whose outputs a task on another RTPU takes over; of those on its own the
+    agent knows by itself."""
     timeout: float = 5.0
 
 

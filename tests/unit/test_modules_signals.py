@@ -243,13 +243,28 @@ def test_pid_keeps_its_limit_and_winds_up_no_further() -> None:
     assert bench.outputs.tau == pytest.approx([5.0 - 0.02 - 1.0, -5.0 + 0.02 + 1.0])
 
 
-def test_pid_begins_with_an_empty_integral() -> None:
-    bench = pid(ki=100.0)
+def test_pid_with_an_integral_begins_at_the_torque_that_the_table_holds() -> None:
+    bench = pid(kp=10.0, ki=100.0)
     bench.inputs.q_ref = [0.1, 0.1]
     bench.step(n=100)
+    before = bench.outputs.tau.copy()
+    assert np.all(before > 0.0)
     bench.off()
+    bench.inputs.q_ref = [0.0, -0.1]
     bench.on()
+    assert bench.outputs.tau == pytest.approx(before)
+    bench.step()
+    step = np.array([0.0, -0.1 * 100.0 * 0.002])
+    assert bench.outputs.tau == pytest.approx(before + step)
+
+
+def test_pid_without_an_integral_holds_on_to_nothing() -> None:
+    bench = pid(kp=10.0)
+    bench.inputs.q_ref = [0.1, 0.1]
+    bench.step()
+    bench.off()
     bench.inputs.q_ref = [0.0, 0.0]
+    bench.on()
     bench.step()
     assert bench.outputs.tau == pytest.approx([0.0, 0.0])
 

@@ -81,3 +81,36 @@ def test_turning_off_is_the_reverse_unless_a_job_says() -> None:
 def test_nothing_is_ordered_as_nothing() -> None:
     assert verify.spawn_order([]) == verify.on_order([]) == verify.off_order([]) == []
     assert verify.user_priorities([]) == {}
+
+
+def test_an_heir_follows_directly_on_who_it_takes_over_from() -> None:
+    """Figures 3.15 and 3.16: one task goes, and two come in its place."""
+    ik = task("invkin", invar="X_REF", outvar="Q_REF")
+    dls = task("dls", invar="X_REF", outvar="Q^_REF")
+    integrator = task("integrator", invar="Q^_REF", outvar="Q_REF")
+    robot = task("robot", invar="Q_REF", outvar="Q_MEZ", critical=True)
+    assert verify.change_order([ik], [integrator, dls], [robot]) == [
+        ("dls", "on"),
+        ("invkin", "off"),
+        ("integrator", "on"),
+    ]
+    assert verify.change_order([integrator, dls], [ik], [robot]) == [
+        ("integrator", "off"),
+        ("invkin", "on"),
+        ("dls", "off"),
+    ]
+
+
+def test_all_heirs_of_one_task_come_before_anything_else() -> None:
+    old = task("old", outvar="A B")
+    news = [task("b", outvar="B"), task("c", outvar="C"), task("a", outvar="A")]
+    assert verify.on_order(news) == ["b", "c", "a"]
+    items = verify.change_order([old], news)
+    assert items == [("old", "off"), ("b", "on"), ("a", "on"), ("c", "on")]
+
+
+def test_who_has_no_heir_goes_at_the_end_readers_first() -> None:
+    going = [task("source", outvar="A"), task("sink", invar="A", outvar="B")]
+    items = verify.change_order(going, [task("other", outvar="C")])
+    assert items == [("other", "on"), ("sink", "off"), ("source", "off")]
+    assert verify.change_order([], []) == []

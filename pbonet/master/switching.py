@@ -1,0 +1,308 @@
+"""From one configuration to another while it runs (Stewart 1994, section 3.10).
+
+What is to be done follows from the two configurations: tasks that both have stay ON, as
+A and D do in Figure 3.1; tasks that only the new one has are spawned first, which takes
+longest and disturbs nobody; then one list of signals exchanges the others, and at the
+end those are killed that nobody wants any more.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet import verify
+from pbonet.errors import StateError, VerificationError
+from pbonet.master import assembly
+from pbonet.master.words import check_signal
+from pbonet.pbo import State
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pbonet.config.model import JobFile
+    from pbonet.master.changing import Changing
+    from pbonet.master.crew import Crew
+    from pbonet.master.files import Files
+    from pbonet.master.picture import Member
+
+_RATE = 1e-6
+"""Relative difference below which two frequencies are the same."""
+
+
+class Transition(Struct, kw_only=True):
+    """What leads from one configuration to another, and what has come of it."""
+
+    stays: list[str]
+    """Tasks that stay ON, untouched."""
+    spawns: dict[str, str]
+    """Tasks that are created, and on which RTPU, in the order constants demand."""
+    items: list[tuple[str, str]]
+    """Pairs of task and signal, in order."""
+    kills: list[str]
+    """Tasks that are destroyed at the end."""
+    states: dict[str, str] = {}
+    """Where the tasks concerned stand behind it; empty while nothing was done."""
+
+
+class Switching:
+    """The part of `Subsystem` that goes from one configuration to another."""
+
+    files: Files
+    stopped: threading.Event
+
+    def _changing(
+        self, *, strict: bool = True, claimed: bool = True
+    ) -> Changing:  # pragma: no cover - `Subsystem` has it
+        raise NotImplementedError
+
+    def reconfig(self, items: Sequence[tuple[str, str]]) -> dict[str, str]:
+        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
+
+        Args:
+            items: Pairs of task and signal.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            UnknownTaskError: There is no such task; nothing was sent.
+            VerificationError: The end would be illegal; nothing was sent.
+            ReconfigError: An item failed; it says which, and what was not sent.
+        """
+        for _, signal in items:
+            check_signal(signal)
+        judged = any(signal == "on" for _, signal in items)
+        with self._changing(strict=judged) as crew:
+            for task, _ in items:
+                crew.picture.find(task)
+            if judged:
+                crew.judge(verify.reconfig(items))
+            try:
+                return crew.send(items)
+            finally:
+                crew.settle()
+
+    def swap(
+        self,
+        old: str | Sequence[str],
+        new: str | Sequence[str],
+        *,
+        rtpu: str | None = None,
+        dry_run: bool = False,
+    ) -> Transition:
+        """Put tasks into the place of others while everything else goes on.
+
+        The old ones stay OFF, so that one can swap back. Tasks that both name are not
+        touched. Given again behind a failure, it does what is left.
+
+        Args:
+            old: The tasks that leave, by name.
+            new: The tasks that come, by name; RMODs that are no tasks yet are spawned.
+            rtpu: Where to spawn; by default where the RMOD says, else where the first
+                of the old ones runs.
+            dry_run: Verify, and only return what would be done.
+
+        Raises:
+            UnknownTaskError: There is no such old task; nothing was done.
+            StateError: A new task stands in ERROR, or on another RTPU than `rtpu`;
+                nothing was done.
+            VerificationError: The end would be illegal; nothing was done.
+            ReconfigError: A signal failed; it says which, and what was not sent.
+            PbonetError: A new task could not be spawned; nothing else was done.
+        """
+        olds, news = _names(old), _names(new)
+        with self._changing(claimed=not dry_run) as crew:
+            plan = _Plan(crew)
+            plan.take_out([crew.picture.find(name) for name in olds], but=news)
+            for name in news:
+                plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
+            return self._carry_out(crew, plan, dry_run=dry_run)
+
+    def switch(self, job: str | Path, *, dry_run: bool = False) -> Transition:
+        """Go over to the configuration of another job while shared tasks go on.
+
+        Tasks that are ON or in ERROR and not in the job are turned off and killed;
+        tasks that are OFF stand by, and stay so.
+
+        Args:
+            job: The ``.job`` file or its name.
+            dry_run: Verify, and only return what would be done.
+
+        Raises:
+            ConfigError: The job is missing, wrong, or of another subsystem.
+            StateError: A task of the job stands, but is another one; nothing was done.
+            VerificationError: The end would be illegal; nothing was done.
+            ReconfigError: A signal failed; it says which, and what was not sent.
+            PbonetError: A new task could not be spawned; nothing else was done.
+        """
+        with self._changing(claimed=not dry_run) as crew:
+            plan = _of_job(crew, self.files.read_job(job))
+            return self._carry_out(crew, plan, dry_run=dry_run)
+
+    def _carry_out(self, crew: Crew, plan: _Plan, *, dry_run: bool) -> Transition:
+        transition = plan.judged()
+        if dry_run:
+            return transition
+        self.stopped.clear()
+        try:
+            plan.spawn(transition, self.stopped)
+            transition.states = crew.send(transition.items)
+            kills = [(name, "kill") for name in transition.kills]
+            transition.states |= crew.send(kills, before=transition.items)
+        finally:
+            crew.settle()
+        return transition
+
+
+class _Plan:
+    """Which tasks leave and which come."""
+
+    def __init__(self, crew: Crew) -> None:
+        self._crew = crew
+        self._going: dict[str, Member] = {}
+        self._coming: dict[str, Member] = {}
+        self._killed: list[str] = []
+
+    def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
+        """Turn tasks off, except those that are named."""
+        self._going |= {one.name: one for one in members if one.name not in but}
+
+    def put_in(self, member: Member) -> None:
+        """Turn a task on, which stands or is to be spawned; harmless if it is ON."""
+        if not member.is_on:
+            self._coming[member.name] = member
+
+    def kill_all(self) -> None:
+        """Kill those that are turned off."""
+        self._killed = list(self._going)
+
+    def judged(self) -> Transition:
+        """Return what is to be done.
+
+        Raises:
+            VerificationError: The end would be illegal.
+        """
+        picture = self._crew.picture
+        stays = [one for one in picture if one.is_on and one.name not in self._going]
+        new = [one for one in self._coming.values() if one.name not in picture]
+        order = verify.spawn_order([one.task for one in (*picture, *new)])
+        spawns = {name: self._coming[name].rtpu for name in order if name in self._new}
+        items = verify.change_order(
+            [one.task for one in self._going.values() if one.is_on],
+            [one.task for one in self._coming.values()],
+            [one.task for one in stays],
+        )
+        transition = Transition(
+            stays=[one.name for one in stays],
+            spawns=spawns,
+            items=items,
+            kills=self._killed,
+        )
+        wanted = [(name, "spawn") for name in spawns]
+        wanted += [(name, "on") for name in transition.stays]  # so the end is demanded
+        wanted += [*items, *((name, "kill") for name in self._killed)]
+        self._crew.judge(verify.reconfig(wanted, [one.task for one in new]))
+        return transition
+
+    @property
+    def _new(self) -> set[str]:
+        return {name for name in self._coming if name not in self._crew.picture}
+
+    def spawn(self, transition: Transition, stopped: threading.Event) -> None:
+        """Create the tasks that do not stand; a failure leaves none of them.
+
+        Raises:
+            PbonetError: One could not be created.
+        """
+        if not transition.spawns:
+            return
+        done = assembly.Done(self._crew)
+        with done.undone_on_error("the change was not begun"):
+            for name in transition.spawns:
+                assembly.go_on(stopped)
+                done.spawn(self._coming[name])
+        self._crew.rank()
+
+
+def _of_job(crew: Crew, job: JobFile) -> _Plan:
+    """Return the plan that leads to a job.
+
+    Raises:
+        PbonetError: RMODs, RTPUs or modules are missing or wrong.
+        StateError: A task of the job stands, but is another one.
+    """
+    plan = _Plan(crew)
+    wanted = assembly.plan(crew, job)
+    names = [member.name for member in wanted]
+    plan.take_out(
+        [one for one in crew.picture if one.state is not State.OFF], but=names
+    )
+    plan.kill_all()
+    for member in wanted:
+        stands = assembly.stands(crew, member)
+        plan.put_in(crew.picture.find(member.name) if stands else member)
+        if stands:
+            _must_run_at(crew.picture.find(member.name), member)
+    return plan
+
+
+def _newcomer(crew: Crew, name: str, rtpu: str | None, old: Member) -> Member:
+    """Return a task that comes: the one that stands, else the one to be spawned.
+
+    Raises:
+        StateError: It stands, but in ERROR or on another RTPU.
+        PbonetError: Its RMOD, RTPU or module is missing or wrong.
+    """
+    member = crew.picture.get(name)
+    if member is None:
+        source = crew.files.rmod(name)
+        member = crew.plan(source, rtpu or source.record.rtpu or old.rtpu, None)
+        crew.must_be_new(member)
+        return member
+    place = f"{member.rtpu}/{name}"
+    if member.state is State.ERROR:
+        raise StateError(
+            f"the task {name} cannot be turned on",
+            where=place,
+            expected="state OFF",
+            got="state ERROR",
+            remedy=f"'clear {name}' mends it, 'kill {name}' removes it",
+        )
+    if rtpu not in {None, member.rtpu}:
+        raise StateError(
+            f"the task {name} stands on another RTPU",
+            where=place,
+            expected=str(rtpu),
+            got=member.rtpu,
+            remedy=f"leave the RTPU out, or 'kill {name}' first",
+        )
+    return member
+
+
+def _must_run_at(standing: Member, wanted: Member) -> None:
+    if abs(standing.freq - wanted.freq) > _RATE * wanted.freq:
+        raise StateError(
+            f"the task {standing.name} stands with another frequency",
+            where=f"{standing.rtpu}/{standing.name}",
+            expected=f"{wanted.freq:g} Hz, as the job says",
+            got=f"{standing.freq:g} Hz",
+            remedy=f"'freq {standing.name} {wanted.freq:g}' first",
+        )
+
+
+def _names(given: str | Sequence[str]) -> list[str]:
+    """Return task names without repetition.
+
+    Raises:
+        VerificationError: There is none.
+    """
+    names = [given] if isinstance(given, str) else list(given)
+    if not names:
+        raise VerificationError(
+            "no task is named", expected="the tasks that leave and those that come"
+        )
+    return [name.removesuffix(".rmod") for name in dict.fromkeys(names)]

@@ -1,0 +1,331 @@
+"""Swap and switch against agents without tasks: what is computed, refused, told."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pbonet.errors import (
+    ClaimError,
+    ConfigError,
+    MethodError,
+    ReconfigError,
+    SeveralError,
+    StateError,
+    UnknownTaskError,
+    UnreachableError,
+    VerificationError,
+)
+from pbonet.master import render
+from pbonet.master.desk import Desk
+from pbonet.master.subsystem import Subsystem
+
+ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
+OTHER_JOB = """
+JOB   follow
+DESC  follows another trace
+SBS   puma.sbs
+TASK  puma_pidg  arm0
+TASK  grav_comp  arm1
+TASK  trace2     arm1
+TASK  qrdiff2    arm0
+EOF
+"""
+
+
+@pytest.fixture
+def files(puma):
+    """The example's files with a second trace and a second differentiator."""
+    from pbonet.config.library import Library
+
+    library = Library([])
+    for name in ("jttrace", "qrdiff", "grav_comp"):
+        text = library.find_rmod(name).read_text()
+        other = {"jttrace": "trace2", "qrdiff": "qrdiff2", "grav_comp": "grav2"}[name]
+        (puma.parent / f"{other}.rmod").write_text(text)
+    (puma.parent / "follow.job").write_text(OTHER_JOB)
+    return puma
+
+
+@pytest.fixture
+def arm(world, agents, files):
+    """The job of the example, ON; warnings are in ``arm.heard``."""
+    agents("arm0", "arm1")
+    subsystem = Subsystem(files, domain=world.domain)
+    subsystem.heard = []
+    subsystem.warned = subsystem.heard.append
+    subsystem.open()
+    subsystem.start("puma")
+    world.log.clear()
+    yield subsystem
+    subsystem.detach()
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+def steps(world):
+    """Return what the agents did to tasks."""
+    known = {"spawn", "on", "off", "kill"}
+    return [text for _, text in world.log if text.split()[0] in known]
+
+
+# -- swap ----------------------------------------------------------------------------
+
+
+def test_swap_spawns_first_and_keeps_the_old_one(arm, world, agents):
+    done = arm.swap("jttrace", "trace2")
+    assert steps(world) == ["spawn trace2", "off jttrace", "on trace2"]
+    assert states(arm) == {**ON, "jttrace": "OFF", "trace2": "ON"}
+    assert done.spawns == {"trace2": "arm1"}  # beside the old one
+    assert done.items == [("jttrace", "off"), ("trace2", "on")]
+    assert set(done.stays) == {"puma_pidg", "grav_comp", "qrdiff"}
+    assert done.kills == []
+    assert done.states == {"jttrace": "OFF", "trace2": "ON"}
+    assert agents["arm0"].flags == []
+    world.log.clear()
+    arm.swap("trace2", "jttrace")
+    assert steps(world) == ["off trace2", "on jttrace"]
+    assert arm.heard == []
+
+
+def test_swap_is_one_message_on_one_rtpu_and_two_on_two(arm, world, agents):
+    def lists():
+        return [
+            (name, request.items, request.handover)
+            for name, agent in agents.items()
+            for request in agent.requests
+            if hasattr(request, "items")
+        ]
+
+    arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])
+    ((name, items, _),) = lists()
+    assert name == "arm1"
+    assert items == [
+        ("jttrace", "off"),
+        ("trace2", "on"),
+        ("qrdiff", "off"),
+        ("qrdiff2", "on"),
+    ]
+    for agent in agents.values():
+        agent.requests.clear()
+    arm.swap("grav_comp", "grav2", rtpu="arm0")
+    assert sorted(lists()) == [
+        ("arm0", [("grav2", "on")], ["grav_comp"]),
+        ("arm1", [("grav_comp", "off")], ["grav_comp"]),
+    ]
+    assert steps(world)[-2:] == ["off grav_comp", "on grav2"]
+
+
+def test_tasks_on_both_sides_of_a_swap_stay(arm, world):
+    done = arm.swap(["jttrace", "qrdiff"], ["qrdiff", "trace2"])
+    assert steps(world) == ["spawn trace2", "off jttrace", "on trace2"]
+    assert "qrdiff" in done.stays
+
+
+def test_dry_run_says_and_does_nothing(arm, world):
+    done = arm.swap("jttrace", "trace2", dry_run=True)
+    assert done.items == [("jttrace", "off"), ("trace2", "on")]
+    assert (done.spawns, done.states) == ({"trace2": "arm1"}, {})
+    assert steps(world) == []
+    with Subsystem(arm.files.path, domain=world.domain, watch=True) as watcher:
+        reply = Desk(watcher).execute("switch follow dry_run=yes")
+        with pytest.raises(ClaimError):
+            Desk(watcher).execute("switch follow")
+    assert reply.data["kills"] == ["qrdiff", "jttrace"]
+    assert steps(world) == []
+    with pytest.raises(VerificationError, match="T_GRAV"):
+        arm.swap("grav_comp", "trace2", dry_run=True)
+
+
+def test_swap_that_would_be_illegal_does_nothing(arm, world):
+    with pytest.raises(VerificationError) as caught:
+        arm.swap("grav_comp", "trace2")
+    text = str(caught.value)
+    assert "no task that is ON writes T_GRAV, which puma_pidg" in text
+    assert "turn grav_comp on" in text
+    assert "jttrace and trace2 both write Q_REF" in text
+    assert steps(world) == []
+    assert states(arm) == ON
+
+
+def test_swap_with_a_wrong_name_does_nothing(arm, world):
+    with pytest.raises(UnknownTaskError, match="did you mean jttrace"):
+        arm.swap("jttrase", "trace2")
+    with pytest.raises(ConfigError, match="there is no RMOD trace3"):
+        arm.swap("jttrace", "trace3")
+    with pytest.raises(VerificationError, match="no task is named"):
+        arm.swap("jttrace", [])
+    arm.swap("jttrace", "trace2")
+    with pytest.raises(StateError, match="stands on another RTPU"):
+        arm.swap("trace2", "jttrace", rtpu="arm0")
+    assert steps(world) == ["spawn trace2", "off jttrace", "on trace2"]
+
+
+def test_spawn_that_fails_leaves_everything_as_it_was(arm, world, agents):
+    agents["arm1"].fail["spawn", "qrdiff2"] = MethodError("init raised", where="x")
+    with pytest.raises(MethodError, match="init raised"):
+        arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])
+    assert states(arm) == ON
+    assert steps(world) == ["spawn trace2", "kill trace2"]
+    agents["arm1"].fail["kill", "trace2"] = MethodError("kill raised", where="x")
+    with pytest.raises(SeveralError, match="the change was not begun, and not all"):
+        arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])
+
+
+def test_swap_again_does_what_is_left(arm, world, agents):
+    agents["arm1"].fail["on", "trace2"] = MethodError("on raised", where="x")
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])
+    assert str(caught.value) == (
+        "arm1/x: item 2 of 4, on trace2: on raised; "
+        "done: off jttrace; not sent: off qrdiff, on qrdiff2"
+    )
+    assert agents["arm0"].flags != []  # nobody writes Q_REF now
+    agents["arm1"].fail.clear()
+    world.log.clear()
+    done = arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])
+    assert steps(world) == ["on trace2", "off qrdiff", "on qrdiff2"]
+    assert done.spawns == {}
+    world.log.clear()
+    assert arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"]).items == []
+    assert steps(world) == []
+
+
+def test_the_rest_of_a_list_can_be_sent(arm, agents):
+    agents["arm1"].fail["on", "trace2"] = MethodError("on raised", where="x")
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap(["jttrace", "qrdiff"], ["trace2", "qrdiff2"])
+    agents["arm1"].fail.clear()
+    arm.reconfig(caught.value.rest)
+    assert states(arm) == {
+        **ON,
+        "jttrace": "OFF",
+        "qrdiff": "OFF",
+        "trace2": "ON",
+        "qrdiff2": "ON",
+    }
+
+
+def test_an_agent_that_is_silent_is_told_from_one_that_refused(arm, agents):
+    arm.spawn("trace2", "arm1")
+    slow = agents["arm1"]
+    original = slow.do_reconfig
+
+    def carried_out_but_never_answered(request):
+        original(request)
+        raise UnreachableError("gone")
+
+    slow.do_reconfig = carried_out_but_never_answered
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap("jttrace", "trace2")
+    assert "sent, and not known whether done: off jttrace, on trace2" in str(
+        caught.value
+    )
+    assert caught.value.done == 0
+    assert isinstance(caught.value.__cause__, UnreachableError)
+
+
+# -- switch --------------------------------------------------------------------------
+
+
+def test_switch_keeps_what_both_have_and_kills_the_rest(arm, world):
+    done = arm.switch("follow")
+    assert steps(world) == [
+        "spawn trace2",
+        "spawn qrdiff2",
+        "off jttrace",
+        "on trace2",
+        "off qrdiff",
+        "on qrdiff2",
+        "kill qrdiff",
+        "kill jttrace",
+    ]
+    after = {"puma_pidg": "ON", "grav_comp": "ON", "trace2": "ON", "qrdiff2": "ON"}
+    assert states(arm) == after
+    assert done.stays == ["puma_pidg", "grav_comp"]
+    assert done.spawns == {"trace2": "arm1", "qrdiff2": "arm0"}
+    world.log.clear()
+    assert arm.switch("follow").items == []
+    arm.switch("puma")
+    assert states(arm) == ON
+
+
+def test_switch_leaves_what_stands_by(arm):
+    arm.spawn("grav2", "arm0")
+    arm.switch("follow")
+    assert states(arm)["grav2"] == "OFF"
+
+
+def test_switch_from_nothing_is_a_start(arm, world):
+    for task in ("puma_pidg", "qrdiff", "jttrace", "grav_comp"):
+        arm.control(task, "kill")
+    world.log.clear()
+    arm.switch("puma")
+    assert states(arm) == ON
+    assert steps(world)[-1] == "on puma_pidg"  # CRITICAL, so last
+
+
+def test_switch_to_less_is_refused_when_it_is_illegal(arm, files, world):
+    text = OTHER_JOB.replace("TASK  grav_comp  arm1\n", "").replace("follow", "less")
+    (files.parent / "less.job").write_text(text)
+    with pytest.raises(VerificationError, match="T_GRAV"):
+        arm.switch("less")
+    text = text.replace("TASK  trace2     arm1\n", "")
+    less = text.replace("TASK  qrdiff2    arm0\n", "TASK  grav_comp  arm1\n")
+    (files.parent / "less.job").write_text(less)
+    with pytest.raises(VerificationError, match="Q_REF"):
+        arm.switch("less")  # nothing is turned on, and yet
+    assert steps(world) == []
+
+
+def test_switch_refuses_a_namesake(arm, files, world):
+    (files.parent / "follow.job").write_text(
+        OTHER_JOB.replace("grav_comp  arm1", "grav_comp  arm1 FREQ 100")
+    )
+    with pytest.raises(StateError, match="'freq grav_comp 100' first"):
+        arm.switch("follow")
+    (files.parent / "follow.job").write_text(
+        OTHER_JOB.replace("grav_comp  arm1", "grav_comp  arm0")
+    )
+    with pytest.raises(StateError, match="stands in the way"):
+        arm.switch("follow")
+    assert steps(world) == []
+
+
+def test_kill_that_fails_says_that_the_rest_is_done(arm, agents):
+    agents["arm1"].fail["kill", "qrdiff"] = MethodError("kill raised", where="x")
+    with pytest.raises(ReconfigError) as caught:
+        arm.switch("follow")
+    assert str(caught.value) == (
+        "arm1/x: item 5 of 6, kill qrdiff: kill raised; done: off jttrace, on trace2, "
+        "off qrdiff, on qrdiff2; not sent: kill jttrace"
+    )
+
+
+# -- commands ------------------------------------------------------------------------
+
+
+def test_commands_at_the_prompt(arm):
+    desk = Desk(arm)
+    reply = desk.execute("swap jttrace,grav_comp trace2,grav2 rtpu=arm1")
+    assert reply.data["states"]["trace2"] == "ON"
+    assert desk.default == "grav2"
+    reply = desk.call("switch", {"job": "follow", "dry_run": True})
+    assert (reply.data["kills"], reply.data["states"]) == (["qrdiff", "grav2"], {})
+    assert render.text("switch", reply.data).splitlines() == [
+        "spawn qrdiff2 on arm0",
+        "off qrdiff",
+        "on qrdiff2",
+        "off grav2",
+        "on grav_comp",
+        "kill qrdiff",
+        "kill grav2",
+        "stays ON: puma_pidg, trace2",
+    ]
+    for line in ("swap jttrace", "swap , trace2", "switch follow dry_run=perhaps"):
+        with pytest.raises((StateError, VerificationError)):
+            desk.execute(line)
+    assert json.dumps(reply.data)

@@ -1,0 +1,213 @@
+"""Swaps that fail midway, over real agents and tasks, and what is done about it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import pytest
+from nodekit import alive, rmod, svar, wait_gone
+from watching import wait_for
+
+from pbonet.errors import (
+    MethodError,
+    NoAnswerError,
+    PbonetError,
+    ReconfigError,
+    StateError,
+    VerificationError,
+)
+from pbonet.master import crew
+from pbonet.master.subsystem import Subsystem
+
+SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write an RMOD of a module in `misbehaving` beside the subsystem."""
+
+    def one(name, module, **settings):
+        (tmp_path / f"{name}.rmod").write_text(rmod(module, **settings))
+
+    return one
+
+
+@pytest.fixture
+def arm(nodes, tmp_path, write):
+    """Two RTPUs; `stays` is ON, `good` is OFF, and writes what others will."""
+    nodes.agent_process("arm0")
+    nodes.agent_process("arm1")
+    (tmp_path / "t.sbs").write_text(SBS)
+    (tmp_path / "t.svar").write_text(svar())
+    write("stays", "counts", out="Y1")
+    write("good", "counts", out="Y0", local={"DIARY": tmp_path / "good.txt"})
+    subsystem = Subsystem(
+        tmp_path / "t.sbs",
+        domain=nodes.domain,
+        libraries=nodes.config("arm0").libraries,
+        warned=lambda _text: None,
+    ).open()
+    subsystem.spawn("stays", "arm0")
+    subsystem.control("stays", "on")
+    subsystem.spawn("good", "arm0")
+    yield subsystem
+    subsystem.finish()
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+def writer(arm, name="Y0"):
+    return arm.display([name])[0].writer
+
+
+def start(arm, task, rtpu="arm0"):
+    arm.spawn(task, rtpu)
+    arm.control(task, "on")
+
+
+def test_off_that_raises_frees_the_place_and_the_rest_can_be_sent(arm, write):
+    write("bad", "raises_in_off")
+    start(arm, "bad")
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap("bad", "good")
+    assert (caught.value.done, caught.value.rest) == (
+        0,
+        (("bad", "off"), ("good", "on")),
+    )
+    assert "item 1 of 2, off bad" in str(caught.value)
+    assert "off does not work" in str(caught.value)
+    assert "not sent: on good" in str(caught.value)
+    assert isinstance(caught.value.__cause__, MethodError)
+    assert states(arm) == {"stays": "ON", "bad": "ERROR", "good": "OFF"}
+    assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
+    assert writer(arm) == "good"
+
+
+def test_on_that_raises_and_back_again(arm, write, tmp_path):
+    write("bad", "raises_in_on")
+    arm.control("good", "on")
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap("good", "bad")
+    assert caught.value.done == 1
+    assert "item 2 of 2, on bad" in str(caught.value)
+    assert "done: off good" in str(caught.value)
+    assert states(arm) == {"stays": "ON", "bad": "ERROR", "good": "OFF"}
+    with pytest.raises(StateError, match="'clear bad' mends it"):
+        arm.swap("good", "bad")
+    assert arm.swap("bad", "good").items == [("good", "on")]
+    assert writer(arm) == "good"
+    text = (tmp_path / "good.txt").read_text()
+    assert "off True" in text  # it was told that somebody would take over
+
+
+def test_off_that_hangs_is_given_up_and_killed(arm, write, monkeypatch):
+    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
+    write("bad", "hangs_in_off", freq=50.0)
+    start(arm, "bad", "arm1")
+    before = arm.status("stays")
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap("bad", "good")
+    assert isinstance(caught.value.__cause__, NoAnswerError)
+    assert "not sent: on good" in str(caught.value)
+    assert "not known" not in str(caught.value)  # it was the task that did not answer
+    with pytest.raises(ReconfigError, match="still busy with 'off'"):
+        arm.swap("bad", "good")
+    arm.control("bad", "kill")
+    arm.reconfig(caught.value.rest[1:])
+    assert states(arm) == {"stays": "ON", "good": "ON"}
+    assert arm.status("stays").on_ns == before.on_ns
+
+
+@pytest.fixture
+def gate(write, tmp_path):
+    """A task whose `off` begins and ends with files; returns these."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    write("old", "waits_in_off", local={"BEGUN": begun, "GO_ON": go_on})
+    return begun, go_on
+
+
+class Swapping(threading.Thread):
+    """A swap in a thread of its own; keeps what came of it."""
+
+    def __init__(self, arm, old, new):
+        super().__init__()
+        self._do = lambda: arm.swap(old, new)
+        self.result = self.error = None
+        self.start()
+
+    def run(self):
+        try:
+            self.result = self._do()
+        except PbonetError as error:
+            self.error = error
+
+
+def test_agent_killed_in_the_middle(arm, gate, nodes):
+    begun, go_on = gate
+    start(arm, "old")
+    tids = {status.task: status.tid for status in arm.status_all()}
+    swapping = Swapping(arm, "old", "good")
+    wait_for(begun.exists, "the beginning of off")
+    agent = nodes.processes.pop("arm0")
+    agent.send_signal(signal.SIGKILL)
+    agent.wait()
+    swapping.join()
+    assert isinstance(swapping.error, ReconfigError), swapping.error
+    text = str(swapping.error)
+    assert "sent, and not known whether done: off old, on good" in text
+    go_on.touch()
+    nodes.agent_process("arm0")
+    wait_for(lambda: states(arm).get("good") == "ON", "the RTPU goes on by itself")
+    assert states(arm) == {"stays": "ON", "old": "OFF", "good": "ON"}
+    assert {status.task: status.tid for status in arm.status_all()} == tids
+    assert arm.swap("old", "good").items == []  # nothing is left to be done
+    assert arm.swap("good", "old").items == [("good", "off"), ("old", "on")]
+    assert writer(arm) == "old"
+
+
+def test_two_swaps_at_once(arm, gate, write):
+    begun, go_on = gate
+    write("third", "counts", out="Y0")
+    start(arm, "old")
+    first = Swapping(arm, "old", "good")
+    wait_for(begun.exists, "the beginning of off")
+    second = Swapping(arm, "old", "third")
+    go_on.touch()
+    first.join()
+    second.join()
+    assert first.error is None
+    assert first.result.states == {"old": "OFF", "good": "ON"}
+    assert isinstance(second.error, VerificationError), second.error
+    assert "good and third both write Y0" in str(second.error)
+    assert states(arm) == {"stays": "ON", "old": "OFF", "good": "ON"}
+
+
+def test_task_that_dies_while_it_goes_off(arm, gate):
+    begun, _ = gate
+    start(arm, "old")
+    swapping = Swapping(arm, "old", "good")
+    wait_for(begun.exists, "the beginning of off")
+    tid = arm.status("old").tid
+    os.kill(tid, signal.SIGKILL)
+    swapping.join()
+    assert not alive(tid)
+    assert isinstance(swapping.error, ReconfigError), swapping.error
+    assert "not sent: on good" in str(swapping.error)
+    wait_gone([tid])
+    arm.reconfig(swapping.error.rest[1:])
+    assert writer(arm) == "good"
+
+
+def test_an_heir_on_another_rtpu_is_told_of(arm, write, tmp_path):
+    write("other", "counts", out="Y0")
+    arm.control("good", "on")
+    arm.swap("good", "other", rtpu="arm1")
+    assert arm.picture.find("other").rtpu == "arm1"
+    assert (tmp_path / "good.txt").read_text().splitlines()[-1].endswith("off True")
+    arm.swap("other", "good")
+    arm.control("good", "off")
+    assert (tmp_path / "good.txt").read_text().splitlines()[-1].endswith("off False")
