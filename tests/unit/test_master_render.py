@@ -163,6 +163,26 @@ def test_signals_and_masks():
     assert text.splitlines()[1:] == ["(subsystem)  OFF", "arm          none"]
 
 
+def test_a_change_of_configuration_shows_its_steps_and_its_end():
+    data = {
+        "stays": ["arm"],
+        "spawns": {"soft": "arm0"},
+        "items": [["pid", "off"], ["soft", "on"]],
+        "kills": ["pid"],
+        "states": {"pid": "NOT-CREATED", "soft": "ON"},
+    }
+    assert render.text("switch", data).splitlines() == [
+        "spawn soft on arm0",
+        "off pid",
+        "on soft",
+        "kill pid",
+        "stays ON: arm",
+        "pid NOT-CREATED  soft ON",
+    ]
+    nothing = {"stays": [], "spawns": {}, "items": [], "kills": [], "states": {}}
+    assert render.text("swap", nothing) == "nothing to do\nstays ON: nothing"
+
+
 def test_commands_without_a_form_of_their_own_show_states():
     shown = {"display", "write", "get", "set", "module", "check", "freq", "stop"}
     shown |= {
@@ -170,6 +190,8 @@ def test_commands_without_a_form_of_their_own_show_states():
         "profile save",
         "status",
         "status set",
+        "swap",
+        "switch",
         "events",
         "help",
         "sigmask",
