@@ -88,7 +88,7 @@ def swap(desk: Desk, given: Given) -> Data:
 def switch(desk: Desk, given: Given) -> Data:
     """Go over to another job."""
     dry_run = given.get("dry_run", False)
-    return _transition(desk.subsystem.switch(given["job"], dry_run=dry_run))
+    return _transition(desk.subsystem.switch(given.get("job"), dry_run=dry_run))
 
 
 def _transition(found: Transition) -> Data:

@@ -335,7 +335,7 @@ COMMANDS: Final = (
         "switch",
         "Go over to another job; what both have stays ON, the rest is killed.",
         actions.switch,
-        (Arg("job", Kind.JOB, "the job"), _DRY),
+        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY),
         changes=True,
     ),
     Command(

@@ -115,6 +115,8 @@ def _ask_master(
     """Have a living master carry it out; None when none serves the subsystem's port."""
     files = Files(path, Library(place.libraries))
     name = files.sbs.subsystem
+    if files.job is not None and args.get("job", "") is None:
+        args = {**args, "job": str(Path(path).resolve())}  # the master has its own
     client = rpc.Client(
         session.client(place.domain, connect=place.connect),
         place.domain,

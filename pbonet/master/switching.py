@@ -122,14 +122,17 @@ class Switching:
                 plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
             return self._carry_out(crew, plan, dry_run=dry_run)
 
-    def switch(self, job: str | Path, *, dry_run: bool = False) -> Transition:
+    def switch(
+        self, job: str | Path | None = None, *, dry_run: bool = False
+    ) -> Transition:
         """Go over to the configuration of another job while shared tasks go on.
 
         Tasks that are ON or in ERROR and not in the job are turned off and killed;
         tasks that are OFF stand by, and stay so.
 
         Args:
-            job: The ``.job`` file or its name.
+            job: The ``.job`` file or its name; None where the subsystem was opened with
+                one.
             dry_run: Verify, and only return what would be done.
 
         Raises:
