@@ -21,6 +21,8 @@ MAX_GRACE = 3600.0
 
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _MOST_CORES = 4096
+_QUEUE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
+_KEY = re.compile(r"(?!.*\*\*\*)[^\s/#?$]+(/[^\s/#?$]+)*")
 _ITEM = re.compile(r"\[(\d+)\]")
 _KINDS = {
     "bool": "a truth value",
@@ -159,6 +161,7 @@ def _check(config: AgentConfig, text: str, file: str) -> None:
             got=f"{config.core}",
             remedy="cores count from 0; see lscpu",
         )
+    _check_events(config, text, file)
     if not 0.0 <= config.grace <= MAX_GRACE:
         raise fault(
             "grace is out of bounds",
@@ -167,3 +170,24 @@ def _check(config: AgentConfig, text: str, file: str) -> None:
             got=f"{config.grace:g} s",
             remedy="correct the value",
         )
+
+
+def _check_events(config: AgentConfig, text: str, file: str) -> None:
+    for queue, key in config.events.items():
+        place = _place(text, file, queue)
+        if not _QUEUE.fullmatch(queue):
+            raise fault(
+                f"{quote(queue)} is no name of a queue",
+                place,
+                expected="letters, digits, and _ - . behind the first, at most 64",
+                got=quote(queue),
+                remedy='write for example parts = "cell/camera/part"',
+            )
+        if not _KEY.fullmatch(key):
+            raise fault(
+                "this is no key",
+                place,
+                expected="parts between single slashes; * and ** stand for any",
+                got=quote(key),
+                remedy='write for example parts = "cell/camera/part"',
+            )

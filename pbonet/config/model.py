@@ -227,3 +227,5 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Seconds that control goes on when the agent is gone."""
     insecure: bool = False
     """True lets the agent listen beyond this machine without protection."""
+    events: dict[str, str] = {}
+    """Queues of the RTPU, and the keys whose messages go into them."""

@@ -27,6 +27,7 @@ from pbonet.xm import keys, rundir, session
 from pbonet.xm.messages import AgentInfo
 
 from . import leftovers, wire
+from .ears import Ears
 from .server import Server
 from .supervise import RtpuLink, choose_core
 from .twins import Twins
@@ -84,6 +85,7 @@ class Agent:
         self._server: Server | None = None
         self._twins: Twins | None = None
         self._token: zenoh.LivelinessToken | None = None
+        self._ears: Ears | None = None
         self._link: RtpuLink | None = None
         self._over = threading.Event()
         self._asked = False
@@ -136,6 +138,7 @@ class Agent:
             self._met_twin,
         )
         self._twins.start()
+        self._ears = Ears(self._session, self.config.events, self._arrived)
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
         )
@@ -201,7 +204,15 @@ class Agent:
             with contextlib.suppress(NodeError):
                 link.send(wire.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
 
+    def _arrived(self, message: wire.Arrived) -> None:
+        link = self._link
+        if link is not None:
+            link.send(message)
+
     def _leave(self) -> None:
+        if self._ears is not None:
+            self._ears.stop()
+            self._ears = None
         if self._twins is not None:
             self._twins.stop()
             self._twins = None

@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.xm import rundir, sweep
+from pbonet.xm import live_on, rundir, sweep
 
 from . import control, leftovers, runtime, wire
 from .events import EventLog
+from .inlets import Inlets
 from .operations import Operations
 from .state import Rtpu
 
@@ -45,6 +46,7 @@ class AgentLink:
         self._rtpu = rtpu
         self._end = end
         self._operations = Operations(rtpu)
+        self._inlets = Inlets(rtpu.events)
         self._writer: asyncio.StreamWriter | None = None
         self._agent_pid = 0
         self._grace = rtpu.config.grace
@@ -71,6 +73,7 @@ class AgentLink:
 
     async def close(self, reason: str) -> None:
         """Tell the agent that the process ends, and close."""
+        self._inlets.close()
         if self._server is not None:
             self._server.close()
         if self._writer is not None:
@@ -143,6 +146,8 @@ class AgentLink:
                 self._rtpu.events.add(
                     Severity(message.severity), message.code, message.text
                 )
+            case wire.Arrived():
+                self._inlets.put(message)
             case wire.Shutdown():
                 self.end_time = message.timeout
                 self._finish("the agent was told to end")
@@ -174,6 +179,7 @@ async def run(config: wire.RtpuConfig) -> int:
 
     for which in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(which, asked, which)
+    live_on(config.name, domain=config.domain)
     places = rundir.Places(config.domain, config.name)
     lock = rundir.NameLock(places.ctl_lock, f"pid {os.getpid()}")
     try:

@@ -84,7 +84,14 @@ class Shutdown(Struct, tag="shutdown"):
     timeout: float
 
 
-FromAgent = Attach | Forward | Note | Shutdown
+class Arrived(Struct, tag="arrived"):
+    """What came over the network for a queue of this RTPU."""
+
+    queue: str
+    data: bytes
+
+
+FromAgent = Attach | Forward | Note | Shutdown | Arrived
 
 
 # -- RTPU process to agent ------------------------------------------------------------

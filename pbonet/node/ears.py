@@ -1,0 +1,80 @@
+"""Keys of the network whose messages become events of tasks (`events` of agent.toml).
+
+The agent hears a key and hands what comes to its RTPU process, which puts it into a
+queue of that RTPU (`pbonet.node.inlets`). So a server or synchronous task waits for a
+camera, an operator or a planner as it waits for a neighbour, and has nothing of the
+network in its process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from typing import TYPE_CHECKING
+
+from pbonet.errors import NodeError
+
+from . import wire
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    import zenoh
+
+WAITING = 256
+"""Messages that wait to be handed on; the oldest go first."""
+
+
+class Ears:
+    """Hears keys and hands on what comes.
+
+    What zenoh calls must come back at once, so a thread does the handing on.
+
+    Args:
+        session: The agent's.
+        keys: Key expressions by queue.
+        hand_on: Takes a message for the RTPU process.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        keys: Mapping[str, str],
+        hand_on: Callable[[wire.Arrived], None],
+    ) -> None:
+        self._hand_on = hand_on
+        self._waiting: deque[wire.Arrived] = deque(maxlen=WAITING)
+        self._news = threading.Semaphore(0)
+        self._over = False
+        self._subscribers = [
+            session.declare_subscriber(key, self._listener(queue))
+            for queue, key in keys.items()
+        ]
+        self._thread = threading.Thread(
+            target=self._work, name="pbonet ears", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Hear nothing any more."""
+        for subscriber in self._subscribers:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._over = True
+        self._news.release()
+        self._thread.join()
+
+    def _listener(self, queue: str) -> Callable[[zenoh.Sample], None]:
+        def heard(sample: zenoh.Sample) -> None:
+            self._waiting.append(wire.Arrived(queue, bytes(sample.payload)))
+            self._news.release()
+
+        return heard
+
+    def _work(self) -> None:
+        while True:
+            self._news.acquire()
+            if self._over:
+                return
+            with contextlib.suppress(IndexError, NodeError):  # dropped, or no process
+                self._hand_on(self._waiting.popleft())
