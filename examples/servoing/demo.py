@@ -36,9 +36,8 @@ SECONDS = 7.0
 NEAR, AWAY = 0.2, 0.3
 """SIGMA at which damped least squares takes over, and gives back."""
 SPARE = [("damped_ls", "arm1"), ("qrint", "arm1")]
-TO_DAMPED = [("puma_inv_kin", "off"), ("damped_ls", "on"), ("qrint", "on")]
-TO_INVERSE = [("qrint", "off"), ("damped_ls", "off"), ("puma_inv_kin", "on")]
-SWAPPED = {"puma_inv_kin", "damped_ls", "qrint"}
+INVERSE, DAMPED = ["puma_inv_kin"], ["damped_ls", "qrint"]
+"""The two controllers, each in the order of its data flow."""
 AROUND = 0.1
 """Seconds before and after a swap in which missed cycles are counted apart."""
 LOOK = 0.02
@@ -67,9 +66,9 @@ def run(steering: Any, *, swap: bool) -> Result:  # noqa: ANN401 - see steering.
     try:
         if swap:
             if _watch(steering, lambda sigma: sigma < NEAR):
-                steering.reconfig(TO_DAMPED)
+                steering.swap(INVERSE, DAMPED)
             if _watch(steering, lambda sigma: sigma > AWAY):
-                steering.reconfig(TO_INVERSE)
+                steering.swap(DAMPED, INVERSE)
         steering.wait(max(0.0, SECONDS - steering.now()))
     finally:
         recording = steering.end()
@@ -111,7 +110,7 @@ def missed(result: Result) -> dict[str, tuple[int, int]]:
     recording, lost = result.recording, dict[str, tuple[int, int]]()
     for task in recording.tasks:
         release: NDArray[np.int64] = recording.arrays(task)["release_ns"]
-        if task in SWAPPED or len(release) < 2:  # noqa: PLR2004 - no interval
+        if task in {*INVERSE, *DAMPED} or len(release) < 2:  # noqa: PLR2004 - no interval
             continue
         gaps = np.diff(release)
         each = np.round(gaps / float(np.median(gaps))) - 1

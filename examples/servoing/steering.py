@@ -31,8 +31,8 @@ class Steering(Protocol):
         """Return the first element of a variable."""
         ...
 
-    def reconfig(self, items: Sequence[tuple[str, str]]) -> None:
-        """Send an ordered list of signals."""
+    def swap(self, old: Sequence[str], new: Sequence[str]) -> None:
+        """Put tasks into the place of others."""
         ...
 
     def now(self) -> float:
@@ -63,9 +63,10 @@ class Virtual:
         """Return the first element of a variable."""
         return float(self._simulation.table.values[variable][0])
 
-    def reconfig(self, items: Sequence[tuple[str, str]]) -> None:
-        """Send an ordered list of signals."""
-        self._simulation.reconfig(items)
+    def swap(self, old: Sequence[str], new: Sequence[str]) -> None:
+        """Put tasks into the place of others; both as the data flow."""
+        items = [(task, "off") for task in reversed(old)]
+        self._simulation.reconfig([*items, *((task, "on") for task in new)])
 
     def now(self) -> float:
         """Return seconds since the job was started."""
@@ -122,9 +123,9 @@ class Real:
         (found,) = self._subsystem.display([variable])
         return float(found.values[0])
 
-    def reconfig(self, items: Sequence[tuple[str, str]]) -> None:
-        """Send an ordered list of signals."""
-        self._subsystem.reconfig(items)
+    def swap(self, old: Sequence[str], new: Sequence[str]) -> None:
+        """Put tasks into the place of others."""
+        self._subsystem.swap(old, new)
 
     def now(self) -> float:
         """Return seconds since the job was started."""
