@@ -42,7 +42,7 @@ while True:
         time.sleep(left * 1e-9)
     over = time.monotonic_ns() - due
     if over > period:
-        late.append(over * 1e-9)
+        late.append((due, due + over))
         due += over // period * period
     if asked:
         print(json.dumps(late), flush=True)
@@ -79,10 +79,14 @@ class Reference:
     def __exit__(self, *exc: object) -> None:
         self._process.communicate()
 
+    def away(self) -> list[tuple[int, int]]:
+        """Return when it should have run and when it did, in ns, where it was late."""
+        self._process.stdin.write(b"?")
+        return [(due, ran) for due, ran in json.loads(self._process.stdout.readline())]
+
     def stalls(self) -> list[float]:
         """Return by how much it was late so far, in seconds, where that is much."""
-        self._process.stdin.write(b"?")
-        return json.loads(self._process.stdout.readline())
+        return [(ran - due) * 1e-9 for due, ran in self.away()]
 
     def longest(self) -> float:
         """Return the longest stall in seconds."""
