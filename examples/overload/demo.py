@@ -50,6 +50,7 @@ HYPERPERIOD_NS: Final = 60 * UNIT_NS
 WORK, REST = 4, 2
 """Hyperperiods of a burst, and between two; `pulse.rmod` says the same."""
 RTPU: Final = "overload0"
+DOMAIN: Final = f"overload{os.getpid()}"
 
 
 class Seen(Struct, kw_only=True):
@@ -135,7 +136,7 @@ def run(scheduler: str, bursts: int) -> Seen:
     with tempfile.TemporaryDirectory() as folder, seen.Watcher(core()) as watcher:
         outcome = Run(
             prepare(scheduler, Path(folder)),
-            Place(domain=f"overload{os.getpid()}", libraries=(str(HERE),)),
+            Place(domain=DOMAIN, libraries=(str(HERE),)),
             lines,
             # It ends in the rest behind the last burst, where its tasks obey at once.
             seconds=(bursts * (WORK + REST) + 1.5) * HYPERPERIOD_NS * 1e-9,
@@ -143,11 +144,15 @@ def run(scheduler: str, bursts: int) -> Seen:
         ).run()
     if outcome.status or outcome.recording is None:
         raise NodeError("the run failed", got="\n".join([*lines.said, *outcome.faults]))
-    if watcher.lost or outcome.recording.about["lost"]:
+    strangers = {status.rtpu for status in watcher.slots.values()} - {
+        f"{DOMAIN}/{RTPU}"
+    }
+    if strangers or watcher.lost or outcome.recording.about["lost"]:
         raise NodeError(
-            "the trace of the core is not complete",
+            "the core was not ours alone, or its trace is not complete",
             where=f"core {core()}",
-            remedy="end other agents on this core ('pbonet stop', then end them)",
+            got=f"tasks of {', '.join(sorted(strangers)) or 'nobody else'}",
+            remedy="end other agents on this core and try again",
         )
     return read(scheduler, watcher, outcome.recording)
 
@@ -205,15 +210,32 @@ def report(one: Seen) -> tuple[list[str], judged.Judgement]:
         *table(one, virtual),
         "",
     ]
-    lines += [
-        f"{miss.task} missed one that does not count: {miss.why}"
-        for miss in judgement.misses
-        if miss.why
-    ]
+    lines += excuses(judgement)
     lines += [f"NOT as expected: {fault}" for fault in judgement.faults] or [
         "as expected"
     ]
     return [*lines, ""], judgement
+
+
+def excuses(judgement: judged.Judgement) -> list[str]:
+    """Return a line for each task with misses that do not count, and why they don't."""
+    lines: list[str] = []
+    for task in TASKS:
+        ours = [miss for miss in judgement.misses if miss.task == task]
+        overran = sum(miss.overran for miss in ours)
+        away = [
+            miss.away_ns / 1e6 for miss in ours if miss.excused and not miss.overran
+        ]
+        if overran:
+            lines.append(
+                f"{task}: {overran} do not count, it used more than its reserve"
+            )
+        if away:
+            lines.append(
+                f"{task}: {len(away)} do not count, {min(away):.1f} to {max(away):.1f} "
+                "ms of the core went to others"
+            )
+    return lines
 
 
 def table(one: Seen, virtual: Outcome) -> list[str]:

@@ -53,8 +53,15 @@ class Miss(Struct, frozen=True):
     begin_ns: int
     """Since then those that go before all others had the core without a break."""
     deadline_ns: int
-    why: str
-    """What excuses it; empty when nothing does."""
+    overran: bool = False
+    """It had used more than its reserve."""
+    away_ns: int = 0
+    """How much of the core was not theirs since then."""
+
+    @property
+    def excused(self) -> bool:
+        """Whether it says nothing about the scheduler."""
+        return self.overran or self.away_ns >= _LEAST
 
 
 class Judgement(Struct):
@@ -71,7 +78,7 @@ class Judgement(Struct):
         unexcused = [
             f"{miss.task} missed, though it had the core"
             for miss in self.misses
-            if not miss.why
+            if not miss.excused
         ]
         return unexcused + self.idle
 
@@ -103,7 +110,7 @@ def judge(history: History, scheduler: str, bursts: list[tuple[int, int]]) -> Ju
 def _miss(history: History, stretches: list[Busy], task: str, deadline: int) -> Miss:
     """Return a miss with what excuses it."""
     if _overran(history, task, deadline):
-        return Miss(task, deadline, deadline, "it used more than its reserve")
+        return Miss(task, deadline, deadline, overran=True)
     for busy in stretches:
         if busy.begin_ns < deadline <= busy.end_ns:
             more = sum(
@@ -112,9 +119,8 @@ def _miss(history: History, stretches: list[Busy], task: str, deadline: int) -> 
                 if name in TASKS
             )
             away = busy.lost_ns + more
-            why = f"{away / 1e6:.1f} ms of the core were not theirs"
-            return Miss(task, busy.begin_ns, deadline, why if away >= _LEAST else "")
-    return Miss(task, deadline, deadline, "")
+            return Miss(task, busy.begin_ns, deadline, away_ns=away)
+    return Miss(task, deadline, deadline)
 
 
 def _overran(history: History, task: str, deadline: int) -> bool:

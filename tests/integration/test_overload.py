@@ -138,7 +138,7 @@ def test_an_overload_hits_whom_it_may_hit(example, run_dir, scheduler):
     unexplained = [
         miss
         for miss in judgement.misses
-        if not miss.why
+        if not miss.excused
         and not any(due < miss.deadline_ns and ran > miss.begin_ns for due, ran in away)
     ]
     assert unexplained == []
