@@ -29,8 +29,8 @@ from pbonet.errors import NodeError, PbonetError
 from pbonet.master.embedded import assign_cores
 from pbonet.master.oneshot import Place
 from pbonet.master.run import Run
-from pbonet.node import _rt
-from pbonet.node._ring import Ring
+from pbonet.node import _rt  # noqa: PLC2701 - its rights
+from pbonet.node._ring import Ring  # noqa: PLC2701 - every cycle
 from pbonet.sched import chart
 from pbonet.sched.simulate import PeriodicTask, simulate
 

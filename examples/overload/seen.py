@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 from msgspec import Struct, field
 
 from pbonet.errors import NodeError
-from pbonet.node import _rt
+from pbonet.node import _rt  # noqa: PLC2701 - the trace of the core
 from pbonet.sched.dispatch import Dispatcher, turns
 from pbonet.sched.events import Event
 from pbonet.sched.outcome import Account, Outcome, Segment
