@@ -102,8 +102,9 @@ cdef class Slot:
 
     cdef bint wait_outside(self, sync) except -1:
         """Wait as the module says; whether its event came."""
-        rt_enter(RT_IN_SYNC)
         try:
+            if rt_enter(RT_IN_SYNC):
+                self.failures.handle()
             sync()
         except Aborted:
             rt_exit()
@@ -155,7 +156,8 @@ cdef class Slot:
         cost.called_ns = rt_now()
         try:
             if not cost.failed:
-                rt_enter(RT_IN_CYCLE)
+                if rt_enter(RT_IN_CYCLE):
+                    self.failures.handle()
                 self.call(stable if cost.stable else cycle)
                 rt_exit()
         except Aborted:

@@ -101,7 +101,7 @@ cdef extern from "failure.h" nogil:
     int RT_FAIL_SIGNAL
     int rt_guard_failures(rt_task *task, int64_t bound_ns, int (*interrupt)(int) noexcept)
     void rt_unguard_failures(const rt_task *task)
-    void rt_enter(int where)
+    int rt_enter(int where)
     void rt_exit()
     unsigned rt_take_failures(rt_task *task)
     uint32_t rt_begin_handler(rt_task *task)

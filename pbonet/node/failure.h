@@ -99,11 +99,16 @@ static inline void rt_unguard_failures(const struct rt_task *task)
     rt_failing.task = NULL;
 }
 
-/* Say where the task is; what comes from here on belongs there. */
-static inline void rt_enter(int where)
+/* Say where the task is; what comes from here on belongs there. Returns whether something
+ * came since the grant began (in a copy, or while the task was held), whose signal was
+ * dropped: it is to be delivered now. */
+static inline int rt_enter(int where)
 {
     rt_failing.pending = 0;
     rt_failing.where = where;
+    atomic_signal_fence(memory_order_seq_cst);  /* a signal from here on is delivered */
+    struct rt_task *task = rt_failing.task;
+    return task && (atomic_load(&task->slot->grant.failed) & 7);
 }
 
 /* Back at the mark: nothing is delivered from here on. */

@@ -58,6 +58,16 @@ def test_random_histories_under_the_sanitizers(tmp_path, compiler, seed) -> None
     run(program, str(seed), "150")
 
 
+def test_a_failure_reaches_its_cycle_whenever_its_signal_comes(tmp_path) -> None:
+    program = tmp_path / "rt_failures"
+    run(
+        COMPILERS[0], *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_failures.c",
+        "-o", program, "-lpthread",
+    )  # fmt: skip
+    run(program)
+
+
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> None:
     """It knows neither fences, which order atomics here, nor mutexes with a clock."""
