@@ -21,6 +21,7 @@ RUNS = {
     "costs": "costs",
     "aperiodic": "aperiodic",
     "steering": "steering",
+    "swap": "swap",
     "transfer": "transfer",
     "simulate": "simulate",
     "ipc": "ipc",

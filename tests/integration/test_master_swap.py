@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from pbonet import cli
 from pbonet.errors import (
     ClaimError,
     ConfigError,
@@ -17,8 +18,9 @@ from pbonet.errors import (
     UnreachableError,
     VerificationError,
 )
-from pbonet.master import render
+from pbonet.master import oneshot, render
 from pbonet.master.desk import Desk
+from pbonet.master.network import Port
 from pbonet.master.subsystem import Subsystem
 
 ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
@@ -325,7 +327,43 @@ def test_commands_at_the_prompt(arm):
         "kill grav2",
         "stays ON: puma_pidg, trace2",
     ]
-    for line in ("swap jttrace", "swap , trace2", "switch follow dry_run=perhaps"):
-        with pytest.raises((StateError, VerificationError)):
+    for line in (
+        "switch",
+        "swap jttrace",
+        "swap , trace2",
+        "switch follow dry_run=perhaps",
+    ):
+        with pytest.raises((StateError, ConfigError, VerificationError)):
             desk.execute(line)
     assert json.dumps(reply.data)
+
+
+def test_verbs_name_the_job_by_its_file(arm, files, world, capsys):
+    def verb(*words):
+        with pytest.raises(SystemExit) as caught:
+            cli.main([*map(str, words), "--domain", world.domain])
+        told = capsys.readouterr()
+        return caught.value.code or 0, told.out or told.err
+
+    job = files.parent / "follow.job"
+    status, text = verb("switch", job, "--dry-run")
+    assert (status, text.splitlines()[-1]) == (0, "stays ON: puma_pidg, grav_comp")
+    assert steps(world) == []
+    status, text = verb("switch", job)
+    assert status == 1
+    assert "another master steers the subsystem" in text
+    arm.detach()
+    status, text = verb("switch", job)
+    assert (status, text.splitlines()[-2]) == (0, "stays ON: puma_pidg, grav_comp")
+    assert "on trace2" in steps(world)
+    status, text = verb("swap", files, "trace2", "jttrace", "--json")
+    assert (status, json.loads(text)["states"]["jttrace"]) == (0, "ON")
+
+
+def test_a_verb_asks_the_master_that_lives_for_the_job_it_names(arm, files, world):
+    with Port(arm, arm.name, handover=False):
+        place = oneshot.Place(domain=world.domain)
+        args = {"job": None, "dry_run": False}
+        reply = oneshot.run(files.parent / "follow.job", "switch", args, place)
+    assert reply.data["kills"] == ["qrdiff", "jttrace"]
+    assert "trace2" in states(arm)
