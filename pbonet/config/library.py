@@ -13,6 +13,7 @@ import importlib.machinery
 import importlib.util
 import keyword
 import sys
+import threading
 import types
 from functools import cached_property
 from importlib.metadata import entry_points
@@ -38,6 +39,9 @@ GROUP = "pbonet.modules"
 """The entry point group of packages with more modules."""
 _VERSION = "__pbonet_version__"
 """The attribute of a Python module that holds the version it was run from."""
+
+_RUNNING = threading.RLock()
+"""Held while a module's code runs: another thread must not see it half done."""
 
 
 class LoadedModule(Struct, frozen=True):
@@ -104,8 +108,9 @@ class Library:
         known = self._loaded.get((str(path), version))
         if known is not None:
             return known
-        python = _run(shelf, path, source, version)
-        cls = _only_class(python, module, path)
+        with _RUNNING:
+            python = _run(shelf, path, source, version)
+            cls = _only_class(python, module, path)
         info = describe(cls, name=module, file=str(path), version=version)
         loaded = LoadedModule(cls, info, path)
         self._loaded[str(path), version] = loaded
