@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pbonet import verify
 from pbonet.errors import PbonetError, SeveralError, StateError
+from pbonet.master import constants
 from pbonet.pbo import State
 from pbonet.xm import messages as m
 
@@ -123,6 +124,7 @@ class Done:
         freq = member.freq if member.freq != member.rmod.freq else None
         self._crew.create(member, freq)
         self._spawned.append(member.name)
+        constants.created(self._crew, member.name)
 
     def turn_on(self, name: str) -> None:
         """Turn a task on."""

@@ -318,7 +318,7 @@ class Crew:
         request = m.Spawn(
             task=member.name,
             rmod=member.source.text,
-            rmod_name=member.name,
+            rmod_name=f"{member.name}.rmod",
             freq=freq,
             crit=member.rmod.crit,
             priority=priorities[member.name],

@@ -15,7 +15,12 @@ from msgspec import Struct
 
 from pbonet.config import parse_rmod, parse_sbs, parse_svar, read_job
 from pbonet.config.reader import load
-from pbonet.errors import ConfigError, ConfigFileError, did_you_mean
+from pbonet.errors import (
+    ConfigError,
+    ConfigFileError,
+    UnknownVariableError,
+    did_you_mean,
+)
 from pbonet.master.measured import Store
 from pbonet.xm.rundir import NAME, check_name
 
@@ -107,6 +112,20 @@ class Files:
     def is_own(self, path: Path) -> bool:
         """Tell whether a file stands beside the subsystem's own, not in a library."""
         return path.parent in self._folders
+
+    def must_have(self, variable: str) -> None:
+        """Refuse the name of a variable that the table does not have.
+
+        Raises:
+            UnknownVariableError: It has none of that name.
+        """
+        known = [one.name for one in self.table.variables]
+        if variable not in known:
+            raise UnknownVariableError(
+                f"the table has no variable {variable}",
+                where=self.table.file,
+                remedy=did_you_mean(variable, known) or "'display' shows them all",
+            )
 
     def rmods(self) -> list[str]:
         """Return the names of the RMODs that can be spawned, sorted."""

@@ -31,7 +31,7 @@ from pbonet.master.recording import STABLE, Recording
 from pbonet.master.simtable import MemoryCopies, MemoryTable
 from pbonet.master.simtask import SimTask, Turns
 from pbonet.node.executor import Executor
-from pbonet.node.taskports import check_ports
+from pbonet.node.taskports import ages, check_ports
 from pbonet.pbo import (
     BoundedOutbox,
     Counted,
@@ -355,6 +355,9 @@ class Simulation:
             for port in loaded.info.ports
         }
         instance = bind(loaded.cls, params, arrays, context)
+        context.is_stale = ages(
+            rmod, loaded.info, lambda name: self.table.stale(name, context.now)
+        )
         executor = Executor(
             instance,
             copies,

@@ -36,6 +36,16 @@ class MemoryTable:
         self.numbers = {v.name: index for index, v in enumerate(variables)}
         self.values = {v.name: values_of(v, v.init, where="INIT") for v in variables}
         self.causes: set[str] = set()
+        self.written: dict[str, int] = {}
+        """When each variable was written last, in virtual nanoseconds."""
+
+    def stale(self, name: str, now_ns: int) -> bool:
+        """Tell whether a variable is older than its MAXAGE, or was never written."""
+        maxage = self.variables[self.numbers[name]].maxage
+        if maxage is None:
+            return False
+        written = self.written.get(name)
+        return written is None or now_ns - written > maxage * 1e9
 
 
 class _Pair(NamedTuple):
@@ -87,6 +97,7 @@ class MemoryCopies:
         """Keep what a commit writes to `publish`, when its cycle takes virtual time."""
         self.out_vars = _named(rmod, rmod.outvar)
         self._held: list[tuple[Values, Values]] = []
+        self._held_ns = 0
         self._table = table
         self._local: dict[str, Values] = {}
         self._in_consts = self._pairs(_named(rmod, rmod.inconst))
@@ -117,8 +128,7 @@ class MemoryCopies:
 
     def copy_out_consts(self, now_ns: int = 0) -> int:
         """Copy the out-consts out."""
-        del now_ns
-        return self._out(self._out_consts)
+        return self._out(self._out_consts, now_ns)
 
     def copy_in(self) -> int:
         """Copy the in-vars in."""
@@ -133,19 +143,20 @@ class MemoryCopies:
 
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out."""
-        del now_ns, cycle
-        return self._out(self._out_vars)
+        del cycle
+        return self._out(self._out_vars, now_ns)
 
     def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out."""
-        del now_ns, cycle
+        del cycle
         if self.hold:
             flags = self._judge(self._out_vars)
             if not flags:
                 pairs = self._out_vars.pairs
                 self._held = [(shared, local.copy()) for _, local, shared in pairs]
+                self._held_ns = now_ns
         else:
-            flags = self._out(self._out_vars)
+            flags = self._out(self._out_vars, now_ns)
         self.committed = not flags
         return flags
 
@@ -153,6 +164,8 @@ class MemoryCopies:
         """Copy out what was held; nothing when nothing is."""
         for shared, values in self._held:
             shared[...] = values
+        if self._held:
+            self._table.written.update(dict.fromkeys(self.out_vars, self._held_ns))
         self._held = []
 
     def release(self) -> None:
@@ -167,11 +180,12 @@ class MemoryCopies:
             pairs.append(_Pair(variable, local, shared))
         return pairs
 
-    def _out(self, outputs: _Outputs) -> int:
+    def _out(self, outputs: _Outputs, now_ns: int) -> int:
         if flags := self._judge(outputs):
             return flags
-        for _, local, shared in outputs.pairs:
+        for variable, local, shared in outputs.pairs:
             shared[...] = local
+            self._table.written[variable.name] = now_ns
         return 0
 
     def _judge(self, outputs: _Outputs) -> int:

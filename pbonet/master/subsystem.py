@@ -21,13 +21,8 @@ from msgspec import structs
 
 from pbonet import verify
 from pbonet.config.library import Library
-from pbonet.errors import (
-    NodeError,
-    StateError,
-    UnknownVariableError,
-    did_you_mean,
-)
-from pbonet.master import assembly, modules, profiling
+from pbonet.errors import NodeError, StateError
+from pbonet.master import assembly, constants, modules, profiling
 from pbonet.master.changing import Changing
 from pbonet.master.crew import CONTROL_TIME, Crew
 from pbonet.master.failures import must_be_stopped
@@ -231,7 +226,10 @@ class Subsystem(Signalled, Switching):
             crew.must_be_new(member)
             crew.judge(verify.spawn(member.task))
             status = crew.create(member, freq)
-            crew.settle()
+            try:
+                constants.created(crew, member.name)
+            finally:
+                crew.settle()
             return status
 
     def control(self, task: str, signal: str, arg: str = "") -> m.TaskStatus:
@@ -259,7 +257,8 @@ class Subsystem(Signalled, Switching):
             if signal == "on":
                 crew.judge(verify.signal(task, signal))
             try:
-                return crew.control(task, signal, arg)
+                with constants.signals(crew, [(task, signal)]):
+                    return crew.control(task, signal, arg)
             finally:
                 crew.settle()
 
@@ -357,7 +356,7 @@ class Subsystem(Signalled, Switching):
         """
         wanted = None if names is None else list(names)
         for name in wanted or ():
-            self._must_be_variable(name)
+            self.files.must_have(name)
         request = m.Display(names=wanted)
         values = self.fleet.call(self.sbs.keeper, request, list[m.VarValue])
         if wanted is None:
@@ -367,14 +366,17 @@ class Subsystem(Signalled, Switching):
     def write(self, name: str, values: Iterable[float]) -> m.VarValue:
         """Set a variable that no task writes.
 
+        Tasks that have it as an in-const are re-initialized when its value changes.
+
         Raises:
             UnknownVariableError: The table has no such variable.
             SvarOwnerError: A task writes it.
         """
-        with self._changing(strict=False):
-            self._must_be_variable(name)
+        with self._changing(strict=False) as crew:
+            self.files.must_have(name)
             request = m.Write(name=name, values=[float(value) for value in values])
-            return self.fleet.call(self.sbs.keeper, request, m.VarValue)
+            with constants.followed(crew, f"{name} was set", [name]):
+                return self.fleet.call(self.sbs.keeper, request, m.VarValue)
 
     def modules(self, name: str | None = None) -> list[ModuleInfo]:
         """Return what is known about the modules in the agents' libraries.
@@ -453,12 +455,3 @@ class Subsystem(Signalled, Switching):
 
     def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
         return Changing(self.crew, self._busy, strict=strict, claimed=claimed)
-
-    def _must_be_variable(self, name: str) -> None:
-        known = [variable.name for variable in self.files.table.variables]
-        if name not in known:
-            raise UnknownVariableError(
-                f"the table has no variable {name}",
-                where=self.files.table.file,
-                remedy=did_you_mean(name, known) or "'display' shows them all",
-            )

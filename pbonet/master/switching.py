@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from pbonet import verify
 from pbonet.errors import StateError, VerificationError
-from pbonet.master import assembly
+from pbonet.master import assembly, constants
 from pbonet.master.words import check_signal
 from pbonet.pbo import State
 
@@ -82,7 +82,8 @@ class Switching:
             if judged:
                 crew.judge(verify.reconfig(items))
             try:
-                return crew.send(items)
+                with constants.signals(crew, items):
+                    return crew.send(items)
             finally:
                 crew.settle()
 

@@ -3,18 +3,18 @@
 from typing import Annotated as A
 
 from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
-from pbonet.errors import ParameterError
 
 
 class Weights(Params):
-    """How much each input counts; only their ratio matters."""
+    """How much each input counts."""
 
-    first: A[float, param("none", "weight of Z1", ge=0)] = 1.0
-    second: A[float, param("none", "weight of Z2", ge=0)] = 1.0
+    weights: A[
+        tuple[float, float], param("none", "weights of Z1 and Z2", ge=0, total=1)
+    ] = (0.5, 0.5)
 
 
 class JoinAverage(PortBasedObject[Weights]):
-    """z = (first*z1 + second*z2) / (first + second).
+    """z = weights[0]*z1 + weights[1]*z2, and the weights sum to 1.
 
     Two modules that produce the same variable get different ones by SVARALIAS, and this
     module makes the one that others read out of the two. Joins can be chained.
@@ -25,21 +25,6 @@ class JoinAverage(PortBasedObject[Weights]):
     z2: A[Vector, InVar("Z2", "ndof", "any", "what the other producer says")]
     z: A[Vector, OutVar("Z", "ndof", "any", "their weighted average")]
 
-    def init(self) -> None:
-        self._take_weights()
-
-    def set(self, name: str, value: object) -> None:  # noqa: ARG002 - both at once
-        self._take_weights()
-
     def cycle(self, dt: float) -> None:  # noqa: ARG002 - the present only
-        self.z[:] = self._share * self.z1 + (1.0 - self._share) * self.z2
-
-    def _take_weights(self) -> None:
-        total = self.params.first + self.params.second
-        if not total:
-            raise ParameterError(
-                "both weights are zero",
-                expected="FIRST or SECOND above zero",
-                remedy="raise one of them",
-            )
-        self._share = self.params.first / total
+        first, second = self.params.weights
+        self.z[:] = first * self.z1 + second * self.z2

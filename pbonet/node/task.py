@@ -33,7 +33,7 @@ from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
 from .slotwatch import SlotWatch
 from .taskparams import get_params, set_param
-from .taskports import check_ports, local_table
+from .taskports import ages, check_ports, local_table
 from .tasks import DUMP_SIGNAL, Ready
 from .tasktalk import Context, SlotTime, Voice
 
@@ -132,6 +132,7 @@ class Host:
         }
         live_on(spec.rtpu, domain=spec.domain, priority=lambda: self.watch.criticality)
         instance = bind(loaded.cls, params, arrays, self.context)
+        self.context.is_stale = ages(self.rmod, self.info, self.local.stale)
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.local, illegal=illegal)
         self.executor.cycling = self._method

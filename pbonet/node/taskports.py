@@ -10,6 +10,8 @@ from pbonet.errors import DeclarationError, PortError, did_you_mean
 from pbonet.ports import Kind
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pbonet.config.model import Rmod
     from pbonet.pbo import ModuleInfo
     from pbonet.svar import LocalTable, Table
@@ -39,6 +41,24 @@ def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
         invar=[rmod.svar_name(port) for port in rmod.invar],
         outvar=[rmod.svar_name(port) for port in rmod.outvar],
     )
+
+
+def ages(
+    rmod: Rmod, info: ModuleInfo, stale: Callable[[str], bool]
+) -> Callable[[str], bool]:
+    """Return what tells a module whether the in-var of an attribute is stale.
+
+    Args:
+        rmod: Names the variables behind the ports.
+        info: Of the module.
+        stale: Tells it of a variable.
+    """
+    names = {
+        port.attr: rmod.svar_name(port.name)
+        for port in info.ports
+        if port.kind is Kind.INVAR
+    }
+    return lambda attr: stale(names[attr])
 
 
 def check_ports(rmod: Rmod, info: ModuleInfo) -> None:

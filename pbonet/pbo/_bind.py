@@ -123,6 +123,7 @@ def bind(
         else:
             bound[port.attr] = array
     instance.__dict__.update(bound)
+    task.in_vars = frozenset(port.attr for port in ports if port.kind is Kind.INVAR)
     return instance
 
 

@@ -40,6 +40,8 @@ class Param(Struct, frozen=True):
     gt: float | None = None
     le: float | None = None
     lt: float | None = None
+    total: float | None = None
+    """What the values of a tuple add up to."""
     name: str = ""
     type: str = "float"
     """``float``, ``int``, ``bool`` or ``str``, of each value."""
@@ -51,9 +53,12 @@ class Param(Struct, frozen=True):
     def bounds(self) -> str:
         """The bounds as text, such as ``>= 0 and < 5``; empty without bounds."""
         signs = {">=": self.ge, ">": self.gt, "<=": self.le, "<": self.lt}
-        return " and ".join(
+        found = [
             f"{sign} {value:g}" for sign, value in signs.items() if value is not None
-        )
+        ]
+        if self.total is not None:
+            found.append(f"sum {self.total:g}")
+        return " and ".join(found)
 
     @property
     def type_text(self) -> str:
@@ -87,6 +92,7 @@ def param(
     gt: float | None = None,
     le: float | None = None,
     lt: float | None = None,
+    total: float | None = None,
 ) -> Param:
     """Say what a parameter means, within its annotation.
 
@@ -97,11 +103,12 @@ def param(
         gt: Values must be larger than this.
         le: Largest value that is allowed.
         lt: Values must be smaller than this.
+        total: What the values of a tuple must add up to, but for rounding.
 
     Returns:
         What stands in the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
     """
-    return Param(unit, doc, ge, gt, le, lt)
+    return Param(unit, doc, ge, gt, le, lt, total)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -349,7 +356,20 @@ def _check(
                 got=f"{one:g}",
                 remedy="choose a value within the bounds",
             )
+    if about.total is not None and not math.isclose(
+        sum(values), about.total, rel_tol=0.0, abs_tol=_ROUNDING
+    ):
+        raise ParameterError(
+            f"the values of parameter {about.name} do not sum to {about.total:g}",
+            where=place,
+            expected=str(about),
+            got=f"{' + '.join(f'{one:g}' for one in values)} = {sum(values):g}",
+            remedy="give values that do",
+        )
 
+
+_ROUNDING = 1e-9
+"""How far a sum of values may be from what it is to be: 0.1 has no exact double."""
 
 _PYTHON: dict[str, tuple[type, ...]] = {
     "float": (float, int),
@@ -451,6 +471,8 @@ def _declare(body: Declaring, attr: str, hint: object) -> Param:
     about = structs.replace(mark, name=attr, type=kind, count=count, choices=choices)
     if about.bounds and kind not in {"int", "float"}:
         raise body.error(attr, f"a {kind} has no bounds", got=about.bounds)
+    if about.total is not None and not count:
+        raise body.error(attr, "one value alone has no sum", got=about.bounds)
     return about
 
 

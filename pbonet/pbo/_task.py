@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from msgspec import Struct
 
-from pbonet.errors import MethodError
+from pbonet.errors import MethodError, did_you_mean
 
 from ._signals import Signal
 from ._timing import PythonWatch, TimingFailure, Watch
@@ -198,6 +198,10 @@ class TaskContext:
         self.handling: TimingFailure | None = None
         """In `timing_failure`: the failure that is handled; else None."""
         self.watch: Watch = watch or PythonWatch(self)
+        self.in_vars: frozenset[str] = frozenset()
+        """Attributes of the module's in-vars."""
+        self.is_stale: Callable[[str], bool] | None = None
+        """How the runtime tells the age of an in-var; None where nothing ages."""
 
     @property
     def sigmask(self) -> int:
@@ -273,6 +277,26 @@ class TaskContext:
             MethodError: The name cannot be, or there is no room for one more.
         """
         return self.watch.timed(name)
+
+    def stale(self, port: str) -> bool:
+        """Tell whether an in-var is older than the MAXAGE of its variable (5.5.2).
+
+        A variable that was never written is stale, one without MAXAGE never is.
+
+        Args:
+            port: The in-var, as the module spells it: ``self.task.stale("z1")``.
+
+        Raises:
+            MethodError: The module has no such in-var.
+        """
+        if port not in self.in_vars:
+            raise MethodError(
+                f"the module has no in-var {port}",
+                where=self.name,
+                expected=" or ".join(sorted(self.in_vars)) or "no in-vars at all",
+                remedy=did_you_mean(port, self.in_vars),
+            )
+        return self.is_stale is not None and self.is_stale(port)
 
     def signal(self, signal: Signal | int, text: str = "") -> None:
         """Send `signal` to the master, unless it is masked; never waits.

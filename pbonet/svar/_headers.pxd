@@ -105,6 +105,7 @@ cdef extern from "local.h" nogil:
     uint64_t pb_process_space()
     int64_t pb_now()
     int pb_copy_in(pb_local *l, pb_plan *p)
+    bint pb_is_stale(const pb_local *l, uint32_t v)
     int pb_judge(pb_local *l, pb_outputs *o)
     uint64_t pb_committed(const pb_outputs *o)
     int pb_commit(pb_local *l, pb_outputs *o, int64_t now_ns, uint64_t cycle)

@@ -321,6 +321,10 @@ cdef class LocalTable:
     cdef bint c_illegal(self) noexcept nogil:
         return pb_illegal(&local(self).table, &local(self).flag)
 
+    def is_stale(self, unsigned var) -> bool:
+        """Tell whether an in-var is older than its MAXAGE, as it was last copied in."""
+        return pb_is_stale(local(self), var)
+
     def copy_in(self) -> int:
         """Bring the in-vars as one consistent cut; returns flags."""
         return copy(self, PB_PLAN_IN)

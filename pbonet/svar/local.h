@@ -47,12 +47,25 @@ struct pb_local {
     struct pb_seen flag;
 };
 
+static inline bool pb_too_old(const struct pb_age *age, int64_t now) {
+    return age->maxage_ns &&
+           (!age->stamp.time_ns || now - age->stamp.time_ns > age->maxage_ns);
+}
+
+/* Whether an in-var is too old now, as the last copy brought it. */
+static inline bool pb_is_stale(const struct pb_local *l, uint32_t v) {
+    const struct pb_plan *p = l->plans + PB_PLAN_IN;
+    const int64_t now = pb_now();
+    for (uint32_t i = 0; i < p->n_ages; i++)
+        if (p->ages[i].var == v) return pb_too_old(p->ages + i, now);
+    return false;
+}
+
 static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
     int64_t now = pb_now();
     for (uint32_t i = 0; i < p->n_ages; i++) {
-        const struct pb_age *age = p->ages + i;
-        if (age->stamp.time_ns && now - age->stamp.time_ns <= age->maxage_ns) continue;
-        l->fault_var = age->var;
+        if (!pb_too_old(p->ages + i, now)) continue;
+        l->fault_var = p->ages[i].var;
         l->fault_element = 0;
         l->counts.stale++;
         return PB_COPY_STALE;

@@ -212,6 +212,18 @@ class LocalTable(Closing, native.LocalTable):
         """Give the out-vars up; their values stand until another task takes over."""
         self._check(self.give(VARS, False))  # noqa: FBT003
 
+    def stale(self, which: str | int) -> bool:
+        """Tell whether an in-var is older than its MAXAGE, as the last copy brought it.
+
+        Raises:
+            UnknownVariableError: The task has no such variable.
+        """
+        try:
+            return self.is_stale(self._places[which][0])
+        except KeyError:
+            self.array(which)
+            raise
+
     def read(self, which: str | int) -> int:
         """Bring one variable into the local table (svarRead, svarReadIx).
 
@@ -265,15 +277,25 @@ class LocalTable(Closing, native.LocalTable):
     def _take(self, which: int, now_ns: int, cycle: int) -> int:
         self._must_be_open()
         code, rival = self.take(which, now_ns or native.now_ns(), cycle)
-        self._judge(code, rival)
+        self._judge(code, rival, constants=which == OUT_CONSTS)
         return self.flags
 
-    def _judge(self, code: int, rival: int) -> None:
+    def _judge(self, code: int, rival: int, *, constants: bool = False) -> None:
         if code == RIVAL:
             variable = self._variables[rival]
             room = np.zeros(layout.var_bytes(variable), np.uint8)
             seen = self.arena.look(rival, room)
             owner = (seen[-1] if seen and seen[1] else "") or "another task"
+            if constants:
+                raise SvarOwnerError(
+                    f"{self._task} gives the constant {variable.name} another value "
+                    "than its owner",
+                    where=self._table,
+                    expected="one value of a constant",
+                    got=f"owner {owner}",
+                    remedy=f"kill {owner} first, or give {self._task} an alias for "
+                    f"{variable.name}",
+                )
             raise SvarOwnerError(
                 f"{self._task} cannot write {variable.name}, another task does",
                 where=self._table,

@@ -68,6 +68,7 @@ class Bench(Generic[M]):
         executor: What runs it.
         clock: The time.
         illegal: Whether the illegal-configuration flag is up.
+        stale: In-vars, by attribute, that are older than their MAXAGE.
 
     Raises:
         PortError: A size or an in-const is missing, or values do not fit together.
@@ -105,6 +106,7 @@ class Bench(Generic[M]):
         self._fill(ports, shapes, values)
         self.clock = clock or FakeClock()
         self.illegal = False
+        self.stale: set[str] = set()
         self._outbox = BoundedOutbox(10_000)
         self.task = TaskContext(
             name,
@@ -122,6 +124,7 @@ class Bench(Generic[M]):
             {attr: array.reshape(-1) for attr, array in self.table.local.items()},
             self.task,
         )
+        self.task.is_stale = lambda attr: attr in self.stale
         self._record_methods()
         self.executor = Executor(
             self.module,

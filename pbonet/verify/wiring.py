@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.config.words import MAX_NAME
-
+from .joins import remedy
 from .records import Code, Configuration, Problem, Severity, Task
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ def check_writers(configuration: Configuration) -> Iterator[Problem]:
     for variable, tasks in writers.items():
         constant = [t for t in givers.get(variable, []) if t not in tasks]
         if len(tasks) + len(constant) > 1:
-            yield _two_writers(variable, tasks, constant)
+            yield _two_writers(configuration, variable, tasks, constant)
     for variable, tasks in givers.items():
         if len(tasks) > 1:
             yield _two_givers(variable, tasks)
@@ -49,7 +48,12 @@ def _by_variable(tasks: Iterable[Task], keyword: str) -> dict[str, list[Task]]:
     return found
 
 
-def _two_writers(variable: str, tasks: list[Task], constant: list[Task]) -> Problem:
+def _two_writers(
+    configuration: Configuration,
+    variable: str,
+    tasks: list[Task],
+    constant: list[Task],
+) -> Problem:
     names = [task.name for task in (*tasks, *constant)]
     places = [task.place("OUTVAR") for task in tasks]
     places += [task.place("OUTCONST") for task in constant]
@@ -61,33 +65,13 @@ def _two_writers(variable: str, tasks: list[Task], constant: list[Task]) -> Prob
         where=places[-1],
         expected="one task that writes a variable (equation 1)",
         got=f"{len(names)}: {', '.join(places)}",
-        remedy=_join(variable, tasks) if len(tasks) > 1 else "rename one by SVARALIAS",
+        remedy=remedy(configuration, variable, tasks)
+        if len(tasks) > 1
+        else "rename one by SVARALIAS",
         tasks=tuple(names),
         ports=tuple(task.port("OUTVAR", variable) for task in tasks),
         variables=(variable,),
     )
-
-
-def _join(variable: str, tasks: list[Task]) -> str:
-    """Return how to put a join connector behind the tasks (section 3.3)."""
-    names = intermediate(variable, len(tasks))
-    aliases = [
-        f"SVARALIAS {task.port('OUTVAR', variable)}={name} in {task.rmod.name}.rmod"
-        for task, name in zip(tasks, names, strict=True)
-    ]
-    return (
-        f"turn one off, or join them: {', '.join(aliases)}, and a join connector with "
-        f"{' '.join(names)} in and {variable} out"
-    )
-
-
-def intermediate(variable: str, count: int) -> list[str]:
-    """Return names for the variables before a join connector: ``x'``, ``x''`` ..."""
-    names: list[str] = []
-    for number in range(1, count + 1):
-        mark = "'" * number if count <= 3 else f"'{number}"  # noqa: PLR2004 - x''''
-        names.append(variable[: MAX_NAME - len(mark)] + mark)
-    return names
 
 
 def _two_givers(variable: str, tasks: list[Task]) -> Problem:

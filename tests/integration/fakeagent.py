@@ -258,11 +258,11 @@ class FakeAgent:
         self.did("close_table")
 
     def do_spawn(self, request: m.Spawn) -> m.TaskStatus:
-        rmod = parse_rmod(request.rmod, f"{request.rmod_name}.rmod")
+        rmod = parse_rmod(request.rmod, request.rmod_name)
         task = FakeTask(
             request.task,
             request.rmod,
-            request.rmod_name,
+            rmod.name,
             request.freq or rmod.freq or 0.0,
             request.crit or 5,
             request.priority,
@@ -368,7 +368,7 @@ class FakeAgent:
             last_c=1e-4,
             warn=0,
             error=task.error,
-            module=parse_rmod(task.text, task.rmod_name).module,
+            module=parse_rmod(task.text, f"{task.rmod_name}.rmod").module,
         )
 
     def do_display(self, request: m.Display) -> list[m.VarValue]:

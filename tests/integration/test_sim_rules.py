@@ -420,3 +420,27 @@ def test_off_follows_the_job_s_order(
     simulation.run(0.5)
     out = capsys.readouterr().out.split("\n")
     assert out[:4] == ["off second", "off first", "kill second", "kill first"]
+
+
+STALE = """
+class Stale(PortBasedObject):
+    "Tell whether the input is old."
+    x: A[float, InVar("Y", "1", "none", "count")]
+    z: A[float, OutVar("Z", "1", "none", "1 when it is stale")]
+
+    def cycle(self, dt):
+        self.z = float(self.task.stale("x"))
+"""
+
+
+def test_inputs_grow_old_in_virtual_time(shop: Shop) -> None:
+    shop.module("stale", STALE, "INVAR Y", "OUTVAR Z", "FREQ 100")
+    for limits, seen in (("MAXAGE 0.035", [0.0] * 13 + [1.0] * 7), ("", [0.0] * 20)):
+        shop.limits = limits
+        simulation = shop.job("source a", "stale a")
+        simulation.start()
+        simulation.advance(0.1)
+        simulation.signal("source", "off")  # which writes once more
+        simulation.advance(0.1)
+        z = simulation.recording.arrays("stale")["Z"].ravel()
+        assert z.tolist() == seen

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from pbonet import State
-from pbonet.errors import MethodError, ParameterError
+from pbonet.errors import MethodError
 from pbonet.modules.constant import Constant
 from pbonet.modules.diff import Diff
 from pbonet.modules.gain import Gain
-from pbonet.modules.join_average import JoinAverage
 from pbonet.modules.joint_pid import JointPID
 from pbonet.modules.sine import Sine
 from pbonet.testing import Bench
@@ -182,30 +181,6 @@ def test_sine_begins_without_a_jump_and_its_derivative_is_one() -> None:
     assert abs(slopes[0]) < 1e-3
     middle = (np.array(rates[:-1]) + np.array(rates[1:])) / 2
     assert np.array(slopes[1:-1]) == pytest.approx(middle[1:], abs=1e-5)
-
-
-# ----------------------------------------------------------------------- join_average
-
-
-def test_join_weighs_its_inputs() -> None:
-    bench = Bench(JoinAverage, params={"first": 3.0, "second": 1.0}, ndof=2)
-    bench.on()
-    bench.inputs.z1, bench.inputs.z2 = [1.0, 0.0], [0.0, 4.0]
-    bench.step()
-    assert bench.outputs.z == pytest.approx([0.75, 1.0])
-    bench.set("first", 0.0)
-    bench.step()
-    assert bench.outputs.z == pytest.approx([0.0, 4.0])
-
-
-def test_join_of_nothing_is_refused() -> None:
-    bench = Bench(JoinAverage, params={"first": 1.0, "second": 0.0}, ndof=1)
-    with pytest.raises(MethodError, match="both weights are zero"):
-        bench.set("first", 0.0)
-    with pytest.raises(ParameterError, match="out of bounds"):
-        bench.set("first", -1.0)
-    with pytest.raises(MethodError, match="both weights are zero"):
-        Bench(JoinAverage, params={"first": 0.0, "second": 0.0}, ndof=1)
 
 
 # -------------------------------------------------------------------------- joint_pid

@@ -290,7 +290,7 @@ def test_the_same_constant_from_two_tasks_is_no_conflict(table):
     assert two.copy_out_consts() == 0
     assert table.info("V0").owner == "one"
     fill(two, V0=7)
-    with pytest.raises(SvarOwnerError, match="two cannot write V0"):
+    with pytest.raises(SvarOwnerError, match="two gives the constant V0 another value"):
         two.copy_out_consts()
     assert table.read("V0").tolist() == [6] * 3
     one.close()
@@ -309,17 +309,25 @@ def test_stale_inputs_are_flagged_and_still_brought():
     with Table.create("age", variables) as table:
         reader = table.local("r", ME, invar=["OLD", "ANY"])
         careless = table.local("c", ME, invar=["ANY"])
+        assert not reader.stale("OLD"), "nothing was copied yet"
         assert reader.copy_in() == Flags.COPY_STALE, "never written"
+        assert reader.stale("OLD")
         assert reader.blamed == ("OLD", 0)
         assert careless.copy_in() == 0
         writer = table.local("w", ME, outvar=["OLD"])
         fill(writer, OLD=1)
         writer.claim()
+        assert reader.stale("OLD"), "as the last copy brought it"
         assert reader.copy_in() == 0
+        assert not reader.stale("OLD")
         fill(writer, OLD=2)
         writer.commit(now_ns=1)
         assert reader.copy_in() == Flags.COPY_STALE
         assert reader.array("OLD").tolist() == [2]
+        assert reader.stale("OLD")
+        assert not reader.stale("ANY"), "without MAXAGE nothing is stale"
+        with pytest.raises(UnknownVariableError, match="did you mean OLD"):
+            reader.stale("OLDE")
         assert table.info("OLD").stale
         writer.release()
         table.write("OLD", [3])

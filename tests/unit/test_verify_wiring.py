@@ -1,10 +1,15 @@
 """Equations 1 and 2, constants and their order (Stewart 1994, 3.3.1 and 3.5)."""
 
+import re
+
 import pytest
 from verify_parts import configuration, task, texts
 
 from pbonet import verify
+from pbonet.config.library import Library
+from pbonet.config.model import Variable
 from pbonet.errors import VerificationError
+from pbonet.verify.joins import CONNECTORS
 
 
 def test_the_pid_joint_control_of_figure_3_7_is_legal() -> None:
@@ -26,8 +31,10 @@ def test_two_writers_and_how_to_join_them() -> None:
     assert verify.as_text(problem) == (
         "grav.rmod: pid and grav both write T_REF (expected one task that writes a "
         "variable (equation 1), got 2: pid.rmod, grav.rmod); turn one off, or join "
-        "them: SVARALIAS TAU=T_REF' in pid.rmod, SVARALIAS T_REF=T_REF'' in grav.rmod, "
-        "and a join connector with T_REF' T_REF'' in and T_REF out"
+        "them: SVARALIAS TAU=T_REF' in pid.rmod, SVARALIAS T_REF=T_REF'' in grav.rmod; "
+        "T_REF' T_REF'' beside T_REF in the .svar file; a join connector (join_average "
+        "or join_first or join_max or join_min) with SVARALIAS Z1=T_REF', "
+        "SVARALIAS Z2=T_REF'', SVARALIAS Z=T_REF"
     )
     assert problem.code == "two-writers"
     assert problem.tasks == ("pid", "grav")
@@ -47,12 +54,43 @@ def test_the_remedy_for_two_writers_is_one() -> None:
     assert verify.check(configuration(*tasks)) == []
 
 
-def test_names_before_a_join_connector_fit_a_table() -> None:
+def test_names_before_join_connectors_fit_a_table() -> None:
     tasks = [task(f"t{n}", outvar="LONGEST_POSSIBLE"[:15]) for n in range(5)]
     (problem,) = verify.check(configuration(*tasks))
-    names = problem.remedy.split("join connector with ")[1].split(" in and")[0].split()
-    assert len(set(names)) == 5
+    names = problem.remedy.split("; ")[1].split(" beside")[0].split()
+    assert len(set(names)) == 5 + 3
     assert all(len(name) == 15 for name in names)
+
+
+def test_the_chain_in_the_remedy_for_three_writers_is_one() -> None:
+    """What the remedy says is done to the letter, and is legal."""
+    tasks = [task(f"t{n}", outvar="X") for n in range(3)]
+    (problem,) = verify.check(configuration(*tasks))
+    assert "turn all but one off" in problem.remedy
+    producers, _, connectors = problem.remedy.split("; ")
+    given = re.findall(r"SVARALIAS (\S+)=(\S+) in (\w+)\.rmod", producers)
+    joined = [
+        task(name, outvar=port, alias={port: variable})
+        for port, variable, name in given
+    ]
+    for number, lines in enumerate(connectors.split(" with ")[1].split(" and ")):
+        alias = dict(re.findall(r"SVARALIAS (\w+)=([^,\s]+)", lines))
+        joined.append(task(f"j{number}", invar="Z1 Z2", outvar="Z", alias=alias))
+    joined.append(task("reader", invar="X"))
+    assert len(joined) == 6
+    assert verify.check(configuration(*joined)) == []
+
+
+def test_a_join_connector_of_the_library_is_named_only_where_it_fits() -> None:
+    tasks = (task("a", outvar="N", info=None), task("b", outvar="N", info=None))
+    counts = Variable(name="N", type="int")
+    (problem,) = verify.check(configuration(*tasks, variables=[counts]))
+    assert "a join connector (one of your own for its type) with" in problem.remedy
+
+
+def test_the_join_connectors_that_are_named_are_in_the_library() -> None:
+    found = [name for name in Library().modules() if name.startswith("join_")]
+    assert tuple(found) == CONNECTORS
 
 
 def test_an_off_task_writes_nothing() -> None:

@@ -68,6 +68,7 @@ class LocalTable:
         self.flags = self.cycles = self.out_uid = 0
         self.pairs: list[tuple[int, int]] = []
         self.fault = 0, 0
+        self.times: dict[int, int] = {}
         names = "copies retries torn lost stale commits refused clipped"
         self.counts = dict.fromkeys(names.split(), 0)
 
@@ -198,15 +199,27 @@ class LocalTable:
         for (_, to), value in zip(plan, values, strict=True):
             self.data[to : to + len(value)] = np.frombuffer(value, np.uint8)
         self.pairs = [(self.arena.uid(r), head >> 8) for r, head in heads.items()]
+        if which == IN:
+            self.times = {v: self._written(v, heads) for v, _ in plan}
         self.flags |= self._stale(plan, heads)
         return self.flags
 
     def _stale(self, plan: list[tuple[int, int]], heads: dict[int, int]) -> int:
         for v, _ in plan:
-            reg = self.arena.entry(v)[0]
-            if flags := self._too_old(v, self.arena.stamp(v, reg, heads[reg])[0]):
+            if flags := self._too_old(v, self._written(v, heads)):
                 return flags
         return 0
+
+    def _written(self, v: int, heads: dict[int, int]) -> int:
+        reg = self.arena.entry(v)[0]
+        return int(self.arena.stamp(v, reg, heads[reg])[0])
+
+    def is_stale(self, var: int) -> bool:
+        """Tell whether an in-var is older than its MAXAGE, as it was last copied in."""
+        maxage, written = self.arena.maxage_of(var), self.times.get(var)
+        if not maxage or written is None:
+            return False
+        return not written or now_ns() - written > maxage
 
     def _too_old(self, v: int, time_ns: int) -> int:
         maxage = self.arena.maxage_of(v)
