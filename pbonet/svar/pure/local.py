@@ -200,17 +200,17 @@ class LocalTable:
             self.data[to : to + len(value)] = np.frombuffer(value, np.uint8)
         self.pairs = [(self.arena.uid(r), head >> 8) for r, head in heads.items()]
         if which == IN:
-            self.times = {v: self._written(v, heads) for v, _ in plan}
+            self.times = {v: self._stamp_of(v, heads) for v, _ in plan}
         self.flags |= self._stale(plan, heads)
         return self.flags
 
     def _stale(self, plan: list[tuple[int, int]], heads: dict[int, int]) -> int:
         for v, _ in plan:
-            if flags := self._too_old(v, self._written(v, heads)):
+            if flags := self._too_old(v, self._stamp_of(v, heads)):
                 return flags
         return 0
 
-    def _written(self, v: int, heads: dict[int, int]) -> int:
+    def _stamp_of(self, v: int, heads: dict[int, int]) -> int:
         reg = self.arena.entry(v)[0]
         return int(self.arena.stamp(v, reg, heads[reg])[0])
 
