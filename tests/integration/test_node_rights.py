@@ -23,7 +23,7 @@ def small(shared_memory, monkeypatch):
     """A shared memory with room for little, as a file system of its own."""
     folder = shared_memory / "small"
     folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(folder)]
     made = subprocess.run(mount, capture_output=True, text=True, check=False)
     if made.returncode:
         folder.rmdir()
