@@ -1,5 +1,54 @@
-"""``pbonet events``, made of the command table."""
+"""``pbonet events``: what happened lately, and what happens from now on."""
 
-from pbonet.cli.table import verb
+from __future__ import annotations
 
-command = verb("events")
+from typing import Annotated as A
+
+import typer
+
+from pbonet.cli import options
+
+
+def command(
+    *,
+    file: options.File,
+    last: A[int | None, typer.Argument(help="How many.", metavar="LAST", min=0)] = None,
+    since: A[int | None, typer.Option(help="Number of the first.", min=0)] = None,
+    task: A[str | None, typer.Option(help="Of one task.")] = None,
+    code: A[str | None, typer.Option(help="Of one code, such as WARNING.")] = None,
+    severity: A[
+        str | None,
+        typer.Option(help="The least: debug, info, warning, error or fatal."),
+    ] = None,
+    follow: A[bool, typer.Option("--follow", help="Go on with each new one.")] = False,
+    count: A[
+        bool, typer.Option("--count", help="How often each kind came, by task.")
+    ] = False,
+    json_: options.Json = False,
+    domain: options.Domain = "default",
+    connect: options.Connect = None,
+    library: options.Library = None,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Show what happened lately."""
+    from pbonet.cli.table import show
+    from pbonet.errors import StateError
+    from pbonet.master import following, oneshot
+
+    place = oneshot.Place(
+        domain=domain,
+        connect=tuple(connect or ()),
+        libraries=tuple(map(str, library or ())),
+    )
+    given: dict[str, object] = {"last": last, "since": since, "task": task}
+    given |= {"code": code, "severity": severity}
+    if follow and count:
+        raise StateError("--follow and --count do not go together", remedy="choose one")
+    if follow:
+        following.follow(file, given, place, as_data=json_)
+        return
+    name = "events"
+    if count:
+        name, given = "events count", {"task": [task] if task else []}
+    reply = oneshot.run(file, name, given, place)
+    show(reply.command, reply.data, reply.warnings, as_data=json_)

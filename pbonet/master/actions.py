@@ -19,7 +19,7 @@ from pbonet.errors import (
     VerificationError,
     did_you_mean,
 )
-from pbonet.master import profile, profiling
+from pbonet.master import following, profile, profiling
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -295,12 +295,27 @@ def module(desk: Desk, given: Given) -> Data:
 
 def events(desk: Desk, given: Given) -> Data:
     """Show what happened."""
-    found = desk.subsystem.events(given.get("since") or 0)
-    if given.get("task"):
-        found = [event for event in found if event.task == given["task"]]
+    wanted = following.Choice.of(given)
+    found = list(filter(wanted, desk.subsystem.events(given.get("since") or 0)))
     last: int = given.get("last", _LAST_EVENTS)
     shown = found[max(0, len(found) - last) :]
     return {"events": [msgspec.to_builtins(event) for event in shown]}
+
+
+def events_count(desk: Desk, given: Given) -> Data:
+    """Show how often each kind of event came."""
+    wanted: list[str] = given.get("task") or []
+    for task in wanted:
+        desk.subsystem.picture.find(task)
+    return {
+        "counts": [
+            {"rtpu": rtpu.rtpu, "task": task, "code": code, "count": count}
+            for rtpu in desk.subsystem.rtpu_status()
+            for task, codes in sorted(rtpu.events.items())
+            for code, count in sorted(codes.items())
+            if not wanted or task in wanted
+        ]
+    }
 
 
 def help_(desk: Desk, given: Given) -> Data:

@@ -164,7 +164,16 @@ COMMANDS: Final = (
             Arg("last", Kind.COUNT, "how many", Use.MAYBE),
             Arg("since", Kind.COUNT, "number of the first", Use.NAMED),
             Arg("task", Kind.TASK, "of one task", Use.NAMED),
+            Arg("code", Kind.WORD, "of one code, such as WARNING", Use.NAMED),
+            Arg("severity", Kind.WORD, "the least: debug to fatal", Use.NAMED),
         ),
+    ),
+    Command(
+        "events count",
+        "Show how often each kind of event came, those held back in floods too.",
+        actions.events_count,
+        (Arg("task", Kind.TASK, "of which; all if left out", Use.ANY),),
+        scope=Scope.SESSION,
     ),
     Command(
         "freq",

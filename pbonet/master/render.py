@@ -365,6 +365,14 @@ def _events(data: Data) -> str:
     return "\n".join(map(event, found)) or "no events"
 
 
+def _events_count(data: Data) -> str:
+    rows = [
+        [one["rtpu"], one["task"] or "-", one["code"], str(one["count"])]
+        for one in data["counts"]
+    ]
+    return table(("rtpu", "task", "event", "count"), rows) if rows else "no events"
+
+
 def _sigwait(data: Data) -> str:
     sent = data["sent"]
     times = f" ({sent['count']} times)" if sent["count"] > 1 else ""
@@ -412,6 +420,7 @@ _RENDER: Final[dict[str, Callable[[Data], str]]] = {
     "swap": _transition,
     "switch": _transition,
     "events": _events,
+    "events count": _events_count,
     "sigmask": _sigmask,
     "sigwait": _sigwait,
     "help": _help,

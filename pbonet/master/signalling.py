@@ -150,7 +150,7 @@ class Signalled(Opened, Protocol):
         """
         self.stopped.clear()
         deadline = None if timeout is None else time.monotonic() + timeout
-        with self._news() as news:
+        with self.news() as news:
             statuses = self._statuses()
             self._must_be_known(signals, tasks, statuses)
             while True:
@@ -224,7 +224,7 @@ class Signalled(Opened, Protocol):
         return [task for rtpu in self.crew.refresh(strict=False) for task in rtpu.tasks]
 
     @contextmanager
-    def _news(self) -> Generator[Event]:
+    def news(self) -> Generator[Event]:
         """Have an event set whenever an RTPU tells something."""
         news = Event()
 

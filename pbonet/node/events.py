@@ -7,7 +7,7 @@ keeps them, so that numbers go on when its agent is restarted.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from pbonet.errors import Severity
@@ -41,6 +41,7 @@ class EventLog:
         self._wall = wall
         self._kept: deque[Event] = deque(maxlen=KEPT)
         self._next = 1
+        self._counts: Counter[tuple[str, str, str]] = Counter()
         self.publish: Callable[[Event], None] | None = None
 
     @property
@@ -76,10 +77,34 @@ class EventLog:
             text=text,
         )
         self._next += 1
+        self.count(code, subsystem=subsystem, task=task)
         self._kept.append(event)
         if self.publish is not None:
             self.publish(event)
         return event
+
+    def count(self, code: str, *, subsystem: str = "", task: str = "") -> None:
+        """Count an event; one that is held back in a flood is counted only."""
+        self._counts[subsystem, task, code] += 1
+
+    def counts(self, subsystem: str = "") -> dict[str, dict[str, int]]:
+        """Return how often each code came, by task; ``""`` is the RTPU itself.
+
+        Args:
+            subsystem: Whose tasks; empty: of all subsystems.
+        """
+        found: dict[str, dict[str, int]] = {}
+        for (whose, task, code), count in self._counts.items():
+            if subsystem and whose not in {"", subsystem}:
+                continue
+            codes = found.setdefault(task, {})
+            codes[code] = codes.get(code, 0) + count
+        return found
+
+    def forget(self, subsystem: str) -> None:
+        """Forget the counts of a subsystem."""
+        for key in [key for key in self._counts if key[0] == subsystem]:
+            del self._counts[key]
 
     def since(self, number: int, limit: int = KEPT) -> list[Event]:
         """Return the kept events from `number` on, the oldest first."""

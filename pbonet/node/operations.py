@@ -208,6 +208,7 @@ class Operations:
         self._must_be_idle(request.subsystem, "given back")
         self._rtpu.forget(request.subsystem)
         self._rtpu.signals.forget(request.subsystem)
+        self._rtpu.events.forget(request.subsystem)
         self._rtpu.tables.close(request.subsystem)
         self._rtpu.claims.release(request.subsystem)
         self._rtpu.tell_claims()
@@ -340,6 +341,7 @@ class Operations:
                 tasks=found,
                 spent_ns=spent,
                 illegal=illegal,
+                events=rtpu.events.counts(request.subsystem),
             ),
             [],
         )

@@ -258,7 +258,10 @@ class Rtpu:
             task.error = str(PbonetError.from_wire(notice.error))
         if notice.state:
             self.settle(task)
-        elif not task.budget.take(time.monotonic_ns()):
+        goes_on = notice.state in {"", State.ON}  # a flood at worst, no change of state
+        if goes_on and not task.budget.take(time.monotonic_ns()):
+            where = task.facts.subsystem
+            self.events.count(notice.code, subsystem=where, task=task.name)
             return
         self.signals.told(task, notice.bits)
         if held := task.budget.told():

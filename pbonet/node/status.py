@@ -152,6 +152,7 @@ def rtpu_status(
     tasks: list[TaskStatus],
     spent_ns: int,
     illegal: list[str],
+    events: dict[str, dict[str, int]],
 ) -> RtpuStatus:
     """Return the status of the RTPU with that of the tasks asked for.
 
@@ -162,6 +163,7 @@ def rtpu_status(
         tasks: The tasks asked for.
         spent_ns: CPU time of all its tasks since the dispatcher began.
         illegal: Causes for which the illegal-configuration flag is up.
+        events: How often each event came, by task and code.
     """
     now = max((task.now for task in tasks), default=0)
     since = now - core.since_ns if now and core.since_ns else 0
@@ -173,6 +175,7 @@ def rtpu_status(
         util=spent_ns / since if since > 0 else 0.0,
         dispatcher=core.cpu_ns / since if since > 0 else 0.0,
         illegal=illegal,
+        events=events,
         stalls=core.stalls,
         stalled=core.stalled_ns * _NS,
     )

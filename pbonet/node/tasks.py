@@ -335,6 +335,7 @@ def describe_end(code: int) -> str:
         "SIGKILL": " (killed)",
         "SIGABRT": " (abort)",
         "SIGBUS": " (bus error)",
+        "SIGILL": " (illegal instruction)",
         "SIGFPE": " (arithmetic fault in native code)",
         "SIGALRM": " (did not turn itself off in time)",
     }

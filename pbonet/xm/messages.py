@@ -398,6 +398,8 @@ class RtpuStatus(Struct, kw_only=True):
     """Seconds that it stood still, in all."""
     illegal: list[str] = []
     """Causes for which the illegal-configuration flag is up."""
+    events: dict[str, dict[str, int]] = {}
+    """How often each code of events came, by task; held-back ones are counted too."""
 
 
 class TaskProfile(Struct, kw_only=True):

@@ -1,5 +1,9 @@
 """Signals of real tasks: counted under load, masked, waited for by a master."""
 
+import json
+import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -26,16 +30,17 @@ def program(nodes, tmp_path):
     nodes.agent_process("arm0")
     (tmp_path / "t.svar").write_text(
         "".join(
-            f"NAME Y{n}\nTYPE double\nDESC y\nUNITS none\nNELEM 2\n\n" for n in range(3)
+            f"NAME Y{n}\nTYPE double\nDESC y\nUNITS none\nNELEM 2\n\n" for n in range(4)
         )
         + "EOF\n"
     )
-    for n, (name, module, local) in enumerate((
-        ("talks", "talks", None),
-        ("floods", "floods", {"TOTAL": 30}),
-        ("dies", "segfaults", None),
+    for n, (name, module, freq, local) in enumerate((
+        ("talks", "talks", 200.0, None),
+        ("floods", "floods", 200.0, {"TOTAL": 30}),
+        ("dies", "segfaults", 200.0, None),
+        ("raises", "recovers", 1000.0, None),
     )):
-        text = rmod(module, out=f"Y{n}", local=local)
+        text = rmod(module, out=f"Y{n}", freq=freq, local=local)
         (tmp_path / f"{name}.rmod").write_text(text)
     (tmp_path / "t.sbs").write_text(
         "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nUSAGE exclusive\nEOF\n"
@@ -45,6 +50,16 @@ def program(nodes, tmp_path):
         tmp_path / "t.sbs", domain=nodes.domain, libraries=libraries
     ) as subsystem:
         yield subsystem
+
+
+def follow(program, *words):
+    command = ["events", str(program.files.path), "--follow", "--json", *words]
+    command += ["--domain", program.domain]
+    return subprocess.Popen(
+        [sys.executable, "-m", "pbonet.cli", *command],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
 
 
 class TestCounts:
@@ -209,3 +224,49 @@ class TestSigwait:
         assert render.text(reply.command, reply.data) == "talks HALFWAY"
         reply = Desk(program).execute("sigmask WARNING OFF task=talks")
         assert "talks  WARNING OFF" in render.text(reply.command, reply.data)
+
+
+class TestFollow:
+    """``pbonet events`` from outside."""
+
+    def test_each_event_is_one_line_of_json(self, program):
+        program.spawn("talks")
+        shown = follow(program, "--severity", "info")
+        try:
+            assert json.loads(shown.stdout.readline())["rtpu"] == "arm0"
+            program.control("talks", "on")
+            found = []
+            for line in shown.stdout:
+                found.append(json.loads(line))
+                if found[-1]["text"].startswith("off: OFF"):
+                    break
+        finally:
+            shown.send_signal(signal.SIGINT)
+            shown.stdout.close()
+            shown.wait(30.0)
+        told = [(e["code"], e["bits"]) for e in found if e["bits"]]
+        assert told == [
+            ("WARNING", 8),
+            ("SIGNAL", 2),
+            ("SIGNAL", 1 << 10),
+            ("SIGNAL", 1),
+        ]
+        numbers = [event["n"] for event in found]
+        assert numbers == sorted(set(numbers))
+
+    def test_a_flood_is_limited_and_counted(self, program):
+        program.spawn("raises")
+        program.control("raises", "on")
+        place = oneshot.Place(domain=program.domain)
+
+        def told():
+            reply = oneshot.run(
+                program.files.path, "events count", {"task": ["raises"]}, place
+            )
+            return {one["code"]: one["count"] for one in reply.data["counts"]}
+
+        counts = wait_for(
+            lambda: (now := told()).get("METHOD", 0) >= 600 and now, "600 errors"
+        )
+        events = [e for e in program.events() if e.code == "METHOD"]
+        assert len(events) < counts["METHOD"]

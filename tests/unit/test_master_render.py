@@ -193,6 +193,7 @@ def test_commands_without_a_form_of_their_own_show_states():
         "swap",
         "switch",
         "events",
+        "events count",
         "help",
         "sigmask",
         "sigwait",

@@ -48,6 +48,23 @@ def test_old_events_go_and_numbers_stay():
     assert events.since(KEPT + 10)[0].n == KEPT + 10
 
 
+def test_counts_by_task_and_code_with_what_is_held_back():
+    events = log()
+    for _ in range(KEPT + 1):
+        events.add(Severity.INFO, "STATE", "on", subsystem="s", task="t")
+    events.count("WARNING", subsystem="s", task="t")
+    events.add(Severity.INFO, "CLAIM", "s", subsystem="s")
+    events.add(Severity.INFO, "ENDING", "the process")
+    events.add(Severity.INFO, "STATE", "on", subsystem="other", task="t")
+    assert events.counts("s") == {
+        "t": {"STATE": KEPT + 1, "WARNING": 1},
+        "": {"CLAIM": 1, "ENDING": 1},
+    }
+    assert events.counts()["t"]["STATE"] == KEPT + 2
+    events.forget("s")
+    assert events.counts("s") == {"": {"ENDING": 1}}
+
+
 def test_long_texts_are_cut():
     text = log().add(Severity.INFO, "X", "a" * (LONGEST_TEXT + 5)).text
     assert text.endswith("a ... (5 more)")
