@@ -47,8 +47,9 @@ def command(
     if follow:
         following.follow(file, given, place, as_data=json_)
         return
-    name = "events"
     if count:
-        name, given = "events count", {"task": [task] if task else []}
-    reply = oneshot.run(file, name, given, place)
+        tasks: dict[str, object] = {"task": [task] if task else []}
+        reply = oneshot.run(file, "events count", tasks, place)
+    else:
+        reply = oneshot.run(file, "events", given, place)
     show(reply.command, reply.data, reply.warnings, as_data=json_)
