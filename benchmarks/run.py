@@ -25,6 +25,7 @@ RUNS = {
     "transfer": "transfer",
     "simulate": "simulate",
     "ipc": "ipc",
+    "signals": "signals",
 }
 """Module and arguments of each benchmark, by its name."""
 ROOT = Path(__file__).resolve().parents[1]
