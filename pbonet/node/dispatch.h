@@ -34,6 +34,7 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     int32_t drop = atomic_load_explicit(&c->drop, memory_order_relaxed);
     int32_t handler = atomic_load_explicit(&c->handler, memory_order_relaxed);
     int32_t tells = atomic_load_explicit(&c->tells, memory_order_relaxed);
+    /* SYNC POINT, continued: the second look at `gen` comes behind all of these. */
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
         return 0;
@@ -101,6 +102,7 @@ static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s)
             rt_set_rank(t, i, s, rt_contained(s));
         }
     }
+    /* SYNC POINT: rt_wish stores the two wishes before it counts. */
     uint32_t wish = atomic_load_explicit(&post->wish, memory_order_acquire);
     if (wish != s->wish) {
         int32_t crit = atomic_load_explicit(&post->wish_crit, memory_order_relaxed);
@@ -148,6 +150,7 @@ static inline int rt_news(const struct rt_slot *slot)
 static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     struct rt_slot *slot = &t->slots[i];
+    /* SYNC POINT: rt_alloc sets a slot back before it gives it a life. */
     uint32_t life = atomic_load_explicit(&slot->config.life, memory_order_acquire);
     if (life != s->life) {
         memset(s, 0, sizeof *s);
@@ -326,6 +329,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
                               rt_cpu_fn cpu)
 {
     struct muf_item ready[RT_SLOTS];
+    /* SYNC POINT: rt_alloc raises `high` behind setting the slot back. */
     int n = 0, high = (int)atomic_load_explicit(&t->high, memory_order_acquire);
     int64_t due = 0;
     uint64_t head = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
@@ -373,6 +377,7 @@ static inline void rt_turn_end(struct rt_table *t)
 static inline void rt_recover(struct rt_table *t)
 {
     uint32_t i = t->journal_slot;
+    /* SYNC POINT: rt_commit stores the journal first. */
     if (atomic_load_explicit(&t->journal_valid, memory_order_acquire) && i < RT_SLOTS)
         t->slots[i].state = t->journal;
     atomic_store(&t->journal_valid, 0);

@@ -37,6 +37,7 @@ static inline void ring_init(struct ring *r, uint64_t capacity)
 {
     r->version = RING_VERSION;
     r->capacity = capacity;
+    /* SYNC POINT: who maps the ring looks at `magic` first. */
     atomic_thread_fence(memory_order_release);
     r->magic = RING_MAGIC;
 }

@@ -57,7 +57,7 @@ static inline uint64_t rt_faults(void)
     return getrusage(RUSAGE_THREAD, &use) ? 0 : (uint64_t)use.ru_minflt;
 }
 
-/* Readers of the stats look at `seq` before and after; see rt_snapshot. */
+/* SYNC POINT: readers of the stats look at `seq` before and after, in rt_snapshot. */
 static inline void rt_stats_begin(struct rt_stats *s)
 {
     atomic_store_explicit(&s->seq, s->seq + 1, memory_order_relaxed);

@@ -148,6 +148,7 @@ static inline int rt_init(struct rt_table *t, int core)
     t->size = sizeof *t;
     t->core = core;
     t->trace_size = RT_TRACE;
+    /* SYNC POINT: who maps the table looks at `magic` first. */
     atomic_thread_fence(memory_order_release);
     t->magic = RT_MAGIC;
     return error;
@@ -312,6 +313,7 @@ static inline uint32_t rt_config_begin(struct rt_config *c)
 
 static inline void rt_config_end(struct rt_config *c, uint32_t gen)
 {
+    /* SYNC POINT: as in rt_config_begin. */
     atomic_store_explicit(&c->gen, gen + 1, memory_order_release);
 }
 

@@ -64,11 +64,15 @@ def build(
     return target
 
 
-def mutant(folder: Path, header: str, right: str, wrong: str) -> Path:
+def mutant(
+    folder: Path, header: str, right: str, wrong: str, headers: Path = HEADERS
+) -> Path:
     """Copy the headers with one line made wrong; return the copy's folder."""
-    copy = folder / "headers"
+    copy = folder / headers.name
     copy.mkdir()
-    for path in HEADERS.glob("*.h"):
+    if headers != HEADERS:
+        (folder / HEADERS.name).symlink_to(HEADERS)
+    for path in headers.glob("*.h"):
         shutil.copy(path, copy)
     text = (copy / header).read_text()
     assert text.count(right) == 1, f"{header} no longer says {right!r} once"

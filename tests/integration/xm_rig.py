@@ -1,8 +1,6 @@
 """What the hostile tests of express mail share: its headers, children that wait."""
 
 import mmap
-import shutil
-from pathlib import Path
 
 import numpy as np
 from svar_rig import ROOT, Child, wait_for
@@ -11,19 +9,6 @@ HEADERS = ROOT / "pbonet" / "xm"
 SECOND = 1_000_000_000
 LONG = 30 * SECOND
 """Nanoseconds that a wait has which must not time out."""
-
-
-def mutant(folder: Path, header: str, right: str, wrong: str) -> Path:
-    """Copy the headers with one line made wrong; return the copy's folder."""
-    copy = folder / "xm"
-    copy.mkdir()
-    (folder / "svar").symlink_to(ROOT / "pbonet" / "svar")
-    for path in HEADERS.glob("*.h"):
-        shutil.copy(path, copy)
-    text = (copy / header).read_text()
-    assert text.count(right) == 1, f"{header} no longer says {right!r} once"
-    (copy / header).write_text(text.replace(right, wrong))
-    return copy
 
 
 def words(n: int) -> np.ndarray:

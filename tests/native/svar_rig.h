@@ -12,6 +12,10 @@
 #include <stdlib.h>
 #include <sys/mman.h>
 
+#ifndef RIG_GAP /* bytes between variables in a local table: then each is a piece of its own */
+#define RIG_GAP 0
+#endif
+
 enum { WRITERS = 2, VARS = 7, ALL = WRITERS * VARS };
 
 static inline void die(const char *what) {
@@ -62,7 +66,7 @@ static inline struct pb_local *rig_local(const struct pb_table *t, int writer) {
     for (uint32_t v = 0; v < ALL; v++) {
         vars[v] = v;
         to[v] = at;
-        at += t->vars[v].bytes;
+        at += t->vars[v].bytes + RIG_GAP;
         if ((int)v / VARS == writer) continue;
         others[n] = v;
         others_to[n++] = to[v];
@@ -88,20 +92,24 @@ static inline uint64_t *rig_word(struct pb_local *l, int writer, int var) {
     return (uint64_t *)(void *)(l->data + l->plans[PB_PLAN_ON].to[writer * VARS + var]);
 }
 
+static inline uint64_t rig_words(const struct pb_local *l, int writer, int var) {
+    return l->table.vars[writer * VARS + var].bytes / 8;
+}
+
 /* Fill the writer's group with `counter`, and with what it saw of the other. */
 static inline void rig_fill(struct pb_local *l, int writer, uint64_t counter) {
-    uint64_t *word = rig_word(l, writer, 0);
-    const uint64_t *end = rig_word(l, writer, VARS - 1);
-    while (word < end) *word++ = counter;
-    *word = *rig_word(l, 1 - writer, 0);
+    for (int v = 0; v < VARS - 1; v++)
+        for (uint64_t i = 0; i < rig_words(l, writer, v); i++) rig_word(l, writer, v)[i] = counter;
+    *rig_word(l, writer, VARS - 1) = *rig_word(l, 1 - writer, 0);
 }
 
 /* Whether every word of the writer's group is the same. */
 static inline bool rig_is_whole(struct pb_local *l, int writer) {
-    const uint64_t *word = rig_word(l, writer, 0), *end = rig_word(l, writer, VARS - 1);
-    const uint64_t first = *word;
-    while (word < end && *word == first) word++;
-    return word == end;
+    const uint64_t first = *rig_word(l, writer, 0);
+    for (int v = 0; v < VARS - 1; v++)
+        for (uint64_t i = 0; i < rig_words(l, writer, v); i++)
+            if (rig_word(l, writer, v)[i] != first) return false;
+    return true;
 }
 
 /* Whether an instant can have existed at which both groups were current. */
