@@ -22,7 +22,7 @@ $(VENV)/.packages: pyproject.toml
 	$(PIP) "pip>=25.1"
 	$(PIP) "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
 	$(PIP) --no-build-isolation \
-	  --group test --group dev --group typing --group docs \
+	  --group test --group dev --group typing --group docs --group deploy \
 	  --editable ".[robot,devices,plot]"
 	@touch $@
 

@@ -33,7 +33,6 @@ _LEAST_SHM: Final = 64 << 20
 _PACKAGES: Final = ("eclipse-zenoh", "numpy", "msgspec", "mcap")
 _EXTRAS: Final = {
     "pinocchio": "robot dynamics: pip install 'pbonet[robot]'",
-    "placo": "inverse kinematics: pip install 'pbonet[robot]'",
     "serial": "serial devices: pip install 'pbonet[devices]'",
 }
 _SLOW: Final = 0.05
@@ -146,7 +145,7 @@ def rights(probe: Probe) -> Iterator[Finding]:
         yield Finding(
             Level.WARN,
             "memory cannot be locked, so a page fault may delay a cycle",
-            "raise the memlock limit (ulimit -l unlimited)",
+            "raise the memlock limit (ulimit -l unlimited, --ulimit memlock=-1)",
         )
     cores = ", ".join(map(str, probe.cores))
     if len(probe.cores) > 1:

@@ -26,7 +26,7 @@ from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.xm import keys, rundir, session
 from pbonet.xm.messages import AgentInfo
 
-from . import leftovers, wire
+from . import leftovers, service, wire
 from .ears import Ears
 from .server import Server
 from .supervise import RtpuLink, choose_core
@@ -392,6 +392,8 @@ def main(config: AgentConfig, *, backend: str = "auto") -> int:
         signal.signal(which, on_signal)
     agent.start()
     announce(agent.info())
+    service.tell("READY=1")
     agent.wait()
+    service.tell("STOPPING=1")
     in_order = agent.stop()
     return 0 if in_order and not agent.reason else 1

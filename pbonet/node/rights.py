@@ -41,7 +41,8 @@ def probe(errno: int) -> Probe:
     if memlock >= 0 and not lock:
         reasons.append(
             f"memory is not locked: the memlock limit is {memlock // 1024} KiB; "
-            "set 'memlock unlimited' in /etc/security/limits.d"
+            "set 'memlock unlimited' in /etc/security/limits.d, "
+            "or --ulimit memlock=-1 for a container"
         )
     if len(cores) == 1:
         reasons.append(
@@ -77,7 +78,8 @@ def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> 
         return refused + "the kernel or a security policy forbids it"
     return (
         refused + f"no CAP_SYS_NICE, and the rtprio limit is {rtprio}; "
-        "set 'rtprio 95' in /etc/security/limits.d"
+        "set 'rtprio 95' in /etc/security/limits.d, "
+        "or --ulimit rtprio=95 for a container"
     )
 
 

@@ -62,7 +62,8 @@ def test_without_rights_every_refusal_is_explained(folder) -> None:
     assert "set 'memlock unlimited'" in locked
     assert fifo == (
         "SCHED_FIFO is refused (Operation not permitted): no CAP_SYS_NICE, and the "
-        "rtprio limit is 0; set 'rtprio 95' in /etc/security/limits.d"
+        "rtprio limit is 0; set 'rtprio 95' in /etc/security/limits.d, "
+        "or --ulimit rtprio=95 for a container"
     )
     assert pin.startswith("the thread cannot be pinned to core 4095 (expected one of [")
     assert backend == "park"

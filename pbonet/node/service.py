@@ -1,0 +1,35 @@
+"""Tells the manager that started the agent how it stands (systemd's `Type=notify`)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+
+VARIABLE = "NOTIFY_SOCKET"
+"""Names the manager's socket; absent when nobody wants to know."""
+
+
+def tell(state: str) -> bool:
+    """Tell the service manager, if there is one, that `state` holds.
+
+    The protocol is one datagram to a Unix socket, a name that begins with `@` being one
+    of the abstract name space (sd_notify(3)).
+
+    Args:
+        state: Such as ``READY=1`` or ``STOPPING=1``.
+
+    Returns:
+        Whether it was sent.
+    """
+    name = os.environ.get(VARIABLE, "")
+    if not name:
+        return False
+    address = f"\0{name[1:]}" if name.startswith("@") else name
+    with (
+        contextlib.suppress(OSError),  # an agent is useful without its manager
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock,
+    ):
+        sock.sendto(state.encode(), address)
+        return True
+    return False

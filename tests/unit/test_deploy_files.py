@@ -1,0 +1,168 @@
+"""The files in deploy/: each judged by its own tool, and their commands by pbonet's."""
+
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import dockerfile
+import pytest
+import typer
+
+from pbonet.cli import build
+from pbonet.config import read_agent
+from pbonet.node import service
+from pbonet.xm.session import check_endpoint
+
+ROOT = Path(__file__).resolve().parents[2]
+DEPLOY = ROOT / "deploy"
+UNIT = DEPLOY / "systemd" / "pbonet-agent@.service"
+
+
+def judge(tool, *words):
+    """Run a tool that an extra package brings; it says nothing, or the test fails."""
+    found = shutil.which(tool, path=Path(sys.executable).parent) or shutil.which(tool)
+    if found is None:
+        if os.environ.get("CI"):
+            pytest.fail(f"{tool} is missing")
+        pytest.skip(f"{tool} is not installed (pip install --group deploy)")
+    result = subprocess.run(
+        [found, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout
+    return result.stdout
+
+
+def parsed(words):
+    """Return the verb and its options, as the command line understands the words."""
+    group = typer.main.get_command(build())
+    name, verb, rest = group.resolve_command(None, list(words))
+    with verb.make_context(name, rest) as context:
+        return name, context.params
+
+
+def settings(section):
+    """Return the settings of a section of the unit file, one value each."""
+    found, here = {}, ""
+    for line in UNIT.read_text().splitlines():
+        if line.startswith("["):
+            here = line.strip("[]")
+        elif "=" in line and not line.startswith("#") and here == section:
+            key, _, value = line.partition("=")
+            found[key] = value
+    return found
+
+
+def test_dockerfile_has_no_fault():
+    judge("hadolint", DEPLOY / "Dockerfile")
+
+
+def test_scripts_have_no_fault():
+    judge("shellcheck", DEPLOY / "host-setup.sh")
+
+
+@pytest.mark.slow
+def test_unit_is_valid(tmp_path):
+    """Its program is put where the host's set-up would, in a root of its own."""
+    text = UNIT.read_text()
+    program = tmp_path / "pbonet"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    unit = tmp_path / UNIT.name
+    unit.write_text(text.replace("/opt/pbonet/bin/pbonet", str(program)))
+    assert judge("systemd-analyze", "verify", "--man=no", unit) == ""
+
+
+def test_unit_starts_an_agent():
+    command = shlex.split(settings("Service")["ExecStart"])
+    name, options = parsed(command[1:])
+    assert name == "agent"
+    assert (options["name"], str(options["config"])) == ("%i", "/etc/pbonet/%i.toml")
+
+
+def test_unit_lets_control_outlive_the_agent():
+    """systemd would otherwise kill the RTPU process that the next agent takes over."""
+    service_ = settings("Service")
+    assert service_["KillMode"] == "process"
+    assert service_["Restart"] == "on-failure"
+    assert service_["Type"] == "notify"
+    assert service_["LimitRTPRIO"] == "95"
+    assert service_["LimitMEMLOCK"] == "infinity"
+
+
+def test_agent_file_of_the_host_is_read():
+    config = read_agent(DEPLOY / "agent.toml")
+    assert config.name is None
+
+
+def test_every_key_of_the_agent_file_is_read(tmp_path):
+    """Also those that are shown as comments."""
+    text = (DEPLOY / "agent.toml").read_text()
+    lines = [line.removeprefix("# ") for line in text.splitlines() if " = " in line]
+    file = tmp_path / "agent.toml"
+    file.write_text("\n".join(lines))
+    config = read_agent(file)
+    assert config.core is not None
+    assert config.connect
+    assert config.libraries
+    for endpoint in (*config.listen, *config.connect):
+        check_endpoint(endpoint)
+
+
+def test_image_runs_as_nobody_special():
+    steps = dockerfile.parse((DEPLOY / "Dockerfile").read_text())
+    users = [step.rest for step in steps if step.word == "USER"]
+    assert users[-1].isdigit()
+    assert int(users[-1]) > 0
+
+
+def test_host_setup_shows_and_does_nothing(tmp_path):
+    shown = subprocess.run(
+        [DEPLOY / "host-setup.sh", "arm0", "arm-1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    if "has no systemd" in shown.stderr:
+        pytest.skip("this machine has no systemd")
+    assert shown.returncode == 0, shown.stderr
+    assert "/etc/pbonet/arm-1.toml" in shown.stdout
+    assert "Nothing was done" in shown.stdout
+    assert not Path("/etc/pbonet").exists()
+
+
+@pytest.mark.parametrize("name", ["0arm", "../arm", "a" * 32, ""])
+def test_host_setup_refuses_what_is_no_name(name):
+    shown = subprocess.run(
+        [DEPLOY / "host-setup.sh", name], capture_output=True, text=True, check=False
+    )
+    assert shown.returncode == 2
+    assert f"'{name}' is no name of an RTPU" in shown.stderr
+
+
+# -- what the manager is told ---
+
+
+@pytest.mark.parametrize("abstract", [False, True])
+def test_manager_is_told(tmp_path, monkeypatch, abstract):
+    name = f"@pbonet-test-{os.getpid()}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(f"\0{name[1:]}" if abstract else name)
+        monkeypatch.setenv(service.VARIABLE, name)
+        assert service.tell("READY=1")
+        assert manager.recv(100) == b"READY=1"
+
+
+def test_manager_that_is_gone_is_no_matter(tmp_path, monkeypatch):
+    monkeypatch.setenv(service.VARIABLE, str(tmp_path / "nobody"))
+    assert not service.tell("READY=1")
+    monkeypatch.delenv(service.VARIABLE)
+    assert not service.tell("READY=1")
