@@ -20,8 +20,9 @@ import numpy as np
 
 from benchmarks import rtbench
 from pbonet.master import Subsystem
+from pbonet.master.choice import Choice
 from pbonet.master.embedded import Embedded
-from pbonet.master.following import Choice, Follower
+from pbonet.master.following import Follower
 from pbonet.node._ring import Ring
 
 TASKS = 8
@@ -103,7 +104,7 @@ def delays(subsystem: Subsystem, rounds: int) -> list[float]:
     subsystem.control("slow", "on")
     taken: list[int] = []
     while len(taken) < rounds:
-        sent = subsystem.sigwait(["SENT"], tasks=["slow"], timeout=10.0)
+        sent = subsystem.sigwait(["SENT"], task=["slow"], timeout=10.0)
         taken += [time.monotonic_ns()] * sent.count
     subsystem.control("slow", "off")
     begun = [record.start_ns for record in ring.drain()]
@@ -122,7 +123,7 @@ def flood(subsystem: Subsystem) -> dict[str, float]:
     subsystem.reconfig([(name, "on") for name in names])
     taken = events = 0
     while taken < TASKS * TOTAL:
-        taken += subsystem.sigwait(["SENT"], tasks=names, timeout=10.0).count
+        taken += subsystem.sigwait(["SENT"], task=names, timeout=10.0).count
         events += len(follower.take())
     seconds = time.monotonic() - begin
     values = [one.values for one in subsystem.display([f"Y{n}" for n in range(TASKS)])]

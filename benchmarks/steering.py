@@ -61,7 +61,7 @@ def one_round(subsystem: Subsystem) -> dict[str, float]:
     now = time.monotonic_ns
     got: dict[str, float] = {}
     begun = now()
-    status = subsystem.spawn("sine", freq=RATE)
+    status = subsystem.spawn("sine", hz=RATE)
     got["spawn: command to OFF"] = now() - begun
     ring = Ring.attach(status.ring)
     begun = now()

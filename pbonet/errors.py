@@ -40,6 +40,7 @@ from a task to the master without losing anything.
     │   ├── MethodError                    a method of the module raised
     │   ├── TaskDiedError                  the task's process ended
     │   ├── ReconfigError                  an item of a list of signals failed
+    │   ├── ConditionError                 a PRE or POST of a job does not hold
     │   └── UnknownTaskError (KeyError)
     ├── NodeError
     │   ├── UnreachableError (ConnectionError)
@@ -350,6 +351,12 @@ class ReconfigError(TaskError):
     code = "RECONFIG"
     done: int = 0
     rest: tuple[tuple[str, str], ...] = ()
+
+
+class ConditionError(TaskError):
+    """A PRE or POST condition of a job does not hold; nothing was changed."""
+
+    code = "CONDITION"
 
 
 class UnknownTaskError(TaskError, KeyError):

@@ -12,6 +12,7 @@ from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
+from .conditions import parse, replaced
 from .lines import Line, Word, fault, quote
 from .model import Condition, JobFile, JobTask
 from .reader import Reader, load
@@ -63,16 +64,17 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
         name=words.label(words.single(block["JOB"], "a name"), "a job"),
         desc=block["DESC"].rest,
         sbs=words.path(block["SBS"], "the name of a .sbs file"),
-        pre=tuple(_condition(line) for line in block.all("PRE")),
-        post=tuple(_condition(line) for line in block.all("POST")),
+        pre=tuple(_condition(reader, line) for line in block.all("PRE")),
+        post=tuple(_condition(reader, line) for line in block.all("POST")),
         tasks=tuple(tasks.values()),
         off_order=off_order,
     )
 
 
-def _condition(line: Line) -> Condition:
-    text = " ".join(word.text for word in line.words)
-    if not text:
+def _condition(reader: Reader, line: Line) -> Condition:
+    """Return a condition; constants that it names are replaced by their values."""
+    words = line.words
+    if not words:
         raise fault(
             f"{line.keyword} needs a condition",
             line.place,
@@ -80,7 +82,13 @@ def _condition(line: Line) -> Condition:
             got="nothing",
             remedy="write the condition behind the keyword, or remove the line",
         )
-    return Condition(text, line.words[0].place)
+    first, last = words[0].place, words[-1]
+    end = last.place.column + len(last.text) - first.column
+    found = parse(line.rest[:end], first)
+    text = replaced(
+        found, lambda name, place: reader.constants.replace(Word(name, place))
+    )
+    return Condition(parse(text, first).text, first)
 
 
 def _task(reader: Reader, line: Line) -> JobTask:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
-import threading
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import msgspec
@@ -15,11 +13,10 @@ from pbonet.errors import (
     SeveralError,
     StateError,
     UnknownTaskError,
-    UnknownVariableError,
     VerificationError,
     did_you_mean,
 )
-from pbonet.master import following, profile, profiling
+from pbonet.master import profile, profiling
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,17 +34,8 @@ def signal(name: str) -> Callable[[Desk, Given], Data]:
 
     def send(desk: Desk, given: Given) -> Data:
         tasks = desk.tasks(given.get("task") or [])
-        text: str = given.get("text") or ""
-        if len(tasks) == 1:
-            status = desk.subsystem.control(tasks[0], name, text)
-            return {"states": {tasks[0]: status.state}}
-        if text:
-            raise StateError(
-                "a text goes to one task",
-                expected=f"{name} TASK text=...",
-                got=f"{len(tasks)} tasks",
-            )
-        return {"states": desk.subsystem.reconfig([(task, name) for task in tasks])}
+        call: Callable[..., dict[str, str]] = getattr(desk.subsystem, name)
+        return {"states": call(tasks, text=given.get("text") or "")}
 
     return send
 
@@ -87,8 +75,13 @@ def swap(desk: Desk, given: Given) -> Data:
 
 def switch(desk: Desk, given: Given) -> Data:
     """Go over to another job."""
-    dry_run = given.get("dry_run", False)
-    return _transition(desk.subsystem.switch(given.get("job"), dry_run=dry_run))
+    return _transition(
+        desk.subsystem.switch(
+            given.get("job"),
+            dry_run=given.get("dry_run", False),
+            wait=given.get("wait"),
+        )
+    )
 
 
 def _transition(found: Transition) -> Data:
@@ -98,7 +91,7 @@ def _transition(found: Transition) -> Data:
 
 def start(desk: Desk, given: Given) -> Data:
     """Assemble a job."""
-    statuses = desk.subsystem.start(given.get("job"))
+    statuses = desk.subsystem.start(given.get("job"), wait=given.get("wait"))
     return {"states": {status.task: status.state for status in statuses}}
 
 
@@ -146,7 +139,7 @@ def set_(desk: Desk, given: Given) -> Data:
 def status(desk: Desk, given: Given) -> Data:
     """Show status since the last one that this interface showed."""
     wanted: list[str] = given.get("task") or []
-    fields = columns([given["fields"]]) if given.get("fields") else desk.shown
+    fields = profile.columns([given["fields"]]) if given.get("fields") else desk.shown
     rtpus = desk.subsystem.rtpu_status()
     for task in wanted:
         desk.subsystem.picture.find(task)
@@ -181,7 +174,7 @@ def status(desk: Desk, given: Given) -> Data:
 def profiles(desk: Desk, given: Given) -> Data:
     """Show the profiles of tasks and of their RTPUs."""
     wanted: list[str] = given.get("task") or []
-    found = desk.subsystem.profiles(wanted)
+    found = desk.subsystem.profile(wanted)
     if len(wanted) == 1:
         desk.point_at(wanted[0])
     picture = desk.subsystem.picture
@@ -197,7 +190,7 @@ def profiles(desk: Desk, given: Given) -> Data:
 
 def profiles_save(desk: Desk, given: Given) -> Data:
     """Save the profiles of tasks."""
-    saved = profiling.save(desk.subsystem.crew, given.get("task") or [])
+    saved = desk.subsystem.profile_save(given.get("task") or [])
     return {
         "saved": [
             {
@@ -216,7 +209,7 @@ def status_set(desk: Desk, given: Given) -> Data:
     """Choose the columns of status."""
     words: list[str] = given.get("field") or []
     if words:
-        desk.shown = columns(words)
+        desk.shown = profile.columns(words)
     known = [
         {"name": field.name, "unit": field.unit, "doc": field.doc}
         for field in profile.FIELDS
@@ -224,52 +217,12 @@ def status_set(desk: Desk, given: Given) -> Data:
     return {"shown": list(desk.shown), "known": known}
 
 
-def columns(words: list[str]) -> tuple[str, ...]:
-    """Return the columns that words name; they may hold several with commas.
-
-    Raises:
-        StateError: One of them is no field.
-    """
-    names = [name for word in words for name in word.split(",") if name]
-    if names == ["all"]:
-        return profile.NAMES
-    if names == ["default"]:
-        return profile.DEFAULT
-    for name in names:
-        if name not in profile.NAMES:
-            raise StateError(
-                f"status has no field {name}",
-                expected="names out of " + " ".join(profile.NAMES),
-                remedy=did_you_mean(name, profile.NAMES),
-            )
-    return tuple(dict.fromkeys(names))
-
-
 def display(desk: Desk, given: Given) -> Data:
     """Show variables."""
-    patterns: list[str] = given.get("variable") or []
-    known = [variable.name for variable in desk.subsystem.files.table.variables]
-    names = known if not patterns else _matching(patterns, known)
-    if given.get("task"):
-        ports = desk.subsystem.picture.find(given["task"]).variables
-        names = [name for name in names if name in ports]
-    values = desk.subsystem.display(names)
-    if given.get("writer"):
-        values = [value for value in values if value.writer == given["writer"]]
+    values = desk.subsystem.display(
+        given.get("variable"), task=given.get("task"), writer=given.get("writer")
+    )
     return {"variables": [msgspec.to_builtins(value) for value in values]}
-
-
-def _matching(patterns: list[str], known: list[str]) -> list[str]:
-    found: list[str] = []
-    for pattern in patterns:
-        names = [name for name in known if fnmatch.fnmatchcase(name, pattern)]
-        if not names:
-            raise UnknownVariableError(
-                f"the table has no variable {pattern}",
-                remedy=did_you_mean(pattern, known) or "'display' shows them all",
-            )
-        found += [name for name in names if name not in found]
-    return found
 
 
 def write(desk: Desk, given: Given) -> Data:
@@ -281,7 +234,7 @@ def write(desk: Desk, given: Given) -> Data:
 def module(desk: Desk, given: Given) -> Data:
     """List modules and RMODs, or show one module."""
     name: str | None = given.get("module")
-    infos = desk.subsystem.modules(name)
+    infos = desk.subsystem.module(name)
     if name is not None:
         return {"module": msgspec.to_builtins(infos[0])}
     return {
@@ -295,27 +248,19 @@ def module(desk: Desk, given: Given) -> Data:
 
 def events(desk: Desk, given: Given) -> Data:
     """Show what happened."""
-    wanted = following.Choice.of(given)
-    found = list(filter(wanted, desk.subsystem.events(given.get("since") or 0)))
-    last: int = given.get("last", _LAST_EVENTS)
-    shown = found[max(0, len(found) - last) :]
-    return {"events": [msgspec.to_builtins(event) for event in shown]}
+    found = desk.subsystem.events(
+        given.get("last", _LAST_EVENTS),
+        since=given.get("since", 0),
+        task=given.get("task"),
+        code=given.get("code"),
+        severity=given.get("severity"),
+    )
+    return {"events": [msgspec.to_builtins(event) for event in found]}
 
 
 def events_count(desk: Desk, given: Given) -> Data:
     """Show how often each kind of event came."""
-    wanted: list[str] = given.get("task") or []
-    for task in wanted:
-        desk.subsystem.picture.find(task)
-    return {
-        "counts": [
-            {"rtpu": rtpu.rtpu, "task": task, "code": code, "count": count}
-            for rtpu in desk.subsystem.rtpu_status()
-            for task, codes in sorted(rtpu.events.items())
-            for code, count in sorted(codes.items())
-            if not wanted or task in wanted
-        ]
-    }
+    return {"counts": desk.subsystem.events_count(given.get("task") or [])}
 
 
 def help_(desk: Desk, given: Given) -> Data:
@@ -338,36 +283,23 @@ def help_(desk: Desk, given: Given) -> Data:
                     for arg in command.args
                 ],
             }
-            for command in desk.commands(given.get("command"))
+            for command in desk.subsystem.help(given.get("command"))
         ]
     }
 
 
 def wait(desk: Desk, given: Given) -> Data:
     """Wait; a stop ends it."""
-    seconds: float = given["seconds"]
-    if not 0 <= seconds <= threading.TIMEOUT_MAX:
-        raise StateError(
-            "nobody can wait so long",
-            expected=f"0 to {threading.TIMEOUT_MAX:g} s",
-            got=f"{seconds:g} s",
-        )
-    desk.subsystem.stopped.clear()
-    desk.subsystem.stopped.wait(seconds)
+    desk.subsystem.wait(given["seconds"])
     return {}
 
 
 def sigwait(desk: Desk, given: Given) -> Data:
     """Wait for a signal of a task."""
-    timeout: float | None = given.get("timeout")
-    if timeout is not None and not 0 <= timeout <= threading.TIMEOUT_MAX:
-        raise StateError(
-            "this is no time limit",
-            expected=f"0 to {threading.TIMEOUT_MAX:g} s",
-            got=f"{timeout:g} s",
-        )
     sent = desk.subsystem.sigwait(
-        given.get("signal") or (), tasks=_split(given.get("task")), timeout=timeout
+        given.get("signal") or (),
+        task=_split(given.get("task")),
+        timeout=given.get("timeout"),
     )
     desk.point_at(sent.task)
     return {"sent": msgspec.to_builtins(sent)}

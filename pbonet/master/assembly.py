@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pbonet import verify
 from pbonet.errors import PbonetError, SeveralError, StateError
 from pbonet.master import constants
+from pbonet.master.conditions import Gate
 from pbonet.pbo import State
 from pbonet.xm import messages as m
 
@@ -63,16 +64,19 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
 
     Args:
         crew: The subsystem.
-        job: What to assemble.
+        job: What to assemble; its PRE must hold, before and when all tasks are there.
         stopped: When it is set, the assembly gives up and is undone.
 
     Raises:
         VerificationError: It would be illegal; nothing was done.
+        ConditionError: A condition does not hold; nothing was done.
         PbonetError: A step failed; what was done was undone.
     """
+    gate = Gate(crew, job, leaves=False)
     wanted = plan(crew, job)
     tasks = [member.task for member in wanted]
     crew.judge(verify.job(tasks))
+    gate.must_hold()
     by_name = {member.name: member for member in wanted}
     done = Done(crew)
     with done.undone_on_error(f"the job {job.name} did not start"):
@@ -81,10 +85,12 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
             if not stands(crew, by_name[name]):
                 done.spawn(by_name[name])
         crew.rank()
+        gate.must_hold()
         for name in verify.on_order(tasks):
             go_on(stopped)
             if not crew.picture.find(name).is_on:
                 done.turn_on(name)
+        gate.entered()
     statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
     return [status for status in statuses if status.task in by_name]
 

@@ -132,6 +132,7 @@ def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
     """
     job = files.read_job()
     found = Findings(file=job.file, kind="job")
+    _take(found, verify.check_conditions([*job.pre, *job.post], files.table.variables))
     tasks: list[verify.Task] = []
     for wanted in job.tasks:
         try:

@@ -38,6 +38,8 @@ class Kind(StrEnum):
     WORD = "word"
     NUMBER = "number"
     COUNT = "count"
+    SECONDS = "seconds"
+    """A number, with ``s`` or ``ms`` behind it if one likes."""
     FLAG = "yes"
     """Yes or no: ``name=yes`` at the prompt, ``--name`` alone else."""
 
@@ -129,6 +131,9 @@ _TASK: Final = Arg("task", Kind.TASK, "the task", Use.MAYBE, last=True)
 _TASKS: Final = Arg("task", Kind.TASK, "the tasks", Use.ANY, last=True)
 _DRY: Final = Arg(
     "dry_run", Kind.FLAG, "verify, and only show what would be done", Use.NAMED
+)
+_WAIT: Final = Arg(
+    "wait", Kind.SECONDS, "how long its conditions may take to come true", Use.NAMED
 )
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 
@@ -290,7 +295,7 @@ COMMANDS: Final = (
         (
             Arg("signal", Kind.SIGNAL, "which; any if left out", Use.ANY),
             Arg("task", Kind.TASK, "of these tasks, with commas", Use.NAMED),
-            Arg("timeout", Kind.NUMBER, "seconds; for ever if left out", Use.NAMED),
+            Arg("timeout", Kind.SECONDS, "for ever if left out", Use.NAMED),
         ),
     ),
     Command(
@@ -308,7 +313,7 @@ COMMANDS: Final = (
         "start",
         "Assemble a job: verify, spawn, turn on.",
         actions.start,
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE),),
+        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _WAIT),
         changes=True,
     ),
     Command(
@@ -344,14 +349,14 @@ COMMANDS: Final = (
         "switch",
         "Go over to another job; what both have stays ON, the rest is killed.",
         actions.switch,
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY),
+        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY, _WAIT),
         changes=True,
     ),
     Command(
         "wait",
         "Wait before the next command; a stop ends it.",
         actions.wait,
-        (Arg("seconds", Kind.NUMBER, "how long"),),
+        (Arg("seconds", Kind.SECONDS, "how long"),),
         scope=Scope.PROMPT,
     ),
     Command(

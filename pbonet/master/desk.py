@@ -306,7 +306,7 @@ def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by i
     """Return what a word stands for."""
     if len(word) > _LONGEST:
         raise _usage(command, f"{arg.name.upper()} has {len(word)} characters")
-    if arg.kind in {Kind.NUMBER, Kind.COUNT}:
+    if arg.kind in {Kind.NUMBER, Kind.COUNT, Kind.SECONDS}:
         return _number(command, arg, word)
     if arg.kind is Kind.FLAG:
         if word not in {"yes", "no"}:
@@ -323,8 +323,12 @@ def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by i
 
 
 def _number(command: Command, arg: Arg, word: str) -> float | int:
+    unit = 1.0
+    if arg.kind is Kind.SECONDS:
+        unit = 1e-3 if word.endswith("ms") else 1.0
+        word = word.removesuffix("s").removesuffix("m") or word
     try:
-        number = int(word) if arg.kind is Kind.COUNT else float(word)
+        number = int(word) if arg.kind is Kind.COUNT else unit * float(word)
     except ValueError:
         raise _usage(command, f"{arg.name.upper()} is no number: {word}") from None
     if not math.isfinite(number):

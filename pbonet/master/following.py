@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from pbonet.errors import PbonetError, Severity, StateError, did_you_mean
+from pbonet.errors import PbonetError
 from pbonet.master import render
+from pbonet.master.choice import Choice
 from pbonet.master.subsystem import Subsystem
 from pbonet.xm import messages as m
 
@@ -25,51 +26,6 @@ if TYPE_CHECKING:
 LOOK_TIME: Final = 0.5
 """Seconds after which events are asked for though none was announced."""
 _LAST: Final = 20
-
-
-def severity(word: str) -> Severity:
-    """Return the severity of that name.
-
-    Raises:
-        StateError: There is none.
-    """
-    names = {one.name.lower(): one for one in Severity}
-    if word.lower() not in names:
-        raise StateError(
-            f"there is no severity {word}",
-            expected="one of " + " ".join(names),
-            remedy=did_you_mean(word.lower(), names),
-        )
-    return names[word.lower()]
-
-
-class Choice(msgspec.Struct, frozen=True, kw_only=True):
-    """Which events are wanted."""
-
-    least: Severity = Severity.DEBUG
-    code: str | None = None
-    task: str | None = None
-
-    @staticmethod
-    def of(given: Mapping[str, Any]) -> Choice:
-        """Return what the arguments of `events` choose.
-
-        Raises:
-            StateError: There is no such severity.
-        """
-        return Choice(
-            least=severity(given.get("severity") or "debug"),
-            code=given.get("code"),
-            task=given.get("task"),
-        )
-
-    def __call__(self, event: m.Event) -> bool:
-        """Tell whether an event is wanted."""
-        return (
-            event.severity >= self.least
-            and self.code in {None, event.code}
-            and self.task in {None, event.task}
-        )
 
 
 class Follower:

@@ -11,7 +11,9 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from msgspec import Struct
+from msgspec import Struct, structs
+
+from pbonet.errors import StateError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -94,6 +96,10 @@ class Profile(Struct, frozen=True, kw_only=True):
     """Shown as long as the task is in ERROR."""
     timing: str = ""
     """What failed in time since the last status."""
+
+    def only(self, names: Iterable[str]) -> Profile:
+        """Return it with these fields alone."""
+        return structs.replace(self, fields={n: self.fields[n] for n in names})
 
 
 class Baselines:
@@ -253,6 +259,27 @@ def _ratio(part: float, whole: float | None) -> float | None:
 
 def _percent(part: float | None, whole: float | None) -> float | None:
     return 100.0 * part / whole if part is not None and whole else None
+
+
+def columns(words: list[str]) -> tuple[str, ...]:
+    """Return the columns that words name; they may hold several with commas.
+
+    Raises:
+        StateError: One of them is no field.
+    """
+    names = [name for word in words for name in word.split(",") if name]
+    if names == ["all"]:
+        return NAMES
+    if names == ["default"]:
+        return DEFAULT
+    for name in names:
+        if name not in NAMES:
+            raise StateError(
+                f"status has no field {name}",
+                expected="names out of " + " ".join(NAMES),
+                remedy=did_you_mean(name, NAMES),
+            )
+    return tuple(dict.fromkeys(names))
 
 
 class Window:

@@ -343,7 +343,7 @@ def _transition(data: Data) -> str:
     lines = [f"spawn {task} on {rtpu}" for task, rtpu in data["spawns"].items()]
     lines += [f"{signal} {task}" for task, signal in data["items"]]
     lines += [f"kill {task}" for task in data["kills"]]
-    lines = lines or ["nothing to do"]
+    lines = [*data["conditions"], *(lines or ["nothing to do"])]
     lines.append("stays ON: " + (", ".join(data["stays"]) or "nothing"))
     if data["states"]:
         lines.append(_states(data))

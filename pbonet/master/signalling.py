@@ -6,7 +6,6 @@ long ago it was sent and however often. So nothing is missed between two waits.
 
 from __future__ import annotations
 
-import time
 from contextlib import contextmanager
 from threading import Event, Lock
 from typing import TYPE_CHECKING, Protocol
@@ -15,6 +14,8 @@ import zenoh
 from msgspec import Struct
 
 from pbonet.errors import NoAnswerError, StateError, did_you_mean
+from pbonet.master.choice import Choice
+from pbonet.master.words import check_time, names_of
 from pbonet.pbo import PREDEFINED
 from pbonet.xm import keys, rpc
 from pbonet.xm import messages as m
@@ -22,6 +23,7 @@ from pbonet.xm import messages as m
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Sequence
 
+    from pbonet.master.clock import Clock
     from pbonet.master.crew import Crew
     from pbonet.master.fleet import Fleet
 
@@ -101,6 +103,7 @@ class Opened(Protocol):
     """What an open subsystem has."""
 
     stopped: Event
+    clock: Clock
 
     @property
     def name(self) -> str:
@@ -125,9 +128,9 @@ class Signalled(Opened, Protocol):
 
     def sigwait(
         self,
-        signals: Sequence[str] = (),
+        signal: str | Sequence[str] = (),
         *,
-        tasks: Sequence[str] = (),
+        task: str | Sequence[str] = (),
         timeout: float | None = None,
     ) -> Sent:
         """Wait until a task has sent one of some signals, and take it (`sbsSigWait`).
@@ -136,8 +139,8 @@ class Signalled(Opened, Protocol):
         pending until they are waited for; to be rid of them, mask them.
 
         Args:
-            signals: Names, such as ``FINISH`` or one of the module's own; none: any.
-            tasks: Whose; none: of any task.
+            signal: Names, such as ``FINISH`` or one of the module's own; none: any.
+            task: Whose; none: of any task.
             timeout: Seconds; None: as long as it takes.
 
         Returns:
@@ -148,18 +151,20 @@ class Signalled(Opened, Protocol):
             StateError: No task has such a signal, or the subsystem was stopped.
             NoAnswerError: The time is over.
         """
+        check_time(timeout)
+        signals, tasks = names_of(signal), names_of(task)
         self.stopped.clear()
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = None if timeout is None else self.clock.now() + timeout
         with self.news() as news:
             statuses = self._statuses()
             self._must_be_known(signals, tasks, statuses)
             while True:
                 if sent := self.inbox.take(statuses, signals, tasks):
                     return sent
-                left = LOOK_TIME if deadline is None else deadline - time.monotonic()
+                left = LOOK_TIME if deadline is None else deadline - self.clock.now()
                 if left <= 0:
                     raise self._too_late(signals, tasks, timeout or 0.0)
-                news.wait(min(left, LOOK_TIME))
+                self.clock.wait(min(left, LOOK_TIME), news)
                 news.clear()
                 self._must_go_on()
                 statuses = self._statuses()
@@ -169,15 +174,15 @@ class Signalled(Opened, Protocol):
         return self.inbox.pending(self._statuses())
 
     def sigmask(
-        self, signals: Sequence[str] | None = None, task: str | None = None
+        self, signal: str | Sequence[str] | None = None, task: str | None = None
     ) -> dict[str, list[str]]:
         """Say which signals nobody wants; masked ones are not even counted.
 
         A task without a mask of its own obeys that of the subsystem.
 
         Args:
-            signals: Names; ``["none"]`` is a mask that lets all through, ``["unset"]``
-                takes the mask away. None: only ask.
+            signal: Names; ``none`` is a mask that lets all through, ``unset`` takes the
+                mask away. None: only ask.
             task: Whose mask; None: the subsystem's.
 
         Returns:
@@ -188,6 +193,7 @@ class Signalled(Opened, Protocol):
             StateError: No task has such a signal.
             ClaimError: It is open for watching only.
         """
+        signals = None if signal is None else names_of(signal)
         tasks = [] if task is None else [task]
         names = [] if signals in (["none"], ["unset"]) else list(signals or ())
         if signals is not None:
@@ -205,18 +211,35 @@ class Signalled(Opened, Protocol):
         rpc.raise_all(f"{len(errors)} RTPUs do not take a signal mask", errors)
         return {key: mask for masks in found.values() for key, mask in masks.items()}
 
-    def events(self, since: int = 0) -> list[m.Event]:
-        """Return the last events of the RTPUs that concern the subsystem.
+    def events(
+        self,
+        last: int | None = None,
+        *,
+        since: int = 0,
+        task: str | None = None,
+        code: str | None = None,
+        severity: str | None = None,
+    ) -> list[m.Event]:
+        """Return events of the RTPUs that concern the subsystem, the oldest first.
 
         Args:
+            last: At most so many, the newest; None: all that the RTPUs remember.
             since: Number of the first event wanted of each RTPU.
+            task: Of one task.
+            code: Of one code, such as ``WARNING``.
+            severity: The least: ``debug`` to ``fatal``.
+
+        Raises:
+            StateError: There is no such severity.
         """
+        wanted = Choice.of({"task": task, "code": code, "severity": severity})
         request = m.Events
         results, errors = self.fleet.each(lambda _: request(since=since), list[m.Event])
         rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
         found = [event for events in results.values() for event in events]
         mine = [event for event in found if event.subsystem in {"", self.name}]
-        return sorted(mine, key=lambda event: (event.wall, event.n))
+        chosen = sorted(filter(wanted, mine), key=lambda event: (event.wall, event.n))
+        return chosen if last is None else chosen[max(0, len(chosen) - last) :]
 
     # -- how --------------------------------------------------------------------------
 

@@ -21,9 +21,12 @@ from msgspec import structs
 
 from pbonet import verify
 from pbonet.config.library import Library
-from pbonet.errors import NodeError, StateError
-from pbonet.master import assembly, constants, modules, profiling
+from pbonet.errors import NodeError
+from pbonet.master import assembly, constants, profile
+from pbonet.master.calls import Calls
 from pbonet.master.changing import Changing
+from pbonet.master.clock import RealClock
+from pbonet.master.conditions import in_time, must_be_answerable
 from pbonet.master.crew import CONTROL_TIME, Crew
 from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
@@ -46,11 +49,11 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from pbonet.config.model import SbsFile
+    from pbonet.master.clock import Clock
     from pbonet.master.picture import Picture
-    from pbonet.pbo import ModuleInfo
 
 
-class Subsystem(Signalled, Switching):
+class Subsystem(Switching, Calls, Signalled):
     """A subsystem of tasks on one or more RTPUs, steered by this master.
 
     Args:
@@ -85,6 +88,10 @@ class Subsystem(Signalled, Switching):
         self.stopped = threading.Event()
         """Set by `stop`; an assembly that is under way then gives up."""
         self.watch = watch
+        self.clock: Clock = RealClock()
+        self.shown = profile.DEFAULT
+        """Fields that `status` shows; `status_set` chooses them."""
+        self.baselines = profile.Baselines()
         self._connect = connect
         self._kind = kind
         self._take_over = take_over
@@ -200,32 +207,51 @@ class Subsystem(Signalled, Switching):
             self.detach()
         rpc.raise_all(f"the end of subsystem {self.name} left something behind", errors)
 
+    def network(self, portname: str) -> None:
+        """Hand control to a program on the network until it ends (`sbsNetwork`).
+
+        Raises:
+            NodeError: The name cannot be one.
+            DuplicateNameError: Another master serves a port of this name.
+        """
+        from pbonet.master.interfaces import serve
+
+        serve(self, portname)
+
+    def quit(self) -> None:
+        """End the program's work: it is the last interface, so the subsystem ends.
+
+        Raises:
+            SeveralError: As `finish`.
+        """
+        self.finish()
+
     # -- tasks ------------------------------------------------------------------------
 
     def spawn(
-        self, rmod: str, rtpu: str | None = None, freq: float | None = None
+        self, rmod: str, rtpu: str | None = None, hz: float | None = None
     ) -> m.TaskStatus:
         """Create a task from an RMOD; when this returns it is OFF (section 4.5.2).
 
         Args:
             rmod: The RMOD's name; it is also the task's.
             rtpu: Where; by default where the RMOD says, else the first RTPU.
-            freq: Hz; by default what the RMOD says.
+            hz: Its frequency; by default what the RMOD says.
 
         Raises:
             ConfigError: There is no such RMOD, or its file is wrong.
             StateError: The subsystem has a task of this name.
-            ParameterError: `freq` is no frequency.
+            ParameterError: `hz` is no frequency.
             VerificationError: It does not fit the table or its module.
             PbonetError: The module does not load, or its `init` failed.
         """
-        if freq is not None:
-            check_rate(rmod, freq)
+        if hz is not None:
+            check_rate(rmod, hz)
         with self._changing() as crew:
-            member = crew.plan(self.files.rmod(rmod), rtpu, freq)
+            member = crew.plan(self.files.rmod(rmod), rtpu, hz)
             crew.must_be_new(member)
             crew.judge(verify.spawn(member.task))
-            status = crew.create(member, freq)
+            status = crew.create(member, hz)
             try:
                 constants.created(crew, member.name)
             finally:
@@ -283,87 +309,41 @@ class Subsystem(Signalled, Switching):
             crew.settle()
             return member.freq
 
-    def get(self, task: str, name: str | None = None) -> list[m.ParamValue]:
+    def get(self, task: str, param: str | None = None) -> list[m.ParamValue]:
         """Return the parameters of a task's module, or the one named.
 
         Raises:
             UnknownTaskError: There is no such task.
             ParameterError: It has no such parameter.
         """
-        request = m.Get(task=task, name=name)
+        request = m.Get(task=task, name=param)
         return self.fleet.call(self.crew.locate(task), request, list[m.ParamValue])
 
-    def set(self, task: str, name: str, value: object) -> list[m.ParamValue]:
+    def set(
+        self, task: str, param: str | None = None, value: object = None
+    ) -> list[m.ParamValue]:
         """Change a parameter of a task between two cycles, within its bounds.
 
         Args:
             task: The task.
-            name: The parameter.
-            value: A number, a word, or several of them, as in a LOCAL line.
+            param: The parameter.
+            value: A number, a word, or several of them, as in a LOCAL line; None: only
+                look, as `get` does.
 
         Raises:
             UnknownTaskError: There is no such task.
             ParameterError: No such parameter, or a value that it does not take.
         """
+        if param is None or value is None:
+            return self.get(task, param)
         with self._changing(strict=False) as crew:
             rtpu = crew.picture.find(task).rtpu
-            request = m.Set(task=task, name=name, value=local_words(value))
+            request = m.Set(task=task, name=param, value=local_words(value))
             return self.fleet.call(
                 rtpu, request, list[m.ParamValue], timeout=CONTROL_TIME
             )
 
-    # -- looking ----------------------------------------------------------------------
-
-    def status(self, task: str) -> m.TaskStatus:
-        """Return a task's status; its counters run from when it was turned on.
-
-        Raises:
-            UnknownTaskError: There is no such task.
-        """
-        for status in self.status_all():
-            if status.task == task:
-                return status
-        self.picture.find(task)
-        raise StateError("the task went away while it was looked for", where=task)
-
-    def status_all(self) -> list[m.TaskStatus]:
-        """Return the status of every task of the subsystem."""
-        return [task for rtpu in self.rtpu_status() for task in rtpu.tasks]
-
-    def rtpu_status(self) -> list[m.RtpuStatus]:
-        """Return the status of every RTPU that answers, and of the tasks there.
-
-        Those that do not answer are told as warnings.
-
-        Raises:
-            SeveralError: None answers, of several; of one, its own error.
-        """
-        return self.crew.refresh(strict=False)
-
-    def profiles(self, tasks: Sequence[str] = ()) -> list[m.TaskProfile]:
-        """Return the execution profiles of tasks, of all if none is named (6.7).
-
-        Raises:
-            UnknownTaskError: There is no such task.
-        """
-        return profiling.ask(self.crew, tasks)
-
-    def display(self, names: Iterable[str] | None = None) -> list[m.VarValue]:
-        """Return values of variables with their age, writer and unit.
-
-        Raises:
-            UnknownVariableError: The table has no such variable.
-        """
-        wanted = None if names is None else list(names)
-        for name in wanted or ():
-            self.files.must_have(name)
-        request = m.Display(names=wanted)
-        values = self.fleet.call(self.sbs.keeper, request, list[m.VarValue])
-        if wanted is None:
-            return values
-        return sorted(values, key=lambda value: wanted.index(value.name))
-
-    def write(self, name: str, values: Iterable[float]) -> m.VarValue:
+    def write(self, variable: str, value: float | Iterable[float]) -> m.VarValue:
         """Set a variable that no task writes.
 
         Tasks that have it as an in-const are re-initialized when its value changes.
@@ -373,41 +353,42 @@ class Subsystem(Signalled, Switching):
             SvarOwnerError: A task writes it.
         """
         with self._changing(strict=False) as crew:
-            self.files.must_have(name)
-            request = m.Write(name=name, values=[float(value) for value in values])
-            with constants.followed(crew, f"{name} was set", [name]):
+            self.files.must_have(variable)
+            values = [value] if isinstance(value, (int, float)) else value
+            request = m.Write(name=variable, values=[float(one) for one in values])
+            with constants.followed(crew, f"{variable} was set", [variable]):
                 return self.fleet.call(self.sbs.keeper, request, m.VarValue)
-
-    def modules(self, name: str | None = None) -> list[ModuleInfo]:
-        """Return what is known about the modules in the agents' libraries.
-
-        Raises:
-            ModuleLoadError: No library has a module `name`, or it does not load.
-        """
-        return modules.of(self.fleet, name)
 
     # -- the whole --------------------------------------------------------------------
 
-    def start(self, job: str | Path | None = None) -> list[m.TaskStatus]:
+    def start(
+        self, job: str | Path | None = None, *, wait: float | None = None
+    ) -> list[m.TaskStatus]:
         """Assemble a job: verify, spawn until all are OFF, then turn ON.
 
-        A start that fails is rolled back: what it turned on goes off, what it spawned
-        is killed.
+        Its PRE must hold. A start that fails is rolled back: what it turned on goes
+        off, what it spawned is killed.
 
         Args:
             job: The ``.job`` file or its name; None where the subsystem was opened with
                 one.
+            wait: Seconds that PRE has to come true; None: it must hold now.
 
         Raises:
-            VerificationError: It would be illegal; nothing was done.
+            VerificationError: It would be illegal, or a condition cannot be answered;
+                nothing was done.
+            ConditionError: One does not hold, and says what was seen; nothing was done.
             PbonetError: A step failed; it was rolled back.
         """
-        with self._changing() as crew:
-            self.stopped.clear()
-            try:
-                return assembly.start(crew, self.files.read_job(job), self.stopped)
-            finally:
-                crew.settle()
+
+        def attempt() -> list[m.TaskStatus]:
+            with self._changing() as crew:
+                try:
+                    return assembly.start(crew, self.files.read_job(job), self.stopped)
+                finally:
+                    crew.settle()
+
+        return in_time(attempt, wait, self.clock, self.stopped)
 
     def check(self, job: str | Path | None = None) -> list[str]:
         """Judge a job, or the tasks as they stand, without changing anything.
@@ -431,7 +412,9 @@ class Subsystem(Signalled, Switching):
         self.crew.refresh()
         if job is None and self.files.job is None:
             return None
-        return assembly.change(self.crew, self.files.read_job(job))
+        wanted = self.files.read_job(job)
+        must_be_answerable(wanted, self.files.table.variables)
+        return assembly.change(self.crew, wanted)
 
     def stop(self) -> m.Stopped:
         """Turn everything OFF and end it, now, on all RTPUs at once.

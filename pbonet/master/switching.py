@@ -15,6 +15,7 @@ from msgspec import Struct
 from pbonet import verify
 from pbonet.errors import StateError, VerificationError
 from pbonet.master import assembly, constants
+from pbonet.master.conditions import Gate, in_time
 from pbonet.master.words import check_signal
 from pbonet.pbo import State
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from pbonet.config.model import JobFile
     from pbonet.master.changing import Changing
+    from pbonet.master.clock import Clock
     from pbonet.master.crew import Crew
     from pbonet.master.files import Files
     from pbonet.master.picture import Member
@@ -44,6 +46,8 @@ class Transition(Struct, kw_only=True):
     """Pairs of task and signal, in order."""
     kills: list[str]
     """Tasks that are destroyed at the end."""
+    conditions: list[str] = []
+    """What was seen of the conditions under which jobs are left and entered."""
     states: dict[str, str] = {}
     """Where the tasks concerned stand behind it; empty while nothing was done."""
 
@@ -53,17 +57,18 @@ class Switching:
 
     files: Files
     stopped: threading.Event
+    clock: Clock
 
     def _changing(
         self, *, strict: bool = True, claimed: bool = True
     ) -> Changing:  # pragma: no cover - `Subsystem` has it
         raise NotImplementedError
 
-    def reconfig(self, items: Sequence[tuple[str, str]]) -> dict[str, str]:
+    def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
         """Send an ordered list of signals; it is judged by its end (section 4.4.4).
 
         Args:
-            items: Pairs of task and signal.
+            item: Pairs of task and signal.
 
         Returns:
             The states of the tasks concerned.
@@ -73,6 +78,7 @@ class Switching:
             VerificationError: The end would be illegal; nothing was sent.
             ReconfigError: An item failed; it says which, and what was not sent.
         """
+        items = list(item)
         for _, signal in items:
             check_signal(signal)
         judged = any(signal == "on" for _, signal in items)
@@ -121,39 +127,59 @@ class Switching:
             plan.take_out([crew.picture.find(name) for name in olds], but=news)
             for name in news:
                 plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
+            self.stopped.clear()
             return self._carry_out(crew, plan, dry_run=dry_run)
 
     def switch(
-        self, job: str | Path | None = None, *, dry_run: bool = False
+        self,
+        job: str | Path | None = None,
+        *,
+        dry_run: bool = False,
+        wait: float | None = None,
     ) -> Transition:
         """Go over to the configuration of another job while shared tasks go on.
 
-        Tasks that are ON or in ERROR and not in the job are turned off and killed;
-        tasks that are OFF stand by, and stay so.
+        POST of the job that stands and PRE of the one to come must hold, before
+        anything is done and again when all its tasks are there; not where the job
+        stands already and is only completed. Tasks that are ON or in ERROR and not in
+        the job are turned off and killed; tasks that are OFF stand by, and stay so.
 
         Args:
             job: The ``.job`` file or its name; None where the subsystem was opened with
                 one.
             dry_run: Verify, and only return what would be done.
+            wait: Seconds that conditions have to come true; None: they must hold now.
 
         Raises:
             ConfigError: The job is missing, wrong, or of another subsystem.
             StateError: A task of the job stands, but is another one; nothing was done.
-            VerificationError: The end would be illegal; nothing was done.
+            VerificationError: The end would be illegal, or a condition cannot be
+                answered; nothing was done.
+            ConditionError: One does not hold, and says what was seen; nothing was done.
             ReconfigError: A signal failed; it says which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
-        with self._changing(claimed=not dry_run) as crew:
-            plan = _of_job(crew, self.files.read_job(job))
-            return self._carry_out(crew, plan, dry_run=dry_run)
 
-    def _carry_out(self, crew: Crew, plan: _Plan, *, dry_run: bool) -> Transition:
+        def attempt() -> Transition:
+            with self._changing(claimed=not dry_run) as crew:
+                wanted = self.files.read_job(job)
+                gate = Gate(crew, wanted, leaves=True)
+                return self._carry_out(
+                    crew, _of_job(crew, wanted), gate, dry_run=dry_run
+                )
+
+        return in_time(attempt, wait, self.clock, self.stopped)
+
+    def _carry_out(
+        self, crew: Crew, plan: _Plan, gate: Gate | None = None, *, dry_run: bool
+    ) -> Transition:
         transition = plan.judged()
+        if gate is not None:
+            transition.conditions = gate.must_hold()
         if dry_run:
             return transition
-        self.stopped.clear()
         try:
-            plan.spawn(transition, self.stopped)
+            plan.spawn(transition, self.stopped, gate)
             transition.states = crew.send(transition.items)
             kills = [(name, "kill") for name in transition.kills]
             transition.states |= crew.send(kills, before=transition.items)
@@ -216,20 +242,26 @@ class _Plan:
     def _new(self) -> set[str]:
         return {name for name in self._coming if name not in self._crew.picture}
 
-    def spawn(self, transition: Transition, stopped: threading.Event) -> None:
+    def spawn(
+        self, transition: Transition, stopped: threading.Event, gate: Gate | None
+    ) -> None:
         """Create the tasks that do not stand; a failure leaves none of them.
 
         Raises:
+            ConditionError: A condition does not hold any more.
             PbonetError: One could not be created.
         """
-        if not transition.spawns:
-            return
         done = assembly.Done(self._crew)
         with done.undone_on_error("the change was not begun"):
             for name in transition.spawns:
                 assembly.go_on(stopped)
                 done.spawn(self._coming[name])
-        self._crew.rank()
+            if gate is not None:
+                if transition.spawns:
+                    gate.must_hold()
+                gate.entered()
+        if transition.spawns:
+            self._crew.rank()
 
 
 def _of_job(crew: Crew, job: JobFile) -> _Plan:

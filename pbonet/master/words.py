@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Generator, Sequence
+import threading
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeGuard
@@ -72,6 +73,26 @@ def check_rate(task: str, hz: float) -> None:
             got=f"{hz:g} Hz",
             remedy=f"'off {task}' is how a task is halted",
         )
+
+
+def check_time(seconds: float | None) -> None:
+    """Refuse a number that nobody can wait for; None is as long as it takes.
+
+    Raises:
+        StateError: It is negative, too long, or no number.
+    """
+    if seconds is not None and not 0 <= seconds <= threading.TIMEOUT_MAX:
+        raise StateError(
+            "this is no time limit",
+            expected=f"0 to {threading.TIMEOUT_MAX:g} s",
+            got=f"{seconds:g} s",
+        )
+
+
+def names_of(given: str | Iterable[str]) -> list[str]:
+    """Return names, each once, whether one is given or several."""
+    names = [given] if isinstance(given, str) else given
+    return [name for name in dict.fromkeys(names) if name]
 
 
 def is_sequence(value: object) -> TypeGuard[Sequence[object]]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet.errors import ClaimError
+from pbonet.xm.messages import Standing
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -31,6 +32,8 @@ class Entry(Struct, kw_only=True):
     errprint: str
     minfreq: float
     maxfreq: float
+    job: Standing | None = None
+    """The job that stands, on the RTPU that keeps the table."""
 
 
 class Claims:
@@ -92,6 +95,7 @@ class Claims:
             errprint=request.errprint,
             minfreq=request.minfreq,
             maxfreq=request.maxfreq,
+            job=held.job if held is not None else None,
         )
         self._entries[request.subsystem] = entry
         return entry
@@ -118,6 +122,11 @@ class Claims:
                 remedy="claim again; with --take-over if that master still lives",
             )
         return entry
+
+    def stand(self, subsystem: str, job: Standing | None) -> None:
+        """Note which job of `subsystem` stands; harmless when it has no claim."""
+        if entry := self._entries.get(subsystem):
+            entry.job = job
 
     def release(self, subsystem: str) -> None:
         """Forget the claim of `subsystem`."""

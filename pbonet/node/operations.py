@@ -77,6 +77,7 @@ class Operations:
             m.Stop: self._stop,
             m.Flag: self._flag,
             m.Sigmask: self._sigmask,
+            m.Job: self._job,
             m.Events: self._events,
         }
 
@@ -148,7 +149,7 @@ class Operations:
             return
         if isinstance(request, m.Freq | m.Get) and getattr(request, "hz", None) is None:
             return
-        if isinstance(request, m.Sigmask) and not request.changes:
+        if isinstance(request, m.Sigmask | m.Job) and not request.changes:
             return
         self._rtpu.claims.check(request)
         if request.subsystem in self._rtpu.stopping:
@@ -264,6 +265,13 @@ class Operations:
                 rtpu.signals.apply(rtpu.core, task)
         return rtpu.signals.masks(subsystem), []
 
+    async def _job(self, request: m.Job) -> Result:
+        claims = self._rtpu.claims
+        if request.changes:
+            claims.stand(request.subsystem, request.told)
+        entry = claims.get(request.subsystem)
+        return [entry.job] if entry and entry.job else [], []
+
     # -- tasks -------------------------------------------------------------------------
 
     async def _spawn(self, request: m.Spawn) -> Result:
@@ -365,6 +373,8 @@ class Operations:
         names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())
         limit = request.timeout if 0 <= request.timeout <= LONGEST else LONGEST
         stopped = await control.stop(self._rtpu, names, limit, request.order)
+        for name in names:
+            self._rtpu.claims.stand(name, None)
         return stopped, []
 
     # -- the rest ----------------------------------------------------------------------

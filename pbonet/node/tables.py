@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
@@ -21,7 +21,7 @@ from pbonet.errors import (
     SvarLayoutError,
     SvarMissingError,
 )
-from pbonet.svar import Table
+from pbonet.svar import Flags, Table
 from pbonet.xm import rundir
 from pbonet.xm.messages import TableInfo, VarValue
 
@@ -29,7 +29,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from pbonet.config.model import SvarFile
+    from pbonet.svar import LocalTable
     from pbonet.xm.messages import OpenTable
 
 
@@ -164,11 +167,19 @@ class Tables:
     def display(self, subsystem: str, names: Sequence[str] | None) -> list[VarValue]:
         """Return values of variables with their provenance, without owning any.
 
+        All values are those of one instant; where that is not proven, they say so.
+
         Raises:
             UnknownVariableError: The table has no variable of that name.
         """
         table = self.need(subsystem).table
-        return [_value(table, name) for name in names or table.names()]
+        wanted = list(names or table.names())
+        with table.local("display", os.getpid(), invar=wanted) as local:
+            flags = local.copy_in()
+            if flags & Flags.COPY_LOST:
+                return [_value(table, name) for name in wanted]
+            whole = not flags & Flags.COPY_TORN
+            return [_of_cut(table, local, name, whole=whole) for name in wanted]
 
     def write(self, subsystem: str, name: str, values: Sequence[float]) -> VarValue:
         """Set a variable that no task writes.
@@ -244,8 +255,21 @@ def _other_layout(name: str, wanted: str, got: str) -> SvarLayoutError:
 
 
 def _value(table: Table, name: str) -> VarValue:
+    """Return a variable by itself."""
+    info = table.info(name)
+    return _shown(table, name, table.read(name), stale=info.stale, whole=False)
+
+
+def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
+    """Return a variable as it stood in a copy of several."""
+    stale = local.stale(name)
+    return _shown(table, name, local.array(name), stale=stale, whole=whole)
+
+
+def _shown(
+    table: Table, name: str, value: NDArray[Any], *, stale: bool, whole: bool
+) -> VarValue:
     variable = table.variable(name)
-    value = table.read(name)
     info = table.info(name)
     values: list[float] | bytes = (
         value.tobytes() if value.dtype.kind == "V" else value.tolist()
@@ -260,5 +284,6 @@ def _value(table: Table, name: str) -> VarValue:
         age=None if info.age_ns is None else info.age_ns * 1e-9,
         cycle=info.cycle,
         seq=info.seq,
-        stale=info.stale,
+        stale=stale,
+        whole=whole,
     )

@@ -7,6 +7,7 @@ the orders and priorities that a master needs.
 
 from __future__ import annotations
 
+from .conditions import Outcome, check_conditions, evaluate, named
 from .demands import Figure, Source, effective, least, worst
 from .judge import (
     ENDING,
@@ -56,6 +57,7 @@ __all__ = [
     "JobOutcome",
     "Load",
     "ModuleCode",
+    "Outcome",
     "Outlook",
     "Problem",
     "RtpuReport",
@@ -70,15 +72,18 @@ __all__ = [
     "as_text",
     "change_order",
     "check",
+    "check_conditions",
     "conversion",
     "criticalities",
     "effective",
+    "evaluate",
     "flow_order",
     "frequency",
     "job",
     "judge",
     "least",
     "loads",
+    "named",
     "off_order",
     "on_order",
     "producers",

@@ -61,6 +61,8 @@ class Code(StrEnum):
     RATE = "rate"
     """A frequency is outside MINFREQ and MAXFREQ."""
     BANDWIDTH = "bandwidth"
+    CONDITION = "condition"
+    """A PRE or POST that has no answer."""
 
 
 class Problem(Struct, frozen=True, kw_only=True):

@@ -30,10 +30,21 @@ def same_unit(one: str, other: str) -> bool:
 
 def conversion(one: str, other: str) -> str:
     """Return how a value of one unit becomes one of the other, empty if unknown."""
+    by = factor(one, other)
+    return f"1 {one} is {by:.6g} {other}" if by else ""
+
+
+def factor(one: str, other: str) -> float | None:
+    """Return by what a value of one unit becomes one of the other, None if unknown."""
     first, second = _root(" ".join(one.split())), _root(" ".join(other.split()))
     if first is None or second is None or first[1] != second[1]:
-        return ""
-    return f"1 {one} is {first[0] / second[0]:.6g} {other}"
+        return None
+    return first[0] / second[0]
+
+
+def known_unit(unit: str) -> bool:
+    """Tell whether a unit is more than text, so that one can compute with it."""
+    return _root(" ".join(unit.split())) is not None
 
 
 @lru_cache(maxsize=1024)

@@ -9,13 +9,17 @@ answered again and not executed twice.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 from msgspec import Struct
 
 from pbonet.errors import WireError
+from pbonet.xm import values
 
 VERSION = 1
+ParamValue: TypeAlias = values.ParamValue
+Standing: TypeAlias = values.Standing
+VarValue: TypeAlias = values.VarValue
 
 
 class Request(Struct, kw_only=True, tag_field="op"):
@@ -224,6 +228,22 @@ class Sigmask(Request, tag="sigmask"):
         return self.unset or self.names is not None
 
 
+class Job(Request, tag="job"):
+    """Ask the keeper which job stands, tell it, or have it forget.
+
+    Result: list of `Standing`, one or none. So whoever goes over to another job, maybe
+    another master, finds the conditions under which the first one may be left.
+    """
+
+    told: Standing | None = None
+    forget: bool = False
+
+    @property
+    def changes(self) -> bool:
+        """Whether it says something, and does not only ask."""
+        return self.forget or self.told is not None
+
+
 class Events(Request, tag="events"):
     """Ask for the agent's last events. Result: list of `Event`."""
 
@@ -252,6 +272,7 @@ AnyRequest = (
     | Stop
     | Flag
     | Sigmask
+    | Job
     | Events
 )
 
@@ -427,33 +448,6 @@ class Reconfigured(Struct, kw_only=True):
     states: dict[str, str] = {}
     error: WireError | None = None
     """Of item number `done`; the rest was not sent."""
-
-
-class ParamValue(Struct, kw_only=True):
-    """One parameter of a module."""
-
-    name: str
-    value: Any
-    type: str
-    unit: str
-    doc: str
-    bounds: str = ""
-
-
-class VarValue(Struct, kw_only=True):
-    """One variable of the table, with its provenance."""
-
-    name: str
-    index: int
-    values: list[float] | bytes
-    units: str
-    desc: str = ""
-    writer: str | None = None
-    age: float | None = None
-    """Seconds since it was written; None when it never was."""
-    cycle: int = 0
-    seq: int = 0
-    stale: bool = False
 
 
 class Stopped(Struct, kw_only=True):

@@ -112,6 +112,7 @@ class FakeAgent:
         self.slow: dict[str, float] = {}
         self.executed: dict[str, bytes] = {}
         self.requests: list[m.Request] = []
+        self.standing: list[m.Standing] = []
         self.codec = codec.Codec()
         self.link = link
         self.session = link.session
@@ -401,6 +402,7 @@ class FakeAgent:
             self.move(name, "off")
         for name in names:
             self.move(name, "kill")
+        self.standing = []
         return m.Stopped(off=off, killed=[])
 
     def do_flag(self, request: m.Flag) -> list[str]:
@@ -409,6 +411,11 @@ class FakeAgent:
         elif not request.up and request.cause in self.flags:
             self.flags.remove(request.cause)
         return list(self.flags)
+
+    def do_job(self, request: m.Job) -> list[m.Standing]:
+        if request.changes:
+            self.standing = [] if request.told is None else [request.told]
+        return self.standing
 
     def do_events(self, _: m.Events) -> list[m.Event]:
         return []

@@ -71,7 +71,7 @@ def call(capsys, two, puma):
 
 def test_the_profile_counts_every_cycle_but_the_first(running):
     running.control("grav_comp", "off")
-    (found,) = running.profiles(["grav_comp"])
+    (found,) = running.profile(["grav_comp"])
     status = found.status
     assert status.state == "OFF"
     assert sum(count for _, count in found.cpu) == status.cycle - 1
@@ -81,15 +81,15 @@ def test_the_profile_counts_every_cycle_but_the_first(running):
     assert bins[0] == histogram.bin_of(round(status.min_c * 1e9))
     assert bins[-1] == histogram.bin_of(round(status.max_c * 1e9))
     with pytest.raises(UnknownTaskError):
-        running.profiles(["nobody"])
+        running.profile(["nobody"])
 
 
 def test_after_a_second_on_the_extremes_bound_all_cycles(running):
-    before = running.profiles(["grav_comp"])[0]
+    before = running.profile(["grav_comp"])[0]
     running.control("grav_comp", "off")
     running.control("grav_comp", "on")
     wait_for(lambda: running.status("grav_comp").cycle > 1, "two more cycles", 30.0)
-    after = running.profiles(["grav_comp"])[0]
+    after = running.profile(["grav_comp"])[0]
     assert after.status.cycle < before.status.cycle
     assert after.least <= before.least
     assert after.most >= before.most

@@ -480,9 +480,9 @@ def test_status_of_a_task_and_of_none(robot):
 
 
 def test_modules_of_all_rtpus_are_told_once(arm):
-    names = [info.name for info in arm.modules()]
+    names = [info.name for info in arm.module()]
     assert "puma_pidg" in names
     assert len(names) == len(set(names))
-    assert arm.modules("diff")[0].ports
+    assert arm.module("diff")[0].ports
     with pytest.raises(ModuleLoadError):
-        arm.modules("no_such")
+        arm.module("no_such")

@@ -317,7 +317,9 @@ def test_commands_at_the_prompt(arm):
     assert desk.default == "grav2"
     reply = desk.call("switch", {"job": "follow", "dry_run": True})
     assert (reply.data["kills"], reply.data["states"]) == (["qrdiff", "grav2"], {})
-    assert render.text("switch", reply.data).splitlines() == [
+    told, *steps = render.text("switch", reply.data).splitlines()
+    assert told.startswith("POST of teleop holds: max(abs(Q^_MEZ)) < 0.1 [rad/s] (")
+    assert steps == [
         "spawn qrdiff2 on arm0",
         "off qrdiff",
         "on qrdiff2",

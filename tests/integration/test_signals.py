@@ -135,7 +135,7 @@ class TestSigwait:
         program.spawn("talks")
         program.control("talks", "on")
         for name in ("WARNING", "FINISH", "HALFWAY", "OFF"):
-            one = program.sigwait([name], tasks=["talks"], timeout=30.0)
+            one = program.sigwait([name], task=["talks"], timeout=30.0)
             assert (one.task, one.signal, one.count, one.rtpu) == (
                 *("talks", name),
                 *(1, "arm0"),
@@ -159,7 +159,7 @@ class TestSigwait:
             got += program.sigwait(["DROP"], timeout=30.0).count
         assert got == 10
         with pytest.raises(NoAnswerError, match=r"floods: no signal DROP within 0 s"):
-            program.sigwait(["DROP"], tasks=["floods"], timeout=0.0)
+            program.sigwait(["DROP"], task=["floods"], timeout=0.0)
 
     def test_a_death_is_an_error_and_comes_first(self, program):
         program.spawn("dies")
@@ -181,7 +181,7 @@ class TestSigwait:
         ):
             program.sigwait(["HALFWY"])
         with pytest.raises(UnknownTaskError):
-            program.sigwait(tasks=["nobody"])
+            program.sigwait(task=["nobody"])
         with pytest.raises(StateError, match="no task has a signal NONE"):
             program.sigmask(["NONE"], "talks")
 

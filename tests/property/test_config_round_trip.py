@@ -41,6 +41,14 @@ words = st.text(
     max_size=8,
 )
 sentence = st.lists(words, min_size=1, max_size=4).map(" ".join)
+questions = st.builds(
+    "{} {} {}  {}  {}".format,
+    st.sampled_from(["", "not", "-"]),
+    names,
+    st.sampled_from(["<", ">=", "+ 2.5 [rad/s] ==", "*"]),
+    names,
+    st.sampled_from(["", "and X > 0x1f", "or (A != 1 < B[0:2])"]),
+).map(str.strip)
 seconds = st.floats(1e-6, 1e6)
 hertz = st.floats(1e-6, 1e6)
 
@@ -173,7 +181,7 @@ def sbss(draw: st.DrawFn) -> SbsFile:
 def jobs(draw: st.DrawFn) -> JobFile:
     chosen = draw(st.lists(labels, min_size=1, max_size=4, unique=True))
     off = draw(st.lists(st.sampled_from(chosen), unique=True))
-    conditions = st.lists(sentence.map(Condition), max_size=3).map(tuple)
+    conditions = st.lists(questions.map(Condition), max_size=3).map(tuple)
     rtpu = st.none() | labels.filter(lambda name: name != "FREQ")
     return JobFile(
         file="a.job",

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.errors import NoAnswerError, Severity, StateError
-from pbonet.master.following import Choice, Follower
+from pbonet.master.choice import Choice
+from pbonet.master.following import Follower
 from pbonet.node.events import KEPT, EventLog
 
 

@@ -1,0 +1,409 @@
+"""Do the PRE and POST conditions of a job hold? (Stewart 1994, section 3.2).
+
+One walk over the tree does it all: it computes with values, sizes and units at once, so
+that a condition is judged before anything runs by the very rules by which it is
+evaluated later, only with values that do not matter.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from msgspec import Struct
+
+from pbonet.config.conditions import Parsed, parse
+from pbonet.errors import did_you_mean
+
+from .records import Code, Problem
+from .units import ANY, conversion, factor, known_unit, same_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.config.model import Condition, Variable
+
+    Floats = NDArray[np.float64]
+
+_SHOWN = 8
+"""Elements of a variable that a refusal shows."""
+_SIGNS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+}
+
+
+class Outcome(Struct, frozen=True):
+    """What came of a condition."""
+
+    condition: Condition
+    holds: bool
+    seen: str = ""
+    """The comparisons that decided it and the values behind them, as text."""
+
+
+class _Quantity(NamedTuple):
+    """A number or several, with their unit."""
+
+    values: Floats
+    unit: str
+    literal: bool = False
+    """No variable is in it, so it takes any unit that it has none of itself."""
+    truth: bool = False
+    """It is yes or no, and no number."""
+
+
+class _PartError(Exception):
+    """A part of a condition has no meaning."""
+
+    def __init__(self, problem: Problem) -> None:
+        super().__init__(problem.what)
+        self.problem = problem
+
+
+def check_conditions(
+    conditions: Iterable[Condition], variables: Sequence[Variable]
+) -> list[Problem]:
+    """Return what is wrong with conditions: unknown variables, sizes, units."""
+    table = {variable.name: variable for variable in variables}
+    values = {name: np.zeros(one.nelem) for name, one in table.items()}
+    problems: list[Problem] = []
+    for condition in conditions:
+        walk = _Walk(parse(condition.text, condition.place), table, values)
+        try:
+            walk.truth(walk.parsed.tree)
+        except _PartError as error:
+            problems.append(error.problem)
+    return problems
+
+
+def evaluate(
+    condition: Condition,
+    variables: Sequence[Variable],
+    values: Mapping[str, Sequence[float]],
+    stale: Iterable[str] = (),
+) -> Outcome:
+    """Return whether a condition holds; `check_conditions` has found nothing in it.
+
+    Args:
+        condition: The condition.
+        variables: What the ``.svar`` file defines.
+        values: Those of the variables that it names, all of one instant.
+        stale: Which of them are older than their MAXAGE.
+
+    Returns:
+        A condition with a stale variable does not hold, nor one that compares
+        infinity or what is no number.
+    """
+    table = {variable.name: variable for variable in variables}
+    parsed = parse(condition.text, condition.place)
+    arrays = {name: np.array(v, np.float64).reshape(-1) for name, v in values.items()}
+    walk = _Walk(parsed, table, arrays)
+    holds = walk.truth(parsed.tree)
+    old = [name for name in parsed.variables if name in set(stale)]
+    told = list(walk.told)
+    told += [f"{v} = {_shown(arrays[v], table[v])}" for v in parsed.variables]
+    told += [f"{v} is older than its MAXAGE, {table[v].maxage:g} s" for v in old]
+    return Outcome(condition, holds and walk.finite and not old, "; ".join(told))
+
+
+def named(conditions: Iterable[Condition]) -> list[str]:
+    """Return the variables that conditions name, each once."""
+    found = [v for one in conditions for v in parse(one.text, one.place).variables]
+    return list(dict.fromkeys(found))
+
+
+class _Walk:
+    """One walk over a condition.
+
+    Args:
+        parsed: The condition.
+        table: The variables that there are.
+        values: Their values; float64, as many as the variable has elements.
+    """
+
+    def __init__(
+        self,
+        parsed: Parsed,
+        table: Mapping[str, Variable],
+        values: Mapping[str, Floats],
+    ) -> None:
+        self.parsed = parsed
+        self.told: list[str] = []
+        """Each comparison with its two numbers."""
+        self.finite = True
+        """False once a comparison has met NaN or infinity, which answers nothing."""
+        self._table = table
+        self._values = values
+
+    # -- yes or no --------------------------------------------------------------------
+
+    def truth(self, node: ast.expr) -> bool:
+        """Return whether a part holds; all of it is looked at, whatever comes first.
+
+        Raises:
+            _PartError: It is no question that has an answer.
+        """
+        if isinstance(node, ast.BoolOp):
+            parts = [self.truth(value) for value in node.values]
+            return all(parts) if isinstance(node.op, ast.And) else any(parts)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            return not self.truth(node.operand)
+        if isinstance(node, ast.Compare):
+            return self._compare(node)
+        found = self._quantity(node)
+        if not found.truth:
+            raise self._fault(
+                node,
+                what="a number is no condition",
+                expected="a comparison, or a variable of TYPE bool",
+                got=self.parsed.source(node),
+                remedy=f"write such as {self.parsed.source(node)} > 0",
+            )
+        return bool(self._single(node, found))
+
+    def _compare(self, node: ast.Compare) -> bool:
+        nodes = [node.left, *node.comparators]
+        found = [self._quantity(one) for one in nodes]
+        holds = True
+        for at, sign in enumerate(node.ops):
+            left, right = self._alike(nodes[at + 1], found[at], found[at + 1])
+            one = self._single(nodes[at], left)
+            other = self._single(nodes[at + 1], right)
+            text, compare = _SIGNS[type(sign)]
+            answer = bool(compare(one, other))
+            self.finite &= math.isfinite(one) and math.isfinite(other)
+            unit = "" if left.unit in {ANY, "none"} else f" {left.unit}"
+            if not (left.literal and right.literal):
+                word = "holds" if answer else "does not hold"
+                self.told.append(f"{one:.6g} {text} {other:.6g}{unit} {word}")
+            holds = holds and answer
+        return holds
+
+    def _single(self, node: ast.expr, found: _Quantity) -> float:
+        """Return the only element.
+
+        Raises:
+            _PartError: There are several: which is meant?
+        """
+        if found.values.size != 1:
+            text = self.parsed.source(node)
+            raise self._fault(
+                node,
+                code=Code.SHAPE,
+                what="several numbers cannot be compared at once",
+                expected="one number",
+                got=f"{text}, which has {found.values.size}",
+                remedy=f"write max(abs({text})), norm({text}), or an element of it",
+            )
+        return float(found.values[0])
+
+    # -- numbers ----------------------------------------------------------------------
+
+    def _quantity(self, node: ast.expr) -> _Quantity:
+        if isinstance(node, ast.Constant):
+            unit = self.parsed.units.get(node.col_offset, ANY)
+            value: Any = node.value
+            return _Quantity(np.array([float(value)]), unit, literal=True)
+        if isinstance(node, ast.Name):
+            return self._variable(node)
+        if isinstance(node, ast.Subscript):
+            return self._element(node)
+        if isinstance(node, ast.UnaryOp) and not isinstance(node.op, ast.Not):
+            found = self._number(node.operand)
+            minus = isinstance(node.op, ast.USub)
+            return found._replace(values=-found.values if minus else found.values)
+        if isinstance(node, ast.BinOp):
+            return self._arithmetic(node)
+        if isinstance(node, ast.Call):
+            return self._function(node)
+        raise self._fault(
+            node,
+            what="a yes or no stands where a number is wanted",
+            expected="a number",
+            got=self.parsed.source(node),
+            remedy="join comparisons with and, or, not",
+        )
+
+    def _number(self, node: ast.expr) -> _Quantity:
+        return self._quantity(node)._replace(truth=False)
+
+    def _variable(self, node: ast.Name) -> _Quantity:
+        name = self.parsed.names[node.col_offset]
+        variable = self._table.get(name)
+        if variable is None:
+            raise self._fault(
+                node,
+                code=Code.UNKNOWN_VARIABLE,
+                what=f"a condition names {name}, which the table does not have",
+                expected="a variable of the .svar file",
+                got=name,
+                remedy=did_you_mean(name, self._table)
+                or "correct the name; text for people belongs behind # or DESC",
+            )
+        if variable.type.startswith("struct"):
+            raise self._fault(
+                node,
+                what=f"a condition cannot look into {name}",
+                expected="a variable of numbers",
+                got=f"TYPE {variable.type}",
+                remedy="have its writer put what matters into a variable of its own",
+            )
+        unit = ANY if variable.units == ANY else variable.units
+        return _Quantity(self._values[name], unit, truth=variable.type == "bool")
+
+    def _element(self, node: ast.Subscript) -> _Quantity:
+        if not isinstance(node.value, ast.Name):  # `parse` lets nothing else through
+            raise TypeError(node.value)
+        whole = self._variable(node.value)
+        size = whole.values.size
+        low, high = _bounds(node.slice, size)
+        if not 0 <= low < high <= size:
+            raise self._fault(
+                node,
+                code=Code.SHAPE,
+                what="there is no such element",
+                expected=f"elements 0 to {size - 1}",
+                got=self.parsed.source(node),
+                remedy="count from 0; X[0:3] is the first three",
+            )
+        return whole._replace(values=whole.values[low:high])
+
+    def _arithmetic(self, node: ast.BinOp) -> _Quantity:
+        left, right = self._number(node.left), self._number(node.right)
+        literal = left.literal and right.literal
+        self._must_fit(node.right, left, right)
+        with np.errstate(all="ignore"):
+            if isinstance(node.op, ast.Mult):
+                unit = _product(left.unit, right.unit, "*")
+                return _Quantity(left.values * right.values, unit, literal)
+            if isinstance(node.op, ast.Div):
+                unit = _product(left.unit, right.unit, "/")
+                return _Quantity(left.values / right.values, unit, literal)
+            left, right = self._alike(node.right, left, right)
+            add = isinstance(node.op, ast.Add)
+            values = left.values + (right.values if add else -right.values)
+        return _Quantity(values, left.unit, literal)
+
+    def _function(self, node: ast.Call) -> _Quantity:
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        found = [self._number(one) for one in node.args]
+        for at in range(1, len(found)):
+            self._must_fit(node.args[at], found[0], found[at])
+            found[0], found[at] = self._alike(node.args[at], found[0], found[at])
+        first = found[0]
+        literal = all(one.literal for one in found)
+        if name == "abs":
+            return first._replace(values=np.abs(first.values))
+        if name == "norm":
+            return first._replace(values=np.atleast_1d(np.linalg.norm(first.values)))
+        choose = np.max if name == "max" else np.min
+        if len(found) == 1:
+            return first._replace(values=np.atleast_1d(choose(first.values)))
+        both = np.broadcast_arrays(*(one.values for one in found))
+        return _Quantity(choose(np.stack(both), axis=0), first.unit, literal)
+
+    # -- what goes together -----------------------------------------------------------
+
+    def _must_fit(self, node: ast.expr, left: _Quantity, right: _Quantity) -> None:
+        sizes = {left.values.size, right.values.size} - {1}
+        if len(sizes) > 1:
+            raise self._fault(
+                node,
+                code=Code.SHAPE,
+                what="these have different numbers of elements",
+                expected=f"{left.values.size}, or 1",
+                got=f"{self.parsed.source(node)}, which has {right.values.size}",
+                remedy="take the elements that belong together, such as X[0:3]",
+            )
+
+    def _alike(
+        self, node: ast.expr, left: _Quantity, right: _Quantity
+    ) -> tuple[_Quantity, _Quantity]:
+        """Return two quantities in one unit.
+
+        A number without a unit takes that of the other side; a number with a unit is
+        converted. Variables never are: the files say that they are different things.
+
+        Raises:
+            _PartError: They have different units.
+        """
+        if ANY in {left.unit, right.unit} or same_unit(left.unit, right.unit):
+            unit = right.unit if left.unit == ANY else left.unit
+            return left._replace(unit=unit), right._replace(unit=unit)
+        if right.literal and (by := factor(right.unit, left.unit)):
+            return left, right._replace(values=right.values * by, unit=left.unit)
+        if left.literal and (by := factor(left.unit, right.unit)):
+            return left._replace(values=left.values * by, unit=right.unit), right
+        raise self._fault(
+            node,
+            code=Code.UNIT,
+            what="different units cannot be compared or added",
+            expected=left.unit,
+            got=f"{self.parsed.source(node)} in {right.unit}",
+            remedy=conversion(right.unit, left.unit)
+            or "correct UNITS in the .svar file, or the condition",
+        )
+
+    def _fault(
+        self,
+        node: ast.expr,
+        *,
+        what: str,
+        expected: str,
+        got: str,
+        remedy: str,
+        code: Code = Code.CONDITION,
+    ) -> _PartError:
+        return _PartError(
+            Problem(
+                code=code,
+                what=what,
+                where=str(self.parsed.at(node.col_offset)),
+                expected=expected,
+                got=got,
+                remedy=remedy,
+                variables=tuple(self.parsed.variables),
+            )
+        )
+
+
+def _bounds(node: ast.expr, size: int) -> tuple[int, int]:
+    if isinstance(node, ast.Slice):
+        low, high = (
+            one.value if isinstance(one, ast.Constant) else other
+            for one, other in ((node.lower, 0), (node.upper, size))
+        )
+        return int(str(low)), int(str(high))
+    index = int(str(node.value)) if isinstance(node, ast.Constant) else -1
+    return index, index + 1
+
+
+def _product(left: str, right: str, sign: str) -> str:
+    """Return the unit of a product or quotient; any where it cannot be told."""
+    units = ["none" if unit == ANY else unit for unit in (left, right)]
+    if left == right == ANY or not all(map(known_unit, units)):
+        return ANY
+    one, other = (
+        "1" if unit.strip() in {"none", ""} else f"({unit})" for unit in units
+    )
+    if other == "1":
+        return left if left != ANY else "none"
+    if one == "1" and sign == "*":
+        return right
+    return f"{one}{sign}{other}"
+
+
+def _shown(values: Floats, variable: Variable) -> str:
+    text = " ".join(f"{value:.6g}" for value in values[:_SHOWN])
+    text += " ..." if values.size > _SHOWN else ""
+    return text if variable.units in {"none", ""} else f"{text} {variable.units}"

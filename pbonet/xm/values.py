@@ -1,0 +1,45 @@
+"""Parts of messages: parameters, variables, the job that stands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msgspec import Struct
+
+
+class ParamValue(Struct, kw_only=True):
+    """One parameter of a module."""
+
+    name: str
+    value: Any
+    type: str
+    unit: str
+    doc: str
+    bounds: str = ""
+
+
+class VarValue(Struct, kw_only=True):
+    """One variable of the table, with its provenance."""
+
+    name: str
+    index: int
+    values: list[float] | bytes
+    units: str
+    desc: str = ""
+    writer: str | None = None
+    age: float | None = None
+    """Seconds since it was written; None when it never was."""
+    cycle: int = 0
+    seq: int = 0
+    stale: bool = False
+    whole: bool = True
+    """All values of the answer were current at one instant; False: not proven."""
+
+
+class Standing(Struct, kw_only=True):
+    """The job that was started or switched to last (section 3.2)."""
+
+    name: str
+    file: str
+    post: list[tuple[str, int, int]] = []
+    """Its POST conditions, each with line and column."""
