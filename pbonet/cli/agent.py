@@ -49,6 +49,9 @@ def command(
     insecure: A[
         bool, typer.Option("--insecure", help="Listen beyond this machine.")
     ] = False,
+    multicast: A[
+        bool, typer.Option("--multicast", help="Find the domain's agents nearby.")
+    ] = False,
     backend: A[Backend, typer.Option(help="Scheduling.")] = Backend.AUTO,
     with_parent: A[
         int, typer.Option(help="End with this parent process.", metavar="PID")
@@ -77,6 +80,7 @@ def command(
         "libraries": [str(folder) for folder in library] if library else None,
         "grace": grace,
         "insecure": insecure or None,
+        "multicast": multicast or None,
     }
     begin = read_agent(config) if config else AgentConfig()
     given = {key: value for key, value in told.items() if value is not None}

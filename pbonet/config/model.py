@@ -227,5 +227,7 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Seconds that control goes on when the agent is gone."""
     insecure: bool = False
     """True lets the agent listen beyond this machine without protection."""
+    multicast: bool = False
+    """True lets the agents of the domain on one network find each other."""
     events: dict[str, str] = {}
     """Queues of the RTPU, and the keys whose messages go into them."""

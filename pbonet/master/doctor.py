@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import os
 import platform
 import shutil
@@ -35,6 +36,8 @@ _EXTRAS: Final = {
     "pinocchio": "robot dynamics: pip install 'pbonet[robot]'",
     "serial": "serial devices: pip install 'pbonet[devices]'",
 }
+_WAYS_TIME: Final = 10.0
+"""Seconds in which an agent measures the ways to all others."""
 _SLOW: Final = 0.05
 """A round trip to an agent of one machine should take no longer, in seconds."""
 
@@ -218,8 +221,50 @@ def agents(
             else:
                 yield from _agent(infos[-1], passed)
         yield from _cores(infos, allowed)
+        yield from _pairs(client, [info.name for info in infos])
     finally:
         client.close()
+
+
+def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
+    """Prove every pair of agents by a round trip between the two."""
+    asked: dict[str, m.Request] = {name: m.Links() for name in names}
+    reports, errors = client.call_all(asked, m.LinkReport, timeout=_WAYS_TIME)
+    for error in errors:
+        yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
+    ways = {
+        (report.rtpu, way.rtpu): way
+        for report in reports.values()
+        for way in report.ways
+    }
+    for one, other in itertools.combinations(sorted(reports), 2):
+        yield _pair(one, other, ways.get((one, other)) or ways.get((other, one)))
+    for name, report in sorted(reports.items()):
+        for other in report.double:
+            yield Finding(
+                Level.WARN,
+                f"{name} has two links to {other}: cuts elsewhere make them stall",
+                "let one of the two name the other with --connect, not both, and "
+                "start it again",
+            )
+
+
+def _pair(one: str, other: str, way: m.Way | None) -> Finding:
+    """Return what was found about the way between two agents."""
+    if way is None or way.error:
+        return Finding(
+            Level.FAIL,
+            f"{one} - {other}: {way.error if way else 'they do not see each other'}",
+            "let one of them --connect to the other, or both to a third",
+        )
+    text = f"{one} - {other}: round trip {render.seconds(way.trip)}"
+    if way.hops:
+        text += (
+            f", clocks {way.offset:+.6f} s apart within {render.seconds(way.spread)}"
+        )
+    if way.hops > 1:
+        text += ", by way of another agent"
+    return Finding(Level.PASS, text)
 
 
 def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:

@@ -23,14 +23,15 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.xm import keys, rundir, session
-from pbonet.xm.messages import AgentInfo
+from pbonet.xm import dialling, keys, rundir, session
+from pbonet.xm.messages import AgentInfo, LinkReport
 
 from . import leftovers, service, wire
 from .ears import Ears
 from .server import Server
 from .supervise import RtpuLink, choose_core
 from .twins import Twins
+from .ways import Ways
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -82,8 +83,10 @@ class Agent:
         )
         self._lock: rundir.NameLock | None = None
         self._session: zenoh.Session | None = None
+        self._dials: list[str] = []
         self._server: Server | None = None
         self._twins: Twins | None = None
+        self._ways: Ways | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._ears: Ears | None = None
         self._link: RtpuLink | None = None
@@ -120,11 +123,15 @@ class Agent:
         return self
 
     def _open(self) -> None:
-        # A socket that stands here was left by a killed agent: the lock is ours.
-        self.places.remove(self.places.sock)
-        self._session = session.agent(
-            self.places, listen=self.config.listen, connect=self.config.connect
+        dialled = dialling.Dialled(
+            self.places,
+            listen=self.config.listen,
+            connect=self.config.connect,
+            multicast=self.config.multicast,
         )
+        self._session = dialled.session
+        dialled.settle()
+        self._session, self._dials = dialled.session, dialled.dials
         self._refuse_duplicate()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
@@ -138,6 +145,8 @@ class Agent:
             self._met_twin,
         )
         self._twins.start()
+        self._ways = Ways(self._session, self.info)
+        self._ways.start()
         self._ears = Ears(self._session, self.config.events, self._arrived)
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
@@ -213,6 +222,9 @@ class Agent:
         if self._ears is not None:
             self._ears.stop()
             self._ears = None
+        if self._ways is not None:
+            self._ways.stop()
+            self._ways = None
         if self._twins is not None:
             self._twins.stop()
             self._twins = None
@@ -292,7 +304,16 @@ class Agent:
             python=platform.python_version(),
             claims=info.claims if info else {},
             libraries=list(self._rtpu_config.libraries),
+            zid=str(self._session.info.zid()) if self._session is not None else "",
+            dials=self._dials,
+            listens=list(self.config.listen),
+            now_ns=time.monotonic_ns(),
         )
+
+    def ways(self) -> LinkReport:
+        """Return the ways to the other agents, measured now."""
+        ways = self._ways
+        return LinkReport(rtpu=self.name) if ways is None else ways.report()
 
     # -- what the RTPU process says ----------------------------------------------------
 

@@ -22,7 +22,7 @@ from pbonet.xm import codec, keys, session
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
-    from pbonet.xm.messages import AgentInfo
+    from pbonet.xm.messages import AgentInfo, LinkReport
 
 log = logging.getLogger("pbonet.node")
 
@@ -40,6 +40,10 @@ class Node(Protocol):
 
     def info(self) -> AgentInfo:
         """Return who this is."""
+        ...
+
+    def ways(self) -> LinkReport:
+        """Return the ways to the other agents, measured now."""
         ...
 
 
@@ -130,6 +134,9 @@ class Server:
                 answer = m.Answer(id=request.id, ok=True, result=self._node.info())
                 self._reply(query, self._codec.pack(answer))
                 return
+            if isinstance(request, m.Links):
+                self._pool.submit(self._measure, query, request.id)
+                return
             if len(self._pending) >= PENDING:
                 raise ProtocolError(
                     "too many requests wait for their answers",
@@ -144,6 +151,12 @@ class Server:
             self._pool.submit(self._claim, query, request.id, data)
         else:
             self._forward(query, request.id, data, None)
+
+    def _measure(self, query: zenoh.Query, request_id: str) -> None:
+        """Answer with the ways to the other agents, which takes their round trips."""
+        report = self._node.ways()
+        answer = m.Answer(id=request_id, ok=True, result=report)
+        self._reply(query, self._codec.pack(answer))
 
     def _claim(self, query: zenoh.Query, request_id: str, data: bytes) -> None:
         """Forward a claim with the list of the masters that live."""

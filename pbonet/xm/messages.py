@@ -16,6 +16,10 @@ from msgspec import Struct
 from pbonet.errors import WireError
 from pbonet.xm import values
 
+from .agents import AgentInfo as AgentInfo  # noqa: PLC0414 - taken from here
+from .agents import LinkReport as LinkReport  # noqa: PLC0414 - taken from here
+from .agents import Way as Way  # noqa: PLC0414 - taken from here
+
 VERSION = 1
 ParamValue: TypeAlias = values.ParamValue
 Standing: TypeAlias = values.Standing
@@ -36,6 +40,10 @@ class Request(Struct, kw_only=True, tag_field="op"):
 
 class Hello(Request, tag="hello"):
     """Ask an agent who it is. Result: `AgentInfo`."""
+
+
+class Links(Request, tag="links"):
+    """Have an agent measure the way to every other one. Result: `LinkReport`."""
 
 
 class Claim(Request, tag="claim"):
@@ -253,6 +261,7 @@ class Events(Request, tag="events"):
 
 AnyRequest = (
     Hello
+    | Links
     | Claim
     | Release
     | OpenTable
@@ -275,29 +284,6 @@ AnyRequest = (
     | Job
     | Events
 )
-
-
-class AgentInfo(Struct, kw_only=True):
-    """Who an agent is and what it can do."""
-
-    name: str
-    domain: str
-    host: str
-    machine: str
-    """Boot identity: equal for processes that share memory."""
-    core: int
-    cores: int
-    pid: int
-    rtpu_pid: int
-    backend: str
-    """``fifo`` or ``park``; what it means is in `limits`."""
-    limits: list[str] = []
-    """What is reduced and why, one sentence each; empty when nothing is."""
-    version: str
-    python: str
-    claims: dict[str, int] = {}
-    """Subsystems that use the RTPU, and the epoch of each."""
-    libraries: list[str] = []
 
 
 class Claimed(Struct, kw_only=True):

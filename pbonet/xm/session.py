@@ -1,9 +1,9 @@
 """Opens zenoh sessions the way pbonet uses them: this file alone configures zenoh.
 
 Agents run as routers and everything else is a client of some agent, so that one agent
-within reach reaches all. There is no discovery by multicast or gossip: agents of one
-machine find each other in the runtime folder, others are named. The shared-memory
-transport is off, and a lost peer is noticed within 400 ms.
+within reach reaches all. Agents of one machine find each other in the runtime folder,
+others are named, or found by multicast where that was asked for. There is no gossip,
+the shared-memory transport is off, and a lost peer is noticed within 400 ms.
 
 A session must be opened in a process that was started by exec, never after a fork.
 """
@@ -14,6 +14,7 @@ import ipaddress
 import json
 import re
 import time
+import zlib
 from typing import TYPE_CHECKING
 
 import zenoh
@@ -29,9 +30,15 @@ LEASE_MS = 400
 """After this long without a sign a peer is lost; shorter leases gave false losses."""
 OPEN_MS = 500
 """After this long an agent that hangs is passed over for the next; zenoh's ten seconds
-would keep a master from all the others, and from stopping them."""
+would keep a master from all the others, and from stopping them, and an agent from one
+whose link has healed meanwhile."""
+RETRY_MS = 400
+"""Longest pause between attempts to reach an agent that is away."""
+SCOUTING_PORT = 17000
+"""The first of the thousand ports on which domains look for their agents."""
 _OPEN_PAUSE = 0.05
 PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")
+_HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):\d{1,5}([?#].*)?")
 TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
 
@@ -43,13 +50,14 @@ def check_endpoint(endpoint: str, *, insecure: bool = True) -> str:
         NodeError: It is malformed, of an unknown protocol, or reaches beyond this
             machine without `insecure`.
     """
-    protocol, slash, address = endpoint.partition("/")
-    if not slash or not address or protocol not in PROTOCOLS:
+    protocol, _, address = endpoint.partition("/")
+    local = protocol == "unixsock-stream" and address
+    if not local and not (protocol in PROTOCOLS and _HOST_PORT.fullmatch(address)):
         raise NodeError(
             "this is no endpoint",
-            expected="PROTOCOL/ADDRESS with one of " + " ".join(PROTOCOLS),
+            expected="PROTOCOL/HOST:PORT with one of " + " ".join(PROTOCOLS),
             got=repr(endpoint),
-            remedy="for example tcp/127.0.0.1:7447",
+            remedy="for example tcp/127.0.0.1:7447, or tcp/[::1]:7447",
         )
     if protocol != "unixsock-stream" and not insecure and not _is_loopback(address):
         raise NodeError(
@@ -72,25 +80,29 @@ def _is_loopback(address: str) -> bool:
 
 
 def agent(
-    places: rundir.Places, *, listen: Sequence[str] = (), connect: Sequence[str] = ()
+    places: rundir.Places,
+    *,
+    listen: Sequence[str] = (),
+    dial: Sequence[str] = (),
+    multicast: bool = False,
 ) -> zenoh.Session:
     """Open an agent's session: a router on its socket and on `listen`.
 
-    It connects to `connect` and to the agents that live on this machine already, and
-    keeps trying while they are away.
+    Args:
+        places: The agent's files.
+        listen: Endpoints beside its socket.
+        dial: Endpoints that it keeps a link to; it goes on trying while one is away.
+            No two agents may dial each other, see `pbonet.xm.dialling`.
+        multicast: Find the agents of the domain on the same network by multicast too.
 
     Raises:
         NodeError: An endpoint cannot be listened on.
     """
-    neighbours = [
-        rundir.Places(places.domain, name).endpoint
-        for name in rundir.live_agents(places.domain)
-        if name != places.name
-    ]
     config = _config(
         mode="router",
         listen={"endpoints": [places.endpoint, *listen]},
-        connect={"endpoints": [*map(check_endpoint, connect), *neighbours]},
+        connect={"endpoints": list(dial)},
+        multicast=_scouting(places.domain) if multicast else None,
     )
     try:
         return zenoh.open(config)
@@ -103,8 +115,25 @@ def agent(
         ) from None
 
 
+def _scouting(domain: str) -> dict[str, object]:
+    """Return how the agents of a domain find each other; other domains don't hear."""
+    port = SCOUTING_PORT + zlib.crc32(domain.encode()) % 1000
+    return {
+        "enabled": True,
+        "address": f"224.0.0.224:{port}",
+        "autoconnect": {"router": ["router"], "peer": [], "client": []},
+        # One of two that hear each other dials, never both.
+        "autoconnect_strategy": {"router": {"to_router": "greater-zid"}},
+        "listen": True,
+    }
+
+
 def client(
-    domain: str = "default", *, connect: Sequence[str] = (), timeout: float = 2.0
+    domain: str = "default",
+    *,
+    connect: Sequence[str] = (),
+    timeout: float = 2.0,
+    local: bool = True,
 ) -> zenoh.Session:
     """Open the session of a master or tool: a client of any agent it can reach.
 
@@ -112,11 +141,13 @@ def client(
         domain: Agents of this domain on this machine are tried after `connect`.
         connect: Endpoints of agents elsewhere.
         timeout: Seconds to keep trying.
+        local: Whether agents of this machine will do.
 
     Raises:
         UnreachableError: No agent can be reached.
     """
-    endpoints = [*map(check_endpoint, connect), *local_endpoints(domain)]
+    endpoints = [*map(check_endpoint, connect)]
+    endpoints += local_endpoints(domain) if local else []
     if not endpoints:
         raise UnreachableError(
             f"no agent of domain {domain} runs on this machine",
@@ -173,19 +204,24 @@ def _config(
     mode: str,
     connect: Mapping[str, object],
     listen: Mapping[str, object] | None = None,
+    multicast: Mapping[str, object] | None = None,
 ) -> zenoh.Config:
-    retry = {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2}
+    retry = {
+        "period_init_ms": 100,
+        "period_max_ms": RETRY_MS,
+        "period_increase_factor": 2,
+    }
     settings: dict[str, object] = {
         "mode": mode,
         "connect": {**connect, "retry": retry},
         "scouting": {
             "delay": 0,  # half a second at every start otherwise, for nothing
-            "multicast": {"enabled": False},
+            "multicast": multicast or {"enabled": False},
             "gossip": {"enabled": False},
         },
         "transport": {
             "shared_memory": {"enabled": False},
-            "unicast": {"open_timeout": OPEN_MS if mode == "client" else 10_000},
+            "unicast": {"open_timeout": OPEN_MS},
             "link": {"tx": {"lease": LEASE_MS, "keep_alive": 4}},
         },
         "queries_default_timeout": 2000,

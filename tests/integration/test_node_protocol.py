@@ -16,6 +16,8 @@ from pbonet.xm import rundir
 PAGE = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
 RECORDS = [
     m.AgentInfo,
+    m.LinkReport,
+    m.Way,
     m.Claimed,
     m.TableInfo,
     m.TaskStatus,

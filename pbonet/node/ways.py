@@ -1,0 +1,180 @@
+"""The ways to the other agents: round trips, and how far the clocks are apart.
+
+Every second each agent asks every other one of its domain who it is. The shortest of
+the last round trips tells best by how much the other machine's clock is ahead: when
+both ways take the same time, the answer was made in the middle of it, and it cannot be
+wrong by more than half of the trip (Cristian 1989).
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+import zenoh
+
+from pbonet.errors import PbonetError
+from pbonet.xm import codec, dialling, keys, session
+from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+log = logging.getLogger("pbonet.node")
+
+PERIOD = 1.0
+"""Seconds between round trips to one agent."""
+KEPT = 8
+"""Round trips that the shortest is chosen from."""
+TRIES = 3
+"""Round trips that a report makes."""
+ANSWER_TIME = 0.5
+"""Seconds for an answer; it is made at once."""
+
+
+class Trip(NamedTuple):
+    """One round trip."""
+
+    seconds: float
+    offset_ns: int
+
+
+class Peer:
+    """Another agent, as the last round trips have shown it."""
+
+    def __init__(self) -> None:
+        self.trips: deque[Trip] = deque(maxlen=KEPT)
+        self.info: m.AgentInfo | None = None
+        self.error = ""
+
+    def add(self, info: m.AgentInfo, begin_ns: int, end_ns: int) -> None:
+        """Take a round trip; those to another process or machine count no more."""
+        if self.info is not None and self.info.machine != info.machine:
+            self.trips.clear()
+        self.info, self.error = info, ""
+        middle = (begin_ns + end_ns) // 2
+        self.trips.append(Trip((end_ns - begin_ns) * 1e-9, info.now_ns - middle))
+
+    @property
+    def best(self) -> Trip | None:
+        """The shortest trip."""
+        return min(self.trips, default=None)
+
+
+class Ways:
+    """The search for the ways from one agent to the others.
+
+    Args:
+        link: The agent's session.
+        me: Who the agent is.
+    """
+
+    def __init__(self, link: zenoh.Session, me: Callable[[], m.AgentInfo]) -> None:
+        self._session = link
+        self._me = me
+        self._peers: dict[str, Peer] = {}
+        self._guard = threading.Lock()
+        self._over = threading.Event()
+        self._codec = codec.Codec()
+        self._thread = threading.Thread(
+            target=self._watch, name="pbonet ways", daemon=True
+        )
+
+    def start(self) -> None:
+        """Ask every second."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask no more."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def offset(self, machine: str) -> tuple[int, int] | None:
+        """Return by how many ns a machine's clock is ahead, and the doubt about it."""
+        with self._guard:
+            trips = [
+                best
+                for peer in self._peers.values()
+                if peer.info is not None
+                and peer.info.machine == machine
+                and (best := peer.best) is not None
+            ]
+        best = min(trips, default=None)
+        return None if best is None else (best.offset_ns, round(best.seconds * 5e8))
+
+    def report(self) -> m.LinkReport:
+        """Measure now, and return what is known."""
+        me = self._me()
+        for _ in range(TRIES):
+            self._look(me.name)
+        near = {str(zid) for zid in self._session.info.routers_zid()}
+        counts = dialling.links(self._session)
+        with self._guard:
+            peers = sorted(self._peers.items())
+        ways = [_way(name, peer, me, near) for name, peer in peers]
+        names = {p.info.zid: name for name, p in peers if p.info is not None}
+        double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
+        return m.LinkReport(rtpu=me.name, ways=ways, double=sorted(double))
+
+    def _watch(self) -> None:
+        while not self._over.wait(PERIOD):
+            try:
+                self._look(self._me().name)
+            except zenoh.ZError as error:
+                log.debug("the ways cannot be measured: %s", error)
+
+    def _look(self, me: str) -> None:
+        """Make one round trip to each agent that can be seen."""
+        domain = self._me().domain
+        names = [n for n in session.rtpus(self._session, domain) if n != me]
+        with self._guard:
+            for gone in self._peers.keys() - set(names):
+                del self._peers[gone]
+        for name in names:
+            peer = self._peers.setdefault(name, Peer())
+            begin = time.monotonic_ns()
+            found = self._ask(keys.rtpu(domain, name, "sbs"))
+            end = time.monotonic_ns()
+            with self._guard:
+                if isinstance(found, m.AgentInfo):
+                    peer.add(found, begin, end)
+                else:
+                    peer.error = found
+
+    def _ask(self, key: str) -> m.AgentInfo | str:
+        """Return who answers on a key, or why nobody does."""
+        replies = self._session.get(
+            key, payload=self._codec.pack(m.Hello(id="way")), timeout=ANSWER_TIME
+        )
+        for reply in replies:
+            if reply.ok is None:
+                return f"no answer within {ANSWER_TIME:g} s"
+            try:
+                answer = self._codec.answer(reply.ok.payload.to_bytes())
+                if answer.ok:
+                    return msgspec.convert(answer.result, m.AgentInfo)
+                return str(PbonetError.from_wire(answer.error or {}))
+            except (PbonetError, msgspec.ValidationError) as error:
+                return str(error)
+        return "its agent is seen, and cannot be asked"
+
+
+def _way(name: str, peer: Peer, me: m.AgentInfo, near: set[str]) -> m.Way:
+    info, best = peer.info, peer.best
+    if peer.error or info is None or best is None:
+        return m.Way(rtpu=name, error=peer.error or "not yet asked")
+    hops = 1 if info.zid in near else 2
+    return m.Way(
+        rtpu=name,
+        host=info.host,
+        version=info.version,
+        trip=best.seconds,
+        offset=best.offset_ns * 1e-9,
+        spread=best.seconds / 2,
+        hops=0 if info.machine == me.machine else hops,
+    )

@@ -1,0 +1,63 @@
+"""Records of agents and of the ways between them."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+
+class AgentInfo(Struct, kw_only=True):
+    """Who an agent is and what it can do."""
+
+    name: str
+    domain: str
+    host: str
+    machine: str
+    """Boot identity: equal for processes that share memory."""
+    core: int
+    cores: int
+    pid: int
+    rtpu_pid: int
+    backend: str
+    """``fifo`` or ``park``; what it means is in `limits`."""
+    limits: list[str] = []
+    """What is reduced and why, one sentence each; empty when nothing is."""
+    version: str
+    python: str
+    claims: dict[str, int] = {}
+    """Subsystems that use the RTPU, and the epoch of each."""
+    libraries: list[str] = []
+    zid: str = ""
+    """The agent's zenoh identity; a new one with every start."""
+    dials: list[str] = []
+    """Endpoints that it keeps a link to, or tries to."""
+    listens: list[str] = []
+    """Endpoints that it listens on, beside the socket of its machine."""
+    now_ns: int = 0
+    """CLOCK_MONOTONIC of its machine when it answered."""
+
+
+class Way(Struct, kw_only=True):
+    """The way from one agent to another, as round trips have measured it."""
+
+    rtpu: str
+    host: str = ""
+    version: str = ""
+    trip: float = 0.0
+    """Seconds of the shortest round trip."""
+    offset: float = 0.0
+    """Seconds by which the other machine's monotonic clock is ahead of this one's."""
+    spread: float = 0.0
+    """Seconds by which `offset` may be wrong: half of the round trip."""
+    hops: int = 0
+    """0: the same machine; 1: a link of its own; 2: by way of other agents."""
+    error: str = ""
+    """Why there was no round trip; empty when there was."""
+
+
+class LinkReport(Struct, kw_only=True):
+    """What an agent knows of the ways to the others."""
+
+    rtpu: str
+    ways: list[Way] = []
+    double: list[str] = []
+    """Agents to which two links stand, which makes zenoh's routers stall."""

@@ -1,0 +1,52 @@
+"""Three hosts for the tests of a module; see `lan` and `hostkit`."""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+from hostkit import OWN_PORT, Lab
+from lan import Lan, missing
+
+_missing = functools.cache(missing)
+
+
+@pytest.fixture(scope="module")
+def clocks():
+    """By host, the seconds by which its clock is ahead; a module may say otherwise."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def lan(clocks):
+    """Three hosts with a cable between any two."""
+    if reason := _missing():
+        pytest.skip(reason)
+    made = Lan(clocks)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture(scope="module")
+def lab(lan):
+    """Agents on the three hosts, which the module starts as it needs them."""
+    made = Lab(lan)
+    try:
+        yield made
+    finally:
+        lan.heal_all()
+        made.close()
+
+
+@pytest.fixture
+def own_lab(lan):
+    """The same for one test, in a domain and on a port of its own."""
+    lan.heal_all()
+    made = Lab(lan, OWN_PORT)
+    try:
+        yield made
+    finally:
+        lan.heal_all()
+        made.close()

@@ -1,0 +1,218 @@
+"""Agents on the three hosts of a `lan.Lan`, and masters and tools that reach them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+from lan import Lan
+from nodekit import AGENT, MISBEHAVING, alive
+from watching import processes_of, wait_for
+
+from pbonet.config.model import AgentConfig
+from pbonet.errors import PbonetError
+from pbonet.xm import messages as m
+from pbonet.xm import session
+from pbonet.xm.rpc import Client
+
+PORT = 7447
+OWN_PORT = 7547
+SHM = Path("/dev/shm")  # noqa: S108 - where shared memory is
+CORE = max(os.sched_getaffinity(0))
+
+
+class Lab:
+    """Three hosts with agents of one domain.
+
+    Args:
+        lan: The hosts.
+        port: The one that agents listen on; two labs of one network need two.
+    """
+
+    def __init__(self, lan: Lan, port: int = PORT) -> None:
+        self.lan = lan
+        self.port = port
+        self.domain = f"h{secrets.token_hex(3)}"
+        self.agents: dict[str, tuple[str, subprocess.Popen]] = {}
+        self._sessions: dict[str, object] = {}
+        self.run_dirs: dict[str, Path] = {}
+        self.shm_dirs: dict[str, Path] = {}
+        for name in lan.hosts:
+            made = tempfile.mkdtemp(prefix=f"pbonet-{name}-", dir="/tmp")
+            self.run_dirs[name] = Path(made)
+            self.shm_dirs[name] = SHM / f"pbonet-host-{self.domain}{name}"
+            self.shm_dirs[name].mkdir(mode=0o700)
+
+    def endpoint(self, host: str, seen_from: str, *, six: bool = False) -> str:
+        """Return the endpoint of a host's agent, over the cable to another host."""
+        address = self.lan[host].address(seen_from, six=six)
+        return f"tcp/[{address}]:{self.port}" if six else f"tcp/{address}:{self.port}"
+
+    def start(self, name, host, *, connect=(), listen=None, wait=True, **more):
+        """Start an agent on a host; it listens on every address unless told."""
+        more = {"core": CORE, "grace": 1.0, "domain": self.domain, **more}
+        config = AgentConfig(
+            name=name,
+            listen=(f"tcp/[::]:{self.port}",) if listen is None else tuple(listen),
+            connect=tuple(connect),
+            libraries=(str(MISBEHAVING), *more.pop("libraries", ())),
+            insecure=True,
+            **more,
+        )
+        text = msgspec.json.encode(config).decode()
+        process = subprocess.Popen(
+            self.lan[host].command(sys.executable, "-c", AGENT, text),
+            env=self.environment(host),
+        )
+        self.agents[name] = (host, process)
+        if wait:
+            self.wait_seen(name, host)
+        return process
+
+    def chain(self):
+        """Start arm0 on a, arm1 on b, arm2 on c; a and c have no way but by b."""
+        self.lan.cut("a", "c")
+        self.start("arm1", "b", wait=False)
+        self.start("arm0", "a", connect=[self.endpoint("b", "a")], wait=False)
+        self.start("arm2", "c", connect=[self.endpoint("b", "c")], wait=False)
+        self.wait_all()
+
+    def triangle(self):
+        """Start arm0, arm1 and arm2 on a, b and c, each linked to each other."""
+        self.start("arm0", "a", wait=False)
+        to_a = [self.endpoint("a", "b")]
+        self.start("arm1", "b", connect=to_a, wait=False)
+        both = [self.endpoint("a", "c"), self.endpoint("b", "c")]
+        self.start("arm2", "c", connect=both, wait=False)
+        self.wait_all()
+
+    def wait_seen(self, name, host):
+        """Wait until a client on a host sees an agent."""
+        process = self.agents[name][1]
+
+        def there():
+            assert process.poll() is None, f"agent {name} has ended"
+            return name in self.seen(host)
+
+        wait_for(there, f"agent {name} from host {host}", 30.0)
+
+    def wait_all(self):
+        """Wait until every agent is seen from every host that has one."""
+        for host in {host for host, _ in self.agents.values()}:
+            for name in self.agents:
+                self.wait_seen(name, host)
+
+    def seen(self, host):
+        """Return the RTPUs that a client of a host's agent sees."""
+        try:
+            return session.rtpus(self.session(host), self.domain)
+        except PbonetError:
+            return []
+
+    def session(self, host):
+        """Return a client's session on a host: it knows the agents there alone."""
+        if host not in self._sessions:
+            here = self.run_dirs[host] / self.domain
+            names = [n for n, (at, _) in self.agents.items() if at == host]
+            sockets = [f"unixsock-stream/{here / name}.sock" for name in names]
+            self._sessions[host] = session.client(
+                self.domain, connect=sockets, timeout=30.0, local=False
+            )
+        return self._sessions[host]
+
+    def forget_session(self, host):
+        """Close a host's client, as its agent is gone."""
+        if host in self._sessions:
+            self._sessions.pop(host).close()
+
+    def client(self, host):
+        """Return a client of a host's agent."""
+        return Client(self.session(host), self.domain, f"c{secrets.token_hex(3)}")
+
+    def info(self, name, host=None):
+        """Return who an agent is, asked by way of a host."""
+        return self.client(host or self.agents[name][0]).call(
+            name, m.Hello(), m.AgentInfo
+        )
+
+    def wait_reached(self, name, host):
+        """Wait until an agent answers by way of a host."""
+
+        def reached():
+            with contextlib.suppress(PbonetError):
+                return self.info(name, host)
+            return None
+
+        return wait_for(reached, f"agent {name} by way of host {host}", 20.0)
+
+    def kill(self, name):
+        """Kill an agent's process; its RTPU process stays."""
+        host, process = self.agents.pop(name)
+        self.forget_session(host)
+        process.kill()
+        process.wait(10.0)
+
+    def stop(self, name):
+        """Tell an agent to end, and wait for it."""
+        host, process = self.agents.pop(name)
+        self.forget_session(host)
+        process.send_signal(signal.SIGTERM)
+        process.wait(30.0)
+
+    def cli(self, host, *words, limit=60.0):
+        """Run a verb of the command line on a host."""
+        words = (sys.executable, "-m", "pbonet.cli", *words, "--domain", self.domain)
+        return subprocess.run(
+            self.lan[host].command(*words),
+            env=self.environment(host),
+            capture_output=True,
+            text=True,
+            timeout=limit,
+            check=False,
+        )
+
+    def environment(self, host):
+        """Return the environment of a host's processes."""
+        return {
+            **os.environ,
+            "PBONET_RUN_DIR": str(self.run_dirs[host]),
+            "PBONET_SHM_DIR": str(self.shm_dirs[host]),
+        }
+
+    def close(self):
+        """End everything; fail when a process or a file is left."""
+        try:
+            for host in list(self._sessions):
+                self.forget_session(host)
+            running = [process for _, process in self.agents.values()]
+            for process in running:
+                process.send_signal(signal.SIGTERM)
+            for process in running:
+                process.wait(30.0)
+            self._check()
+        finally:
+            for pid, _ in self._left():
+                os.kill(pid, signal.SIGKILL)
+            for folder in (*self.run_dirs.values(), *self.shm_dirs.values()):
+                shutil.rmtree(folder)
+
+    def _left(self):
+        folders = self.run_dirs.values()
+        return [p for f in folders for p in processes_of("PBONET_RUN_DIR", str(f))]
+
+    def _check(self):
+        wait_for(lambda: not self._left(), f"the end of {self._left()}", 20.0)
+        for folder in (*self.run_dirs.values(), *self.shm_dirs.values()):
+            files = [str(p) for p in folder.rglob("*") if not p.is_dir()]
+            assert not files, f"left: {files}"
+
+
+__all__ = ["CORE", "OWN_PORT", "PORT", "Lab", "alive"]

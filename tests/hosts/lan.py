@@ -1,0 +1,175 @@
+"""Machines as network namespaces, joined by cables that can be pulled.
+
+Three hosts, each with a cable to each other one. A cable is a pair of virtual Ethernet
+devices with addresses of their own, so that pulling one leaves the others alone:
+
+    a -- b: 10.77.1.1, 10.77.1.2     b -- c: 10.77.2.2, 10.77.2.3
+    a -- c: 10.77.3.1, 10.77.3.3     and fd77:N::K beside each 10.77.N.K
+
+A host has a name of its own, and a clock of its own where that was asked for. Making
+one takes root; where that is missing `missing` says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import subprocess
+
+CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
+NUMBERS = {"a": 1, "b": 2, "c": 3}
+
+
+def _run(*command: str, check: bool = True) -> subprocess.CompletedProcess:
+    return subprocess.run(command, check=check, capture_output=True, text=True)
+
+
+def missing() -> str:
+    """Return why no hosts can be made here; empty when they can."""
+    tools = [name for name in ("ip", "nsenter", "unshare") if not shutil.which(name)]
+    if tools:
+        return f"hosts need {' and '.join(tools)} (iproute2, util-linux)"
+    if os.geteuid() != 0:
+        return "making network namespaces needs root"
+    name = f"pbt{secrets.token_hex(3)}"
+    made = _run("ip", "netns", "add", name, check=False)
+    if made.returncode:
+        return f"no network namespaces here: {made.stderr.strip()}"
+    try:
+        pair = ("type", "veth", "peer", "name", f"{name}b")
+        inside = ("ip", "-n", name, "link", "add", f"{name}a", *pair)
+        tried = _run(*inside, check=False)
+    finally:
+        _run("ip", "netns", "del", name)
+    return f"no cables here: {tried.stderr.strip()}" if tried.returncode else ""
+
+
+def netem() -> str:
+    """Return why a cable cannot be made slow here; empty when it can."""
+    if not shutil.which("tc"):
+        return "making a cable slow needs tc (iproute2)"
+    name = f"pbt{secrets.token_hex(3)}"
+    _run("ip", "netns", "add", name)
+    try:
+        slow = ("tc", "-n", name, "qdisc", "add", "dev", "lo", "root", "netem")
+        tried = _run(*slow, "delay", "1ms", check=False)
+    finally:
+        _run("ip", "netns", "del", name)
+    return f"this kernel has no netem: {tried.stderr.strip()}" * bool(tried.returncode)
+
+
+class Host:
+    """One machine.
+
+    Args:
+        lan: The network that it belongs to.
+        name: ``a``, ``b`` or ``c``.
+        ahead: Seconds by which its monotonic clock is set apart from the others.
+    """
+
+    def __init__(self, lan: Lan, name: str, ahead: float = 0.0) -> None:
+        self.name = name
+        self.space = f"pb{lan.tag}{name}"
+        self.ahead = ahead
+
+    def address(self, other: str, *, six: bool = False) -> str:
+        """Return the address that host `other` sees this one at."""
+        cable = CABLES[tuple(sorted((self.name, other)))]
+        number = NUMBERS[self.name]
+        return f"fd77:{cable}::{number}" if six else f"10.77.{cable}.{number}"
+
+    def command(self, *command: str) -> list[str]:
+        """Return `command` as it is started on this host; the process number stays."""
+        name = f"host-{self.name}"
+        uts = ["unshare", "--uts"]
+        if self.ahead:
+            uts += ["--time", "--monotonic", f"{self.ahead:g}"]
+        shell = f'hostname {name} && exec "$@"'
+        inside = [*uts, "sh", "-c", shell, "sh", *command]
+        return ["nsenter", f"--net=/run/netns/{self.space}", *inside]
+
+
+class Lan:
+    """Three hosts and the cables between them.
+
+    Args:
+        ahead: By host, the seconds by which its clock is ahead.
+    """
+
+    def __init__(self, ahead: dict[str, float] | None = None) -> None:
+        self.tag = secrets.token_hex(3)
+        self.hosts: dict[str, Host] = {}
+        self._ahead = ahead or {}
+        try:
+            self._make()
+        except BaseException:
+            self.close()
+            raise
+
+    def __getitem__(self, name: str) -> Host:
+        return self.hosts[name]
+
+    def cut(self, one: str, other: str) -> None:
+        """Pull the cable between two hosts."""
+        self._set_cable(one, other, "down")
+
+    def heal(self, one: str, other: str) -> None:
+        """Plug it in again."""
+        self._set_cable(one, other, "up")
+
+    def heal_all(self) -> None:
+        """Plug every cable in."""
+        for one, other in CABLES:
+            self.heal(one, other)
+
+    def slow(self, one: str, other: str, delay: str) -> None:
+        """Delay what goes over a cable, each way; empty for no delay."""
+        for host, peer in ((one, other), (other, one)):
+            base = ("tc", "-n", self.hosts[host].space, "qdisc")
+            _run(*base, "del", "dev", f"to-{peer}", "root", check=False)
+            if delay:
+                _run(*base, "add", "dev", f"to-{peer}", "root", "netem", "delay", delay)
+
+    def close(self) -> None:
+        """Remove everything, whatever state it is in."""
+        for host in self.hosts.values():
+            with contextlib.suppress(subprocess.CalledProcessError):
+                _run("ip", "netns", "del", host.space)
+
+    def _make(self) -> None:
+        for name in NUMBERS:
+            host = self.hosts[name] = Host(self, name, self._ahead.get(name, 0.0))
+            _run("ip", "netns", "add", host.space)
+            _run("ip", "-n", host.space, "link", "set", "lo", "up")
+        for (one, other), number in CABLES.items():
+            here, there = self.hosts[one].space, self.hosts[other].space
+            pair = ("type", "veth", "peer", "name", f"to-{one}", "netns", there)
+            _run("ip", "-n", here, "link", "add", f"to-{other}", *pair)
+            for host, peer in ((one, other), (other, one)):
+                self._address(host, peer, number)
+        for one, other in CABLES:
+            self.heal(one, other)
+
+    def _address(self, host: str, peer: str, number: int) -> None:
+        space, device = self.hosts[host].space, f"to-{peer}"
+        four = f"10.77.{number}.{NUMBERS[host]}/24"
+        six = f"fd77:{number}::{NUMBERS[host]}/64"
+        _run("ip", "-n", space, "addr", "add", four, "dev", device)
+        # An address of IPv6 would go with the link, and be looked for twice at first.
+        for name, value in (("keep_addr_on_down", 1), ("accept_dad", 0)):
+            path = f"/proc/sys/net/ipv6/conf/{device}/{name}"
+            _run(
+                *("nsenter", f"--net=/run/netns/{space}", "sh", "-c"),
+                f"echo {value} > {path}",
+            )
+        _run("ip", "-n", space, "addr", "add", six, "dev", device, "nodad")
+
+    def _set_cable(self, one: str, other: str, state: str) -> None:
+        for host, peer in ((one, other), (other, one)):
+            space = self.hosts[host].space
+            _run("ip", "-n", space, "link", "set", f"to-{peer}", state)
+
+
+__all__ = ["CABLES", "Host", "Lan", "missing", "netem"]
