@@ -87,7 +87,7 @@ def test_errors_never_lose_the_prompt(type_in):
 
 
 def test_fault_of_ours_does_not_lose_the_prompt_either(type_in, arm, monkeypatch):
-    monkeypatch.setattr(arm, "events", lambda *_: 1 / 0)
+    monkeypatch.setattr(arm, "events", lambda *_, **__: 1 / 0)
     out = type_in("events\n", "stop\n", "quit\n")
     assert "ERROR> it failed inside pbonet: ZeroDivisionError" in out
     assert "nothing was ON" in out
