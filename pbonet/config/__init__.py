@@ -12,6 +12,8 @@ from pathlib import Path
 from pbonet.errors import ConfigFileError
 
 from .agent import parse_agent, read_agent
+from .bundle import Section, bundled
+from .combining import info_of
 from .job import parse_job, read_job, write_job
 from .model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
 from .needs import Missing, missing_methods
@@ -21,6 +23,9 @@ from .svar import parse_svar, read_svar, write_svar
 
 __all__ = [
     "Missing",
+    "Section",
+    "bundled",
+    "info_of",
     "missing_methods",
     "parse_agent",
     "parse_job",

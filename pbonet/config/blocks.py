@@ -33,8 +33,8 @@ class Grammar:
     Args:
         text: The order as people read it.
         after: Keywords that may follow the block.
-        either: Keywords of which only one may be given; whoever reads the block refuses
-            two, here they are not offered.
+        either: Groups of keywords of which only one may be given; whoever reads the
+            block refuses two, here they are not offered.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Grammar:
         text: str,
         *,
         after: tuple[str, ...] = ("EOF",),
-        either: tuple[str, ...] = (),
+        either: tuple[tuple[str, ...], ...] = (),
     ) -> None:
         self.text = text
         self.after = after
@@ -63,8 +63,9 @@ class Grammar:
         """Return the keywords that may stand behind stage `number`."""
         words: list[str] = []
         had = set(found.lines)
-        if not had.isdisjoint(self.either):
-            had.update(self.either)
+        for group in self.either:
+            if not had.isdisjoint(group):
+                had.update(group)
         for index, stage in enumerate(self.stages[max(number, 0) :], max(number, 0)):
             missing = [k for k in stage.keywords if k not in had]
             words += stage.keywords if stage.many else missing

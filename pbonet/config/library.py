@@ -28,10 +28,24 @@ from pbonet.errors import (
     ModuleLoadError,
     did_you_mean,
 )
-from pbonet.pbo import ModuleInfo, PortBasedObject, describe, source_version
+from pbonet.pbo import (
+    ModuleInfo,
+    PartClass,
+    PortBasedObject,
+    combine,
+    combined_info,
+    describe,
+    source_version,
+)
+
+from . import Record, Section, bundled, parse_rmod, read_any
+from .combining import part_info, published
+from .reader import load
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from .model import Rmod
 
 BUILT_IN = "pbonet.modules"
 """The package of the modules that pbonet brings."""
@@ -115,6 +129,47 @@ class Library:
         loaded = LoadedModule(cls, info, path)
         self._loaded[str(path), version] = loaded
         return loaded
+
+    def read(self, path: str | Path) -> Record:
+        """Return what a file of any kind says, as `read_any`.
+
+        The parts of a combination stand beside it or in the library.
+
+        Raises:
+            ConfigFileError: It, or a part, cannot be read, or its ending is unknown.
+            ConfigError: It says something that cannot be.
+        """
+        if Path(path).suffix != ".rmod":
+            return read_any(path)
+
+        def part(name: str) -> Section:
+            beside = Path(path).parent / f"{name}.rmod"
+            found = beside if beside.is_file() else self.find_rmod(name)
+            return Section(load(found), str(found))
+
+        return parse_rmod(bundled(load(path), part), str(path))
+
+    def load_rmod(self, rmod: Rmod) -> LoadedModule:
+        """Return the module of an RMOD, or the combination of its parts.
+
+        Raises:
+            ModuleLoadError: A module is missing, or its code does not load.
+            DeclarationError: A class body is wrong, or the parts cannot be combined.
+        """
+        if not rmod.parts:
+            return self.load(rmod.module)
+        loaded = [self.load_rmod(part) for part in rmod.parts]
+        told = [
+            part_info(part, one.info)
+            for part, one in zip(rmod.parts, loaded, strict=True)
+        ]
+        classes = [
+            PartClass(one.part, had.cls) for one, had in zip(told, loaded, strict=True)
+        ]
+        where = str(rmod.places.get("COMBINE", rmod.file))
+        cls = combine(rmod.name, classes, published(rmod), where=where)
+        info = combined_info(rmod.module, told, published(rmod))
+        return LoadedModule(cls, info, Path(rmod.file))
 
     def find_rmod(self, name: str) -> Path:
         """Return the file of an RMOD.

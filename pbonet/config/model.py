@@ -89,14 +89,18 @@ class LocalLine(Struct, frozen=True):
 class Rmod(Struct, frozen=True, kw_only=True):
     """A ``.rmod`` file: a module configured for use (section 3.8).
 
-    Port names are the module's own; `svar_name` gives the variable behind one.
+    Port names are the module's own; `svar_name` gives the variable behind one. Those of
+    a combination (section 3.8.1) are the variables of its parts.
     """
 
     name: str
     """The RMOD's name: the file's name without ``.rmod``."""
     file: str
     module: str
+    """Of a combination: the modules of its parts, with ``+`` between."""
     desc: str = ""
+    parts: tuple[Rmod, ...] = ()
+    """The RMODs that a combination runs as one task, in order."""
     aliases: dict[str, str] = {}
     """The module's name of a port, and the variable that stands for it."""
     inconst: tuple[str, ...] = ()
@@ -120,6 +124,21 @@ class Rmod(Struct, frozen=True, kw_only=True):
     local: dict[str, LocalLine] = {}
     places: dict[str, Place] = {}
     """Where each keyword stands, for faults that are found later."""
+
+    @property
+    def settings(self) -> dict[str, LocalLine]:
+        """The LOCAL lines that count; a parameter of a part is ``part.NAME``.
+
+        A line of the combination goes before that of the part's own file.
+        """
+        found = {
+            f"{part.name}.{key}": line
+            for part in self.parts
+            for key, line in part.settings.items()
+        }
+        told = {key.lower() for key in self.local}
+        kept = {key: line for key, line in found.items() if key.lower() not in told}
+        return {**kept, **self.local}
 
     def svar_name(self, port: str) -> str:
         """Return the variable that the module's port `port` stands for."""

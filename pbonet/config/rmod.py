@@ -5,24 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from msgspec import structs
+
 from pbonet.errors import did_you_mean
 
 from . import words
 from .blocks import Block, Grammar, read_block
+from .bundle import Section, bundled, split
 from .lines import Line, Word, fault, quote
 from .model import LocalLine, Place, Rmod, TaskType
-from .reader import Reader, load
+from .reader import Reader, decode, load
 from .timing import criticality, read_timing
 from .write import number, same_again, text_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
 GRAMMAR = Grammar(
-    "MODULE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE [FREQ|PERIOD] "
-    "[CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|RTPU]",
+    "MODULE|COMBINE DESC SVARALIAS* INCONST OUTCONST INVAR OUTVAR TASKTYPE "
+    "[FREQ|PERIOD] [CRITICAL|CAPACITY|MINC|MAXC|EFFC|SOFTNESS|CRIT|HANDLER|RTPU]",
     after=("LOCAL", "EOF"),
-    either=("FREQ", "PERIOD"),
+    either=(("MODULE", "COMBINE"), ("FREQ", "PERIOD")),
 )
 NUMBERS = (
     "FREQ",
@@ -38,26 +41,40 @@ LISTS = ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
 
 
 def read_rmod(path: str | Path) -> Rmod:
-    """Return what the ``.rmod`` file at `path` says.
+    """Return what the ``.rmod`` file at `path` says; parts stand beside it.
 
     Raises:
-        ConfigFileError: It cannot be read.
+        ConfigFileError: It, or a part of a combination, cannot be read.
         ConfigError: It says something that cannot be.
     """
-    return parse_rmod(load(path), str(path))
+    folder = Path(path).parent
+
+    def beside(name: str) -> Section:
+        part = folder / f"{name}.rmod"
+        return Section(load(part), str(part))
+
+    return parse_rmod(bundled(load(path), beside), str(path))
 
 
 def parse_rmod(text: str | bytes, file: str) -> Rmod:
     """Return what the text of a ``.rmod`` file says.
 
     Args:
-        text: The text.
+        text: The text; that of a combination holds its parts (`bundled`).
         file: Its name, for messages; its last part without ``.rmod`` is the
             RMOD's name.
 
     Raises:
         ConfigError: It says something that cannot be.
     """
+    main, parts = split(decode(text, file) if isinstance(text, bytes) else text)
+    return _parse(main, file, parts)
+
+
+def _parse(
+    text: str, file: str, sections: Mapping[str, Section], above: tuple[str, ...] = ()
+) -> Rmod:
+    """Return one RMOD; `above` are the combinations that it is a part of."""
     reader = Reader(
         text,
         file,
@@ -74,10 +91,12 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
     times = read_timing(reader, block, tasktype)
     local, places = _local(reader)
     reader.finish()
+    module, parts = _code(block, sections, (*above, name))
     return Rmod(
         name=name,
         file=file,
-        module=words.module(words.single(block["MODULE"], "the module's name")),
+        module=module,
+        parts=parts,
         desc=block["DESC"].rest,
         aliases=aliases,
         inconst=_texts(ports["INCONST"]),
@@ -93,6 +112,53 @@ def parse_rmod(text: str | bytes, file: str) -> Rmod:
         places={**block.places, **places},
         **times._asdict(),
     )
+
+
+def _code(
+    block: Block, sections: Mapping[str, Section], above: tuple[str, ...]
+) -> tuple[str, tuple[Rmod, ...]]:
+    """Return the module, or those of the parts, and the parts."""
+    line, other = block.get("COMBINE"), block.get("MODULE")
+    if line is None:
+        return words.module(words.single(block["MODULE"], "the module's name")), ()
+    if other is not None:
+        raise fault(
+            "both MODULE and COMBINE are given",
+            max(line.place, other.place),
+            expected="one of them",
+            got=f"the other in line {min(line.place, other.place).line}",
+            remedy="remove one of them",
+        )
+    names = [words.label(word, "an RMOD") for word in line.words]
+    if len(names) < 2:  # noqa: PLR2004 - a word for it would say no more
+        raise fault(
+            "COMBINE needs at least two RMODs",
+            line.place,
+            expected="their names, in the order in which they run",
+            got=quote(line.rest) if line.rest else "nothing",
+            remedy="name them, or spawn the one by itself",
+        )
+    parts: list[Rmod] = []
+    for word in line.words:
+        if word.text in above or names.count(word.text) > 1:
+            raise fault(
+                f"COMBINE names {quote(word.text)} "
+                + ("within itself" if word.text in above else "twice"),
+                word.place,
+                expected="each RMOD once, and not the one that is combined",
+                remedy="remove it, or copy the .rmod file under another name",
+            )
+        if word.text not in sections:
+            raise fault(
+                f"the part {quote(word.text)} is not here",
+                word.place,
+                expected=f"a line PART {word.text} below EOF, and its .rmod file",
+                remedy="read the combination from its file, beside those of its parts",
+            )
+        section = sections[word.text]
+        part = _parse(section.text, section.file, sections, above)
+        parts.append(structs.replace(part, name=word.text))
+    return "+".join(part.module for part in parts), tuple(parts)
 
 
 def rmod_name(file: str) -> str:
@@ -267,7 +333,14 @@ def write_rmod(record: Rmod) -> str:
     Raises:
         ConfigError: No file can say it, such as a DESC of two lines.
     """
-    lines = [text_line("MODULE", record.module), text_line("DESC", record.desc)]
+    return same_again(record, _text(record), parse_rmod)
+
+
+def _text(record: Rmod) -> str:
+    """Return the text of an RMOD, with those of its parts below it."""
+    names = " ".join(part.name for part in record.parts)
+    first = ("COMBINE", names) if names else ("MODULE", record.module)
+    lines = [text_line(*first), text_line("DESC", record.desc)]
     lines += [text_line("SVARALIAS", f"{p}={v}") for p, v in record.aliases.items()]
     for keyword in LISTS:
         ports: tuple[str, ...] = getattr(record, keyword.lower())
@@ -284,4 +357,5 @@ def write_rmod(record: Rmod) -> str:
     if record.local:
         lines.append("\nLOCAL\n")
         lines += [text_line(key, " ".join(v.words)) for key, v in record.local.items()]
-    return same_again(record, "".join([*lines, "EOF\n"]), parse_rmod)
+    below = {part.name: Section(_text(part), part.file) for part in record.parts}
+    return bundled("".join([*lines, "EOF\n"]), below.__getitem__)

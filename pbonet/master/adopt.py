@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet import verify
-from pbonet.config import parse_rmod
+from pbonet.config import bundled, parse_rmod
 from pbonet.config.library import Library
 from pbonet.config.reader import load
 from pbonet.config.write import meaning, number
@@ -93,7 +93,7 @@ def adopt(
     warnings: list[str] = []
     for name in wanted:
         source = files.rmod(name)
-        info = files.library.load(source.record.module).info
+        info = files.library.load_rmod(source.record).info
         saved, note = store.find(source.record, host, info)
         if saved is None and not note:
             raise _unmeasured(name, host, store.measured())
@@ -155,7 +155,7 @@ def _write(
     target = before if files.is_own(before) else files.path.parent / before.name
     old = load(before)
     new = with_lines(old, rmod, times)
-    _must_mean(rmod, new, times)
+    _must_mean(files, rmod, new, times)
     diff = "".join(
         difflib.unified_diff(
             old.splitlines(keepends=True),
@@ -199,10 +199,10 @@ def with_lines(text: str, rmod: Rmod, times: dict[str, float]) -> str:
     return "".join(lines)
 
 
-def _must_mean(rmod: Rmod, text: str, times: dict[str, float]) -> None:
+def _must_mean(files: Files, rmod: Rmod, text: str, times: dict[str, float]) -> None:
     """Make sure that the new text says what the old one did, but for the times."""
     wanted = structs.replace(rmod, **{key.lower(): v for key, v in times.items()})
-    again = parse_rmod(text, rmod.file)
+    again = parse_rmod(bundled(text, files.part), rmod.file)
     if meaning(again) != meaning(wanted):
         raise ConfigError(
             "the RMOD cannot be changed",

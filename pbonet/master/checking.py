@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet import verify
-from pbonet.config import read_any
+from pbonet.config import info_of
 from pbonet.config.library import Library
 from pbonet.config.model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
 from pbonet.errors import PbonetError
@@ -29,6 +29,11 @@ if TYPE_CHECKING:
 
 _BY_ITSELF = {
     verify.Code.PORTS,
+    verify.Code.PARTS,
+    verify.Code.TWO_WRITERS,
+    verify.Code.TYPE,
+    verify.Code.UNIT,
+    verify.Code.SHAPE,
     verify.Code.NO_STABLE,
     verify.Code.NO_METHOD,
     verify.Code.TIMES,
@@ -78,7 +83,7 @@ def check_file(
     found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
     library = Library(libraries)
     try:
-        record = read_any(path)
+        record = library.read(path)
         if isinstance(record, Rmod):
             found.about = f"RMOD {record.name} of module {record.module}"
             _check_rmod(found, record, library)
@@ -101,16 +106,20 @@ def check_file(
 def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
     """Compare an RMOD with its module: ports, parameters, CRITICAL."""
     try:
-        loaded = library.load(rmod.module)
+        info = info_of(rmod, lambda module: library.load(module).info)
     except PbonetError as error:
-        error.where = error.where or str(rmod.places["MODULE"])
+        first = "COMBINE" if rmod.parts else "MODULE"
+        error.where = error.where or str(rmod.places[first])
         raise
-    task = verify.Task(rmod=rmod, info=loaded.info, rtpu="")
+    task = verify.Task(rmod=rmod, info=info, rtpu="")
     table = SvarFile(file="", defines={}, variables=())
     alone = verify.check(verify.Configuration(svar=table, tasks=(task,)))
     _take(found, [problem for problem in alone if problem.code in _BY_ITSELF])
+    if rmod.parts and found.errors:
+        return  # there is no module to ask for its parameters
     try:
-        decode_params(loaded.cls, rmod.local, where=_local(rmod))
+        cls = library.load_rmod(rmod).cls
+        decode_params(cls, rmod.settings, where=_local(rmod))
     except PbonetError as error:
         found.errors.append(error.to_wire())
 
@@ -137,8 +146,8 @@ def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
     for wanted in job.tasks:
         try:
             rmod = files.rmod(wanted.rmod).record
-            loaded = files.library.load(rmod.module)
-            decode_params(loaded.cls, rmod.local, where=_local(rmod))
+            loaded = files.library.load_rmod(rmod)
+            decode_params(loaded.cls, rmod.settings, where=_local(rmod))
         except PbonetError as error:
             error.where = error.where or str(wanted.place or job.file)
             found.errors.append(error.to_wire())

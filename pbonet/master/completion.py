@@ -101,7 +101,7 @@ def _params(desk: Desk, task: str) -> Iterable[str]:
     if member is None:
         return ()
     try:
-        info = member.info or desk.subsystem.crew.info(member.rtpu, member.rmod.module)
+        info = member.info or desk.subsystem.crew.info(member.rtpu, member.rmod)
     except PbonetError:
         return list(member.rmod.local)
     return [param.name for param in info.params]

@@ -7,11 +7,12 @@ next judgement rests on what is, not on what was asked for.
 from __future__ import annotations
 
 import logging
+from functools import cache, partial
 from types import NoneType
 from typing import TYPE_CHECKING
 
 from pbonet import verify
-from pbonet.config import parse_rmod
+from pbonet.config import info_of, parse_rmod
 from pbonet.errors import NoAnswerError, PbonetError, StateError, UnreachableError
 from pbonet.master import modules
 from pbonet.master.failures import stuck
@@ -25,6 +26,7 @@ from pbonet.xm import rpc
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from pbonet.config.model import Rmod
     from pbonet.master.files import Files
     from pbonet.master.fleet import Fleet
     from pbonet.pbo import ModuleInfo
@@ -70,7 +72,7 @@ class Crew:
         self.fleet = fleet
         self.warned = warned
         self.picture = Picture()
-        self._infos: dict[tuple[str, str], ModuleInfo] = {}
+        self._info = cache(partial(modules.on, fleet))
         self._flag_up = False
         self._unfed: set[str] = set()
         """What was told already of inputs without a writer."""
@@ -178,15 +180,13 @@ class Crew:
 
     # -- judging ----------------------------------------------------------------------
 
-    def info(self, rtpu: str, module: str) -> ModuleInfo:
-        """Return a module's description as the RTPU's library has it.
+    def info(self, rtpu: str, rmod: Rmod) -> ModuleInfo:
+        """Return the description of what an RMOD runs, as the RTPU's library has it.
 
         Raises:
             ModuleLoadError: The library has no such module, or it does not load.
         """
-        if (rtpu, module) not in self._infos:
-            self._infos[rtpu, module] = modules.on(self.fleet, rtpu, module)
-        return self._infos[rtpu, module]
+        return info_of(rmod, partial(self._info, rtpu))
 
     def plan(self, source: RmodSource, rtpu: str | None, freq: float | None) -> Member:
         """Return the task that an RMOD would become.
@@ -209,7 +209,7 @@ class Crew:
         Raises:
             ModuleLoadError: The agent there has no such module, or it does not load.
         """
-        member.info = self.info(member.rtpu, member.rmod.module)
+        member.info = self.info(member.rtpu, member.rmod)
         store = self.files.profiles
         if store.hosts(member.name):
             host = self.fleet.host(member.rtpu)

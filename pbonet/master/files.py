@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.config import parse_rmod, parse_sbs, parse_svar, read_job
+from pbonet.config import (
+    Section,
+    bundled,
+    parse_rmod,
+    parse_sbs,
+    parse_svar,
+    read_job,
+)
 from pbonet.config.reader import load
 from pbonet.errors import (
     ConfigError,
@@ -106,8 +113,17 @@ class Files:
         """
         name = check_name("a task", name.removesuffix(".rmod"))
         path = self._find(name)
-        text = load(path)
+        text = bundled(load(path), self.part)
         return RmodSource(parse_rmod(text, str(path)), text)
+
+    def part(self, name: str) -> Section:
+        """Return the file of a part of a combination.
+
+        Raises:
+            ConfigFileError: There is none of that name.
+        """
+        path = self._find(name)
+        return Section(load(path), str(path))
 
     def is_own(self, path: Path) -> bool:
         """Tell whether a file stands beside the subsystem's own, not in a library."""

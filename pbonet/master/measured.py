@@ -94,7 +94,7 @@ def setup_of(rmod: Rmod, table: SvarFile) -> str:
     ports = (*rmod.inconst, *rmod.outconst, *rmod.invar, *rmod.outvar)
     what = (
         rmod.module,
-        sorted((key, line.words) for key, line in rmod.local.items()),
+        sorted((key, line.words) for key, line in rmod.settings.items()),
         sorted((port, sizes.get(rmod.svar_name(port))) for port in ports),
     )
     return hashlib.sha256(msgspec.json.encode(what)).hexdigest()[:16]

@@ -304,7 +304,7 @@ class Simulation:
                 got=f"TASKTYPE {record.tasktype}",
                 remedy="run the job without --sim",
             )
-        info = self._library.load(record.module).info
+        info = self._library.load_rmod(record).info
         return Member(source=source, rtpu=rtpu, freq=freq, info=info, told=wanted.told)
 
     def _has_heir(self, task: str, rest: Sequence[tuple[str, str]]) -> bool:
@@ -341,9 +341,9 @@ class Simulation:
 
     def _spawn(self, member: Member) -> None:
         rmod = member.rmod
-        loaded = self._library.load(rmod.module)
+        loaded = self._library.load_rmod(rmod)
         check_ports(rmod, loaded.info)
-        params = decode_params(loaded.cls, rmod.local, where=rmod.file)
+        params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
         copies = MemoryCopies(self.table, rmod)
         source = Counted(lambda: self.now_ns)
         outbox = BoundedOutbox()

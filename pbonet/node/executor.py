@@ -449,16 +449,21 @@ class Executor:
         asked = isinstance(error, TaskFailure) and error.answer is not None
         if asked and self.failure is not None:
             return self.failure  # it was noted when `error` was asked
-        described = method_error(error, method, self.task.name)
+        described = method_error(error, method, self._who())
         self.task.errmsg = str(described)
         self.failure = described
         if not isinstance(error, TaskFailure | MethodError):
             self.task.errnum = 1
         return described
 
+    def _who(self) -> str:
+        """Return the task, and of a combination the part that failed."""
+        part = self.task.at()
+        return f"{self.task.name}.{part}" if part else self.task.name
+
     def _also(self, failure: MethodError, error: Raised, method: str) -> None:
         """Note in `failure` what failed because of it."""
-        second = method_error(error, method, self.task.name)
+        second = method_error(error, method, self._who())
         add_remedy(failure, f"and then {second}")
         self.task.errmsg = str(failure)
 

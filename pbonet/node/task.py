@@ -105,10 +105,10 @@ class Host:
         """
         spec = self.spec
         self.rmod: Rmod = parse_rmod(spec.rmod, spec.rmod_name)
-        loaded = Library(spec.libraries).load(self.rmod.module)
+        loaded = Library(spec.libraries).load_rmod(self.rmod)
         self.info = loaded.info
         check_ports(self.rmod, loaded.info)
-        params = decode_params(loaded.cls, self.rmod.local, where=self.rmod.file)
+        params = decode_params(loaded.cls, self.rmod.settings, where=self.rmod.file)
         self.table = Table.attach(spec.table, layout=spec.layout)
         self.local = local_table(self.table, spec.task, self.rmod)
         self.ring = Ring.create(spec.ring)

@@ -39,7 +39,9 @@ def set_param(
 
 def _value(executor: Executor, info: ModuleInfo, name: str) -> ParamValue:
     value = executor.get(name)
-    about = _about(info, find_param(executor.instance.params, name))
+    params = executor.instance.params
+    field = find_param(params, name)
+    about = _about(info, params.__declared__[field].name)
     return ParamValue(
         name=about.name,
         value=value,

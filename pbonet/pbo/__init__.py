@@ -5,23 +5,26 @@ declarations, decodes its parameters, binds an instance to arrays, and describes
 """
 
 from ._bind import Memory, bind, check_sizes, memory
+from ._combine import Fault, Part, faults
+from ._combined import Combined, PartClass, combine
 from ._describe import (
     ModuleInfo,
     ParamInfo,
+    PartInfo,
+    combined_info,
     describe,
     local_text,
     render,
     source_version,
 )
 from ._object import METHODS, Interface, PortBasedObject, interface
+from ._param import Param, param
 from ._params import (
-    Param,
     Params,
     change_param,
     decode_params,
     find_param,
     make_params,
-    param,
     params_type,
 )
 from ._signals import (
@@ -62,8 +65,10 @@ __all__ = [
     "SIGNALS",
     "Answer",
     "BoundedOutbox",
+    "Combined",
     "Counted",
     "CycleAborted",
+    "Fault",
     "Interface",
     "Memory",
     "ModuleInfo",
@@ -72,6 +77,9 @@ __all__ = [
     "Param",
     "ParamInfo",
     "Params",
+    "Part",
+    "PartClass",
+    "PartInfo",
     "PortBasedObject",
     "PythonWatch",
     "Recovery",
@@ -91,8 +99,11 @@ __all__ = [
     "check_deadline",
     "check_section",
     "check_sizes",
+    "combine",
+    "combined_info",
     "decode_params",
     "describe",
+    "faults",
     "find_param",
     "interface",
     "local_text",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
+import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
@@ -15,10 +17,13 @@ from ._object import PortBasedObject
 from ._params import Params
 
 if TYPE_CHECKING:
+    from ._combine import Part
     from ._task import TaskContext
 
 M = TypeVar("M", bound=PortBasedObject[Any])
 
+_NUMBERS = {"float": "f8", "int": "i8", "bool": "?"}
+"""Types of scalar ports, and what an inner variable behind them is."""
 _MEMORY = "_port_memory"
 """The instance attribute that holds its `Memory`."""
 
@@ -30,6 +35,8 @@ class Memory(Struct, frozen=True):
     """The local copy behind each port, by attribute, writable."""
     sizes: Mapping[str, int]
     """What each constant that is a size of a port must be, by attribute."""
+    shapes: Mapping[str, tuple[int, ...]]
+    """Of each port, those within a combination included."""
 
 
 def memory(instance: PortBasedObject[Any]) -> Memory:
@@ -107,14 +114,14 @@ def bind(
     ports = cls.__interface__.ports
     _check_attrs({port.attr for port in ports}, set(arrays), where)
     nelem = {port.name: arrays[port.attr].size for port in ports}
-    shapes = solve_shapes(ports, nelem, constants, where=where)
+    shapes = solve_shapes((*ports, *cls.__within__), nelem, constants, where=where)
     instance = object.__new__(cls)
     scalars: dict[str, memoryview] = {}
     bound: dict[str, object] = {
         "params": params,
         "task": task,
         SCALARS: scalars,
-        _MEMORY: Memory(arrays, _sizes(ports, shapes)),
+        _MEMORY: Memory(arrays, _sizes(ports, shapes), shapes),
     }
     for port in ports:
         array = view(port, arrays[port.attr], shapes[port.attr], where=where)
@@ -124,7 +131,68 @@ def bind(
             bound[port.attr] = array
     instance.__dict__.update(bound)
     task.in_vars = frozenset(port.attr for port in ports if port.kind is Kind.INVAR)
+    instance.__bound__()
     return instance
+
+
+def assemble(
+    whole: PortBasedObject[Any],
+    parts: Sequence[tuple[Part, type[PortBasedObject[Any]]]],
+    params: Sequence[Params],
+) -> tuple[PortBasedObject[Any], ...]:
+    """Return the instances of a combination's parts, on one local table.
+
+    Args:
+        whole: The combination, bound. Inner variables get memory of their own; it
+            begins with zeros.
+        parts: Each part and its class.
+        params: The parameters of each.
+    """
+    cls, bound = type(whole), memory(whole)
+    arrays = {port.name: bound.arrays[port.attr] for port in cls.__interface__.ports}
+    for port in cls.__within__:
+        if port.name not in arrays:
+            size = math.prod(bound.shapes[port.attr])
+            kind = _NUMBERS.get(port.type) or port.type.removesuffix("[]")
+            arrays[port.name] = np.zeros(size, kind)
+    return tuple(
+        bind(
+            made,
+            own,
+            {port.attr: arrays[part.variable(port)] for port in part.ports},
+            part_context(whole, part),
+        )
+        for (part, made), own in zip(parts, params, strict=True)
+    )
+
+
+def part_context(whole: PortBasedObject[Any], part: Part) -> TaskContext:
+    """Return the task of a combination as one of its parts sees it.
+
+    It is the same task: what one sees or sets there, all do. Only the part's in-vars
+    and its own signals are its own.
+    """
+    task, cls = whole.task, type(whole)
+    outside = {p.name: p.attr for p in cls.__interface__.ports if p.kind is Kind.INVAR}
+    attrs = {port.attr: outside.get(part.variable(port)) for port in part.ports}
+    bits = {one.name: one.bit for one in cls.__interface__.signals}
+    own = {one.bit: bits[one.name] for one in part.signals}
+    kind: Any = type(task)
+
+    def stale(attr: str) -> bool:
+        outer = attrs[attr]
+        return outer is not None and task.is_stale is not None and task.is_stale(outer)
+
+    def signal(self: Any, signal: int, text: str = "") -> None:  # noqa: ANN401
+        bits = int(signal) & ~sum(own)
+        bits |= sum(new for old, new in own.items() if signal & old)
+        kind.signal(self, bits, text)
+
+    slots = {"__slots__": ("in_vars", "is_stale"), "signal": signal}
+    made: Any = object.__new__(type("PartContext", (kind,), slots))
+    made.__dict__ = vars(task)
+    made.is_stale = stale
+    return cast("TaskContext", made)
 
 
 def _sizes(

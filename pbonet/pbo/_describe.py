@@ -11,11 +11,12 @@ from msgspec import Struct, structs
 
 from pbonet.ports import Kind, Port, shape_text
 
+from ._combine import Part, combination, methods, signals
 from ._object import PortBasedObject
 from ._signals import SignalInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 
 class ParamInfo(Struct, frozen=True, kw_only=True):
@@ -51,10 +52,72 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
     """True when it has `stable`, and so may be marked CRITICAL."""
     signals: tuple[SignalInfo, ...] = ()
     """Its own signals (section 4.4.4)."""
+    parts: tuple[PartInfo, ...] = ()
+    """Of a combination: what it runs, in order (section 3.8.1)."""
+    within: tuple[Port, ...] = ()
+    """Of a combination: the ports of its parts that are none of it."""
 
     def named(self, kind: Kind) -> tuple[str, ...]:
         """Return the names of the ports of one kind, as an RMOD lists them."""
         return tuple(port.name for port in self.ports if port.kind is kind)
+
+    @property
+    def inner(self) -> tuple[Port, ...]:
+        """One port for each inner variable of a combination."""
+        own = {port.name for port in self.ports}
+        return tuple({p.name: p for p in self.within if p.name not in own}.values())
+
+
+class PartInfo(Struct, frozen=True):
+    """One part of a combination."""
+
+    name: str
+    """The RMOD's name."""
+    info: ModuleInfo
+    variables: dict[str, str]
+    """The variable behind each port, by the port's name."""
+
+    @property
+    def part(self) -> Part:
+        """The part as `combination` looks at it."""
+        info = self.info
+        return Part(self.name, info.ports, self.variables, info.methods, info.signals)
+
+
+def combined_info(
+    name: str, parts: Sequence[PartInfo], published: Iterable[str]
+) -> ModuleInfo:
+    """Return what is known about a combination out of what is known of its parts.
+
+    Args:
+        name: What stands for its modules.
+        parts: In the order in which they run.
+        published: Variables that it writes to the table.
+
+    Raises:
+        DeclarationError: The parts have too many signals.
+    """
+    told = [one.part for one in parts]
+    whole = combination(told, published)
+    written = methods(told)
+    return ModuleInfo(
+        name=name,
+        cls="Combined",
+        doc=f"One task that runs {', then '.join(one.name for one in parts)}.",
+        version=source_version(" ".join(one.info.version for one in parts).encode()),
+        file="",
+        ports=whole.ports,
+        params=tuple(
+            structs.replace(param, name=f"{one.name}.{param.name}")
+            for one in parts
+            for param in one.info.params
+        ),
+        methods=written,
+        critical_ok="stable" in written,
+        signals=signals(told),
+        parts=tuple(parts),
+        within=whole.within,
+    )
 
 
 def source_version(source: bytes) -> str:
@@ -113,7 +176,7 @@ def _params(cls: type[PortBasedObject[Any]]) -> tuple[ParamInfo, ...]:
         required = default is msgspec.NODEFAULT
         found.append(
             ParamInfo(
-                name=name,
+                name=about.name,
                 type=about.type_text,
                 unit=about.unit,
                 doc=about.doc,
@@ -164,7 +227,16 @@ def render(info: ModuleInfo) -> str:
     lines.append(
         f"CRITICAL  {'possible' if info.critical_ok else 'no: has no stable()'}"
     )
-    lines.append(f"class     {info.cls} in {info.file or 'unknown file'}")
+    if info.parts:
+        lines += ["", "parts"]
+        lines += _table([(p.name, p.info.name, p.info.version) for p in info.parts])
+        lines += ["", "inner variables"]
+        inner: list[tuple[str, ...]] = [
+            (port.name, _type(port), port.unit, port.doc) for port in info.inner
+        ]
+        lines += [*_table(inner or [("none",)]), ""]
+    else:
+        lines.append(f"class     {info.cls} in {info.file or 'unknown file'}")
     lines.append(f"version   {info.version or 'unknown'}")
     return "\n".join(lines) + "\n"
 

@@ -79,6 +79,8 @@ class PortBasedObject(Generic[P]):
     __interface__: ClassVar[Interface] = Interface((), ())
     __params__: ClassVar[type[Params]] = Params
     __abstract__: ClassVar[bool] = True
+    __within__: ClassVar[tuple[Port, ...]] = ()
+    """Ports of a combination's parts that are none of it; see `combination`."""
 
     params: P
     task: TaskContext
@@ -91,6 +93,9 @@ class PortBasedObject(Generic[P]):
             where=name,
             remedy=f"put it on a bench: `Bench({name}, ...)`, of pbonet.testing",
         )
+
+    def __bound__(self) -> None:
+        """Take note that ports, parameters and task are there; for combinations."""
 
     def __init_subclass__(cls, *, abstract: bool = False, **settings: Any) -> None:  # noqa: ANN401
         """Read and check the declarations of one module."""

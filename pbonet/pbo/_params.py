@@ -24,91 +24,10 @@ from msgspec import Struct, structs
 from pbonet.errors import ParameterError, did_you_mean
 from pbonet.ports import Declaring, here
 
+from ._param import ANY_COUNT, Param
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-ANY_COUNT = -1
-"""The count of a parameter that takes any number of values."""
-
-
-class Param(Struct, frozen=True):
-    """What `param` says about a parameter, and what its annotation adds."""
-
-    unit: str
-    doc: str
-    ge: float | None = None
-    gt: float | None = None
-    le: float | None = None
-    lt: float | None = None
-    total: float | None = None
-    """What the values of a tuple add up to."""
-    name: str = ""
-    type: str = "float"
-    """``float``, ``int``, ``bool`` or ``str``, of each value."""
-    count: int = 0
-    """0 for one plain value, a number of values, or `ANY_COUNT`."""
-    choices: tuple[str, ...] = ()
-
-    @property
-    def bounds(self) -> str:
-        """The bounds as text, such as ``>= 0 and < 5``; empty without bounds."""
-        signs = {">=": self.ge, ">": self.gt, "<=": self.le, "<": self.lt}
-        found = [
-            f"{sign} {value:g}" for sign, value in signs.items() if value is not None
-        ]
-        if self.total is not None:
-            found.append(f"sum {self.total:g}")
-        return " and ".join(found)
-
-    @property
-    def type_text(self) -> str:
-        """The type in words, such as ``3 float`` or ``one of linear, parabolic``."""
-        if self.choices:
-            return f"one of {', '.join(self.choices)}"
-        counts = {0: self.type, ANY_COUNT: f"one or more {self.type}"}
-        return counts.get(self.count, f"{self.count} {self.type}")
-
-    def __str__(self) -> str:
-        """Return type, unit and bounds in words."""
-        unit = "" if self.unit == "none" else f" in {self.unit}"
-        return f"{self.type_text}{unit}{f', {self.bounds}' if self.bounds else ''}"
-
-    def within(self, value: float) -> bool:
-        """Tell whether one value keeps the bounds and is finite."""
-        return (
-            math.isfinite(value)
-            and (self.ge is None or value >= self.ge)
-            and (self.gt is None or value > self.gt)
-            and (self.le is None or value <= self.le)
-            and (self.lt is None or value < self.lt)
-        )
-
-
-def param(
-    unit: str,
-    doc: str,
-    *,
-    ge: float | None = None,
-    gt: float | None = None,
-    le: float | None = None,
-    lt: float | None = None,
-    total: float | None = None,
-) -> Param:
-    """Say what a parameter means, within its annotation.
-
-    Args:
-        unit: Its unit; ``none`` for a pure number or a word.
-        doc: What it is, in a few words.
-        ge: Smallest value that is allowed, in `unit`.
-        gt: Values must be larger than this.
-        le: Largest value that is allowed.
-        lt: Values must be smaller than this.
-        total: What the values of a tuple must add up to, but for rounding.
-
-    Returns:
-        What stands in the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
-    """
-    return Param(unit, doc, ge, gt, le, lt, total)
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -165,13 +84,15 @@ def make_params(kind: type[P], values: Mapping[str, object]) -> P:
     Raises:
         ParameterError: A name is unknown or missing, or a value is refused.
     """
+    fields = {about.name: field for field, about in kind.__declared__.items()}
     for name in values:
-        if name not in kind.__declared__:
+        if name not in fields:
             raise _unknown(kind, name, kind.__name__)
+    given = {fields[name]: value for name, value in values.items()}
     for field in structs.fields(kind):
-        if field.required and field.name not in values:
+        if field.required and field.name not in given:
             raise _missing(kind, kind.__declared__[field.name], {}, kind.__name__)
-    return kind(**values)
+    return kind(**given)
 
 
 class Line(Protocol):
@@ -219,24 +140,25 @@ def decode_params(
             bounds, or one of too many or too few.
     """
     kind = params_type(cls)
-    known = {name.lower(): about for name, about in kind.__declared__.items()}
+    known = {about.name.lower(): name for name, about in kind.__declared__.items()}
     values: dict[str, Any] = {}
     for key, line in local.items():
-        about = known.get(key.lower())
+        field = known.get(key.lower())
         place = str(line.place) if line.place else where
-        if about is None:
+        if field is None:
             raise _unknown(cls, key, place)
-        if about.name in values:
+        about = kind.__declared__[field]
+        if field in values:
             raise ParameterError(
                 f"parameter {about.name} is given twice",
                 where=place,
                 expected="one line for each parameter, in capitals or not",
                 remedy="remove one of them",
             )
-        values[about.name] = _decode(about, line.words, place)
-    for field in structs.fields(kind):
-        if field.required and field.name not in values:
-            raise _missing(cls, kind.__declared__[field.name], local, where)
+        values[field] = _decode(about, line.words, place)
+    for need in structs.fields(kind):
+        if need.required and need.name not in values:
+            raise _missing(cls, kind.__declared__[need.name], local, where)
     return kind(**values)
 
 
@@ -246,19 +168,20 @@ def change_param(params: P, name: str, words: tuple[str, ...], *, where: str = "
     Raises:
         ParameterError: No such parameter, or the value is refused.
     """
-    about = params.__declared__[find_param(params, name, where=where)]
-    return structs.replace(params, **{about.name: _decode(about, words, where)})
+    field = find_param(params, name, where=where)
+    value = _decode(params.__declared__[field], words, where)
+    return structs.replace(params, **{field: value})
 
 
 def find_param(params: Params, name: str, *, where: str = "") -> str:
-    """Return the parameter that `name` means, whatever its case.
+    """Return the field of the parameter that `name` means, whatever its case.
 
     Raises:
         ParameterError: There is none.
     """
-    for key in params.__declared__:
-        if key.lower() == name.lower():
-            return key
+    for field, about in params.__declared__.items():
+        if about.name.lower() == name.lower():
+            return field
     raise _unknown(type(params), name, where)
 
 
@@ -397,7 +320,7 @@ def _owner(cls: type) -> str:
 
 
 def _unknown(cls: type[Any], key: str, where: str) -> ParameterError:
-    names = list(params_type(cls).__declared__)
+    names = [about.name for about in params_type(cls).__declared__.values()]
     return ParameterError(
         f"{_owner(cls)} has no parameter {key}",
         where=where,
@@ -418,6 +341,48 @@ def _missing(
         expected=str(about),
         remedy=f"add a line `{about.name.upper()} ...` under LOCAL",
     )
+
+
+def combine_params(parts: Mapping[str, type[Params]]) -> type[Params]:
+    """Return the parameters of all parts as those of one module: ``part.name``.
+
+    Args:
+        parts: The parameter class of each part.
+    """
+    hints: dict[str, Any] = {}
+    public: dict[str, str] = {}
+    space: dict[str, Any] = {"__module__": __name__, "__annotations__": hints}
+    for number, (part, kind) in enumerate(parts.items()):
+        for field in structs.fields(kind):
+            key = combined_field(number, field.name)
+            about = kind.__declared__[field.name]
+            hints[key] = A[_annotation(about), about]
+            public[key] = f"{part}.{about.name}"
+            if not field.required:
+                space[key] = field.default
+    made: Any = _ParamsMeta("Combined", (Params,), space)
+    made.__declared__ = {
+        key: structs.replace(about, name=public[key])
+        for key, about in made.__declared__.items()
+    }
+    combined: type[Params] = made
+    return combined
+
+
+def _annotation(about: Param) -> Any:  # noqa: ANN401 - a type, as an annotation has it
+    """Return the type of a parameter as its declaration had it."""
+    if about.choices:
+        return Literal[about.choices]
+    plain: Any = {"float": float, "int": int, "bool": bool, "str": str}[about.type]
+    many: Any = tuple
+    if about.count == ANY_COUNT:
+        return many[plain, ...]
+    return many[(plain,) * about.count] if about.count else plain
+
+
+def combined_field(part: int, field: str) -> str:
+    """Return the field of a combination that holds `field` of its part."""
+    return f"part{part}_{field}"
 
 
 def _declared(cls: type[Params], body: Declaring) -> dict[str, Param]:

@@ -198,6 +198,8 @@ class TaskContext:
         self.handling: TimingFailure | None = None
         """In `timing_failure`: the failure that is handled; else None."""
         self.watch: Watch = watch or PythonWatch(self)
+        self.at: Callable[[], str] = str
+        """Tells which part of a combination runs; empty for a module by itself."""
         self.in_vars: frozenset[str] = frozenset()
         """Attributes of the module's in-vars."""
         self.is_stale: Callable[[str], bool] | None = None

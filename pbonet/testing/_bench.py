@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from pbonet.errors import MethodError, PortError, did_you_mean
+from pbonet.config.library import Library
+from pbonet.config.model import Rmod
+from pbonet.errors import ConfigError, MethodError, PortError, did_you_mean
 from pbonet.node.executor import Executor
 from pbonet.node.failures import RAISED
 from pbonet.pbo import (
@@ -26,6 +28,7 @@ from pbonet.pbo import (
     TaskContext,
     TimingFailure,
     bind,
+    decode_params,
     local_text,
     make_params,
 )
@@ -36,7 +39,8 @@ from ._clock import FakeClock
 from ._table import BenchTable, PortValues, structures
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
 
 M = TypeVar("M", bound=PortBasedObject[Any])
 
@@ -132,6 +136,43 @@ class Bench(Generic[M]):
             illegal=(lambda: self.illegal) if critical else None,
         )
         self.executor.spawn()
+
+    @classmethod
+    def of(
+        cls,
+        rmod: str | Path,
+        values: Mapping[str, Any] | None = None,
+        /,
+        *,
+        library: Iterable[str | Path] = (),
+        **more: Any,  # noqa: ANN401 - what the constructor takes
+    ) -> Bench[PortBasedObject[Any]]:
+        """Put an RMOD on the bench, such as a combination (section 3.8.1).
+
+        Args:
+            rmod: The ``.rmod`` file; parts of a combination stand beside it or in the
+                library. Its LOCAL part, FREQ, CRITICAL and HANDLER count.
+            values: As for the constructor, and so is all that follows.
+            library: Folders with modules beside those of pbonet.
+            more: As for the constructor.
+
+        Raises:
+            PbonetError: The file is wrong, its module does not load, or as for the
+                constructor.
+        """
+        found = Library(library)
+        record = found.read(rmod)
+        if not isinstance(record, Rmod):
+            raise ConfigError("this is no .rmod file", where=str(rmod))
+        module = found.load_rmod(record).cls
+        told: dict[str, Any] = {
+            "params": decode_params(module, record.settings, where=record.file),
+            "freq": record.freq or 100.0,
+            "critical": record.critical,
+            "handler": record.handler,
+            "name": record.name,
+        }
+        return Bench(module, values, **{**told, **more})
 
     # -- signals ----------------------------------------------------------------------
 
@@ -348,7 +389,12 @@ def _shapes(
 ) -> dict[str, tuple[int, ...]]:
     """Return the shape of every port, out of given sizes and values."""
     ports = module.__interface__.ports
-    symbols = {dim for port in ports for dim in port.shape if isinstance(dim, str)}
+    symbols = {
+        dim
+        for port in (*ports, *module.__within__)
+        for dim in port.shape
+        if isinstance(dim, str)
+    }
     known = symbols | {port.attr for port in ports}
     for word in values:
         if word not in known:
@@ -364,7 +410,9 @@ def _shapes(
         if port.attr in values and np.size(values[port.attr]) > 1
     }
     constants = {word: _size(word, values[word]) for word in symbols & values.keys()}
-    return solve_shapes(ports, nelem, constants, where=module.__name__)
+    return solve_shapes(
+        (*ports, *module.__within__), nelem, constants, where=module.__name__
+    )
 
 
 def _size(word: str, value: Any) -> int:  # noqa: ANN401 - whatever was given

@@ -9,6 +9,7 @@ from pbonet.config.types import numpy_type
 from pbonet.errors import did_you_mean
 from pbonet.ports import Kind, Port, accepts, wanted
 
+from .combined import check_parts
 from .records import Code, Configuration, Problem, Task
 from .units import ANY, conversion, same_unit
 
@@ -34,6 +35,7 @@ def check_task(configuration: Configuration, task: Task) -> Iterator[Problem]:
         yield from _ports(task, task.info)
         yield from _stable(task, task.info)
         yield from _methods(task, task.info)
+        yield from check_parts(configuration, task)
     for kind, keyword in KEYWORDS.items():
         yield from _variables(configuration.table, task, kind, keyword)
 
@@ -113,6 +115,7 @@ def _surplus(
 ) -> Problem:
     """Return the problem of a port that the class does not have there."""
     other = [KEYWORDS[kind] for kind in Kind if port in info.named(kind)]
+    about = f"{task.rmod.name}.rmod" if info.parts else info.name
     return Problem(
         code=Code.PORTS,
         what=f"{keyword} lists {port}, which is no such port of the module {info.name}",
@@ -122,7 +125,7 @@ def _surplus(
         remedy=f"list it under {' and '.join(other)}"
         if other
         else did_you_mean(port, declared)
-        or f"take it out; 'pbonet describe {info.name}' shows the ports",
+        or f"take it out; 'pbonet describe {about}' shows the ports",
         tasks=(task.name,),
         ports=(port,),
     )

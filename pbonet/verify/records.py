@@ -32,6 +32,8 @@ class Code(StrEnum):
     """Equation 1 is broken."""
     NO_WRITER = "no-writer"
     """Equation 2 is broken."""
+    PARTS = "parts"
+    """The parts of a combination do not fit each other."""
     PORTS = "ports"
     """The RMOD and the module's class name different ports."""
     UNKNOWN_VARIABLE = "unknown-variable"

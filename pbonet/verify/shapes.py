@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from pbonet.errors import PortError
@@ -11,9 +12,10 @@ from .parts import KEYWORDS, listed
 from .records import Code, Configuration, Problem, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from pbonet.pbo import ModuleInfo
+    from pbonet.ports import Port
 
 
 def check_shapes(configuration: Configuration) -> Iterator[Problem]:
@@ -50,8 +52,12 @@ def _solve(
         nelem[port.name] = variable.nelem
     try:
         shapes = solve_shapes(
-            info.ports, nelem, _initial(configuration, task, info), where=task.name
+            (*info.ports, *info.within),
+            nelem,
+            _initial(configuration, task, info),
+            where=task.name,
         )
+        _compare(task, info, shapes)
     except PortError as error:
         return Problem(
             code=Code.SHAPE,
@@ -74,6 +80,29 @@ def _solve(
         for name, size in zip(port.shape, shapes[port.attr], strict=True)
         if isinstance(name, str) and name in constants
     }
+
+
+def _compare(
+    task: Task, info: ModuleInfo, shapes: Mapping[str, tuple[int, ...]]
+) -> None:
+    """Refuse an inner variable that two parts of a combination size differently.
+
+    Raises:
+        PortError: There is one.
+    """
+    first: dict[str, Port] = {}
+    inner = {port.name for port in info.inner}
+    for port in (port for port in info.within if port.name in inner):
+        other = first.setdefault(port.name, port)
+        one, two = math.prod(shapes[other.attr]), math.prod(shapes[port.attr])
+        if one != two:
+            raise PortError(
+                f"the inner variable {port.name} has two sizes",
+                where=task.name,
+                expected=f"{one} elements as {other.attr} has",
+                got=f"{two} as {port.attr} has",
+                remedy="connect others",
+            )
 
 
 def _initial(

@@ -4,6 +4,7 @@ import math
 
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from pbonet import config
 from pbonet.config.model import (
@@ -204,7 +205,22 @@ def test_svar(record: SvarFile) -> None:
     assert meaning(again) == meaning(record)
 
 
-@given(rmods())
+@st.composite
+def combinations(draw: st.DrawFn) -> Rmod:
+    """An RMOD, or two to four of them as one task; one may be a combination again."""
+    whole = draw(rmods())
+    found = [draw(rmods() | combinations()) for _ in range(draw(st.integers(2, 3)))]
+    parts = tuple(_named(part, f"p{n}") for n, part in enumerate(found))
+    module = "+".join(part.module for part in parts)
+    return structs.replace(whole, parts=parts, module=module)
+
+
+def _named(part: Rmod, name: str) -> Rmod:
+    parts = tuple(_named(one, f"{name}{one.name}") for one in part.parts)
+    return structs.replace(part, name=name, parts=parts)
+
+
+@given(rmods() | combinations())
 def test_rmod(record: Rmod) -> None:
     again = config.parse_rmod(config.write_rmod(record), record.file)
     assert meaning(again) == meaning(record)

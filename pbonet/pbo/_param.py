@@ -1,0 +1,90 @@
+"""What is said about one parameter: type, unit, meaning, bounds."""
+
+from __future__ import annotations
+
+import math
+
+from msgspec import Struct
+
+ANY_COUNT = -1
+"""The count of a parameter that takes any number of values."""
+
+
+class Param(Struct, frozen=True):
+    """What `param` says about a parameter, and what its annotation adds."""
+
+    unit: str
+    doc: str
+    ge: float | None = None
+    gt: float | None = None
+    le: float | None = None
+    lt: float | None = None
+    total: float | None = None
+    """What the values of a tuple add up to."""
+    name: str = ""
+    type: str = "float"
+    """``float``, ``int``, ``bool`` or ``str``, of each value."""
+    count: int = 0
+    """0 for one plain value, a number of values, or `ANY_COUNT`."""
+    choices: tuple[str, ...] = ()
+
+    @property
+    def bounds(self) -> str:
+        """The bounds as text, such as ``>= 0 and < 5``; empty without bounds."""
+        signs = {">=": self.ge, ">": self.gt, "<=": self.le, "<": self.lt}
+        found = [
+            f"{sign} {value:g}" for sign, value in signs.items() if value is not None
+        ]
+        if self.total is not None:
+            found.append(f"sum {self.total:g}")
+        return " and ".join(found)
+
+    @property
+    def type_text(self) -> str:
+        """The type in words, such as ``3 float`` or ``one of linear, parabolic``."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        counts = {0: self.type, ANY_COUNT: f"one or more {self.type}"}
+        return counts.get(self.count, f"{self.count} {self.type}")
+
+    def __str__(self) -> str:
+        """Return type, unit and bounds in words."""
+        unit = "" if self.unit == "none" else f" in {self.unit}"
+        return f"{self.type_text}{unit}{f', {self.bounds}' if self.bounds else ''}"
+
+    def within(self, value: float) -> bool:
+        """Tell whether one value keeps the bounds and is finite."""
+        return (
+            math.isfinite(value)
+            and (self.ge is None or value >= self.ge)
+            and (self.gt is None or value > self.gt)
+            and (self.le is None or value <= self.le)
+            and (self.lt is None or value < self.lt)
+        )
+
+
+def param(
+    unit: str,
+    doc: str,
+    *,
+    ge: float | None = None,
+    gt: float | None = None,
+    le: float | None = None,
+    lt: float | None = None,
+    total: float | None = None,
+) -> Param:
+    """Say what a parameter means, within its annotation.
+
+    Args:
+        unit: Its unit; ``none`` for a pure number or a word.
+        doc: What it is, in a few words.
+        ge: Smallest value that is allowed, in `unit`.
+        gt: Values must be larger than this.
+        le: Largest value that is allowed.
+        lt: Values must be smaller than this.
+        total: What the values of a tuple must add up to, but for rounding.
+
+    Returns:
+        What stands in the annotation: ``kp: A[float, param("N*m/rad", "gain", ge=0)]``.
+    """
+    return Param(unit, doc, ge, gt, le, lt, total)
