@@ -38,7 +38,7 @@ from pbonet.pbo import (
     source_version,
 )
 
-from . import Record, Section, bundled, parse_rmod, read_any
+from . import Section, bundled, parse_rmod
 from .combining import part_info, published
 from .reader import load
 
@@ -130,17 +130,13 @@ class Library:
         self._loaded[str(path), version] = loaded
         return loaded
 
-    def read(self, path: str | Path) -> Record:
-        """Return what a file of any kind says, as `read_any`.
-
-        The parts of a combination stand beside it or in the library.
+    def read_rmod(self, path: str | Path) -> Rmod:
+        """Return what a ``.rmod`` file says; parts stand beside it or in the library.
 
         Raises:
-            ConfigFileError: It, or a part, cannot be read, or its ending is unknown.
+            ConfigFileError: It, or a part, cannot be read.
             ConfigError: It says something that cannot be.
         """
-        if Path(path).suffix != ".rmod":
-            return read_any(path)
 
         def part(name: str) -> Section:
             beside = Path(path).parent / f"{name}.rmod"

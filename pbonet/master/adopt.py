@@ -155,7 +155,7 @@ def _write(
     target = before if files.is_own(before) else files.path.parent / before.name
     old = load(before)
     new = with_lines(old, rmod, times)
-    _must_mean(files, rmod, new, times)
+    _must_mean(rmod, bundled(new, files.part), times)
     diff = "".join(
         difflib.unified_diff(
             old.splitlines(keepends=True),
@@ -199,10 +199,10 @@ def with_lines(text: str, rmod: Rmod, times: dict[str, float]) -> str:
     return "".join(lines)
 
 
-def _must_mean(files: Files, rmod: Rmod, text: str, times: dict[str, float]) -> None:
+def _must_mean(rmod: Rmod, text: str, times: dict[str, float]) -> None:
     """Make sure that the new text says what the old one did, but for the times."""
     wanted = structs.replace(rmod, **{key.lower(): v for key, v in times.items()})
-    again = parse_rmod(bundled(text, files.part), rmod.file)
+    again = parse_rmod(text, rmod.file)
     if meaning(again) != meaning(wanted):
         raise ConfigError(
             "the RMOD cannot be changed",

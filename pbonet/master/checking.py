@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet import verify
-from pbonet.config import info_of
+from pbonet.config import info_of, read_any
 from pbonet.config.library import Library
 from pbonet.config.model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
 from pbonet.errors import PbonetError
@@ -83,7 +83,8 @@ def check_file(
     found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
     library = Library(libraries)
     try:
-        record = library.read(path)
+        rmod = Path(path).suffix == ".rmod"
+        record = library.read_rmod(path) if rmod else read_any(path)
         if isinstance(record, Rmod):
             found.about = f"RMOD {record.name} of module {record.module}"
             _check_rmod(found, record, library)

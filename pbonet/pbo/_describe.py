@@ -63,9 +63,13 @@ class ModuleInfo(Struct, frozen=True, kw_only=True):
 
     @property
     def inner(self) -> tuple[Port, ...]:
-        """One port for each inner variable of a combination."""
+        """The writer's port of each inner variable of a combination."""
         own = {port.name for port in self.ports}
-        return tuple({p.name: p for p in self.within if p.name not in own}.values())
+        found: dict[str, Port] = {}
+        for port in self.within:
+            if port.name not in own:
+                found.setdefault(port.name, port)
+        return tuple(found.values())
 
 
 class PartInfo(Struct, frozen=True):

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 import numpy as np
 
 from pbonet.config.library import Library
-from pbonet.config.model import Rmod
-from pbonet.errors import ConfigError, MethodError, PortError, did_you_mean
+from pbonet.errors import MethodError, PortError, did_you_mean
 from pbonet.node.executor import Executor
 from pbonet.node.failures import RAISED
 from pbonet.pbo import (
@@ -161,9 +160,7 @@ class Bench(Generic[M]):
                 constructor.
         """
         found = Library(library)
-        record = found.read(rmod)
-        if not isinstance(record, Rmod):
-            raise ConfigError("this is no .rmod file", where=str(rmod))
+        record = found.read_rmod(rmod)
         module = found.load_rmod(record).cls
         told: dict[str, Any] = {
             "params": decode_params(module, record.settings, where=record.file),

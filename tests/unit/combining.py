@@ -103,7 +103,7 @@ class Folder:
 
     def load(self, path):
         library = Library([self.path])
-        return library.load_rmod(library.read(path))
+        return library.load_rmod(library.read_rmod(path))
 
 
 def calls(bench):

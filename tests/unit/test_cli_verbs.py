@@ -201,6 +201,16 @@ def test_check_compares_an_rmod_with_its_module(call, tmp_path):
     assert f"ERROR> {rmod}:10:1: module Gain needs parameter gain" in out[-2]
 
 
+def test_describe_shows_the_parts_of_a_combination(call):
+    servo = Path(__file__).parents[2] / "examples" / "servoing" / "servo.rmod"
+    status, out, _ = call("describe", str(servo))
+    assert status == 0
+    assert "Q^_CMD  float64[ndof]    rad/s  commanded joint velocity" in out
+    info = json.loads(call("describe", str(servo), "--json")[1])
+    names = [part["name"] for part in info["parts"]]
+    assert names == ["forward_kin", "damped_ls", "qrint"]
+
+
 def test_describe_shows_ports_and_parameters(call):
     status, out, _ = call("describe", "diff")
     assert status == 0

@@ -127,7 +127,7 @@ def test_aliases_of_the_parts_and_of_the_whole(folder):
     )
     path = folder.both(INVAR="A", OUTVAR="C", alias="C=T_REF")
     library = Library([folder.path])
-    rmod = library.read(path)
+    rmod = library.read_rmod(path)
     assert [port.name for port in library.load_rmod(rmod).info.ports] == [
         *("NDOF", "A", "C")
     ]
@@ -182,4 +182,4 @@ def test_an_rmod_that_is_not_there_or_there_twice(folder):
     ):
         path = folder.rmod("both", f"COMBINE {names}", INVAR="X")
         with pytest.raises(ConfigError, match=said):
-            Library([folder.path]).read(path)
+            Library([folder.path]).read_rmod(path)

@@ -8,6 +8,7 @@ from msgspec.structs import fields
 
 from pbonet import config
 from pbonet.config import job, rmod, sbs, svar
+from pbonet.config.library import Library
 from pbonet.config.model import AgentConfig
 from pbonet.config.types import TYPES
 
@@ -17,7 +18,21 @@ EXAMPLES = [
     for block in re.findall(r"^```text\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     if block.endswith("EOF\n")
 ]
+
+
+def parse_combination(text: str, file: str) -> object:
+    library = Library()
+
+    def part(name: str) -> config.Section:
+        path = library.find_rmod(name)
+        return config.Section(path.read_text(), str(path))
+
+    rmod = config.parse_rmod(config.bundled(text, part), file)
+    return library.load_rmod(rmod)
+
+
 PARSE = {
+    "COMBINE": parse_combination,
     "JOB": config.parse_job,
     "MODULE": config.parse_rmod,
     "SUBSYSTEM": config.parse_sbs,

@@ -31,7 +31,7 @@ def folder(tmp_path):
 def problems(folder, path, svar=SVAR):
     """Return what is wrong with a combination on a table, as text by code."""
     library = Library([folder.path])
-    rmod = library.read(path)
+    rmod = library.read_rmod(path)
     info = library.load_rmod(rmod).info
     table = parse_svar(f"{svar}EOF\n", "a.svar")
     task = verify.Task(rmod=rmod, info=info, rtpu="arm0")
@@ -47,7 +47,7 @@ def problems(folder, path, svar=SVAR):
 def folder_source(folder, library):
     """Return an RMOD that writes what the combination reads."""
     path = folder.rmod("source", "MODULE source", OUTCONST="NDOF", OUTVAR="X")
-    return library.read(path)
+    return library.read_rmod(path)
 
 
 def told(folder, path):
