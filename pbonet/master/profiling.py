@@ -20,7 +20,7 @@ from pbonet.xm import messages as m
 from pbonet.xm.messages import TaskProfile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
     from pbonet.config.model import Rmod
@@ -30,8 +30,13 @@ if TYPE_CHECKING:
 
 Data = dict[str, Any]
 QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
-SUMS: Final = ("cycle", "miss", "totC", "minU", "avgU", "maxU")
-"""Figures of tasks that add up to a figure of their RTPU."""
+OF_RTPU: Final[dict[str, Callable[[list[float]], float]]] = {
+    **dict.fromkeys(("cycle", "miss", "mezF", "totC", "nowC"), sum),
+    **dict.fromkeys(("minU", "avgU", "maxU"), sum),
+    "minC": min,
+    **dict.fromkeys(("maxC", "firstC", "ptime", "tick"), max),
+}
+"""How figures of tasks make a figure of their RTPU; means are made from these."""
 FAILURES: Final = ("failures", "overruns", "aborted", "skipped", "delivery_max")
 """What a status says about timing failures (section 6.3)."""
 
@@ -124,12 +129,14 @@ def task_data(found: TaskProfile, rmod: Rmod | None) -> Data:
 def rtpu_data(status: RtpuStatus, tasks: Iterable[Data]) -> Data:
     """Return the figures of one RTPU: its own, and the sums over its tasks."""
     here = [task["figures"] for task in tasks if task["rtpu"] == status.rtpu]
-    sums = {
-        name: sum(values)
+    joined: Data = {
+        name: join(values)
         if (values := [t[name] for t in here if t[name] is not None])
         else None
-        for name in SUMS
+        for name, join in OF_RTPU.items()
     }
+    cycles = joined["cycle"] or 0
+    released = cycles + (joined["miss"] or 0)
     return {
         "rtpu": status.rtpu,
         "backend": status.backend,
@@ -137,7 +144,9 @@ def rtpu_data(status: RtpuStatus, tasks: Iterable[Data]) -> Data:
         "util": status.util,
         "dispatcher": status.dispatcher,
         "tasks": len(here),
-        **sums,
+        **joined,
+        "avgC": joined["totC"] / cycles if cycles else None,
+        "mezT": joined["ptime"] / released if released else None,
     }
 
 

@@ -153,7 +153,7 @@ def _status_set(data: Data) -> str:
 
 _FIGURES: Final = (
     *("ptime", "cycle", "miss", "refF", "mezF", "refT", "mezT", "totC", "minC"),
-    *("avgC", "maxC", "minU", "avgU", "maxU", "tick"),
+    *("avgC", "maxC", "firstC", "nowC", "minU", "avgU", "maxU", "tick"),
 )
 """The figures of section 6.7.1 in the order in which they are shown."""
 
@@ -235,9 +235,11 @@ def _profile_rtpus(rtpus: list[Data]) -> list[str]:
     return [
         f"RTPU {one['rtpu']} ({one['scheduler']} over {one['backend']}): "
         f"{one['tasks']} tasks, {one['cycle']} cycles, {one['miss']} missed, CPU "
-        f"{seconds(one['totC'])}, {cell('minU', one['minU'])} to "
-        f"{cell('maxU', one['maxU'])}, mean {cell('avgU', one['avgU'])}; tasks "
-        f"{one['util']:.1%}, dispatcher {one['dispatcher']:.1%} of the core"
+        f"{seconds(one['totC'])}; a cycle {seconds(one['minC'])} to "
+        f"{seconds(one['maxC'])}, mean {seconds(one['avgC'])}; load "
+        f"{cell('minU', one['minU'])} to {cell('maxU', one['maxU'])}, mean "
+        f"{cell('avgU', one['avgU'])}; tasks {one['util']:.1%}, dispatcher "
+        f"{one['dispatcher']:.1%} of the core"
         for one in rtpus
     ]
 

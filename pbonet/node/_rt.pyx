@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = layout.h state.h watch.h muf.h dispatch.h sys.h table.h loop.h slot.h failure.h signals.h view.h ring.h guard.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi
+# distutils: depends = layout.h state.h watch.h muf.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -77,7 +77,7 @@ cdef class Slot:
         self.failures.handler = failing
         self.failures.error = None
         rt_arm(&self.task)
-        self.cpu_mark = rt_thread_cpu()
+        self.cpu_mark = rt_mark_cpu(&self.task)
         self.fault_mark = rt_faults()
         try:
             while True:
@@ -132,7 +132,7 @@ cdef class Slot:
             rt_exit()
             self.raise_error()
         finally:
-            cpu = rt_thread_cpu()
+            cpu = rt_mark_cpu(&self.task)
             rt_skipped(&self.task, cpu - self.cpu_mark)
             self.cpu_mark = cpu
             rt_end(&self.task)
@@ -190,7 +190,7 @@ cdef class Slot:
         cdef rt_cost *cost = &self.cost
         cdef uint64_t cpu
         cost.end_ns = rt_now()
-        cpu = rt_thread_cpu()
+        cpu = rt_mark_cpu(&self.task)
         cost.cpu_ns = cpu - self.cpu_mark
         self.cpu_mark = cpu
         if ring is not None and not cost.failed:

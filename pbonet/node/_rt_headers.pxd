@@ -83,6 +83,7 @@ cdef extern from "slot.h" nogil:
     int64_t rt_step(const rt_task *task)
     void rt_account(rt_task *task, const rt_cost *cost)
     void rt_request(rt_slot *slot, uint32_t ask)
+    uint64_t rt_mark_cpu(rt_task *task)
     uint64_t rt_faults()
     void rt_count_faults(rt_slot *slot, uint64_t n)
 
@@ -134,13 +135,15 @@ cdef extern from "view.h" nogil:
         uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost
         uint64_t on_cycles, on_missed, on_cpu_ns, on_faults
         uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns
+        uint64_t cpu_first_ns, cpu_mark_ns
         uint64_t copy_in_ns, copy_out_ns, jitter_max_ns
         uint64_t *jitter
         uint64_t *cpu
     struct rt_core_view:
-        int backend, leader_pid, leader_tid
+        int backend, leader_pid, leader_tid, look_tid
         int64_t since_ns, late_max_ns
         uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns
+        uint64_t spared
         int *members
         int *lives
     struct rt_part:

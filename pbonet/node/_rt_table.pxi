@@ -161,6 +161,7 @@ cdef class CoreTable:
             stable_cycles=v.stable, on_cycles=v.on_cycles, on_missed=v.on_missed,
             on_cpu_ns=v.on_cpu_ns, on_faults=v.on_faults, cpu_total_ns=v.cpu_total_ns,
             cpu_last_ns=v.cpu_last_ns, cpu_min_ns=v.cpu_min_ns, cpu_max_ns=v.cpu_max_ns,
+            cpu_first_ns=v.cpu_first_ns, cpu_now_ns=_under_way(&v),
             copy_in_ns=v.copy_in_ns, copy_out_ns=v.copy_out_ns, torn=v.torn,
             stale=v.stale, faults=v.faults, ring_lost=v.ring_lost,
             jitter_max_ns=v.jitter_max_ns,
@@ -197,8 +198,9 @@ cdef class CoreTable:
             leader_tid=v.leader_tid, since_ns=v.since_ns, turns=v.turns,
             releases=v.releases, level_changes=v.level_changes, errors=v.errors,
             late_max_ns=v.late_max_ns, takeovers=v.takeovers,
-            stalls=v.stalls, stalled_ns=v.stalled_ns,
-            cpu_ns=_thread_cpu(v.leader_pid, v.leader_tid),
+            stalls=v.stalls, stalled_ns=v.stalled_ns, spared=v.spared,
+            cpu_ns=_thread_cpu(v.leader_pid, v.leader_tid)
+            + (_thread_cpu(v.leader_pid, v.look_tid) if v.look_tid else 0),
             members=[(v.members[k], bool(v.lives[k])) for k in range(RT_MEMBERS)
                      if v.members[k]])
 
@@ -245,6 +247,13 @@ def _within(name, value, low, high):
     if not low <= value <= high:
         raise ValueError(f"{name} {value} is not within {low} to {high}")
     return value
+
+
+cdef _under_way(rt_view *v):
+    """Return the CPU time that the cycle under way has used; 0 without one."""
+    if v.mode != RT_ON or not v.cpu_mark_ns:
+        return 0
+    return max(_thread_cpu(v.pid, v.pid) - <int64_t>v.cpu_mark_ns, 0)
 
 
 def _thread_cpu(int pid, int tid) -> int:

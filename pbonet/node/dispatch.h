@@ -113,7 +113,10 @@ static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s)
     }
     if (s->owed && !atomic_load(&post->locked)) {
         rt_emit(t, RT_UNLOCKED, i, 0, 0, 0);
-        rt_settle_debt(t, i, s);
+        if (rt_is_server(s))
+            s->fresh = 1;       /* what it used meanwhile is charged first */
+        else
+            rt_settle_debt(t, i, s);
     }
 }
 
@@ -185,7 +188,7 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
         rt_emit(t, RT_BEGUN, i, 0, 0, 0);
         s->begun = 1;
     }
-    if (s->begun || s->kind == RT_SYNCHRONOUS)
+    if (s->begun || s->owed || s->kind == RT_SYNCHRONOUS)
         rt_latch_watch(t, i, s);
     if (s->armed && rt_is_server(s))
         rt_latch_event(t, i, s);
@@ -231,7 +234,7 @@ static inline void rt_watch(struct rt_table *t, int i, struct rt_state *s, int64
 {
     int locked = rt_limited(s) ? rt_read_cpu(t, i, s, cpu) : 0;
     if (rt_is_server(s)) {
-        rt_serve(t, i, s, now);
+        rt_serve(t, i, s, now, locked);
     } else if (s->kind == RT_SYNCHRONOUS) {
         if (s->deadline)
             rt_listen(t, i, s, now);
@@ -331,7 +334,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
     struct muf_item ready[RT_SLOTS];
     /* SYNC POINT: rt_alloc raises `high` behind setting the slot back. */
     int n = 0, high = (int)atomic_load_explicit(&t->high, memory_order_acquire);
-    int64_t due = 0;
+    int64_t due = 0, sure = 0;
     uint64_t head = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
     t->trace_next = head;
     rt_emit(t, RT_TURN, 0, (uint32_t)park, now, 0);
@@ -356,6 +359,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
             next = s->armed ? rt_due(s) : 0;
         }
         due = rt_sooner(due, next);
+        sure = rt_sooner(sure, s->armed ? rt_sure(s) : 0);
         if (s->ready && (s->word & 3) == RT_ON)
             ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
                                            .crit = s->rank, .priority = s->priority,
@@ -363,6 +367,7 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
     }
     rt_rank(t, ready, n, park);
     t->trace[head & (RT_TRACE - 1)].b = due;
+    atomic_store_explicit(&t->sure_ns, sure, memory_order_relaxed);
     return due;
 }
 

@@ -27,7 +27,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 3,
+    RT_VERSION = 4,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -105,6 +105,7 @@ struct rt_grant {
     _Atomic uint32_t told;              /* how often a handler was sent for */
     _Atomic uint32_t forced;            /* the grant whose critical section is over */
     _Atomic uint32_t owed;              /* a drop waits for the section's end */
+    _Atomic uint32_t look;              /* number of the look that counts on its end */
     _Atomic int64_t failed_ns;          /* when the last failure was found */
     _Atomic int64_t rel_ns, dl_ns;      /* of the last grant */
     _Atomic int32_t crit;               /* that it has now */
@@ -151,6 +152,8 @@ struct rt_stats {
     _Atomic uint64_t cycles, late, failed, stable, torn, stale, faults, ring_lost;
     _Atomic uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
     _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
+    _Atomic uint64_t cpu_first_ns;       /* of the first cycle after `on` */
+    _Atomic uint64_t cpu_mark_ns;        /* the thread's clock where this cycle counts from */
     _Atomic uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
     _Atomic uint64_t aborted, skipped, handlers, stale_failures;
     _Atomic uint64_t delivery_last_ns, delivery_max_ns; /* failure to handler's begin */
@@ -193,11 +196,17 @@ struct rt_table {
     _Atomic uint32_t high;              /* slots ever used: the bound of every scan */
     _Atomic int32_t backend;            /* rt_backend of the leader */
     _Atomic int32_t leader_pid, leader_tid;
+    _Atomic int32_t look_tid, look_fd;  /* the leader's; see look.h */
+    _Atomic uint32_t look_life;         /* changes with every leader's timer */
     _Atomic int64_t since_ns;
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
     _Atomic int64_t late_max_ns;        /* a turn behind the event it was to serve */
     _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stood */
-    int64_t due_ns;                     /* what the last turn sleeps for */
+    int64_t due_ns;                     /* what the last turn sleeps for ... */
+    _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */
+    _Atomic int64_t look_ns;            /* what the timer of a look is set for; 0: not */
+    _Atomic uint64_t look;              /* number << 32 | cycles that it is for */
+    _Atomic uint64_t spared;            /* looks that were taken back in time */
 
     uint32_t journal_slot;              /* a state that is being replaced ... */
     _Atomic uint32_t journal_valid;

@@ -8,13 +8,14 @@
 #ifndef PBONET_LOOP_H
 #define PBONET_LOOP_H
 
-#include "dispatch.h"
+#include "looker.h"
 #include "table.h"
 
 #include <sys/prctl.h>
 
 struct rt_loop {
     struct rt_table *table;
+    struct rt_looker looker;
     pthread_t thread;
     int backend;                /* RT_FIFO or RT_PARK */
     _Atomic int stop, leading;
@@ -110,6 +111,8 @@ static inline int rt_top_done(struct rt_table *t)
 static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
 {
     int64_t now = rt_now(), due = t->due_ns;
+    if (backend == RT_FIFO && due && !atomic_load(&t->look_ns))
+        due = atomic_load(&t->sure_ns);     /* no look, or it was taken back */
     if (due && now - due > atomic_load_explicit(&t->late_max_ns, memory_order_relaxed))
         atomic_store_explicit(&t->late_max_ns, now - due, memory_order_relaxed);
     if (due && now - due > RT_STALL_NS) {
@@ -147,6 +150,9 @@ static inline void rt_lead(struct rt_loop *loop)
     rt_recover(t);
     rt_wake_all(t);
     t->due_ns = 0;
+    loop->looker = (struct rt_looker){.table = t};
+    if (loop->backend == RT_FIFO)
+        rt_looker_start(&loop->looker, t);
     while (!atomic_load(&loop->stop)) {
         /* SYNC POINT: rt_kick adds to the mailbox after its news; whatever comes after
          * this load changes the word that the sleep compares. */
@@ -154,8 +160,9 @@ static inline void rt_lead(struct rt_loop *loop)
         int64_t due = rt_once(t, loop->backend, lead);
         lead = 0;
         if (!rt_top_done(t) && !atomic_load(&loop->stop))
-            rt_futex_wait(&t->mailbox, mail, due);
+            rt_sleep(&loop->looker, mail, due);
     }
+    rt_looker_stop(&loop->looker);
     for (uint32_t i = 0; i < RT_SLOTS; i++) {   /* nobody stays held without us */
         t->slots[i].state.parked = 0;
         atomic_store(&t->slots[i].grant.parked, 0);

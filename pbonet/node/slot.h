@@ -7,6 +7,7 @@
 #define PBONET_SLOT_H
 
 #include "layout.h"
+#include "look.h"
 #include "sys.h"
 #include "table.h"
 
@@ -20,6 +21,7 @@ struct rt_task {
     int kind;                   /* but for periodic ones, a grant lasts until OFF */
     uint32_t seq;               /* of the release that is being run */
     int64_t rel_ns, dl_ns;
+    struct rt_look look;
 };
 
 static inline void rt_add(_Atomic uint64_t *to, uint64_t n)
@@ -101,6 +103,7 @@ static inline void rt_arm(struct rt_task *task)
         rt_put(&s->on_faults, rt_get(&s->faults));
         rt_put(&s->cpu_min_ns, 0);
         rt_put(&s->cpu_max_ns, 0);
+        rt_put(&s->cpu_first_ns, 0);
         rt_put(&s->last_rel_ns, 0);
         rt_stats_end(s);
         word = (word & ~UINT32_C(0x1ffff)) | (((word >> 2) + 1) & 0x7fff) << 2;
@@ -208,6 +211,7 @@ static inline void rt_end(struct rt_task *task)
     if (task->kind != RT_PERIODIC) {
         if (rt_end_event(task) && task->kind == RT_SPORADIC)
             rt_kick(task->table);
+        rt_spare(task->table, task->slot, &task->look);
         return;
     }
     /* SYNC POINT: pairs with rt_rank (waiting) and rt_top_done: either this sees that
@@ -215,6 +219,7 @@ static inline void rt_end(struct rt_task *task)
     atomic_store(&task->slot->post.done, task->seq);
     if (atomic_load(&task->table->waiting))
         rt_kick(task->table);
+    rt_spare(task->table, task->slot, &task->look);
 }
 
 /* Tell the task that a command waits for it. */
@@ -260,7 +265,9 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     rt_add(&s->ring_lost, (uint64_t)cost->lost);
     rt_add(&s->cpu_total_ns, cost->cpu_ns);
     rt_put(&s->cpu_last_ns, cost->cpu_ns);
-    if (!first) {               /* the first cycle after `on` is left out: 6.7.1 */
+    if (first) {                /* kept apart from the others: 6.7.1 */
+        rt_put(&s->cpu_first_ns, cost->cpu_ns);
+    } else {
         if (cost->cpu_ns > rt_get(&s->cpu_max_ns))
             rt_put(&s->cpu_max_ns, cost->cpu_ns);
         if (cost->cpu_ns < rt_get(&s->cpu_min_ns) || !rt_get(&s->cpu_min_ns))
@@ -275,6 +282,14 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     if (!cost->failed)
         rt_put(&s->last_rel_ns, (uint64_t)task->rel_ns);
     rt_stats_end(s);
+}
+
+/* From here on the thread's CPU time is that of the next cycle; returns the clock. */
+static inline uint64_t rt_mark_cpu(struct rt_task *task)
+{
+    uint64_t cpu = rt_thread_cpu();
+    rt_put(&task->slot->stats.cpu_mark_ns, cpu);
+    return cpu;
 }
 
 static inline void rt_count_faults(struct rt_slot *slot, uint64_t n)

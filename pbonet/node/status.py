@@ -72,6 +72,8 @@ def task_status(
         min_c=slot.cpu_min_ns * _NS,
         max_c=slot.cpu_max_ns * _NS,
         last_c=slot.cpu_last_ns * _NS,
+        first_c=slot.cpu_first_ns * _NS,
+        now_c=slot.cpu_now_ns * _NS,
         warn=task.warnings,
         warning=task.warning,
         error=task.error,

@@ -323,7 +323,7 @@ static inline void rt_reset_watch(struct rt_slot *slot)
     struct rt_grant *g = &slot->grant;
     _Atomic uint32_t *words[] = {&post->events, &post->handled, &post->locked, &post->wish,
                                  &g->skip, &g->failed, &g->told, &g->forced, &g->owed,
-                                 &slot->n_sections};
+                                 &g->look, &slot->n_sections};
     for (size_t k = 0; k < sizeof words / sizeof *words; k++)
         atomic_store(words[k], 0);
     for (int k = 0; k < RT_FAILURES; k++)

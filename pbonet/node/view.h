@@ -21,6 +21,7 @@ struct rt_view {
     uint64_t on_ns, cycles, late, failed, stable, torn, stale, faults, ring_lost;
     uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
     uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
+    uint64_t cpu_first_ns, cpu_mark_ns;
     uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
     uint64_t jitter[RT_BINS], cpu[RT_BINS];
 };
@@ -50,6 +51,8 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     v->cpu_last_ns = rt_get(&s->cpu_last_ns);
     v->cpu_min_ns = rt_get(&s->cpu_min_ns);
     v->cpu_max_ns = rt_get(&s->cpu_max_ns);
+    v->cpu_first_ns = rt_get(&s->cpu_first_ns);
+    v->cpu_mark_ns = rt_get(&s->cpu_mark_ns);
     v->copy_in_ns = rt_get(&s->copy_in_ns);
     v->copy_out_ns = rt_get(&s->copy_out_ns);
     v->jitter_max_ns = rt_get(&s->jitter_max_ns);
@@ -117,9 +120,10 @@ static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
 }
 
 struct rt_core_view {
-    int backend, leader_pid, leader_tid;
+    int backend, leader_pid, leader_tid, look_tid;
     int64_t since_ns, late_max_ns;
     uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns;
+    uint64_t spared;
     int members[RT_MEMBERS], lives[RT_MEMBERS];
 };
 
@@ -128,6 +132,8 @@ static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_vie
     v->backend = atomic_load(&t->backend);
     v->leader_pid = atomic_load(&t->leader_pid);
     v->leader_tid = atomic_load(&t->leader_tid);
+    v->look_tid = atomic_load(&t->look_tid);
+    v->spared = atomic_load(&t->spared);
     v->since_ns = atomic_load(&t->since_ns);
     v->late_max_ns = atomic_load(&t->late_max_ns);
     v->turns = atomic_load(&t->turns);

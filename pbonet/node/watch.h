@@ -44,6 +44,12 @@ static inline int64_t rt_due(const struct rt_state *s)
     return due;
 }
 
+/* The part of it that comes whether cycles end before or not. */
+static inline int64_t rt_sure(const struct rt_state *s)
+{
+    return s->kind == RT_SYNCHRONOUS ? s->check_ns : s->next_ns;
+}
+
 static inline void rt_set_rank(struct rt_table *t, int i, struct rt_state *s, int32_t rank)
 {
     if (s->rank == rank)
@@ -192,7 +198,7 @@ static inline void rt_charge(struct rt_state *s, int64_t now)
     int64_t used = s->clock - s->mark, at = now - used + s->period;
     int armed_just_now = s->mark < 0;
     s->mark = s->clock;
-    if (s->spent || used <= 0 || armed_just_now)
+    if ((s->spent && !s->owed) || used <= 0 || armed_just_now)
         return;
     s->left -= used;
     if (s->kind != RT_SPORADIC)
@@ -228,17 +234,27 @@ static inline void rt_refill(struct rt_table *t, int i, struct rt_state *s, int6
     if (s->left <= 0)
         return;
     s->spent = 0;
+    if (s->owed)
+        rt_settle_debt(t, i, s);
     rt_set_rank(t, i, s, s->crit);
 }
 
-static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64_t now)
+/* Look after a server. In a critical section it keeps its criticality, and what it uses
+ * there beyond its capacity it lacks later. */
+static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64_t now,
+                            int locked)
 {
     rt_charge(s, now);
     if (s->next_ns && s->next_ns <= now)
         rt_refill(t, i, s, now);
     if (!s->spent && s->left <= 0)
-        rt_exhaust(t, i, s, now, 0);
-    s->check_ns = s->active && !s->spent ? rt_later(now, s->left) : 0;
+        rt_exhaust(t, i, s, now, locked);
+    if (s->owed && (!locked || s->locked_ns <= now)) {
+        s->held_off += (uint64_t)(locked != 0);
+        rt_settle_debt(t, i, s);
+    }
+    s->check_ns = s->owed ? s->locked_ns
+                  : s->active && !s->spent ? rt_later(now, s->left) : 0;
 }
 
 /* A device that should have been heard of: silence is a failure, once in each limit. */

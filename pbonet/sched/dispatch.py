@@ -134,7 +134,7 @@ class Dispatcher:
             case Event.EVENT:
                 watch.event(record.a, active=bool(record.arg))
             case Event.UNLOCKED:
-                watch.settle_debt()
+                watch.unlocked()
             case _:
                 msg = f"{event.name} is no input"
                 raise ValueError(msg)

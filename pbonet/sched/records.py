@@ -99,6 +99,10 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     cpu_min_ns: int
     """Since armed, without the first cycle (section 6.7.1); 0 before the second."""
     cpu_max_ns: int
+    cpu_first_ns: int
+    """Of the first cycle since armed, which is in no extreme."""
+    cpu_now_ns: int
+    """Of the cycle or event under way, up to now (the thesis's qc)."""
     copy_in_ns: int
     """Total time of copy-ins; divide by `cycles`."""
     copy_out_ns: int
@@ -170,8 +174,10 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
     """Their delays, added up."""
     takeovers: int
     """How often a standby took over from a leader that died."""
+    spared: int
+    """Looks at running cycles that were taken back because none ran any more."""
     cpu_ns: int
-    """CPU time of the leader's dispatcher thread."""
+    """CPU time of the leader's dispatcher, and of its thread that takes looks back."""
     members: list[tuple[int, bool]]
     """RTPU processes attached to the table: pid, and whether it lives."""
 

@@ -124,6 +124,13 @@ class Watch:
             if state.kind == Kind.SPORADIC:
                 state.dl_ns = instant + state.period
 
+    def unlocked(self) -> None:
+        """The critical section has ended; what a server used in it is charged first."""
+        if self.state.kind in SERVERS:
+            self.state.fresh = True
+        else:
+            self.settle_debt()
+
     def settle_debt(self) -> None:
         """The critical section has ended, or has lasted too long."""
         self.state.owed = False
@@ -135,6 +142,7 @@ class Watch:
     def look(self) -> None:
         """Do what is due for the slot, or has become so by news."""
         state = self.state
+        state.locked = state.locked and limited(state)  # read with the clock, if at all
         if state.kind in SERVERS:
             self._serve()
         elif state.kind == Kind.SYNCHRONOUS:
@@ -231,7 +239,7 @@ class Watch:
         state = self.state
         state.spent = True
         state.overruns += 1
-        if state.locked and state.kind == Kind.PERIODIC:
+        if state.locked:
             state.owed, state.locked_ns = True, self.now + HOLD_OFF_NS
         elif not state.handling:
             self.set_rank(contained(state))
@@ -286,11 +294,20 @@ class Watch:
             self._refill()
         if not state.spent and state.left <= 0:
             self._exhaust()
-        serving = state.active and not state.spent
-        state.check_ns = self._later(state.left) if serving else 0
+        if state.owed and (not state.locked or state.locked_ns <= self.now):
+            state.held_off += state.locked
+            self.settle_debt()
+        if state.owed:
+            state.check_ns = state.locked_ns
+        else:
+            serving = state.active and not state.spent
+            state.check_ns = self._later(state.left) if serving else 0
 
     def _charge(self) -> None:
         """Take what was used off the capacity; a sporadic server gets it back later.
+
+        What it used at a lower criticality is nobody's; within a critical section it
+        keeps its own, and overdraws.
 
         It is taken to have been used without a break up to now, which is the latest
         that its use can have begun; so nothing comes back too early.
@@ -298,7 +315,7 @@ class Watch:
         state = self.state
         used, armed_just_now = state.clock - state.mark, state.mark < 0
         state.mark = state.clock
-        if state.spent or used <= 0 or armed_just_now:
+        if (state.spent and not state.owed) or used <= 0 or armed_just_now:
             return
         state.left -= used
         if state.kind != Kind.SPORADIC:
@@ -323,6 +340,8 @@ class Watch:
         self._decide(Event.REFILL, self.slot, 0, state.left - before, state.left)
         if state.left > 0:
             state.spent = False
+            if state.owed:
+                self.settle_debt()
             self.set_rank(state.crit)
 
     def _listen(self) -> None:

@@ -344,6 +344,9 @@ class TaskStatus(Struct, kw_only=True):
     min_c: float
     max_c: float
     last_c: float
+    first_c: float = 0.0
+    """CPU seconds of the first cycle since on; `now_c` of the one under way."""
+    now_c: float = 0.0
     warn: int
     warning: str = ""
     error: str = ""

@@ -73,6 +73,10 @@ def hang(_task):
     return cycle
 
 
+def sleeps(_task, ns):
+    return lambda _dt: time.sleep(ns * 1e-9)
+
+
 def stamps(task, ns):
     """Note the time again and again while computing; the host reads the notes."""
 
@@ -86,7 +90,17 @@ def stamps(task, ns):
 
 BODIES = {
     f.__name__: f
-    for f in (idle, busy, first_long, matmul, overrun, random_busy, hang, stamps)
+    for f in (
+        idle,
+        busy,
+        first_long,
+        matmul,
+        overrun,
+        random_busy,
+        hang,
+        sleeps,
+        stamps,
+    )
 }
 
 

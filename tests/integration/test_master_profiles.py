@@ -104,11 +104,13 @@ def test_the_command_shows_every_figure(running):
     one = desk.execute("profile puma_pidg").data
     (task,) = one["tasks"]
     figures = "ptime cycle miss mezF mezT totC minC maxC avgC minU maxU avgU tick"
+    figures += " firstC nowC"
     assert all(task["figures"][name] is not None for name in figures.split())
     assert task["figures"]["mezF"] == pytest.approx(500, rel=0.2)
     assert 0 < task["least"] <= task["quantiles"]["p50"] <= task["most"]
     assert task["psi"][-1][1] == 1.0
     assert one["rtpus"][0]["dispatcher"] > 0
+    assert all(one["rtpus"][0][name] is not None for name in figures.split())
 
 
 def test_profiles_are_saved_used_and_adopted(running, puma, call, tmp_path):

@@ -39,9 +39,9 @@ def critical(arm):
         assert after.miss - before.miss <= reference.lost(50.0)
 
 
-def serve(arm, pipe, kind, *, capacity=0.004, freq=20.0):
+def serve(arm, pipe, kind, *, capacity=0.004, freq=20.0, **local):
     """Turn a server on that gets its events from the pipe."""
-    text = rmod("serves", freq=freq, local={"FIFO": pipe[0]})
+    text = rmod("serves", freq=freq, local={"FIFO": pipe[0], **local})
     text = text.replace("periodic", kind)
     if kind == "background":
         text = text.replace(f"FREQ {freq:g}\n", "")
@@ -55,24 +55,31 @@ def wait_served(arm, count, total):
     wait_for(lambda: arm.value("Y0").values == [count, total], f"{count} events")
 
 
-def decisions(nodes, task):
-    """Return the decisions about a task: event, argument, and the turn's instant."""
+def history(nodes, task):
+    """Return what was told and decided of a task, turn by turn: instant, both."""
     table = _rt.CoreTable(nodes.state("arm0").core, member=False)
     try:
         slot = next(
             i for i in table.slots() if table.snapshot(i).task.endswith(f"/{task}")
         )
         _, lost, trace = table.trace()
-        assert not lost
-        replay(trace)
-        return [
-            (Event(record.kind), record.arg, record.a, head.a)
-            for head, _, found in turns(trace)
-            for record in found
-            if record.slot == slot
-        ]
     finally:
         table.close()
+    assert not lost
+    replay(trace)
+    return [
+        (head.a, *([r for r in part if r.slot == slot] for part in (told, found)))
+        for head, told, found in turns(trace)
+    ]
+
+
+def decisions(nodes, task):
+    """Return the decisions about a task: event, argument, and the turn's instant."""
+    return [
+        (Event(record.kind), record.arg, record.a, at)
+        for at, _, found in history(nodes, task)
+        for record in found
+    ]
 
 
 @pytest.mark.usefixtures("critical")
@@ -136,6 +143,33 @@ def test_a_sporadic_server_gets_back_what_it_used_a_period_later(arm, nodes, pip
     finally:
         table.close()
     assert at >= begun[0] + 100_000_000
+
+
+@pytest.mark.usefixtures("critical")
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_critical_section_keeps_the_criticality_up_to_its_bound(
+    arm, nodes, pipe, kind
+):
+    """Section 6.3: whoever holds something that others need is not lowered amid it."""
+    serve(arm, pipe, kind, LOCKED=True)
+    pipe[1](15)
+    wait_served(arm, 1, 15)
+    status = wait_for(
+        lambda: (one := arm.status("s")).rank == 6 and one, "its capacity back"
+    )
+    assert status.overruns >= 1
+    assert status.held_off >= 1
+    begun, exhausted, dropped = None, None, None
+    for at, told, found in history(nodes, "s"):
+        used = [r for r in told if r.kind == Event.USED]
+        if any(r.kind == Event.EVENT and r.arg == 1 for r in told):
+            begun = used[0].a
+        elif begun is not None and used and used[0].a - begun >= 3_500_000:
+            exhausted = exhausted or at
+            assert dropped or used[0].arg == 1, "it is in its section"
+        if any((r.kind, r.arg) == (Event.CRIT, 4) for r in found):
+            dropped = dropped or at
+    assert dropped >= exhausted + 1_000_000
 
 
 def test_background_work_runs_below_everything(arm, pipe):

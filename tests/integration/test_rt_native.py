@@ -47,6 +47,18 @@ def test_a_failure_reaches_its_cycle_whenever_its_signal_comes(tmp_path) -> None
     run(program)
 
 
+def test_the_last_cycle_s_end_takes_a_look_back(tmp_path) -> None:
+    program = tmp_path / "rt_looks"
+    run(
+        COMPILERS[0], *STRICT, "-O1", "-g", "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all", ROOT / "tests" / "native" / "rt_looks.c",
+        "-o", program, "-lpthread",
+    )  # fmt: skip
+    if subprocess.run([program], check=False).returncode == 77:
+        pytest.skip("the kernel refuses pidfd_getfd")
+    run(program)
+
+
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_dispatcher_and_tasks_under_the_thread_sanitizer(tmp_path, compiler) -> None:
     """It knows neither fences, which order atomics here, nor mutexes with a clock."""

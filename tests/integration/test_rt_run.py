@@ -150,6 +150,20 @@ def test_the_first_cycle_counts_for_neither_minimum_nor_maximum(host) -> None:
     task.end()
     assert status["cpu_total_ns"] >= 12 * MS
     assert MS // 2 <= status["cpu_min_ns"] <= status["cpu_max_ns"] < 8 * MS
+    assert 8 * MS <= status["cpu_first_ns"] < status["cpu_total_ns"]
+
+
+def test_the_cycle_under_way_is_counted_before_it_ends(host) -> None:
+    task = host.spawn("hang", period_ns=20 * MS, crit=5)
+    used = [
+        until(lambda at=at: task.status()["cpu_now_ns"] >= at, "so much is used")
+        and task.status()["cpu_now_ns"]
+        for at in (5 * MS, 50 * MS)
+    ]
+    assert used == sorted(used)
+    assert task.status()["cycles"] == 0
+    os.kill(task.pid, signal.SIGKILL)
+    host.wait(pid=task.pid)
 
 
 def test_a_stopped_task_is_counted_and_not_caught_up(host) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import nullcontext
 from typing import Annotated as A
 
 from pbonet import OutVar, Params, PortBasedObject, Vector, param
@@ -11,6 +12,7 @@ class Place(Params):
     """Where events come from."""
 
     fifo: A[str, param("none", "named pipe; each byte is an event")]
+    locked: A[bool, param("none", "whether an event is one critical section")] = False
 
 
 class Serves(PortBasedObject[Place]):
@@ -25,9 +27,11 @@ class Serves(PortBasedObject[Place]):
         self._byte = os.read(self._fd, 1)[0]
 
     def cycle(self, dt: float) -> None:
+        section = self.task.critical() if self.params.locked else nullcontext()
         end = time.thread_time() + self._byte * 1e-3
-        while time.thread_time() < end:
-            pass
+        with section:
+            while time.thread_time() < end:
+                pass
         self.y[0] += 1.0
         self.y[1] += self._byte
 

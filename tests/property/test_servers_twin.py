@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from pbonet.sched.dispatch import Dispatcher
 from pbonet.sched.events import Event, pack, pack_limits
 from pbonet.sched.records import Decision, Kind, Mode
+from pbonet.sched.watch import HOLD_OFF_NS
 
 MS = 1_000_000
 PERIOD, CAPACITY = 10 * MS, 2 * MS
@@ -20,7 +21,7 @@ class Server:
         self.twin = Dispatcher()
         self.now = 1_000 * MS
         self.cpu = 0
-        self.active = False
+        self.active = self.locked = False
         self.high: list[tuple[int, int]] = []
         """Stretches at its own criticality: from, to."""
         word = 4 | Mode.ON
@@ -37,8 +38,9 @@ class Server:
 
     def turn(self, *inputs: Decision) -> int:
         """Take a turn; the clock is read whenever the dispatcher must read it."""
-        used = Decision(Event.USED, 0, 0, self.cpu, 0)
-        reads = any(one.kind in {Event.MODE, Event.EVENT} for one in inputs)
+        used = Decision(Event.USED, 0, int(self.locked), self.cpu, 0)
+        news = {Event.MODE, Event.EVENT, Event.UNLOCKED}
+        reads = any(one.kind in news for one in inputs)
         state = self.twin.slots.get(0)
         due = state is not None and self._due(state) <= self.now
         _, following = self.twin.turn(
@@ -64,11 +66,13 @@ class Server:
             if self._due(self.state) <= self.now:
                 self.turn()
 
-    def serve(self, length: int) -> None:
-        self.active = True
+    def serve(self, length: int, *, locked: bool = False) -> None:
+        self.active, self.locked = True, locked
         self.turn(Decision(Event.EVENT, 0, 1, self.now, 0))
         self.run(self.now + length)
-        self.active = False
+        self.active = self.locked = False
+        if self.state.owed:
+            self.turn(Decision(Event.UNLOCKED, 0, 0, 0, 0))
         self.turn(Decision(Event.EVENT, 0, 0, self.now, 0))
 
     def used(self, start: int, end: int) -> int:
@@ -78,17 +82,22 @@ class Server:
 events = st.lists(
     st.tuples(st.integers(0, 15 * MS), st.integers(1, 6 * MS)), min_size=1, max_size=25
 )
+locked_events = st.lists(
+    st.tuples(st.integers(0, 15 * MS), st.integers(1, 6 * MS), st.booleans()),
+    min_size=1,
+    max_size=25,
+)
 MARGIN = 20_000
 """The dispatcher sets no timer nearer than that, so that much may be overdrawn."""
 
 
 @settings(max_examples=150)
-@given(st.sampled_from([Kind.DEFERRABLE, Kind.SPORADIC]), events)
+@given(st.sampled_from([Kind.DEFERRABLE, Kind.SPORADIC]), locked_events)
 def test_capacity_in_hand_and_on_its_way_back_is_the_declared_one(kind, work) -> None:
     server = Server(kind)
-    for pause, length in work:
+    for pause, length, locked in work:
         server.run(server.now + pause)
-        server.serve(length)
+        server.serve(length, locked=locked)
         state = server.state
         coming = sum(amount for _, amount in state.pieces)
         assert state.left <= CAPACITY
@@ -109,6 +118,17 @@ def test_a_sporadic_server_takes_no_more_than_a_periodic_task_would(work) -> Non
             window = periods * PERIOD
             most = periods * (CAPACITY + MARGIN)
             assert server.used(start, start + window) <= most
+
+
+@settings(max_examples=150)
+@given(locked_events)
+def test_a_critical_section_overdraws_by_its_bound_and_no_more(work) -> None:
+    server = Server(Kind.SPORADIC)
+    for pause, length, locked in work:
+        server.run(server.now + pause)
+        server.serve(length, locked=locked)
+        assert server.state.left >= -(HOLD_OFF_NS + MARGIN)
+        assert (server.state.rank == 6) == (server.state.left > 0)
 
 
 @settings(max_examples=150)

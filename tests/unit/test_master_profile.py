@@ -7,7 +7,8 @@ from msgspec import structs
 
 from pbonet.master import profile
 from pbonet.master.profile import Baselines, delay_quantile
-from pbonet.xm.messages import SectionStatus, TaskStatus
+from pbonet.master.profiling import rtpu_data
+from pbonet.xm.messages import RtpuStatus, SectionStatus, TaskStatus
 
 THESIS = [
     *("rmod", "rtpu", "tid", "S", "crit", "state", "cycle", "miss", "refF", "refT"),
@@ -46,6 +47,23 @@ def status(**changes):
     return structs.replace(base, **changes)
 
 
+RAW = {
+    "nc": "cycle",
+    "nm": "miss",
+    "qc": "nowC",
+    "qt": "totC",
+    "qmax": "maxC",
+    "qmin": "minC",
+    "qf": "firstC",
+}
+"""What section 6.7.1 collects of each task, and the field that shows it."""
+DERIVED = (
+    *("ptime", "cycle", "miss", "mezF", "mezT", "totC", "minC", "maxC", "avgC"),
+    *("minU", "maxU", "avgU", "tick"),
+)
+"""What it computes from that; its resolution is the field `tick`."""
+
+
 def fields(now, before=None):
     return profile.profile(now, before).fields
 
@@ -67,6 +85,31 @@ def test_load_is_that_of_the_last_second():
 def test_every_field_of_section_4_4_1_is_there_in_its_order():
     assert list(profile.NAMES[: len(THESIS)]) == THESIS
     assert list(fields(status())) == list(profile.NAMES)
+
+
+def test_every_figure_of_section_6_7_1_is_there_for_a_task():
+    found = fields(status(first_c=0.003, now_c=0.0001))
+    assert all(found[name] is not None for name in (*RAW.values(), *DERIVED))
+    assert (found["firstC"], found["nowC"]) == (0.003, 0.0001)
+
+
+def test_every_figure_of_section_6_7_1_is_there_for_an_rtpu():
+    both = [
+        status(first_c=0.003, now_c=0.0001),
+        status(task="traj", cycle=500, ref_f=250.0, tot_c=0.1, first_c=0.001),
+    ]
+    core = RtpuStatus(rtpu="arm0", backend="fifo", scheduler="MUF", tasks=both)
+    tasks = [
+        {"rtpu": "arm0", "figures": fields(both[0])},
+        {"rtpu": "arm0", "figures": fields(both[1])},
+        {"rtpu": "arm1", "figures": fields(both[1])},
+    ]
+    found = rtpu_data(core, tasks)
+    assert all(found[name] is not None for name in (*RAW.values(), *DERIVED))
+    assert (found["cycle"], found["miss"], found["firstC"]) == (1500, 20, 0.003)
+    assert found["avgC"] == pytest.approx(0.5 / 1500)
+    assert found["mezF"] == pytest.approx(1500 / 2.0)
+    assert rtpu_data(core, [])["avgC"] is None
 
 
 def test_since_on_when_nothing_was_seen_before():

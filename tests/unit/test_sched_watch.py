@@ -335,6 +335,61 @@ def test_time_below_its_criticality_is_not_given_back(core) -> None:
     assert [a for event, _, a in found if event is Event.REFILL] == [2 * MS]
 
 
+@pytest.mark.parametrize("kind", [Kind.DEFERRABLE, Kind.SPORADIC])
+def test_a_server_keeps_its_criticality_to_the_end_of_a_critical_section(
+    core, kind
+) -> None:
+    one = core(kind=kind, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    found = one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    assert kinds(found, Event.CRIT) == []
+    assert (one.status().rank, one.status().overruns) == (6, 1)
+    found = one.at(16 * MS + 500 * US, cpu_ns=400 * US, locked=False)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 4)]
+    assert one.status().held_off == 0
+
+
+@pytest.mark.parametrize("kind", [Kind.DEFERRABLE, Kind.SPORADIC])
+def test_a_server_s_section_that_lasts_too_long_is_overruled(core, kind) -> None:
+    one = core(kind=kind, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    found = one.until(19 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 4)]
+    assert (one.now, one.status().held_off) == (17 * MS + 100 * US, 1)
+
+
+def test_what_a_server_uses_in_its_section_it_lacks_in_the_next_period(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    one.at(16 * MS + 500 * US, cpu_ns=400 * US, locked=False)
+    one.table.post(one.slot, cpu_ns=3 * MS)  # at criticality 4: taken from nobody
+    found = one.until(20 * MS)
+    assert [a for event, _, a in found if event is Event.REFILL] == [2 * MS]
+    one.at(21 * MS + 700 * US, cpu_ns=1 * MS + 600 * US)
+    assert one.status().rank == 4
+
+
+def test_a_sporadic_server_gets_back_what_it_used_in_its_section(core) -> None:
+    one = core(kind=Kind.SPORADIC, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    one.at(16 * MS + 500 * US, cpu_ns=400 * US, locked=False)
+    found = one.until(40 * MS)
+    assert sum(a for event, _, a in found if event is Event.REFILL) == 2400 * US
+
+
+def test_a_section_that_outlasts_the_period_ends_nothing_that_came_back(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(17 * MS, event=17 * MS)
+    one.at(19 * MS + 500 * US, cpu_ns=2 * MS, locked=True)
+    one.until(20 * MS)
+    found = one.at(20 * MS + 100 * US, locked=False)
+    assert kinds(found, Event.CRIT) == []
+    assert one.status().rank == 6
+
+
 # -- devices -------------------------------------------------------------------------
 
 
