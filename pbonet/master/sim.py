@@ -11,7 +11,7 @@ take, and what a late cycle does, only a run in real time shows.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from pbonet import verify
 from pbonet.config.library import Library
@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 REASON = "this is a simulation"
 BEGIN_NS = 1_000_000_000
 """The virtual clock's first instant."""
-_SIMULATED = {TaskType.PERIODIC, TaskType.SYNCHRONOUS}
 
 
 class Simulation:
@@ -71,6 +70,8 @@ class Simulation:
     Raises:
         ConfigError: A file is missing or wrong.
     """
+
+    simulated: ClassVar = (TaskType.PERIODIC, TaskType.SYNCHRONOUS)
 
     def __init__(self, path: str | Path, folders: Iterable[str | Path] = ()) -> None:
         self._library = Library(folders)
@@ -296,11 +297,11 @@ class Simulation:
         record = source.record
         rtpu = wanted.rtpu or record.rtpu or self._files.sbs.rtpus[0].name
         freq = wanted.freq or record.freq
-        if record.tasktype not in _SIMULATED or not freq:
+        if record.tasktype not in self.simulated or not freq:
             raise NodeError(
                 f"a {record.tasktype} task cannot be simulated",
                 where=str(wanted.place or self.job.file),
-                expected="periodic or synchronous, with FREQ or PERIOD",
+                expected=f"{' or '.join(self.simulated)}, with FREQ or PERIOD",
                 got=f"TASKTYPE {record.tasktype}",
                 remedy="run the job without --sim",
             )

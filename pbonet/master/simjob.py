@@ -8,12 +8,13 @@ control law meets the delays and missed cycles of its schedule, the same ones ea
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from msgspec import structs
 
 from pbonet import verify
 from pbonet.config.library import Library
+from pbonet.config.model import TaskType
 from pbonet.errors import ConfigFileError, PbonetError, SeveralError
 from pbonet.io.policy import no_devices
 from pbonet.master.checking import planned
@@ -105,7 +106,17 @@ def without_loads(verdict: verify.Verdict) -> verify.Verdict:
 
 
 class Timed(Simulation):
-    """The modules of a job, run when the schedule says so; a `verify.ModuleCode`."""
+    """The modules of a job, run when the schedule says so; a `verify.ModuleCode`.
+
+    A server's cycle runs for each event that the schedule has; its `sync`, as that of a
+    synchronous task, waits for nothing here and is not called.
+    """
+
+    simulated: ClassVar = (
+        *Simulation.simulated,
+        TaskType.DEFERRABLE,
+        TaskType.SPORADIC,
+    )
 
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
         """Run a cycle on the inputs of this instant; its outputs are held."""

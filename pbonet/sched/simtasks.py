@@ -63,6 +63,10 @@ class ServerTask(Struct, frozen=True, kw_only=True):
     """Criticality without capacity; None: it waits for more."""
     priority: int = 0
     offset_ns: int = 0
+    begun: Callable[[int, int], None] | None = None
+    """Called when an event's processing begins, with that instant and its arrival."""
+    done: Callable[[int], None] | None = None
+    """Called when it ends, with that instant."""
 
 
 class Job:

@@ -98,6 +98,7 @@ class Core:
         job = Job(len(self._jobs), account, server.kind)
         job.priority, job.drop = server.priority, server.drop_crit
         job.arrivals = iter(server.arrivals)
+        job.started, job.ended = server.begun, server.done
         self._jobs.append(job)
         if server.kind is ServerKind.POLLING:
             job.drop = None
@@ -223,14 +224,13 @@ class Core:
 
     def _begin(self, job: Job) -> None:
         if job.kind is not None:
-            job.left = job.queue[0][1]
-            return
-        job.begun = True
-        job.own_dl = job.dl
-        job.left = job.value if job.cost is None else max(0, job.cost())
+            release, job.left = job.queue[0]
+        else:
+            release, job.begun, job.own_dl = job.rel, True, job.dl
+            job.left = job.value if job.cost is None else max(0, job.cost())
         if job.started is not None:
             job.left = max(1, job.left)
-            job.started(self.now_ns, job.rel)
+            job.started(self.now_ns, release)
 
     def _finish(self, job: Job) -> None:
         account, now = job.account, self.now_ns
@@ -239,13 +239,13 @@ class Core:
         if job.kind is not None:
             account.responses_ns.append(now - job.queue.popleft()[0])
             self._served(job)
-            return
-        account.responses_ns.append(now - job.rel)
-        if now > job.own_dl:
-            account.late += 1
-            self._unmet(account, job.own_dl)
-        job.active = job.begun = False
-        job.stamp += 1
+        else:
+            account.responses_ns.append(now - job.rel)
+            if now > job.own_dl:
+                account.late += 1
+                self._unmet(account, job.own_dl)
+            job.active = job.begun = False
+            job.stamp += 1
         if job.ended is not None:
             job.ended(now)
 
@@ -340,7 +340,7 @@ class Core:
 
     def _serve(self, job: Job) -> None:
         """Make a server ready that has events, if it may run at all."""
-        if not job.queue:
+        if not job.queue or job.gone:
             return
         job.rel = job.queue[0][0]
         if job.limited or job.kind is ServerKind.BACKGROUND:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import random
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from msgspec import Struct
 
@@ -31,6 +31,11 @@ if TYPE_CHECKING:
     from pbonet.sched.criticality import Assigned
 
     from .records import Configuration, Task
+
+
+_Hooks: TypeAlias = """tuple[
+    Callable[[int, int], None] | None, Callable[[int], None] | None
+]"""
 
 
 class Times(StrEnum):
@@ -249,7 +254,7 @@ class _Builder(Struct, kw_only=True):
                     if is_periodic(t)
                 ],
                 [
-                    self._server(t, assigned[t.name], rates=rates)
+                    self._server(t, assigned[t.name], made, rates=rates)
                     for t in tasks
                     if not is_periodic(t) and self._serves(t)
                 ],
@@ -276,16 +281,8 @@ class _Builder(Struct, kw_only=True):
         self, task: Task, assigned: Assigned, on: list[Core], *, rates: bool
     ) -> PeriodicTask:
         """Return a task; `on` will hold the core that it runs on."""
-        soft, code, name = effective(task), self.code, task.name
-
-        def begun(now_ns: int, release_ns: int) -> None:
-            if code is not None and not code.begin(name, now_ns, release_ns):
-                on[0].stop(name)
-
-        def done(now_ns: int) -> None:
-            if code is not None:
-                code.end(name, now_ns)
-
+        soft = effective(task)
+        begun, done = self._hooks(task.name, on)
         return PeriodicTask(
             name=task.name,
             period_ns=ns(1.0 / (task.hz or 1.0)),
@@ -295,9 +292,24 @@ class _Builder(Struct, kw_only=True):
             least_ns=ns(least(task).seconds or 0.0),
             effective_ns=ns(soft.seconds or 0.0) if soft else 0,
             drop_crit=criticality.dropped(assigned.crit, fixed_rates=rates),
-            begun=begun if code is not None else None,
-            done=done if code is not None else None,
+            begun=begun,
+            done=done,
         )
+
+    def _hooks(self, name: str, on: list[Core]) -> _Hooks:
+        """Return what runs a task's code at the begin and the end of its cycles."""
+        code = self.code
+        if code is None:
+            return None, None
+
+        def begun(now_ns: int, release_ns: int) -> None:
+            if not code.begin(name, now_ns, release_ns):
+                on[0].stop(name)
+
+        def done(now_ns: int) -> None:
+            code.end(name, now_ns)
+
+        return begun, done
 
     def _cost(self, task: Task) -> int | Callable[[], int]:
         if task.worst is None:
@@ -311,7 +323,10 @@ class _Builder(Struct, kw_only=True):
         low, high = ns(least(task).seconds or 0.0), ns(task.worst)
         return lambda: source.randint(min(low, high), high)
 
-    def _server(self, task: Task, assigned: Assigned, *, rates: bool) -> ServerTask:
+    def _server(
+        self, task: Task, assigned: Assigned, on: list[Core], *, rates: bool
+    ) -> ServerTask:
+        begun, done = self._hooks(task.name, on)
         kind = SERVER_TYPES.get(task.rmod.tasktype, ServerKind.BACKGROUND)
         if task.rmod.tasktype is TaskType.BACKGROUND:
             period = capacity = 0
@@ -332,6 +347,8 @@ class _Builder(Struct, kw_only=True):
                 assigned.crit, fixed_rates=rates, server=True
             ),
             priority=self.priorities.get(task.name, 0),
+            begun=begun,
+            done=done,
         )
 
 

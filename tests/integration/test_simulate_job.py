@@ -182,7 +182,7 @@ def test_a_cycle_is_told_its_release(shop):
     assert values(shop, 0.055, "Z")[0] == pytest.approx(0.05 + 0.1)
 
 
-def test_servers_have_no_code_to_run(shop):
+def test_a_server_s_code_runs_for_each_event(shop):
     shop.module(
         "srv",
         SINK.replace(
@@ -193,7 +193,47 @@ def test_servers_have_no_code_to_run(shop):
     shop.job("source a", "srv b")
     outcome, _ = run(shop)
     assert outcome.rtpus["b"].tasks["srv"].cycles == 5
-    with pytest.raises(NodeError, match="a deferrable task cannot be simulated"):
+    last, outcome, _ = values(shop, 0.0999, "Z")
+    server = outcome.rtpus["b"].tasks["srv"]
+    assert (server.cycles, server.releases) == (5, 5)
+    assert last == 8.0  # the event at 80 ms found what was published at 74 ms
+
+
+def test_a_server_that_fails_serves_no_more(shop):
+    shop.module(
+        "srv",
+        """
+        class Srv(PortBasedObject):
+            "Fail at the third event."
+            z: A[float, OutVar("Z", "1", "none", "count")]
+
+            def sync(self):
+                raise AssertionError("not called in virtual time")
+
+            def cycle(self, dt):
+                self.z += 1.0
+                if self.z >= 3.0:
+                    raise ValueError("three events")
+        """,
+        *(Z, "TASKTYPE sporadic", "FREQ 50", "CAPACITY 0.002"),
+    )
+    shop.job("source a", "srv b")
+    last, outcome, told = values(shop, 0.2, "Z")
+    assert last == 2.0
+    assert outcome.rtpus["b"].tasks["srv"].cycles == 2
+    assert any("three events" in text for text in told)
+
+
+def test_background_work_has_no_events_and_no_code(shop):
+    shop.module(
+        "srv",
+        SINK.replace(
+            "    def cycle", "    def sync(self):\n        pass\n\n    def cycle"
+        ),
+        *("INVAR Y", Z, "TASKTYPE background"),
+    )
+    shop.job("source a", "srv b")
+    with pytest.raises(NodeError, match="a background task cannot be simulated"):
         run(shop, code=True)
 
 
