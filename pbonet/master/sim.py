@@ -71,7 +71,10 @@ class Simulation:
         ConfigError: A file is missing or wrong.
     """
 
-    simulated: ClassVar = (TaskType.PERIODIC, TaskType.SYNCHRONOUS)
+    simulated: ClassVar[tuple[TaskType, ...]] = (
+        TaskType.PERIODIC,
+        TaskType.SYNCHRONOUS,
+    )
 
     def __init__(self, path: str | Path, folders: Iterable[str | Path] = ()) -> None:
         self._library = Library(folders)

@@ -112,7 +112,7 @@ class Timed(Simulation):
     synchronous task, waits for nothing here and is not called.
     """
 
-    simulated: ClassVar = (
+    simulated: ClassVar[tuple[TaskType, ...]] = (
         *Simulation.simulated,
         TaskType.DEFERRABLE,
         TaskType.SPORADIC,
