@@ -21,7 +21,6 @@ from pbonet.errors import (
     ClaimError,
     NodeError,
     PbonetError,
-    UnreachableError,
     did_you_mean,
 )
 from pbonet.xm import keys, rpc
@@ -57,7 +56,7 @@ class Fleet:
         self.entries: dict[str, RtpuEntry] = {entry.name: entry for entry in sbs.rtpus}
         self.epochs: dict[str, int] = {}
         self._hosts: dict[str, str] = {}
-        self._token: zenoh.LivelinessToken | None = None
+        self._token: rpc.Declared | None = None
 
     @property
     def names(self) -> list[str]:
@@ -188,7 +187,7 @@ class Fleet:
         self.epochs = {}
         if self._token is not None:
             with contextlib.suppress(zenoh.ZError):
-                self._token.undeclare()  # type: ignore[no-untyped-call]
+                self._token.undeclare()
             self._token = None
 
     def masters(self) -> list[str]:
@@ -219,9 +218,4 @@ class Fleet:
         if self._token is not None:
             return
         key = keys.master(self.client.domain, self.sbs.subsystem, self.client.name)
-        try:
-            self._token = self.client.session.liveliness().declare_token(key)
-        except zenoh.ZError as error:
-            raise UnreachableError(
-                "the connection to the agents is closed", got=str(error)
-            ) from None
+        self._token = self.client.announce(key)

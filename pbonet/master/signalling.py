@@ -6,7 +6,7 @@ long ago it was sent and however often. So nothing is missed between two waits.
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from threading import Event, Lock
 from typing import TYPE_CHECKING, Protocol
 
@@ -250,24 +250,12 @@ class Signalled(Opened, Protocol):
     def news(self) -> Generator[Event]:
         """Have an event set whenever an RTPU tells something."""
         news = Event()
-
-        def told(_: zenoh.Sample) -> None:
-            news.set()
-
         client = self.fleet.client
-        declared: list[zenoh.Subscriber[None]] = [
-            client.session.declare_subscriber(
-                keys.rtpu(client.domain, rtpu, "event"),
-                zenoh.handlers.Callback(told, indirect=False),
-            )
-            for rtpu in self.fleet.names
-        ]
-        try:
+        with ExitStack() as heard:
+            for rtpu in self.fleet.names:
+                key = keys.rtpu(client.domain, rtpu, "event")
+                heard.callback(_take_back, client.hear(key, news.set))
             yield news
-        finally:
-            for subscriber in declared:
-                if not client.session.is_closed():
-                    subscriber.undeclare()  # type: ignore[no-untyped-call]
 
     def _must_go_on(self) -> None:
         if self.stopped.is_set():
@@ -312,3 +300,8 @@ class Signalled(Opened, Protocol):
             + (", ".join(f"{one.task} {one.signal}" for one in others) or "nothing"),
             remedy="'status' shows how the tasks stand",
         )
+
+
+def _take_back(heard: rpc.Declared) -> None:
+    with suppress(zenoh.ZError):  # the session was closed meanwhile
+        heard.undeclare()

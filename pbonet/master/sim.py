@@ -17,19 +17,19 @@ from pbonet import verify
 from pbonet.config.library import Library
 from pbonet.config.model import JobTask, TaskType
 from pbonet.errors import (
-    NodeError,
     PbonetError,
     StateError,
     UnknownTaskError,
     did_you_mean,
 )
 from pbonet.io.policy import no_devices
+from pbonet.master import conditions
 from pbonet.master.failures import stuck
 from pbonet.master.files import Files
 from pbonet.master.picture import Member
 from pbonet.master.recording import STABLE, Recording
 from pbonet.master.simtable import MemoryCopies, MemoryTable
-from pbonet.master.simtask import SimTask, Turns
+from pbonet.master.simtask import SimTask, Turns, must_be_simulated, status_of
 from pbonet.node.executor import Executor
 from pbonet.node.taskports import ages, check_ports
 from pbonet.pbo import (
@@ -77,19 +77,19 @@ class Simulation:
     )
 
     def __init__(self, path: str | Path, folders: Iterable[str | Path] = ()) -> None:
-        self._library = Library(folders)
-        self._files = Files(path, self._library)
-        self.job: JobFile = self._files.read_job()
-        self.table = MemoryTable(self._files.table.variables)
+        files = Files(path, Library(folders))
+        self.job: JobFile = files.read_job()
+        self._begin(files, {"job": self.job.name, "file": self.job.file})
+
+    def _begin(self, files: Files, about: dict[str, str]) -> None:
+        """Begin with no task, at the first instant."""
+        self._files, self._library = files, files.library
+        self.table = MemoryTable(files.table.variables)
         self.now_ns = BEGIN_NS
-        self.recording = Recording({
-            "job": self.job.name,
-            "file": self.job.file,
-            "mode": "simulation",
-        })
+        self.recording = Recording({**about, "mode": "simulation"})
         self.events: list[str] = []
         self._tasks: dict[str, SimTask] = {}
-        self._turns = {rtpu.name: Turns() for rtpu in self._files.sbs.rtpus}
+        self._turns = {rtpu.name: Turns() for rtpu in files.sbs.rtpus}
 
     # -- the job ----------------------------------------------------------------------
 
@@ -98,12 +98,17 @@ class Simulation:
 
         Raises:
             VerificationError: The configuration would be illegal.
+            ConditionError: PRE of the job does not hold.
             PbonetError: A module is missing, or its `init` or `on` failed; everything
                 is undone.
         """
         members = {m.name: m for m in map(self._member, self.job.tasks)}
         tasks = [member.task for member in members.values()]
         self._check(verify.job(tasks))
+        variables = self._files.table.variables
+        conditions.must_be_answerable(self.job, variables)
+        asked = [conditions.Asked("PRE", self.job.name, one) for one in self.job.pre]
+        conditions.must_hold(asked, variables, self.display)
         with no_devices(REASON):
             try:
                 for name in verify.spawn_order(tasks):
@@ -118,23 +123,35 @@ class Simulation:
     def advance(self, seconds: float) -> None:
         """Let virtual time pass, as fast as the modules can be run."""
         end_ns = self.now_ns + round(seconds * 1e9)
-        with no_devices(REASON):
-            while True:
-                due = [t.due_ns for t in self._turns.values() if t.due_ns]
-                if not due or min(due) > end_ns:
-                    break
-                self.now_ns = max(self.now_ns, min(due))
-                for turns in self._turns.values():
-                    if 0 < turns.due_ns <= self.now_ns:
-                        self._turn(turns)
-        self.now_ns = end_ns
+        while self.step(end_ns):
+            pass
 
-    def signal(self, task: str, name: str, *, handover: bool = False) -> State:
+    def step(self, end_ns: int) -> bool:
+        """Go on to the next instant at which something is due, at most to an end.
+
+        Returns:
+            Whether it was before the end.
+        """
+        due = [t.due_ns for t in self._turns.values() if t.due_ns]
+        if not due or min(due) > end_ns:
+            self.now_ns = end_ns
+            return False
+        self.now_ns = max(self.now_ns, min(due))
+        with no_devices(REASON):
+            for turns in self._turns.values():
+                if 0 < turns.due_ns <= self.now_ns:
+                    self._turn(turns)
+        return True
+
+    def signal(
+        self, task: str, name: str, arg: str = "", *, handover: bool = False
+    ) -> State:
         """Send ``on``, ``off``, ``kill``, ``clear`` or ``reinit`` to a task.
 
         Args:
             task: The task.
             name: What is sent.
+            arg: Text for the module.
             handover: For ``off`` and ``kill``: a successor takes over the outputs.
 
         Raises:
@@ -145,7 +162,7 @@ class Simulation:
         found = self.task(task)
         with no_devices(REASON):
             try:
-                return found.executor.signal(name, handover=handover)
+                return found.executor.signal(name, arg, handover=handover)
             finally:
                 self._after(found, found.outbox.drain())
 
@@ -222,6 +239,10 @@ class Simulation:
 
     # -- what can be looked at --------------------------------------------------------
 
+    def display(self, names: Sequence[str]) -> list[m.VarValue]:
+        """Return values of variables, of this instant."""
+        return [self.table.look(name, self.now_ns) for name in names]
+
     def task(self, name: str) -> SimTask:
         """Return a task.
 
@@ -248,7 +269,7 @@ class Simulation:
                 backend="inline",
                 scheduler=entry.scheduler,
                 tasks=[
-                    self._status(task)
+                    status_of(task, self.now_ns)
                     for task in self._tasks.values()
                     if task.member.rtpu == entry.name
                 ],
@@ -257,42 +278,6 @@ class Simulation:
             for entry in self._files.sbs.rtpus
         ]
 
-    def _status(self, task: SimTask) -> m.TaskStatus:
-        state = task.executor.state
-        until_ns = self.now_ns if state is State.ON else max(task.last_ns, task.on_ns)
-        seconds = (until_ns - task.on_ns) * 1e-9
-        cycles = task.source.cyclecount
-        info = task.member.info
-        return m.TaskStatus(
-            rmod=task.name,
-            task=task.name,
-            rtpu=task.member.rtpu,
-            tid=0,
-            S="P" if task.member.rmod.tasktype is TaskType.PERIODIC else "Y",
-            crit=task.crit,
-            rank=task.crit,
-            priority=task.priority,
-            state=state,
-            cycle=cycles,
-            miss=0,
-            ref_f=task.member.freq,
-            mez_f=cycles / seconds if seconds else 0.0,
-            mez_t=seconds / cycles if cycles else 0.0,
-            ptime=seconds,
-            on_ns=task.on_ns,
-            tot_c=0.0,
-            tick=1e-9,
-            min_c=0.0,
-            max_c=0.0,
-            last_c=0.0,
-            warn=task.warnings,
-            warning=task.warning,
-            error=task.executor.task.errmsg if state is State.ERROR else "",
-            module=info.name if info else "",
-            version=info.version if info else "",
-            now=self.now_ns,
-        )
-
     # -- assembling -------------------------------------------------------------------
 
     def _member(self, wanted: JobTask) -> Member:
@@ -300,16 +285,13 @@ class Simulation:
         record = source.record
         rtpu = wanted.rtpu or record.rtpu or self._files.sbs.rtpus[0].name
         freq = wanted.freq or record.freq
-        if record.tasktype not in self.simulated or not freq:
-            raise NodeError(
-                f"a {record.tasktype} task cannot be simulated",
-                where=str(wanted.place or self.job.file),
-                expected=f"{' or '.join(self.simulated)}, with FREQ or PERIOD",
-                got=f"TASKTYPE {record.tasktype}",
-                remedy="run the job without --sim",
-            )
+        must_be_simulated(
+            record, freq, self.simulated, str(wanted.place or self.job.file)
+        )
         info = self._library.load_rmod(record).info
-        return Member(source=source, rtpu=rtpu, freq=freq, info=info, told=wanted.told)
+        return Member(
+            source=source, rtpu=rtpu, freq=freq or 0.0, info=info, told=wanted.told
+        )
 
     def _has_heir(self, task: str, rest: Sequence[tuple[str, str]]) -> bool:
         """Tell whether a list goes on to turn on who writes what `task` writes."""
@@ -389,9 +371,10 @@ class Simulation:
         priorities = verify.user_priorities(everyone)
         for entry in self._files.sbs.rtpus:
             turns = self._turns[entry.name]
-            tasks = [task.member.task for task in turns.tasks]
+            here = [t for t in turns.tasks if self._tasks.get(t.name) is t]
+            tasks = [task.member.task for task in here]
             assigned = verify.criticalities(tasks, entry, limit=PLANNED)
-            for task in turns.tasks:
+            for task in here:
                 task.crit = task.source.crit = assigned[task.name].crit
                 task.priority = priorities[task.name]
                 turns.configure(task)

@@ -10,6 +10,7 @@ from pbonet.config.model import Limit
 from pbonet.svar import Flags
 from pbonet.svar.guards import limits_of
 from pbonet.svar.layout import group_of, values_of
+from pbonet.xm.values import VarValue
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -46,6 +47,20 @@ class MemoryTable:
             return False
         written = self.written.get(name)
         return written is None or now_ns - written > maxage * 1e9
+
+    def look(self, name: str, now_ns: int) -> VarValue:
+        """Return a variable as an agent shows it, without its writer."""
+        number = self.numbers[name]
+        value, written = self.values[name], self.written.get(name)
+        return VarValue(
+            name=name,
+            index=number,
+            values=value.tobytes() if value.dtype.kind == "V" else value.tolist(),
+            units=self.variables[number].units,
+            desc=self.variables[number].desc,
+            age=None if written is None else (now_ns - written) * 1e-9,
+            stale=self.stale(name, now_ns),
+        )
 
 
 class _Pair(NamedTuple):

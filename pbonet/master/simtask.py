@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from pbonet.config.model import Rmod, TaskType
+from pbonet.errors import NodeError
 from pbonet.master.picture import Member
 from pbonet.master.recording import TaskRecord
 from pbonet.master.simtable import MemoryCopies
 from pbonet.node.executor import Executor
-from pbonet.pbo import BoundedOutbox, Counted
+from pbonet.pbo import BoundedOutbox, Counted, State
 from pbonet.sched.dispatch import Dispatcher
 from pbonet.sched.events import Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
+from pbonet.xm import messages as m
 
 
 class SimTask(Struct, kw_only=True, eq=False):
@@ -35,6 +38,8 @@ class SimTask(Struct, kw_only=True, eq=False):
     """Since it was last turned on."""
     warning: str = ""
     """The first of them."""
+    told_state: State = State.NOT_CREATED
+    """The last one that became an event."""
 
     @property
     def name(self) -> str:
@@ -94,3 +99,59 @@ class Turns:
 
     def _tell(self, event: Event, task: SimTask, arg: int = 0, a: int = 0) -> None:
         self._inputs.append(Decision(int(event), task.slot, arg, a, 0))
+
+
+def status_of(task: SimTask, now_ns: int) -> m.TaskStatus:
+    """Return the status of a task; CPU times are not simulated."""
+    state = task.executor.state
+    until_ns = now_ns if state is State.ON else max(task.last_ns, task.on_ns)
+    seconds = (until_ns - task.on_ns) * 1e-9
+    cycles = task.source.cyclecount
+    info = task.member.info
+    return m.TaskStatus(
+        rmod=task.name,
+        task=task.name,
+        rtpu=task.member.rtpu,
+        tid=0,
+        S="P" if task.member.rmod.tasktype is TaskType.PERIODIC else "Y",
+        crit=task.crit,
+        rank=task.crit,
+        priority=task.priority,
+        state=state,
+        cycle=cycles,
+        miss=0,
+        ref_f=task.member.freq,
+        mez_f=cycles / seconds if seconds else 0.0,
+        mez_t=seconds / cycles if cycles else 0.0,
+        ptime=seconds,
+        on_ns=task.on_ns,
+        tot_c=0.0,
+        tick=1e-9,
+        min_c=0.0,
+        max_c=0.0,
+        last_c=0.0,
+        warn=task.warnings,
+        warning=task.warning,
+        error=task.executor.task.errmsg if state is State.ERROR else "",
+        module=info.name if info else "",
+        version=info.version if info else "",
+        now=now_ns,
+    )
+
+
+def must_be_simulated(
+    record: Rmod, freq: float | None, kinds: tuple[TaskType, ...], where: str
+) -> None:
+    """Refuse a task that the clock alone does not drive.
+
+    Raises:
+        NodeError: It is one.
+    """
+    if record.tasktype not in kinds or not freq:
+        raise NodeError(
+            f"a {record.tasktype} task cannot be simulated",
+            where=where,
+            expected=f"{' or '.join(kinds)}, with FREQ or PERIOD",
+            got=f"TASKTYPE {record.tasktype}",
+            remedy="run it in real time",
+        )

@@ -28,11 +28,13 @@ from pbonet.master.changing import Changing
 from pbonet.master.clock import RealClock
 from pbonet.master.conditions import in_time, must_be_answerable
 from pbonet.master.crew import CONTROL_TIME, Crew
+from pbonet.master.embedded import Embedded
 from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
 from pbonet.master.signalling import Inbox, Signalled
 from pbonet.master.switching import Switching
+from pbonet.master.virtual import VirtualClient, VirtualClock, VirtualRtpus
 from pbonet.master.words import (
     check_rate,
     check_signal,
@@ -64,6 +66,9 @@ class Subsystem(Switching, Calls, Signalled):
         kind: What the master is, as the first part of its client name.
         watch: Look only: claim nothing, change nothing.
         take_over: Replace a master that lives.
+        embed: Start agents for RTPUs that nobody runs; they end with the subsystem.
+        virtual: Run in virtual time, in this process, without agents and devices: time
+            passes where the program waits.
         warned: Called with each warning, one sentence, unless a `Desk` collects it.
 
     Raises:
@@ -80,6 +85,8 @@ class Subsystem(Switching, Calls, Signalled):
         kind: str = "master",
         watch: bool = False,
         take_over: bool = False,
+        embed: bool = False,
+        virtual: bool = False,
         warned: Callable[[str], None] = log_warning,
     ) -> None:
         self.files = Files(path, Library(libraries))
@@ -88,7 +95,16 @@ class Subsystem(Switching, Calls, Signalled):
         self.stopped = threading.Event()
         """Set by `stop`; an assembly that is under way then gives up."""
         self.watch = watch
-        self.clock: Clock = RealClock()
+        self.simulation = VirtualRtpus(self.files) if virtual else None
+        """What stands for the RTPUs in virtual time; it has the ``recording``."""
+        self.clock: Clock = (
+            VirtualClock(self.simulation) if self.simulation else RealClock()
+        )
+        self._agents = (
+            Embedded(domain, libraries=[*map(str, libraries)], connect=connect)
+            if embed and not virtual
+            else None
+        )
         self.shown = profile.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = profile.Baselines()
@@ -161,13 +177,29 @@ class Subsystem(Switching, Calls, Signalled):
             SeveralError: Several RTPUs cannot be had.
             SvarError: The table cannot be opened.
         """
+        if self._agents is not None:
+            rtpus = [entry.name for entry in self.files.sbs.rtpus]
+            self._agents.start(self._agents.missing(rtpus))
+        try:
+            self._crew = self._open(self._client())
+        except BaseException:
+            self._end_agents()
+            raise
+        return self
+
+    def _client(self) -> rpc.Client:
+        """Return who asks the RTPUs."""
+        name = client_name(self._kind)
+
+        def warned(rtpu: str, text: str) -> None:
+            self._warn(f"{rtpu}: {text}")
+
+        if self.simulation is not None:
+            return VirtualClient(self.simulation, self.domain, name, warned=warned)
         opened = session.client(self.domain, connect=self._connect)
-        client = rpc.Client(
-            opened,
-            self.domain,
-            client_name(self._kind),
-            warned=lambda rtpu, text: self._warn(f"{rtpu}: {text}"),
-        )
+        return rpc.Client(opened, self.domain, name, warned=warned)
+
+    def _open(self, client: rpc.Client) -> Crew:
         fleet = Fleet(client, self.files.sbs)
         crew = Crew(self.files, fleet, self._warn)
         try:
@@ -179,16 +211,24 @@ class Subsystem(Switching, Calls, Signalled):
             fleet.drop()
             client.close()
             raise
-        self._crew = crew
-        return self
+        return crew
+
+    def _end_agents(self) -> None:
+        if self._agents is not None:
+            for rtpu in self._agents.stop():
+                self._warn(f"the embedded agent of {rtpu} had to be killed")
 
     def detach(self) -> None:
-        """Leave: the tasks go on, and the next master finds them as they are."""
+        """Leave: the tasks go on, and the next master finds them as they are.
+
+        Those of embedded agents end with their agents.
+        """
         if self._crew is not None:
             fleet = self._crew.fleet
             self._crew = None
             fleet.drop()
             fleet.client.close()
+            self._end_agents()
 
     def finish(self) -> None:
         """Turn OFF in order, end every task, give everything back (`sbsFinish`).

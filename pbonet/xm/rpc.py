@@ -21,7 +21,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import msgspec
 import zenoh
@@ -75,6 +75,13 @@ class _Waiter:
 
     def end(self) -> None:
         self.done.set()
+
+
+class Declared(Protocol):
+    """Something that stands until it is taken back."""
+
+    def undeclare(self) -> None:
+        """Take it back."""
 
 
 class Client:
@@ -187,6 +194,29 @@ class Client:
             except PbonetError as error:
                 errors.append(error)
         return results, errors
+
+    def announce(self, key: str) -> Declared:
+        """Show a liveliness token until what is returned is undeclared.
+
+        Raises:
+            UnreachableError: The connection to the agents is closed.
+        """
+        try:
+            token: Declared = self.session.liveliness().declare_token(key)
+        except zenoh.ZError as error:
+            raise _no_session(error) from None
+        return token
+
+    def hear(self, key: str, told: Callable[[], None]) -> Declared:
+        """Have a function called, in zenoh's thread, with each sample under a key."""
+
+        def heard(_: zenoh.Sample) -> None:
+            told()
+
+        subscriber: zenoh.Subscriber[None] = self.session.declare_subscriber(
+            key, zenoh.handlers.Callback(heard, indirect=False)
+        )
+        return subscriber
 
     def close(self) -> None:
         """Close the session; a call that waits ends with an error."""
