@@ -23,7 +23,7 @@ from a task to the master without losing anything.
     │   ├── SvarFullError (OSError)        no room in the table or in shared memory
     │   ├── SvarOwnerError                 somebody else writes this variable
     │   └── UnknownVariableError (KeyError)
-    ├── XmError                            express mail: semaphores, queues
+    ├── XmError                            express mail: semaphores, queues, links
     │   ├── XmNameError (ValueError)       not of the form RTPU:RESOURCE
     │   ├── XmMissingError (FileNotFoundError)
     │   ├── XmExistsError (FileExistsError)
@@ -33,6 +33,7 @@ from a task to the master without losing anything.
     │   ├── XmDestroyedError               somebody destroyed it
     │   ├── XmFullError (OSError)          no room in shared memory, or in the line
     │   ├── XmQueueFullError               no room in the queue
+    │   ├── XmTakenError                   the link has its one writer, or reader
     │   └── XmTooLongError (ValueError)    longer than the queue or the buffer
     ├── ModuleLoadError (ImportError)      module code is missing or does not load
     ├── TaskError
@@ -246,7 +247,7 @@ class UnknownVariableError(SvarError, KeyError):
 
 
 class XmError(PbonetError):
-    """Express mail: something is wrong with a semaphore or a message queue."""
+    """Express mail: something is wrong with a semaphore, a queue, or a link."""
 
     code = "XM"
 
@@ -303,6 +304,12 @@ class XmQueueFullError(XmError):
     """The queue has no room for the message."""
 
     code = "XM_QUEUE_FULL"
+
+
+class XmTakenError(XmError):
+    """The link has its one writer, or its one reader, already."""
+
+    code = "XM_TAKEN"
 
 
 class XmTooLongError(XmError, ValueError):

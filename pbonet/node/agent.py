@@ -28,6 +28,7 @@ from pbonet.xm.messages import AgentInfo, LinkReport
 
 from . import leftovers, service, wire
 from .ears import Ears
+from .links import Links
 from .server import Server
 from .supervise import RtpuLink, choose_core
 from .twins import Twins
@@ -89,6 +90,7 @@ class Agent:
         self._ways: Ways | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._ears: Ears | None = None
+        self._links: Links | None = None
         self._link: RtpuLink | None = None
         self._over = threading.Event()
         self._asked = False
@@ -148,6 +150,9 @@ class Agent:
         self._ways = Ways(self._session, self.info)
         self._ways.start()
         self._ears = Ears(self._session, self.config.events, self._arrived)
+        self._links = Links(
+            self._session, self.config.domain, self.name, lambda _: None, self._note
+        )
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
         )
@@ -208,10 +213,14 @@ class Agent:
             "requests reach either: stop one of them"
         )
         log.error("%s: %s", self.name, text)
+        self._note(wire.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
+
+    def _note(self, note: wire.Note) -> None:
+        """Have something numbered among the events, if there is an RTPU process."""
         link = self._link
         if link is not None:
             with contextlib.suppress(NodeError):
-                link.send(wire.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
+                link.send(note)
 
     def _arrived(self, message: wire.Arrived) -> None:
         link = self._link
@@ -219,6 +228,9 @@ class Agent:
             link.send(message)
 
     def _leave(self) -> None:
+        if self._links is not None:
+            self._links.stop()
+            self._links = None
         if self._ears is not None:
             self._ears.stop()
             self._ears = None

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from pbonet import tbuf
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.xm import live_on, rundir, sweep
 
@@ -204,6 +205,7 @@ async def _serve(rtpu: Rtpu, places: rundir.Places, end: asyncio.Future[str]) ->
     finally:
         await rtpu.close()
         sweep(places.name, places.domain)
+        tbuf.sweep(places.domain)
         places.remove(places.ctl, places.state, places.log)
         _remove_dead_agent(places)
 

@@ -130,7 +130,12 @@ class Host:
             port.attr: self.local.array(self.rmod.svar_name(port.name))
             for port in self.info.ports
         }
-        live_on(spec.rtpu, domain=spec.domain, priority=lambda: self.watch.criticality)
+        live_on(
+            spec.rtpu,
+            domain=spec.domain,
+            priority=lambda: self.watch.criticality,
+            subsystem=spec.subsystem,
+        )
         instance = bind(loaded.cls, params, arrays, self.context)
         self.context.is_stale = ages(self.rmod, self.info, self.local.stale)
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None

@@ -49,3 +49,31 @@ def rtpu_name(key: str) -> str:
 def last(key: str) -> str:
     """Return the last part of a key, such as a master's client name."""
     return key.rsplit("/", 1)[-1]
+
+
+def clock(domain: str, name: str) -> str:
+    """Return the key on which an agent tells its machine's time."""
+    return rtpu(domain, name, "clock")
+
+
+def link(domain: str, name: str, leaf: str, *agents: str) -> str:
+    """Return a key of a link between subsystems.
+
+    Args:
+        domain: The domain.
+        name: The link's full name.
+        leaf: ``sink`` and ``source`` are tokens of agents, ``data`` carries records.
+        agents: The reader's agent for a sink; the writer's and the reader's otherwise.
+    """
+    return "/".join((ROOT, domain, "tbuf", name, leaf, *agents))
+
+
+def all_links(domain: str) -> str:
+    """Return the key expression that matches the tokens of all links."""
+    return f"{ROOT}/{domain}/tbuf/**"
+
+
+def link_parts(key: str) -> tuple[str, str, list[str]]:
+    """Return name, leaf and agents out of a key of a link."""
+    _, _, _, name, leaf, *agents = key.split("/")
+    return name, leaf, agents

@@ -30,6 +30,8 @@ class Home(NamedTuple):
     rtpu: str
     priority: Callable[[], int]
     """What its waits have that name no priority: a task's criticality."""
+    subsystem: str = ""
+    """Of a task; empty for other processes."""
 
 
 class Name(NamedTuple):
@@ -44,7 +46,7 @@ class Name(NamedTuple):
         return f"{self.rtpu}:{self.resource}"
 
     def path(self, kind: str) -> Path:
-        """Return the file of the resource; `kind` is ``sem`` or ``queue``."""
+        """Return its file; `kind` is ``sem``, ``queue`` or ``tbuf``."""
         place = ":".join(self)
         return folder() / f"pbonet.{os.geteuid()}.{place}.{kind}"
 
@@ -57,7 +59,11 @@ _home = Home(os.environ.get("PBONET_DOMAIN", "default"), NOWHERE, _no_priority)
 
 
 def live_on(
-    rtpu: str, *, domain: str = "default", priority: Callable[[], int] = _no_priority
+    rtpu: str,
+    *,
+    domain: str = "default",
+    priority: Callable[[], int] = _no_priority,
+    subsystem: str = "",
 ) -> None:
     """Tell where this process is at home; the runtime does so for its tasks.
 
@@ -65,11 +71,12 @@ def live_on(
         rtpu: The RTPU that names without a colon belong to.
         domain: The domain of all its names.
         priority: Called when a wait names no priority.
+        subsystem: The subsystem that it belongs to, if it does.
     """
     global _home  # noqa: PLW0603 - a process has one home
     rundir.check_name("an RTPU", rtpu)
     rundir.check_name("a domain", domain)
-    _home = Home(domain, rtpu, priority)
+    _home = Home(domain, rtpu, priority, subsystem)
 
 
 def home() -> Home:
@@ -88,8 +95,17 @@ def parse(text: str) -> Name:
     Raises:
         XmNameError: It is no name.
     """
+    return parse_at(text, _home.rtpu)
+
+
+def parse_at(text: str, place: str) -> Name:
+    """Return the parts of a name; without a colon it belongs to `place`.
+
+    Raises:
+        XmNameError: It is no name.
+    """
     rtpu, colon, resource = text.rpartition(":")
-    rtpu = rtpu if colon else _home.rtpu
+    rtpu = rtpu if colon else place
     if not _RESOURCE.fullmatch(resource) or not rundir.NAME.fullmatch(rtpu):
         raise XmNameError(
             "this is no name of a resource",
@@ -137,14 +153,18 @@ def standing(kind: str, domain: str) -> list[str]:
 
 def missing(name: Name, kind: str) -> XmMissingError:
     """Return the error for a resource that does not stand."""
-    what = {"sem": "semaphore", "queue": "queue"}[kind]
+    what = {"sem": "semaphore", "queue": "queue", "tbuf": "link"}[kind]
     there = standing(kind, name.domain)
     return XmMissingError(
         f"there is no such {what}",
         where=str(name),
         got=f"{', '.join(there) or 'none at all'}",
-        remedy=did_you_mean(str(name), there) or f"create it; xm.{_MAKER[kind]} does",
+        remedy=did_you_mean(str(name), there) or f"create it; {_MAKER[kind]} does",
     )
 
 
-_MAKER = {"sem": "semaphore(name, initial=...)", "queue": "queue(name)"}
+_MAKER = {
+    "sem": "xm.semaphore(name, initial=...)",
+    "queue": "xm.queue(name)",
+    "tbuf": "tbuf.Reader(name, dtype)",
+}

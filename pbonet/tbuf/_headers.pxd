@@ -1,0 +1,38 @@
+"""The C headers of this folder, as far as _tbuf.pyx uses them."""
+
+from libc.stdint cimport int64_t, uint32_t, uint64_t
+
+cdef extern from "doze.h" nogil:
+    enum: TB_VERSION, TB_TEXT, TB_WHO, TB_ROLES, TB_ALIGN
+    enum: TB_WRITER, TB_READER, TB_CARER
+    enum: TB_DAMAGED, TB_BAD_VERSION, TB_SWAPPED, TB_TIMED_OUT, TB_SIGNAL
+    struct tb_stamp:
+        uint64_t number, source
+        int64_t time_ns, stamp_ns
+    struct tb_role:
+        uint64_t pid
+        char who[64]
+    struct tb_buffer:
+        uint32_t version, text_bytes
+        uint64_t size, bytes, source
+        char *text
+        tb_role roles[3]
+        uint32_t destroyed
+        uint64_t word
+        int64_t last_ns
+        uint32_t bell
+    struct tb_bells:
+        int defer
+    uint64_t tb_size(uint64_t bytes)
+    void tb_make(tb_buffer *b, uint64_t bytes, uint64_t source, const char *text,
+                 uint32_t text_bytes)
+    int tb_verify(const tb_buffer *b, uint64_t bytes)
+    uint64_t tb_number(uint64_t word)
+    bint tb_news(const tb_buffer *b)
+    bint tb_write(tb_buffer *b, const tb_stamp *stamp, const void *data)
+    int tb_read(tb_buffer *b, tb_stamp *stamp, void *data, bint again)
+    int64_t tb_now()
+    void tb_wake(uint32_t *bell)
+    int tb_doze(tb_buffer *b, int64_t until_ns)
+    void tb_ring(tb_bells *later, uint32_t *bell)
+    void tb_ring_all(tb_bells *later)

@@ -1,0 +1,230 @@
+# cython: language_level=3, boundscheck=False, wraparound=False
+# distutils: extra_compile_args = -O2 -std=c11
+# distutils: depends = triple.h doze.h
+"""Thin skin over the C headers of this folder; `_tbuf.pyi` says what everything does."""
+
+import os
+
+from cpython.bytes cimport PyBytes_FromStringAndSize
+from cpython.exc cimport PyErr_CheckSignals
+from libc.stdint cimport int64_t, uint64_t, uintptr_t
+from libc.string cimport strncpy
+from posix.mman cimport MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE
+from posix.mman cimport madvise, mmap, munmap
+from posix.unistd cimport close
+
+from pbonet.errors import XmDamagedError, XmDestroyedError, XmError, XmLayoutError
+from pbonet.tbuf._headers cimport *
+
+WRITER, READER, CARER = TB_WRITER, TB_READER, TB_CARER
+LONGEST_TEXT = TB_TEXT
+cdef int64_t LOOK_NS = 50_000_000, FOREVER = 0x7fffffffffffffff
+cdef tb_bells later         # of this process; tasks alone use it, in their one thread
+
+
+cdef void c_defer_bells() noexcept nogil:
+    later.defer = 1
+
+
+cdef void c_ring_bells() noexcept nogil:
+    tb_ring_all(&later)
+
+
+def size_for(uint64_t bytes) -> int:
+    return tb_size(bytes)
+
+
+cdef class Buffer:
+    """A buffer's file, mapped whole; its descriptor is ours."""
+
+    cdef tb_buffer *b
+    cdef size_t bytes
+    cdef readonly int fileno
+    cdef readonly str path
+
+    def __cinit__(self, *_, **__):
+        self.fileno = -1
+
+    def map(self, int fd, size_t size, str path) -> None:
+        self.fileno, self.path, self.bytes = fd, path, max(1, size)
+        cdef void *at = mmap(NULL, self.bytes, PROT_READ | PROT_WRITE,
+                             MAP_SHARED | MAP_POPULATE, fd, 0)
+        if at == MAP_FAILED:
+            raise MemoryError("the file cannot be mapped")
+        self.b = <tb_buffer *>at
+        madvise(at, self.bytes, 23)     # MADV_POPULATE_WRITE: no cycle shall fault
+
+    def __dealloc__(self):
+        self.unmap()
+
+    def unmap(self) -> None:
+        if self.b is not NULL:
+            munmap(self.b, self.bytes)
+            self.b = NULL
+        if self.fileno >= 0:
+            close(self.fileno)
+            self.fileno = -1
+
+    cdef tb_buffer *open(self) except NULL:
+        if self.b is NULL:
+            raise XmError("it is closed", where=self.path)
+        return self.b
+
+    def make(self, uint64_t record, uint64_t source, bytes text) -> None:
+        if tb_size(record) > self.bytes or len(text) > TB_TEXT:
+            raise ValueError("the file is too small for it")
+        tb_make(self.open(), record, source, text, len(text))
+
+    def verify(self) -> None:
+        cdef int verdict = tb_verify(self.open(), self.bytes)
+        if verdict == TB_BAD_VERSION:
+            raise XmLayoutError("the buffer was made by another version of pbonet",
+                                where=self.path, expected=f"version {TB_VERSION}",
+                                got=f"version {self.b.version}",
+                                remedy="run the same version in every process")
+        if verdict == TB_SWAPPED:
+            raise XmLayoutError("the buffer is in another byte order", where=self.path,
+                                remedy="processors of different byte order are linked "
+                                "through agents, not through one memory")
+        if verdict:
+            raise XmDamagedError("the file is damaged, or no buffer", where=self.path,
+                                 got=f"{self.bytes} bytes",
+                                 remedy="stop who uses it and remove it")
+
+    @property
+    def text(self) -> bytes:
+        return (<char *>self.open().text)[:self.b.text_bytes]
+
+    @property
+    def record(self) -> int:
+        return self.open().bytes
+
+    @property
+    def written(self) -> int:
+        return tb_number(self.open().word)
+
+    @property
+    def last_ns(self) -> int:
+        return self.open().last_ns
+
+    @property
+    def destroyed(self) -> bool:
+        return bool(self.open().destroyed)
+
+    def mark_destroyed(self) -> None:
+        self.open().destroyed = 1
+        tb_wake(&self.b.bell)
+
+    def enter(self, int role, str who) -> None:
+        cdef bytes text = who.encode()[:TB_WHO - 1]
+        strncpy(self.open().roles[role].who, text, TB_WHO - 1)
+        self.b.roles[role].pid = os.getpid()
+
+    def who(self, int role) -> str:
+        return (<bytes>self.open().roles[role].who).decode(errors="replace")
+
+
+cdef class End(Buffer):
+    """One end of a link: the process's own copy of a record."""
+
+    cdef object raw, own        # as it stands in the buffer, and as this process has it
+    cdef void *copy
+    cdef bint converts
+    cdef readonly object value  # `own`, as the user sees it
+    cdef tb_stamp stamp
+
+    def hold(self, raw, own, value) -> None:
+        if raw.nbytes != self.record or not raw.flags.c_contiguous:
+            raise ValueError("this array does not fit the link's records")
+        self.raw, self.own, self.value, self.converts = raw, own, value, raw is not own
+        self.copy = <void *><uintptr_t>raw.ctypes.data
+
+    cdef tb_buffer *ready(self) except NULL:
+        if self.b is NULL or self.copy is NULL:
+            raise XmError("the link is closed", where=self.path)
+        if self.b.destroyed:
+            raise XmDestroyedError("somebody destroyed the link", where=self.path,
+                                   remedy="open it again")
+        return self.b
+
+    @property
+    def number(self) -> int:
+        return self.stamp.number
+
+    @property
+    def time_ns(self) -> int:
+        return self.stamp.time_ns
+
+
+cdef class Out(End):
+    def begin(self) -> None:
+        self.stamp.number, self.stamp.source = self.written, self.b.source
+
+    def write(self, int64_t now_ns=0) -> None:
+        cdef tb_buffer *b = self.ready()
+        if self.converts:
+            self.raw[...] = self.own
+        self.stamp.number += 1
+        self.stamp.time_ns = self.stamp.stamp_ns = now_ns if now_ns else tb_now()
+        if tb_write(b, &self.stamp, self.copy):
+            tb_ring(&later, &b.bell)
+
+    def put(self, uint64_t number, uint64_t source, int64_t time_ns,
+            int64_t stamp_ns) -> None:
+        cdef tb_buffer *b = self.ready()
+        self.stamp = tb_stamp(number=number & 0xffffffffffffff, source=source,
+                              time_ns=time_ns, stamp_ns=stamp_ns)
+        if tb_write(b, &self.stamp, self.copy):
+            tb_wake(&b.bell)
+
+
+cdef class In(End):
+    cdef bint met               # it has read something
+    cdef readonly unsigned long long lost, restarts
+
+    def read(self) -> bool:
+        cdef tb_buffer *b = self.ready()
+        cdef uint64_t number = self.stamp.number, source = self.stamp.source
+        if not tb_read(b, &self.stamp, self.copy, not self.met):
+            return False
+        if self.met and source != self.stamp.source:
+            self.restarts += 1
+        elif self.met and self.stamp.number > number:
+            self.lost += self.stamp.number - number - 1
+        self.met = True
+        if self.converts:
+            self.own[...] = self.raw
+        return True
+
+    def wait(self, until_ns=None) -> bool:
+        cdef tb_buffer *b = self.ready()
+        cdef int64_t until = FOREVER if until_ns is None else until_ns, now, look
+        cdef int code
+        while True:
+            now = tb_now()
+            look = min(until, now + LOOK_NS)
+            with nogil:
+                code = tb_doze(b, look if look > 0 else 1)
+            self.ready()
+            if code == 0:
+                return True
+            if code == TB_SIGNAL:
+                PyErr_CheckSignals()
+            elif look == until:
+                return False
+
+    @property
+    def stamp_ns(self) -> int:
+        return self.stamp.stamp_ns
+
+    @property
+    def source(self) -> int:
+        return self.stamp.source
+
+    def age_ns(self, int64_t now_ns=0):
+        if not self.stamp.number:
+            return None
+        return (now_ns if now_ns else tb_now()) - self.stamp.time_ns
+
+    def data(self) -> bytes:
+        return PyBytes_FromStringAndSize(<char *>self.copy, self.b.bytes)

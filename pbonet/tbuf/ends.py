@@ -1,0 +1,112 @@
+"""The two ends of a link, as modules and programs use them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+from pbonet.xm import files
+
+from . import layout, places
+from ._tbuf import READER, WRITER, End, In, Out
+
+if TYPE_CHECKING:
+    from types import TracebackType
+    from typing import Any
+
+    from numpy.typing import DTypeLike, NDArray
+
+
+class _Attached(End):
+    """What both ends have in common."""
+
+    name: str
+    """Its full name."""
+
+    def close(self) -> None:
+        """Detach (``tbufDetach``); the last one out removes the buffer."""
+        places.leave(self)
+
+    def destroy(self) -> None:
+        """Remove the buffer; who else uses it is told (``tbufDestroy``)."""
+        files.unlink_same(Path(self.path), self.fileno)
+        self.mark_destroyed()
+        self.unmap()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self.name}, record {self.number}>"
+
+
+class Writer(_Attached, Out):
+    """The one writer of a link (``tbufCreate`` and ``tbufWrite``, section 5.6.1).
+
+    Fill `value` and call `write`; both may be done in a cycle. The reader may be on
+    this machine or on any other that the agents reach.
+
+    Args:
+        name: ``NAME``, or ``SUBSYSTEM:NAME`` or ``RTPU:NAME`` of the writer's own.
+        dtype: What a record looks like, as numpy says it: ``("f8", 6)``, or fields.
+        data: An array of that type and shape to send from, in place of `value`.
+
+    Raises:
+        XmNameError: It is no name, or that of somebody else.
+        XmTakenError: The link has a writer.
+        XmLayoutError: The reader waits for other records.
+        XmError: The buffer's file cannot be used.
+    """
+
+    def __init__(
+        self, name: str, dtype: DTypeLike, *, data: NDArray[Any] | None = None
+    ) -> None:
+        found = places.name_to_write(name)
+        self.name = str(found)
+        wanted = layout.as_dtype(dtype)
+        kept = places.attach(found, wanted, WRITER, self)
+        own = layout.room(wanted) if data is None else data
+        try:
+            self.hold(own if kept == wanted else layout.room(kept), own, own)
+            self.begin()
+        except BaseException:
+            self.close()
+            raise
+
+
+class Reader(_Attached, In):
+    """The one reader of a link (``tbufAttach`` and ``tbufRead``, section 5.6.1).
+
+    `read` brings the newest record into `value`; the writer need not be there yet.
+
+    Args:
+        name: ``SUBSYSTEM:NAME`` or ``RTPU:NAME``, after who writes it.
+        dtype: What a record looks like; None takes what the writer, who must then have
+            been there, says. Values of the other byte order are turned round.
+
+    Raises:
+        XmNameError: It is no name.
+        XmTakenError: The link has a reader.
+        XmLayoutError: The writer sends other records.
+        XmMissingError: There is no such link yet, and no `dtype` was given.
+        XmError: The buffer's file cannot be used.
+    """
+
+    def __init__(self, name: str, dtype: DTypeLike | None = None) -> None:
+        found = places.name_to_read(name)
+        self.name = str(found)
+        wanted = None if dtype is None else layout.as_dtype(dtype)
+        kept = places.attach(found, wanted, READER, self)
+        raw = layout.room(kept)
+        own = raw if wanted is None or wanted == kept else layout.room(wanted)
+        value = own[...]
+        value.flags.writeable = False
+        self.hold(raw, own, value)

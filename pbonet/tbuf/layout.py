@@ -1,0 +1,91 @@
+"""What a record looks like, as text that travels with the link.
+
+The text is that of numpy's own files, a description and a shape, so it names every
+field with its type, byte order and size.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from pbonet.errors import XmLayoutError
+
+from ._tbuf import LONGEST_TEXT
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
+
+LARGEST = 1 << 20
+"""Bytes of a record: it is copied within a cycle."""
+
+
+def describe(dtype: np.dtype[Any]) -> bytes:
+    """Return the text of a record.
+
+    Raises:
+        XmLayoutError: Records of that type cannot be sent.
+    """
+    base, shape = dtype.subdtype or (dtype, ())
+    if dtype.hasobject or not 0 < dtype.itemsize <= LARGEST:
+        raise XmLayoutError(
+            "records of this type cannot be sent",
+            expected=f"plain numbers, 1 to {LARGEST} bytes in all",
+            got=f"{dtype}, {dtype.itemsize} bytes",
+            remedy="send fields of fixed size; no Python objects",
+        )
+    text = repr((npy.dtype_to_descr(base), shape)).encode()
+    if len(text) > LONGEST_TEXT:
+        raise XmLayoutError(
+            "the description of the record is too long",
+            expected=f"at most {LONGEST_TEXT} bytes",
+            got=f"{len(text)} bytes",
+            remedy="use fewer fields, or shorter names",
+        )
+    return text
+
+
+def parse(text: bytes) -> np.dtype[Any]:
+    """Return the type that a text describes.
+
+    Raises:
+        XmLayoutError: It describes none.
+    """
+    with contextlib.suppress(ValueError, TypeError, SyntaxError, MemoryError):
+        descr, shape = ast.literal_eval(text.decode())
+        return np.dtype((npy.descr_to_dtype(descr), tuple(shape)))
+    raise XmLayoutError(
+        "the description of the record is not understood",
+        got=repr(text[:100]),
+        remedy="run the same version of pbonet on every machine",
+    )
+
+
+def as_dtype(dtype: DTypeLike) -> np.dtype[Any]:
+    """Return `dtype` as one of numpy's; ``("f8", 6)`` is six numbers."""
+    return np.dtype(dtype)
+
+
+def same_values(one: np.dtype[Any], other: np.dtype[Any]) -> bool:
+    """Tell whether two types differ in byte order at most."""
+    return one.newbyteorder("=") == other.newbyteorder("=")
+
+
+def room(dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
+    """Return zeroed memory for one record."""
+    return np.zeros((), dtype)
+
+
+def refuse(where: str, wanted: np.dtype[Any], got: np.dtype[Any]) -> XmLayoutError:
+    """Return the error for two ends that do not fit each other."""
+    return XmLayoutError(
+        "the two ends of the link have different records",
+        where=where,
+        expected=str(wanted),
+        got=str(got),
+        remedy="give writer and reader the same fields and sizes",
+    )

@@ -1,0 +1,200 @@
+"""The files behind links: made, found, and who has which part in them.
+
+A link has one writer and one reader on a machine, and at most one agent that looks
+after it; each holds a lock on one byte of the file, which the kernel drops when the
+process ends, however it ends. Everybody attached holds the whole file, as for all
+express mail, so what nobody uses is known.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import secrets
+import struct
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pbonet.errors import (
+    XmError,
+    XmExistsError,
+    XmMissingError,
+    XmNameError,
+    XmTakenError,
+)
+from pbonet.xm import files, names
+
+from . import _tbuf, layout
+from ._tbuf import CARER, READER, WRITER, Buffer
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pbonet.xm.names import Name
+
+KIND = "tbuf"
+PATIENCE = 1.0
+"""Seconds for which whoever ends, or an agent that lets go, may still be in the way."""
+_LOOK = 0.01
+_FLOCK = struct.Struct("hhqqi4x")
+_ROLES = {WRITER: "writer", READER: "reader", CARER: "agent"}
+
+
+def name_to_read(text: str) -> Name:
+    """Return the name of a link that somebody else writes.
+
+    Raises:
+        XmNameError: It is no name.
+    """
+    home = names.home()
+    return names.parse_at(text, home.subsystem or home.rtpu)
+
+
+def name_to_write(text: str) -> Name:
+    """Return the name of a link of this process's own.
+
+    Raises:
+        XmNameError: It is no name, or belongs to somebody else.
+    """
+    name, home = name_to_read(text), names.home()
+    if name.rtpu in {home.subsystem, home.rtpu}:
+        return name
+    owners = " or ".join(filter(None, (home.subsystem, home.rtpu)))
+    raise XmNameError(
+        "a link is named after who writes it",
+        where=str(name),
+        expected=f"{owners}:{name.resource}",
+        got=str(name),
+        remedy=f"call it {name.resource}, or let {name.rtpu} write it",
+    )
+
+
+def attach(
+    name: Name, dtype: np.dtype[Any] | None, role: int, end: Buffer
+) -> np.dtype[Any]:
+    """Map a link's buffer, made if there is none, and take a role in it.
+
+    Args:
+        name: The link.
+        dtype: What a record shall look like; None takes what stands.
+        role: `WRITER`, `READER` or `CARER`.
+        end: Is mapped.
+
+    Returns:
+        What a record looks like in the buffer.
+
+    Raises:
+        XmMissingError: There is none, and no `dtype`.
+        XmLayoutError: What stands has other records.
+        XmTakenError: Another process has that role.
+        XmError: The file cannot be used.
+    """
+    found = _open(name, dtype, end)
+    try:
+        _take(name, end, role)
+    except BaseException:
+        end.unmap()
+        raise
+    home = names.home()
+    end.enter(role, f"process {os.getpid()} of {home.subsystem or home.rtpu}")
+    return found
+
+
+def _open(name: Name, dtype: np.dtype[Any] | None, end: Buffer) -> np.dtype[Any]:
+    path = name.path(KIND)
+    while True:
+        try:
+            fd, size = files.open_file(name, KIND)
+        except XmMissingError:
+            if dtype is None:
+                raise
+            with contextlib.suppress(XmExistsError):
+                return _make(path, dtype, end)
+            continue
+        try:
+            end.map(fd, size, str(path))
+            end.verify()
+            found = layout.parse(end.text)
+        except BaseException:
+            end.unmap()
+            raise
+        if dtype is None or layout.same_values(dtype, found):
+            return found
+        end.unmap()
+        if not files.remove_unused(path):
+            raise layout.refuse(str(name), dtype, found)
+
+
+def _make(path: Path, dtype: np.dtype[Any], end: Buffer) -> np.dtype[Any]:
+    text = layout.describe(dtype)
+    size = _tbuf.size_for(dtype.itemsize)
+    fd, fresh = files.make(path, size)
+    try:
+        end.map(fd, size, str(path))
+        end.make(dtype.itemsize, secrets.randbits(63), text)
+        files.publish(fresh, path)
+    except BaseException:
+        end.unmap()
+        fresh.unlink(missing_ok=True)
+        raise
+    return dtype
+
+
+def _take(name: Name, end: Buffer, role: int) -> None:
+    deadline = time.monotonic() + (0.0 if role == CARER else PATIENCE)
+    while not try_take(end.fileno, role):
+        if time.monotonic() >= deadline:
+            what = _ROLES[role]
+            raise XmTakenError(
+                f"the link has its one {what} already",
+                where=str(name),
+                got=end.who(role),
+                remedy=f"end that one first, or give this {what} a link of its own",
+            )
+        time.sleep(_LOOK)
+
+
+def try_take(fd: int, role: int) -> bool:
+    """Take a role if nobody has it; return whether that worked."""
+    try:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _byte(fcntl.F_WRLCK, role))
+    except (BlockingIOError, PermissionError):
+        return False
+    return True
+
+
+def has(fd: int, role: int) -> bool:
+    """Tell whether anybody but this descriptor has the role."""
+    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _byte(fcntl.F_WRLCK, role))
+    return int(_FLOCK.unpack(answer)[0]) != fcntl.F_UNLCK
+
+
+def _byte(kind: int, role: int) -> bytes:
+    return _FLOCK.pack(kind, os.SEEK_SET, role, 1, 0)
+
+
+def leave(end: Buffer) -> None:
+    """Detach; the last one out removes the file."""
+    if end.fileno >= 0:
+        end.unmap()
+        with contextlib.suppress(XmError):
+            files.remove_unused(Path(end.path))
+
+
+def standing(domain: str) -> list[str]:
+    """Return the names of the links of a domain that stand on this machine."""
+    return names.standing(KIND, domain)
+
+
+def sweep(domain: str) -> list[str]:
+    """Remove the links of a domain that nobody uses; return their names."""
+    swept: list[str] = []
+    for text in standing(domain):
+        place, _, resource = text.partition(":")
+        path = names.Name(domain, place, resource).path(KIND)
+        with contextlib.suppress(XmError):
+            if files.remove_unused(path):
+                swept.append(text)
+    return swept

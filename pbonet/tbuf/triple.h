@@ -1,0 +1,166 @@
+/* A triple buffer: the newest whole record, from one writer to one reader (Stewart 1994,
+ * section 5.6), in memory that processes share.
+ *
+ * All that the two sides must agree on stands in one word: how many records were written,
+ * which of three slots holds the newest one, whether the reader has taken that one, and, if
+ * not, which slot it took before. So a process that is killed anywhere leaves a word that is
+ * right, and whoever follows it goes on from there.
+ *
+ * The writer fills a slot that is neither the newest nor the reader's, and publishes it by a
+ * compare-and-exchange: one, or two if the reader took the last record in between, for then
+ * it can change the word no more. The reader takes the newest by one atomic or. Neither
+ * waits for the other, ever; docs/tbuf.md has the argument.
+ */
+#ifndef PBONET_TRIPLE_H
+#define PBONET_TRIPLE_H
+
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifndef PBONET_STEP /* a test build puts a hook between any two steps of a change */
+#define PBONET_STEP(n) ((void)0)
+#endif
+
+#define TB_MAGIC UINT64_C(0x6662745f74656e62) /* reads otherwise in another byte order */
+enum { TB_VERSION = 1, TB_SLOTS = 3, TB_ALIGN = 64, TB_TEXT = 3072, TB_WHO = 64 };
+enum { TB_WRITER, TB_READER, TB_CARER, TB_ROLES };
+enum { TB_DAMAGED = -1, TB_BAD_VERSION = -2, TB_SWAPPED = -3, TB_TIMED_OUT = -4,
+       TB_SIGNAL = -5 };
+#define TB_TAKEN UINT64_C(0x10)
+
+/* Stands in the line before a record's data. */
+struct tb_stamp {
+    uint64_t number;  /* counter: the first record of a source is 1 */
+    uint64_t source;  /* whose counter it is */
+    int64_t time_ns;  /* when it was written, by CLOCK_MONOTONIC of this machine */
+    int64_t stamp_ns; /* the same by the clock of the writer's machine */
+};
+
+struct tb_role {
+    _Atomic uint64_t pid; /* for messages: locks on the file say who is there */
+    char who[TB_WHO];
+};
+
+struct tb_buffer {
+    uint64_t magic;
+    uint32_t version, text_bytes;
+    uint64_t size, bytes, source; /* of the file, of a record, of its own counter */
+    char text[TB_TEXT];           /* what a record looks like */
+    struct tb_role roles[TB_ROLES];
+    _Atomic uint32_t destroyed;
+    _Alignas(TB_ALIGN) _Atomic uint64_t word; /* number << 8 | TAKEN | before << 2 | newest */
+    _Atomic int64_t last_ns;                  /* time of the newest record, for onlookers */
+    _Alignas(TB_ALIGN) _Atomic uint32_t bell; /* the reader sleeps on it */
+    _Alignas(TB_ALIGN) uint8_t slots[];
+};
+
+static inline uint64_t tb_stride(uint64_t bytes) {
+    return TB_ALIGN + (bytes + TB_ALIGN - 1) / TB_ALIGN * TB_ALIGN;
+}
+
+static inline uint64_t tb_size(uint64_t bytes) {
+    return sizeof(struct tb_buffer) + TB_SLOTS * tb_stride(bytes);
+}
+
+/* Fill fresh zeroed memory; `text` has at most TB_TEXT bytes. */
+static inline void tb_make(struct tb_buffer *b, uint64_t bytes, uint64_t source,
+                           const char *text, uint32_t text_bytes) {
+    b->version = TB_VERSION;
+    b->size = tb_size(bytes);
+    b->bytes = bytes;
+    b->source = source;
+    b->text_bytes = text_bytes;
+    memcpy(b->text, text, text_bytes);
+    atomic_store(&b->word, TB_TAKEN | 1 << 2); /* nothing is there, so nothing is new */
+    b->magic = TB_MAGIC;
+}
+
+/* Judge a file that was mapped; 0, or why it cannot be used. */
+static inline int tb_verify(const struct tb_buffer *b, uint64_t bytes) {
+    if (bytes < sizeof *b) return TB_DAMAGED;
+    if (b->magic == __builtin_bswap64(TB_MAGIC)) return TB_SWAPPED;
+    if (b->magic != TB_MAGIC) return TB_DAMAGED;
+    if (b->version != TB_VERSION) return TB_BAD_VERSION;
+    uint64_t word = atomic_load(&b->word);
+    bool sound = b->bytes <= bytes && b->size == bytes && tb_size(b->bytes) == bytes &&
+                 b->text_bytes <= TB_TEXT && (word & 3) < TB_SLOTS &&
+                 (word >> 2 & 3) < TB_SLOTS && (word & 3) != (word >> 2 & 3);
+    return sound ? 0 : TB_DAMAGED;
+}
+
+static inline uint64_t tb_number(uint64_t word) { return word >> 8; }
+static inline unsigned tb_newest(uint64_t word) { return word & 3; }
+
+/* The slot that the reader may be copying from. */
+static inline unsigned tb_held(uint64_t word) {
+    return word & TB_TAKEN ? tb_newest(word) : word >> 2 & 3;
+}
+
+static inline struct tb_stamp *tb_slot(struct tb_buffer *b, unsigned slot) {
+    return (struct tb_stamp *)(b->slots + slot * tb_stride(b->bytes));
+}
+
+/* A slot that is neither the newest nor the reader's; it stays so until we publish. */
+static inline unsigned tb_spare(uint64_t word) {
+    unsigned newest = tb_newest(word), held = tb_held(word);
+    return newest == held ? (newest + 1) % TB_SLOTS : TB_SLOTS - newest - held;
+}
+
+/* Write a record; whether a sleeping reader is to be woken (tb_wake). */
+static inline bool tb_write(struct tb_buffer *b, const struct tb_stamp *stamp,
+                            const void *data) {
+    /* SYNC POINT T1, partner T2: acquire, so that what a reader that has gone on copied from
+     * the slot is behind it. */
+    uint64_t next, word = atomic_load_explicit(&b->word, memory_order_acquire);
+    unsigned slot = tb_spare(word);
+    struct tb_stamp *to = tb_slot(b, slot);
+    PBONET_STEP(1);
+    *to = *stamp;
+    PBONET_STEP(2);
+    memcpy((uint8_t *)to + TB_ALIGN, data, b->bytes);
+    PBONET_STEP(3);
+    do {
+        next = stamp->number << 8 | (uint64_t)tb_held(word) << 2 | slot;
+    /* SYNC POINT T2, partners T1 and T3: whoever sees this word sees the whole record; seq_cst
+     * also for T4. */
+    } while (!atomic_compare_exchange_strong(&b->word, &word, next));
+    PBONET_STEP(4);
+    /* SYNC POINT T5, none: onlookers only want to know about when. */
+    atomic_store_explicit(&b->last_ns, stamp->time_ns, memory_order_relaxed);
+    /* SYNC POINT T4, partner in tb_doze: either we see the bell, or the reader our word. */
+    return atomic_load(&b->bell) && atomic_exchange(&b->bell, 0);
+}
+
+/* Whether there is a record that the reader has not taken. */
+static inline bool tb_news(const struct tb_buffer *b) {
+    /* SYNC POINT T4, partner in tb_write. */
+    return !(atomic_load(&b->word) & TB_TAKEN);
+}
+
+/* Copy the newest record: 1, or 0 when it was taken before and not `again`, or when none was
+ * ever written. What is copied is nobody's to change until the next call. */
+static inline int tb_read(struct tb_buffer *b, struct tb_stamp *stamp, void *data,
+                          bool again) {
+    /* SYNC POINT T3, partner T2. */
+    uint64_t word = atomic_load_explicit(&b->word, memory_order_acquire);
+    if (word & TB_TAKEN) {
+        if (!again || !tb_number(word)) return 0;
+    } else {
+        PBONET_STEP(5);
+        /* SYNC POINT T3 again, and T2 towards the writer: our copy from the slot that we held
+         * is behind us. */
+        word = atomic_fetch_or(&b->word, TB_TAKEN);
+        PBONET_STEP(6);
+    }
+    const struct tb_stamp *from = tb_slot(b, tb_newest(word));
+    *stamp = *from;
+    PBONET_STEP(7);
+    memcpy(data, (const uint8_t *)from + TB_ALIGN, b->bytes);
+    PBONET_STEP(8);
+    return 1;
+}
+
+#endif

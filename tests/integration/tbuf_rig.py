@@ -1,0 +1,193 @@
+"""Two machines for tests of links: agents with shared memory of their own each."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import msgspec
+from nodekit import AGENT, CORE, MISBEHAVING
+from watching import clean_folder, free_port, wait_for
+
+from pbonet.config.model import AgentConfig
+from pbonet.xm import rundir, session
+
+END = """
+import json, sys, time
+import numpy as np
+from pbonet import tbuf, xm
+
+settings = json.loads(sys.argv[1])
+xm.live_on(settings["home"], domain=settings["domain"])
+"""
+WRITER = (
+    END
+    + """
+end = tbuf.Writer(settings["name"], np.dtype(settings["dtype"]))
+period = settings["period"]
+for n in range(1, 1 << 40):
+    end.value[...] = n
+    end.write()
+    if n == 1:
+        print("ready", flush=True)
+    time.sleep(period)
+"""
+)
+READER = (
+    END
+    + """
+end = tbuf.Reader(settings["name"], np.dtype(settings["dtype"]))
+print("ready", flush=True)
+for line in sys.stdin:
+    new = end.read()
+    values = np.unique(end.value).tolist()
+    print(json.dumps({
+        "new": new, "values": values, "number": end.number, "lost": end.lost,
+        "age": None if end.age_ns() is None else end.age_ns() * 1e-9,
+        "restarts": end.restarts, "dtype": end.value.dtype.str,
+    }), flush=True)
+"""
+)
+
+
+class Program:
+    """A process with one end of a link."""
+
+    def __init__(self, machine: Machine, code: str, **settings: object) -> None:
+        text = json.dumps({"domain": machine.domain, **settings})
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", code, text],
+            env=machine.env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert self.process.stdout.readline() == "ready\n"
+
+    def look(self) -> dict:
+        """Have a reader read, and return what it has."""
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
+        return json.loads(self.process.stdout.readline())
+
+    def kill(self, which: int = signal.SIGKILL) -> None:
+        self.process.send_signal(which)
+        self.process.wait(10)
+        for pipe in (self.process.stdin, self.process.stdout):
+            pipe.close()
+
+
+class Machine:
+    """A machine of its own: a shared memory, a runtime folder, and one agent.
+
+    Args:
+        name: The agent's.
+        domain: Its domain.
+        connect: Ports of agents that it dials.
+    """
+
+    def __init__(self, name: str, domain: str, *connect: int) -> None:
+        self.name, self.domain = name, domain
+        self.port = free_port()
+        self.shm = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/dev/shm"))
+        self.run = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
+        self.env = os.environ | {
+            "PBONET_SHM_DIR": str(self.shm),
+            "PBONET_RUN_DIR": str(self.run),
+        }
+        self.connect = tuple(f"tcp/127.0.0.1:{port}" for port in connect)
+        self.programs: list[Program] = []
+        self.agent: subprocess.Popen | None = None
+
+    def start(self, *libraries: Path, **more) -> None:
+        """Start the agent and wait until it can be seen."""
+        config = AgentConfig(
+            name=self.name,
+            domain=self.domain,
+            core=CORE,
+            grace=5.0,
+            listen=(f"tcp/127.0.0.1:{self.port}",),
+            connect=self.connect,
+            libraries=(str(MISBEHAVING), *map(str, libraries)),
+            **more,
+        )
+        text = msgspec.json.encode(config).decode()
+        self.agent = subprocess.Popen([sys.executable, "-c", AGENT, text], env=self.env)
+        lock = self.run / self.domain / f"{self.name}.agent"
+        wait_for(lambda: rundir.is_held(lock), f"the lock of {self.name}", 30.0)
+
+    def kill_agent(self) -> None:
+        self.agent.kill()
+        self.agent.wait(10)
+
+    def writer(self, name="x", dtype="f8", period=0.001, home=None) -> Program:
+        return self._run(WRITER, name=name, dtype=dtype, period=period, home=home)
+
+    def reader(self, name, dtype="f8") -> Program:
+        return self._run(READER, name=name, dtype=dtype, home=None)
+
+    def _run(self, code: str, *, home: str | None, **settings: object) -> Program:
+        program = Program(self, code, home=home or self.name, **settings)
+        self.programs.append(program)
+        return program
+
+    def links(self) -> list[str]:
+        return sorted(path.name for path in self.shm.glob("*.tbuf"))
+
+    def close(self) -> None:
+        """End everything and fail when something is left."""
+        for program in self.programs:
+            if program.process.poll() is None:
+                program.kill()
+        if self.agent is not None:
+            self.agent.terminate()
+            self.agent.wait(30)
+        clean_folder(self.run, "PBONET_RUN_DIR")
+        clean_folder(self.shm, "PBONET_SHM_DIR")
+
+
+class Pair:
+    """Machine A, and machine B that dials it, in one domain."""
+
+    def __init__(self) -> None:
+        self.domain = f"t{secrets.token_hex(3)}"
+        self.a = Machine("vision0", self.domain)
+        self.b = Machine("arm0", self.domain, self.a.port)
+
+    def start(self, *libraries: Path) -> None:
+        self.a.start(*libraries)
+        self.b.start(*libraries)
+        self.wait_both()
+
+    def wait_both(self) -> None:
+        """Wait until both agents are seen from A."""
+
+        def seen() -> bool:
+            link = session.client(
+                self.domain, connect=[f"tcp/127.0.0.1:{self.a.port}"], timeout=10.0
+            )
+            try:
+                return session.rtpus(link, self.domain) == ["arm0", "vision0"]
+            finally:
+                link.close()
+
+        wait_for(seen, "both agents", 30.0)
+
+    def close(self) -> None:
+        try:
+            self.b.close()
+        finally:
+            self.a.close()
+
+
+def flows(reader: Program, limit: float = 10.0) -> dict:
+    """Wait for a new record and return it."""
+    return wait_for(
+        lambda: (found := reader.look())["new"] and found, "a new record", limit
+    )

@@ -1,0 +1,151 @@
+"""The triple buffer in C: strict compilation, torture, kills at every step, mutants.
+
+The mutants show that the torture can fail: each lacks one thing, and must be caught.
+"""
+
+import json
+import shutil
+import subprocess
+
+import pytest
+from svar_rig import ROOT, build, compiler
+
+HEADERS = ROOT / "pbonet" / "tbuf"
+
+
+def run(program, *args: object) -> dict[str, int]:
+    done = subprocess.run(
+        [str(program), *map(str, args)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout)
+
+
+def judge(found: dict[str, int]) -> None:
+    for fault in ("torn", "old", "twice"):
+        assert found[fault] == 0, f"{fault}: {found}"
+    assert found["reads"] > 10, "the reader made progress"
+    assert found["written"] > 10, "the writer made progress"
+
+
+@pytest.fixture(scope="module")
+def torture(tmp_path_factory):
+    target = tmp_path_factory.mktemp("torture") / "torture"
+    return build("tbuf_torture.c", target, headers=HEADERS)
+
+
+@pytest.mark.parametrize("header", sorted(path.name for path in HEADERS.glob("*.h")))
+@pytest.mark.parametrize("cc", ["gcc", "clang"])
+def test_every_header_of_links_compiles_alone(header, cc, tmp_path):
+    unit = tmp_path / "unit.c"
+    unit.write_text(f'#include "{header}"\nint main(void) {{ return 0; }}\n')
+    command = [compiler(cc), "-std=c11", "-Wall", "-Wextra", "-Werror", f"-I{HEADERS}"]
+    done = subprocess.run(
+        [*command, "-c", str(unit), "-o", str(tmp_path / "unit.o")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_ordered_operation_of_links_names_its_partner():
+    for path in HEADERS.glob("*.h"):
+        lines = path.read_text().splitlines()
+        for number, line in enumerate(lines):
+            if "memory_order_" in line.split("/*")[0]:
+                above = "\n".join(lines[max(0, number - 5) : number + 1])
+                assert "SYNC POINT" in above, f"{path.name}:{number + 1}"
+
+
+def test_threads_at_full_speed_read_the_newest_whole_record(torture):
+    judge(run(torture, "threads", 1.0))
+
+
+def test_processes_that_are_killed_two_hundred_times(torture):
+    judge(run(torture, "processes", 2.0, 200))
+
+
+def test_killed_at_every_step(tmp_path):
+    program = build("tbuf_torture.c", tmp_path / "steps", "-DSTEPS", headers=HEADERS)
+    found = run(program, "steps")
+    judge(found)
+    assert found["kills"] > 30
+
+
+def test_the_thread_sanitizer_finds_no_race_in_links(tmp_path):
+    flags = ("-g", "-fsanitize=thread", "-fno-sanitize-recover=all")
+    cc = compiler("clang")
+    program = build("tbuf_torture.c", tmp_path / "tsan", *flags, cc=cc, headers=HEADERS)
+    judge(run(program, "threads", 1.0))
+
+
+def test_address_and_undefined_sanitizers_find_nothing_in_links(tmp_path):
+    flags = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    cc = compiler("clang")
+    program = build("tbuf_torture.c", tmp_path / "asan", *flags, cc=cc, headers=HEADERS)
+    judge(run(program, "threads", 0.5))
+    judge(run(program, "processes", 0.5, 30))
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    """Return a function that goes through all schedules, with some headers."""
+
+    def run_all(headers=HEADERS):
+        program = build("tbuf_sweep.c", tmp_path / "sweep", headers=headers)
+        return run(program)
+
+    return run_all
+
+
+def test_all_schedules_of_five_switches(sweep):
+    found = sweep()
+    judge(found)
+    assert found["schedules"] > 200_000
+
+
+MUTANTS = {
+    "the reader's slot is taken for free": (
+        "return newest == held ? (newest + 1) % TB_SLOTS : TB_SLOTS - newest - held;",
+        "return (newest + 1 + 0 * held) % TB_SLOTS;",
+    ),
+    "published without looking": (
+        "} while (!atomic_compare_exchange_strong(&b->word, &word, next));",
+        "} while (atomic_store(&b->word, next), 0);",
+    ),
+    "published before it is whole": (
+        "b->bytes);\n    PBONET_STEP(3);\n    do {",
+        "b->bytes / 2);\n    PBONET_STEP(3);\n    do {",
+    ),
+    "taken without telling": (
+        "word = atomic_fetch_or(&b->word, TB_TAKEN);",
+        "word = atomic_load(&b->word);",
+    ),
+    "the slot held before is forgotten": (
+        "return word & TB_TAKEN ? tb_newest(word) : word >> 2 & 3;",
+        "return tb_newest(word);",
+    ),
+}
+
+
+def mutant(folder, right, wrong):
+    """Copy the headers with one thing made wrong; return the copy's folder."""
+    copy = folder / "tbuf"
+    copy.mkdir()
+    for path in HEADERS.glob("*.h"):
+        shutil.copy(path, copy)
+    text = (copy / "triple.h").read_text()
+    assert text.count(right) == 1, f"triple.h no longer says {right!r} once"
+    (copy / "triple.h").write_text(text.replace(right, wrong))
+    return copy
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_the_schedules_catch_a_mutant(name, sweep, tmp_path):
+    found = sweep(mutant(tmp_path, *MUTANTS[name]))
+    assert found["torn"] + found["old"] + found["twice"] > 0

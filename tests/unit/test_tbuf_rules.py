@@ -1,0 +1,91 @@
+"""What agents do for a link, and how a record travels."""
+
+import pytest
+
+from pbonet.errors import ProtocolError
+from pbonet.node import linkwire
+from pbonet.node.linkends import written_ns
+from pbonet.node.linkrules import IDLE, Duty, Elsewhere, Here, duty
+
+NOBODY, WRITER = Here(writer=False, reader=False), Here(writer=True, reader=False)
+READER, BOTH = Here(writer=False, reader=True), Here(writer=True, reader=True)
+
+
+def there(sinks=(), sources=()):
+    return Elsewhere(set(sinks), set(sources))
+
+
+@pytest.mark.parametrize("here", [NOBODY, BOTH])
+def test_nothing_is_done_where_nothing_is_missing(here):
+    everybody = there({"b", "c"}, {("b", "a")})
+    assert duty("a", here, everybody, Duty(serve="b")) == IDLE
+
+
+def test_a_reader_is_shown_and_served_by_whoever_names_it():
+    assert duty("a", READER, there(), IDLE) == Duty(sink=True)
+    others = there({"a", "c"}, {("b", "c")})
+    assert duty("a", READER, others, IDLE) == Duty(sink=True), "b serves another one"
+    mine = there({"a"}, {("b", "a")})
+    assert duty("a", READER, mine, IDLE) == Duty(sink=True, take="b")
+
+
+def test_a_writer_serves_one_sink_and_stays_with_it():
+    assert duty("a", WRITER, there({"a"}), IDLE) == IDLE, "its own token is no reader"
+    assert duty("a", WRITER, there({"c", "b"}), IDLE) == Duty(serve="b")
+    assert duty("a", WRITER, there({"c", "b"}), Duty(serve="c")) == Duty(serve="c")
+    assert duty("a", WRITER, there({"b"}), Duty(serve="c")) == Duty(serve="b")
+
+
+def test_of_two_writers_the_first_is_kept():
+    two = there({"a"}, {("b", "a"), ("c", "a")})
+    assert duty("a", READER, two, IDLE).take == "b"
+    assert duty("a", READER, two, Duty(sink=True, take="c")).take == "c"
+    gone = there({"a"}, {("b", "a")})
+    assert duty("a", READER, gone, Duty(sink=True, take="c")).take == "b"
+
+
+def test_two_agents_come_together_and_part():
+    """The whole handshake, step by step, as tokens would carry it."""
+    a = duty("a", WRITER, there(), IDLE)
+    b = duty("b", READER, there(), IDLE)
+    assert (a, b) == (IDLE, Duty(sink=True))
+    a = duty("a", WRITER, there({"b"}), a)
+    b = duty("b", READER, there({"b"}, {("a", "b")}), b)
+    assert (a, b) == (Duty(serve="b"), Duty(sink=True, take="a"))
+    a = duty("a", WRITER, there(), a)
+    b = duty("b", READER, there({"b"}), b)
+    assert (a, b) == (IDLE, Duty(sink=True)), "the link was cut"
+
+
+PACKET = linkwire.Packet(7, 1 << 62, 123, 45, b"('<f8', ())", b"12345678")
+
+
+def test_a_record_travels_whole():
+    assert linkwire.unpack(linkwire.pack(PACKET)) == PACKET
+
+
+@pytest.mark.parametrize("message", [b"", b"pbTB", b"x" * 100])
+def test_what_is_no_record_is_refused(message):
+    with pytest.raises(ProtocolError, match="no record"):
+        linkwire.unpack(message)
+
+
+def test_records_of_another_version_are_refused():
+    message = bytearray(linkwire.pack(PACKET))
+    message[4] = 9
+    with pytest.raises(ProtocolError, match="another version"):
+        linkwire.unpack(bytes(message))
+
+
+HOUR = 3_600_000_000_000
+
+
+@pytest.mark.parametrize("apart", [0, HOUR, -HOUR])
+def test_ages_stay_right_however_far_clocks_are_apart(apart):
+    """Their clock is `apart` ahead; the record is 3 ms old, 2 of them on the way."""
+    now, stamp, age = 10 * HOUR, 10 * HOUR - 3_000_000 + apart, 1_000_000
+    assert now - written_ns(now, stamp, age, None) == 1_000_000, "a lower bound"
+    assert now - written_ns(now, stamp, age, -apart) == 3_000_000
+    assert now - written_ns(now, stamp, age, -apart - 500_000) == 3_500_000
+    early = written_ns(now, stamp, age, -apart + 9_000_000)
+    assert now - early == 1_000_000, "no younger than when it was sent"
