@@ -209,6 +209,8 @@ class Slot:
 
     index: int
     failures: Failures
+    stamp_ns: int
+    """When the outputs that are committed were measured; 0: at the commit."""
     def __init__(self, table: CoreTable, i: int) -> None: ...
     def run(
         self,

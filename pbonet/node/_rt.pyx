@@ -20,6 +20,7 @@ from pbonet.sched.records import (
     CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
 )
 from pbonet.svar._svar cimport LocalTable
+from pbonet.tbuf._tbuf cimport c_defer_bells, c_ring_bells
 
 COMMAND = RT_WAIT_COMMAND
 ORPHAN = RT_WAIT_ORPHAN
@@ -56,6 +57,7 @@ cdef class Slot:
     cdef int64_t dt_ns
     cdef object dt
     cdef uint64_t cpu_mark, fault_mark
+    cdef public int64_t stamp_ns
     cdef readonly Failures failures
 
     def __init__(self, CoreTable table not None, int i):
@@ -145,6 +147,7 @@ cdef class Slot:
         memset(cost, 0, sizeof(rt_cost))
         if not rt_begin(&self.task) or self.failures.skip:
             return self.leave_out()
+        c_defer_bells()
         cost.start_ns = rt_now()
         if local is not None:
             flags = local.c_copy_in()
@@ -171,8 +174,9 @@ cdef class Slot:
         finally:
             cost.returned_ns = rt_now()
             if not cost.failed and local is not None:
-                self.flags |= local.c_commit(cost.returned_ns,
-                                             rt_cycles(self.task.slot) + 1)
+                self.flags |= local.c_commit(
+                    self.stamp_ns if self.stamp_ns else cost.returned_ns,
+                    rt_cycles(self.task.slot) + 1)
                 cost.failed = (self.flags & ~COPY_FLAGS) != 0
             self.close(local, ring)
         return 0
@@ -199,6 +203,7 @@ cdef class Slot:
         if not rt_cycles(self.task.slot) & 63:
             self.count_faults()
         rt_end(&self.task)
+        c_ring_bells()      # readers on other machines, which this cycle wrote to
 
     cdef bint record(self, LocalTable local, Ring ring) noexcept:
         cdef ring_record r

@@ -109,11 +109,16 @@ class Actions:
         self._accept(self._copies.copy_in_on())
 
     def _claim(self) -> None:
-        self._accept(self._copies.claim(self._task.now, self._task.cyclecount))
+        self._accept(self._copies.claim(self._stamp, self._task.cyclecount))
         self._owns = True
 
     def _commit(self) -> None:
-        self._accept(self._copies.commit(self._task.now, self._task.cyclecount))
+        self._accept(self._copies.commit(self._stamp, self._task.cyclecount))
+
+    @property
+    def _stamp(self) -> int:
+        """The time that outputs are stamped with."""
+        return self._task.stamp_ns or self._task.now
 
     def _release(self) -> None:
         if self._owns:

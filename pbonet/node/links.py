@@ -235,18 +235,21 @@ class Links:
 
     def _report(self, care: Care, wanted: Duty) -> None:
         if wanted.take or wanted.serve:
-            way = f"from {wanted.take}" if wanted.take else f"to {wanted.serve}"
-            self._note(Severity.INFO, "LINK_UP", f"link {care.name} {way} is up")
+            text = f"link {care.name} {_way(wanted)} is up"
+            self._note(wire.Note(int(Severity.INFO), "LINK_UP", text))
         else:
-            was = care.duty
-            way = f"from {was.take}" if was.take else f"to {was.serve}"
-            self._note(Severity.WARNING, "LINK_DOWN", f"link {care.name} {way} is down")
+            text = f"link {care.name} {_way(care.duty)} is down"
+            self._note(wire.Note(int(Severity.WARNING), "LINK_DOWN", text))
 
     def _misfit(self, name: names.Name, error: PbonetError) -> None:
         text = f"records of link {name} are not taken: {error}"
-        self._note(Severity.ERROR, "LINK_MISFIT", text)
+        self._note(wire.Note(int(Severity.ERROR), "LINK_MISFIT", text))
 
-    def _note(self, severity: Severity, code: str, text: str) -> None:
-        log.info("%s: %s", self._name, text)
+    def _note(self, note: wire.Note) -> None:
+        log.info("%s: %s", self._name, note.text)
         with contextlib.suppress(PbonetError):
-            self._tell(wire.Note(int(severity), code, text))
+            self._tell(note)
+
+
+def _way(done: Duty) -> str:
+    return f"from {done.take}" if done.take else f"to {done.serve}"

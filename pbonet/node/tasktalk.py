@@ -198,6 +198,15 @@ class Context(TaskContext):
     slot: Slot
 
     @property
+    def stamp_ns(self) -> int:
+        """When the outputs were measured; see `TaskContext.stamp_ns`."""
+        return self.slot.stamp_ns
+
+    @stamp_ns.setter
+    def stamp_ns(self, value: int) -> None:
+        self.slot.stamp_ns = value
+
+    @property
     def sigmask(self) -> int:
         """Signals that the master does not want from this task, as bits."""
         return self.slot.sigmask

@@ -158,6 +158,8 @@ class TaskContext:
             virtual time.
     """
 
+    _stamp = 0
+
     def __init__(
         self,
         name: str = "task",
@@ -227,6 +229,20 @@ class TaskContext:
     def crit(self) -> int:
         """Criticality (section 6.2.3), as the scheduler has it now; 0 before that."""
         return self.source.crit
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the outputs were measured, as `now` tells time; 0: at the copy-out.
+
+        Set by a module that passes on what is older than its cycle, such as what
+        another machine has sent: ages and MAXAGE of its outputs then count from there.
+        Holds until it is set again, or the task is turned on.
+        """
+        return self._stamp
+
+    @stamp_ns.setter
+    def stamp_ns(self, value: int) -> None:
+        self._stamp = value
 
     @property
     def period(self) -> float:
@@ -354,6 +370,7 @@ class TaskContext:
         self.errmsg = ""
         self.errnum = 0
         self.off_requested = False
+        self.stamp_ns = 0
 
     def _wanted(self, bits: int) -> int:
         """Count the signals that are not masked, and return them."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import msgspec
@@ -16,7 +19,9 @@ from nodekit import AGENT, CORE, MISBEHAVING
 from watching import clean_folder, free_port, wait_for
 
 from pbonet.config.model import AgentConfig
+from pbonet.xm import messages as m
 from pbonet.xm import rundir, session
+from pbonet.xm.rpc import Client
 
 END = """
 import json, sys, time
@@ -158,7 +163,8 @@ class Pair:
     def __init__(self) -> None:
         self.domain = f"t{secrets.token_hex(3)}"
         self.a = Machine("vision0", self.domain)
-        self.b = Machine("arm0", self.domain, self.a.port)
+        self.cable = Cable(self.a.port)
+        self.b = Machine("arm0", self.domain, self.cable.port)
 
     def start(self, *libraries: Path) -> None:
         self.a.start(*libraries)
@@ -180,10 +186,20 @@ class Pair:
         wait_for(seen, "both agents", 30.0)
 
     def close(self) -> None:
+        with contextlib.ExitStack() as everything:
+            everything.callback(self.cable.close)
+            everything.callback(self.a.close)
+            everything.callback(self.b.close)
+
+    def events(self, machine: Machine, code: str) -> list[str]:
+        """Return the texts of a machine's events of one code."""
+        where = [f"tcp/127.0.0.1:{machine.port}"]
+        client = Client(session.client(self.domain, connect=where), self.domain, "test")
         try:
-            self.b.close()
+            found = client.call(machine.name, m.Events(), list[m.Event])
         finally:
-            self.a.close()
+            client.close()
+        return [event.text for event in found if event.code == code]
 
 
 def flows(reader: Program, limit: float = 10.0) -> dict:
@@ -191,3 +207,59 @@ def flows(reader: Program, limit: float = 10.0) -> dict:
     return wait_for(
         lambda: (found := reader.look())["new"] and found, "a new record", limit
     )
+
+
+class Cable:
+    """Carries bytes between a port of its own and another, until it is cut.
+
+    While it is cut nothing passes and nobody is told, as if it were pulled out.
+    """
+
+    def __init__(self, target: int) -> None:
+        self._target = target
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._whole = threading.Event()
+        self._whole.set()
+        self._over = False
+        self._sockets: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        self._whole.clear()
+
+    def heal(self) -> None:
+        """Let bytes pass; links that were cut long enough have been given up."""
+        self._whole.set()
+
+    def close(self) -> None:
+        self._over = True
+        self._whole.set()
+        for one in [self._listener, *self._sockets]:
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                near, _ = self._listener.accept()
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._target))
+                except ConnectionRefusedError:  # nobody is there just now
+                    near.close()
+                    continue
+                self._sockets += [near, far]
+                for one, other in ((near, far), (far, near)):
+                    threading.Thread(
+                        target=self._copy, args=(one, other), daemon=True
+                    ).start()
+
+    def _copy(self, source: socket.socket, target: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                self._whole.wait()
+                target.sendall(data)
+        for one in (source, target):
+            with contextlib.suppress(OSError):
+                one.shutdown(socket.SHUT_RDWR)

@@ -1,8 +1,14 @@
 """Links between two machines: two real agents, each with shared memory of its own."""
 
+import json
+import subprocess
+import sys
+
 import pytest
-from tbuf_rig import Pair, flows
+from tbuf_rig import END, Pair, flows
 from watching import wait_for
+
+pytestmark = pytest.mark.timeout(120)
 
 
 @pytest.fixture
@@ -16,6 +22,16 @@ def pair():
         both.close()
 
 
+def ages(reader, seconds):
+    """Wait until what a reader has is so old."""
+
+    def old():
+        found = reader.look()
+        return found["age"] is not None and found["age"] > seconds and found
+
+    return wait_for(old, f"an age of {seconds} s", 20.0)
+
+
 def test_records_arrive_whole_whoever_comes_first(pair):
     reader = pair.b.reader("vision0:x", "(64,)f8")
     assert reader.look()["new"] is False
@@ -26,5 +42,90 @@ def test_records_arrive_whole_whoever_comes_first(pair):
         "a hundred records more",
     )
     assert later["values"] == [later["number"]], "the newest whole record"
-    assert 0 < later["age"] < 5
     writer.kill()
+    gone = ages(reader, 0.5)
+    assert gone["new"] is False, "the last one was read, and grows old"
+    wait_for(lambda: pair.a.links() == [], "the buffer of the dead writer to go")
+    pair.a.writer(dtype="(64,)f8")
+    assert flows(reader)["restarts"] == 1
+
+
+def test_killed_agents_come_back_without_anybody(pair):
+    writer, reader = pair.a.writer(), pair.b.reader("vision0:x")
+    flows(reader)
+    for machine in (pair.a, pair.b):
+        machine.kill_agent()
+        ages(reader, 0.3)
+        machine.start()
+        assert flows(reader, 30.0)["restarts"] == 0
+    assert writer.process.poll() is None
+
+
+def test_a_killed_reader_leaves_its_place(pair):
+    pair.a.writer()
+    reader = pair.b.reader("vision0:x")
+    flows(reader)
+    reader.kill()
+    second = pair.b.reader("vision0:x")
+    found = flows(second)
+    assert found["values"] == [found["number"]]
+
+
+def test_a_cut_is_told_by_the_age_and_heals(pair):
+    pair.a.writer()
+    reader = pair.b.reader("vision0:x")
+    flows(reader)
+    pair.cable.cut()
+    ages(reader, 1.0)
+    wait_for(lambda: pair.events(pair.b, "LINK_DOWN"), "the agent to say so")
+    pair.cable.heal()
+    found = flows(reader, 30.0)
+    assert found["restarts"] == 0
+    assert found["values"] == [found["number"]]
+    (text,) = set(pair.events(pair.b, "LINK_UP"))
+    assert text == "link vision0:x from vision0 is up"
+
+
+def test_the_other_byte_order(pair):
+    pair.a.writer(dtype=">f8", period=0.01)
+    reader = pair.b.reader("vision0:x", "<f8")
+    found = flows(reader)
+    assert found["values"] == [found["number"]]
+    assert found["dtype"] == "<f8"
+
+
+def test_other_records_are_told_and_not_taken(pair):
+    pair.a.writer(dtype="(3,)f8", period=0.01)
+    reader = pair.b.reader("vision0:x", "(4,)f8")
+    (text,) = wait_for(lambda: pair.events(pair.b, "LINK_MISFIT"), "the refusal")
+    assert text == (
+        "records of link vision0:x are not taken: vision0:x: the two ends of the link "
+        "have different records (expected ('<f8', (4,)), got ('<f8', (3,))); give "
+        "writer and reader the same fields and sizes"
+    )
+    assert reader.look()["number"] == 0
+
+
+def refused(machine, code):
+    """Return the error that a program on a machine ends with."""
+    settings = json.dumps({"home": machine.name, "domain": machine.domain})
+    done = subprocess.run(
+        [sys.executable, "-c", END + code, settings],
+        env=machine.env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1, done.stdout
+    return done.stderr.splitlines()[-1]
+
+
+def test_the_one_reader_and_the_one_writer_count_everywhere(pair):
+    pair.a.writer()
+    reader = pair.b.reader("vision0:x")
+    flows(reader)
+    error = refused(pair.a, 'tbuf.Reader("vision0:x", "f8")')
+    assert "the link has its one reader already (got agent vision0 for arm0)" in error
+    code = 'xm.live_on("vision0", domain=settings["domain"]); tbuf.Writer("x", "f8")'
+    error = refused(pair.b, code)
+    assert "the link has its one writer already (got agent arm0 from vision0)" in error

@@ -1,0 +1,68 @@
+"""Receives a variable of another subsystem, wherever that runs."""
+
+from typing import Annotated as A
+
+from pbonet import OutVar, Params, PortBasedObject, Vector, param, tbuf
+from pbonet.io import devices_allowed
+
+NEVER = 1
+"""Nanoseconds: what was never received is as old as the machine."""
+
+
+class Incoming(Params):
+    """Which link it is, and what is too old."""
+
+    link: A[str, param("none", "its name, SUBSYSTEM:NAME of the sender")]
+    maxage: A[float, param("s", "what is older is told; 0 never", ge=0)] = 0.0
+    fail: A[bool, param("none", "whether what is too old is an error")] = False
+
+
+class TbufReceive(PortBasedObject[Incoming]):
+    """z = what was sent last, stamped with the time at which it was written.
+
+    So the age of the variable in the table is that of what it holds, and readers see it
+    stale by its own MAXAGE, however the link was lost. Until something has come, z
+    stays what it was. What is older than `maxage` is warned of once, or is an error;
+    the next record ends it. In a simulation nothing is received.
+    """
+
+    z: A[Vector, OutVar("Z", "n", "any", "what was received")]
+
+    def init(self) -> None:
+        self._link = None
+        if devices_allowed():
+            self._link = tbuf.Reader(self.params.link, ("f8", self.z.shape))
+
+    def on(self) -> None:
+        self._old = False
+        self._began = self.task.now
+        if self._link is not None:
+            self._link.read()
+            self._take(self._link)
+
+    def cycle(self, dt: float) -> None:  # noqa: ARG002 - stamps tell the time
+        link = self._link
+        if link is None:
+            return
+        if link.read():
+            self._take(link)
+        if limit := self.params.maxage:
+            age = (self.task.now - (link.time_ns or self._began)) * 1e-9
+            if age > limit and not self._old:
+                self._tell(age)
+            self._old = age > limit
+
+    def kill(self) -> None:
+        if link := getattr(self, "_link", None):
+            link.close()
+
+    def _take(self, link: tbuf.Reader) -> None:
+        if link.number:
+            self.z[:] = link.value
+        self.task.stamp_ns = link.time_ns or NEVER
+
+    def _tell(self, age: float) -> None:
+        text = f"link {self.params.link}: nothing came for {age:.3g} s"
+        if self.params.fail:
+            self.task.fail(f"{text}; look for its sender, or for the network")
+        self.task.warn(text)
