@@ -151,7 +151,7 @@ class Agent:
         self._ways.start()
         self._ears = Ears(self._session, self.config.events, self._arrived)
         self._links = Links(
-            self._session, self.config.domain, self.name, lambda _: None, self._note
+            self._session, self.config.domain, self.name, self._offset, self._note
         )
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
@@ -214,6 +214,11 @@ class Agent:
         )
         log.error("%s: %s", self.name, text)
         self._note(wire.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
+
+    def _offset(self, agent: str) -> int | None:
+        """Return nanoseconds from the clock of an agent's machine to this one's."""
+        ahead = self._ways.ahead(agent) if self._ways is not None else None
+        return None if ahead is None else -ahead
 
     def _note(self, note: wire.Note) -> None:
         """Have something numbered among the events, if there is an RTPU process."""

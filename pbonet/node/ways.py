@@ -107,6 +107,13 @@ class Ways:
         best = min(trips, default=None)
         return None if best is None else (best.offset_ns, round(best.seconds * 5e8))
 
+    def ahead(self, name: str) -> int | None:
+        """Return by how many ns the clock of an agent's machine is ahead, if known."""
+        with self._guard:
+            peer = self._peers.get(name)
+            best = peer.best if peer is not None else None
+        return None if best is None else best.offset_ns
+
     def report(self) -> m.LinkReport:
         """Measure now, and return what is known."""
         me = self._me()

@@ -1,0 +1,150 @@
+"""Two subsystems on two machines, linked by two `.rmod` files alone."""
+
+import os
+import signal
+
+import pytest
+from nodekit import Master, rmod
+from tbuf_rig import Pair
+from watching import wait_for
+
+from pbonet.xm import session
+
+pytestmark = pytest.mark.timeout(150)
+TABLE = """
+NAME Z
+TYPE double
+DESC what one of them tells the other
+UNITS none
+NELEM 2
+MAXAGE 0.4
+
+EOF
+"""
+SEND = """
+MODULE tbuf_send
+DESC tells the arm
+INCONST none
+OUTCONST none
+INVAR Z
+OUTVAR none
+TASKTYPE periodic
+FREQ 200
+LOCAL
+LINK count
+EOF
+"""
+RECEIVE = """
+MODULE tbuf_receive
+DESC what vision tells
+INCONST none
+OUTCONST none
+INVAR none
+OUTVAR Z
+TASKTYPE periodic
+FREQ 200
+LOCAL
+LINK vision:count
+MAXAGE 0.4
+EOF
+"""
+COUNT = """
+from typing import Annotated as A
+
+from pbonet import OutVar, PortBasedObject, Vector
+
+
+class Counter(PortBasedObject):
+    y: A[Vector, OutVar("Y", "2", "none", "how often, and its double")]
+
+    def cycle(self, dt: float) -> None:
+        self.y[0] += 1.0
+        self.y[1] = 2.0 * self.y[0]
+"""
+
+
+class Site:
+    """A machine's own way into the domain, for a master there."""
+
+    def __init__(self, machine):
+        self.domain = machine.domain
+        where = [f"tcp/127.0.0.1:{machine.port}"]
+        self.session = session.client(machine.domain, connect=where, timeout=20.0)
+
+
+@pytest.fixture
+def linked(tmp_path):
+    """Both machines, and a master at each; the arm's is there first."""
+    (tmp_path / "counter.py").write_text(COUNT)
+    pair, sites = Pair(), []
+    try:
+        pair.start(tmp_path)
+        sites = [Site(pair.b), Site(pair.a)]
+        arm = Master(sites[0], "arm0", "arm")
+        arm.open_table(TABLE)
+        arm.spawn("from_vision", "tbuf_receive", text=RECEIVE)
+        arm.on("from_vision")
+        vision = Master(sites[1], "vision0", "vision")
+        vision.open_table(TABLE)
+        vision.spawn("counter", "counter", text=rmod("counter", "Z"))
+        vision.spawn("to_arm", "tbuf_send", text=SEND)
+        yield pair, arm, vision
+    finally:
+        for site in sites:
+            site.session.close()
+        pair.close()
+
+
+def fresh(arm, beyond=0.0):
+    """Wait until the arm has more than so many counts, not stale; return it."""
+
+    def seen():
+        value = arm.value("Z")
+        return not value.stale and value.values[0] > beyond and value
+
+    found = wait_for(seen, "fresh values", 30.0)
+    assert found.values[1] == 2 * found.values[0], "a whole record"
+    assert "from_vision" in found.writer
+    return found.values[0]
+
+
+def stale(arm):
+    """Wait until what the arm has is stale, although its task goes on."""
+    wait_for(lambda: arm.value("Z").stale, "stale values", 20.0)
+    assert arm.status("from_vision").state == "ON"
+
+
+def test_two_subsystems_by_rmod_files_alone(linked):
+    pair, arm, vision = linked
+    assert arm.value("Z").stale, "nothing came yet"
+    vision.on("counter")
+    vision.on("to_arm")
+    count = fresh(arm)
+
+    os.kill(vision.status("to_arm").tid, signal.SIGKILL)
+    stale(arm)
+    wait_for(lambda: "nothing came for" in arm.status("from_vision").warning, "a word")
+    vision.kill("to_arm")
+    vision.spawn("to_arm", "tbuf_send", text=SEND)
+    vision.on("to_arm")
+    count = fresh(arm, count)
+
+    vision.off("counter")
+    stale(arm)  # the variable of the sender is stale itself, so nothing is sent
+    vision.on("counter")
+    count = fresh(arm, count)
+
+    pair.a.kill_agent()
+    stale(arm)
+    pair.a.start()  # its tasks have gone on, and nobody says anything to them
+    fresh(arm, count)
+
+
+def test_the_receivers_agent_is_killed_and_comes_back(linked):
+    pair, arm, vision = linked
+    vision.on("counter")
+    vision.on("to_arm")
+    count = fresh(arm)
+    pair.b.kill_agent()
+    pair.b.start()
+    fresh(arm, count)
