@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 VERBS = (
-    *("run", "sbs", "check", "describe", "new", "agent", "doctor"),
+    *("run", "sbs", "check", "describe", "new", "agent", "doctor", "keys"),
     *("start", "stop", "spawn", "on", "off", "kill", "clear", "reinit", "reconfig"),
     *("swap", "switch"),
     *("status", "profile", "adopt", "simulate"),
