@@ -48,6 +48,7 @@ from a task to the master without losing anything.
     │   ├── NoAnswerError (TimeoutError)
     │   ├── DuplicateNameError
     │   ├── ClaimError (PermissionError)   the RTPU belongs to another subsystem
+    │   ├── AccessError (PermissionError)  an observer asks for a change
     │   ├── ProtocolError                  a message that is not understood
     │   ├── RealTimeError (OSError)        real-time rights refused
     │   └── SeveralError                   several places failed, each with its error
@@ -400,6 +401,12 @@ class ClaimError(NodeError, PermissionError):
     """The RTPU belongs to another subsystem or another master."""
 
     code = "CLAIM"
+
+
+class AccessError(NodeError, PermissionError):
+    """Who asks may look, but not change anything."""
+
+    code = "ACCESS"
 
 
 class ProtocolError(NodeError):

@@ -46,6 +46,14 @@ def command(
         float | None,
         typer.Option(help="Seconds that control goes on without the agent.", min=0),
     ] = None,
+    keys: A[
+        Path | None,
+        typer.Option(
+            help="Its key folder (pbonet keys).",
+            envvar="PBONET_KEYS",
+            metavar="FOLDER",
+        ),
+    ] = None,
     insecure: A[
         bool, typer.Option("--insecure", help="Listen beyond this machine.")
     ] = False,
@@ -79,6 +87,7 @@ def command(
         "connect": connect,
         "libraries": [str(folder) for folder in library] if library else None,
         "grace": grace,
+        "keys": str(keys.absolute()) if keys else None,
         "insecure": insecure or None,
         "multicast": multicast or None,
     }

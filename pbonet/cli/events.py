@@ -27,6 +27,7 @@ def command(
     json_: options.Json = False,
     domain: options.Domain = "default",
     connect: options.Connect = None,
+    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
     library: options.Library = None,
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:

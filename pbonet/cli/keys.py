@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 from typing import Annotated as A
 
 import typer
 
 from pbonet.cli import options
-from pbonet.errors import NodeError
-
-if TYPE_CHECKING:
-    from types import ModuleType
 
 command = typer.Typer(
     help="Make certificates for agents, masters and observers.", no_args_is_help=True
@@ -40,8 +35,9 @@ def authority(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the authority that signs for a laboratory; keep its ca.key to yourself."""
-    pki = _library()
-    _say([pki.make_authority(folder, name)], json_=json_)
+    from pbonet.xm import pki
+
+    options.show_files([pki.make_authority(folder, name)], as_data=json_)
 
 
 @command.command("agent")
@@ -59,11 +55,12 @@ def agent(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of a machine that runs agents."""
-    pki = _library()
+    from pbonet.xm import pki
+
     made = pki.issue(
         folder, pki.Role.AGENT, name, hosts=host or (), days=days, folder=out
     )
-    _say([made], json_=json_)
+    options.show_files([made], as_data=json_)
 
 
 @command.command("master")
@@ -77,9 +74,10 @@ def master(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of somebody who may steer."""
-    pki = _library()
+    from pbonet.xm import pki
+
     made = pki.issue(folder, pki.Role.MASTER, name, days=days, folder=out)
-    _say([made], json_=json_)
+    options.show_files([made], as_data=json_)
 
 
 @command.command("observer")
@@ -93,9 +91,10 @@ def observer(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of somebody who may look, and steer nothing."""
-    pki = _library()
+    from pbonet.xm import pki
+
     made = pki.issue(folder, pki.Role.OBSERVER, name, days=days, folder=out)
-    _say([made], json_=json_)
+    options.show_files([made], as_data=json_)
 
 
 @command.command("show")
@@ -108,7 +107,8 @@ def show(
     """Show whose keys these are, and how long they are good for."""
     import msgspec
 
-    pki = _library()
+    from pbonet.xm import pki
+
     found = [pki.read(folder) for folder in folders]
     if json_:
         print(msgspec.json.encode(found).decode())
@@ -117,23 +117,3 @@ def show(
         hosts = f" at {', '.join(one.hosts)}" if one.hosts else ""
         state = f"{one.days:.0f} days left" if one.days > 0 else "OVER"
         print(f"{one.name}: {one.role.value}{hosts}, until {one.until} ({state})")
-
-
-def _library() -> ModuleType:
-    try:
-        from pbonet.xm import pki
-    except ImportError:
-        raise NodeError(
-            "making certificates needs the package cryptography",
-            remedy="pip install 'pbonet[keys]'",
-        ) from None
-    return pki
-
-
-def _say(paths: list[Path], *, json_: bool) -> None:
-    import msgspec
-
-    if json_:
-        print(msgspec.json.encode({"files": list(map(str, paths))}).decode())
-    else:
-        print("\n".join(map(str, paths)))

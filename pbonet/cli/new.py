@@ -45,8 +45,6 @@ def module(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Write a module, its RMOD and its test from a list of ports."""
-    import msgspec
-
     from pbonet.master import writing
 
     ports = {
@@ -65,7 +63,4 @@ def module(
         folder=folder,
         force=force,
     )
-    if json_:
-        print(msgspec.json.encode({"files": list(map(str, paths))}).decode())
-    else:
-        print("\n".join(map(str, paths)))
+    options.show_files(paths, as_data=json_)

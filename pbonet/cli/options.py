@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated as A
 
 import typer
+
+from pbonet.xm import credentials
 
 
 class Chosen:
@@ -26,6 +31,12 @@ def _json(value: bool) -> bool:
 
 def _debug(value: bool) -> bool:
     chosen.debug = chosen.debug or value
+    return value
+
+
+def _keys(value: Path | None) -> Path | None:
+    if value is not None:
+        os.environ[credentials.VARIABLE] = str(value.absolute())
     return value
 
 
@@ -65,6 +76,15 @@ Connect = A[
         metavar="ENDPOINT",
     ),
 ]
+Keys = A[
+    Path | None,
+    typer.Option(
+        help="Your key folder (pbonet keys).",
+        envvar=credentials.VARIABLE,
+        metavar="FOLDER",
+        callback=_keys,
+    ),
+]
 Library = A[
     list[Path] | None,
     typer.Option(
@@ -93,3 +113,9 @@ Version = A[
 
 def version(version: Version = False) -> None:
     """Assemble a robot's control software from ready modules, change it as it runs."""
+
+
+def show_files(paths: Sequence[Path], *, as_data: bool) -> None:
+    """Print which files a verb has written."""
+    names = list(map(str, paths))
+    typer.echo(json.dumps({"files": names}) if as_data else "\n".join(names))

@@ -21,6 +21,7 @@ def command(
     json_: options.Json = False,
     domain: options.Domain = "default",
     connect: options.Connect = None,
+    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Turn everything OFF and end it, now."""

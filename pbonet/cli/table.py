@@ -31,7 +31,8 @@ def verb(name: str) -> Callable[..., None]:
             take_over=given.pop("take_over", False),
         )
         as_data = given.pop("json_")
-        given.pop("debug")
+        for acted in ("keys", "debug"):  # when they were read
+            given.pop(acted)
         reply = oneshot.run(file, command.name, given, place)
         show(reply.command, reply.data, reply.warnings, as_data=as_data)
 
@@ -70,6 +71,7 @@ def _parameters(command: Command) -> list[inspect.Parameter]:
         "json_": (options.Json, False),
         "domain": (options.Domain, "default"),
         "connect": (options.Connect, None),
+        "keys": (options.Keys, None),
         "library": (options.Library, None),
         "debug": (options.Debug, False),
     }

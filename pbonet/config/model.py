@@ -244,6 +244,8 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Folders with modules, beside the library that pbonet brings."""
     grace: float = 5.0
     """Seconds that control goes on when the agent is gone."""
+    keys: str | None = None
+    """The key folder with which the agent proves who it is (``pbonet keys``)."""
     insecure: bool = False
     """True lets the agent listen beyond this machine without protection."""
     multicast: bool = False

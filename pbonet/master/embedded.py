@@ -19,7 +19,7 @@ import zenoh
 from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError, UnreachableError
-from pbonet.xm import session
+from pbonet.xm import credentials, session
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -141,6 +141,8 @@ class Embedded:
             command += ["--library", str(Path(folder).absolute())]
         for endpoint in self._connect:
             command += ["--connect", endpoint]
+        if folder := credentials.named():
+            command += ["--keys", str(folder)]
         output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the child
         process = subprocess.Popen(
             command,

@@ -17,6 +17,7 @@ import socket
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import zenoh
@@ -71,8 +72,11 @@ class Agent:
             )
         self.config = config
         self.places = rundir.Places(config.domain, config.name)
+        self._key_folder = Path(config.keys) if config.keys else None
         for endpoint in config.listen:
-            session.check_endpoint(endpoint, insecure=config.insecure)
+            session.check_endpoint(
+                endpoint, insecure=config.insecure, key_folder=self._key_folder
+            )
         core = choose_core(rundir.folder()) if config.core is None else config.core
         self._rtpu_config = wire.RtpuConfig(
             domain=config.domain,
@@ -130,6 +134,7 @@ class Agent:
             listen=self.config.listen,
             connect=self.config.connect,
             multicast=self.config.multicast,
+            key_folder=self._key_folder,
         )
         self._session = dialled.session
         dialled.settle()

@@ -2,7 +2,8 @@
 
 A request is handed on at once and its query kept; the answer is given whenever it
 comes, so a slow `init` stands in nobody's way. What cannot be understood is answered
-with an error, never with silence.
+with an error, never with silence. Requests that only look have a key of their own, so
+that access control can tell who may steer (see `pbonet.xm.roles`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol
 import zenoh
 
 from pbonet.errors import NodeError, PbonetError, ProtocolError
-from pbonet.xm import codec, keys, session
+from pbonet.xm import codec, keys, roles, session
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class Server:
         self._session = session
         self._domain = domain
         self._node = node
-        self._key = keys.rtpu(domain, name, "sbs")
+        self._keys = [keys.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
         self._count = itertools.count(1)
@@ -71,25 +72,28 @@ class Server:
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
         self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
-        self._queryable: zenoh.Queryable[None] | None = None
+        self._queryables: list[zenoh.Queryable[None]] = []
         self._publisher: zenoh.Publisher | None = None
         self._thread = threading.Thread(
             target=self._serve, name="pbonet server", daemon=True
         )
 
     def start(self) -> None:
-        """Declare the queryable and the publisher, and answer."""
+        """Declare the queryables and the publisher, and answer."""
         self._publisher = self._session.declare_publisher(self._event_key)
-        self._queryable = self._session.declare_queryable(
-            self._key, zenoh.handlers.Callback(self._arrived.put), complete=True
-        )
+        self._queryables = [
+            self._session.declare_queryable(
+                key, zenoh.handlers.Callback(self._arrived.put), complete=True
+            )
+            for key in self._keys
+        ]
         self._thread.start()
 
     def stop(self) -> None:
         """Answer no more; requests that wait are told so."""
-        if self._queryable is not None:
+        for queryable in self._queryables:
             with contextlib.suppress(zenoh.ZError):
-                self._queryable.undeclare()  # type: ignore[no-untyped-call]
+                queryable.undeclare()  # type: ignore[no-untyped-call]
         self._arrived.put(None)
         if self._thread.is_alive():
             self._thread.join()
@@ -130,6 +134,7 @@ class Server:
         data = query.payload.to_bytes() if query.payload is not None else b""
         try:
             request = self._codec.request(data)
+            roles.check(request, str(query.key_expr))
             if isinstance(request, m.Hello):
                 answer = m.Answer(id=request.id, ok=True, result=self._node.info())
                 self._reply(query, self._codec.pack(answer))
@@ -186,8 +191,10 @@ class Server:
 
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
         """Answer on our own key, and let go of the query: a kept one times out."""
+        asked = query.key_expr
+        own = next((key for key in self._keys if asked.includes(key)), self._keys[0])
         try:
             with query:
-                query.reply(self._key, data)  # pyright: ignore[reportUnknownMemberType]
+                query.reply(own, data)  # pyright: ignore[reportUnknownMemberType]
         except zenoh.ZError as error:
             log.warning("an answer could not be sent: %s", error)

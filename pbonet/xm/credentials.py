@@ -6,15 +6,15 @@ copies to a machine. `pbonet keys` makes it.
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from pbonet.errors import ConfigFileError
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-CA, CERT, KEY = "ca.pem", "cert.pem", "key.pem"
+FILES = CA, CERT, KEY = "ca.pem", "cert.pem", "key.pem"
+VARIABLE = "PBONET_KEYS"
+"""Names the key folder of masters and tools."""
 
 
 class Role(StrEnum):
@@ -30,13 +30,19 @@ class Role(StrEnum):
         return f"pbonet-{self.value}"
 
 
+def named() -> Path | None:
+    """Return the key folder that the environment names."""
+    name = os.environ.get(VARIABLE, "")
+    return Path(name).absolute() if name else None
+
+
 def check(folder: Path) -> Path:
     """Return `folder` if it is a key folder that this process may read.
 
     Raises:
         ConfigFileError: A file is missing, or everybody may read the key.
     """
-    for name in (CA, CERT, KEY):
+    for name in FILES:
         try:
             with (folder / name).open("rb"):
                 pass

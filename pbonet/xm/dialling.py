@@ -25,6 +25,7 @@ from . import messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Sequence
+    from pathlib import Path
 
 ASK_TIME = 0.5
 """Seconds in which an agent behind an endpoint says who it is."""
@@ -40,6 +41,7 @@ class Dialled:
         listen: Endpoints that it listens on, beside its socket.
         connect: Endpoints that it is to be linked to, whoever dials.
         multicast: See `session.agent`.
+        key_folder: The agent's keys, if it has any.
 
     Raises:
         NodeError: An endpoint cannot be listened on.
@@ -52,9 +54,12 @@ class Dialled:
         listen: Sequence[str] = (),
         connect: Sequence[str] = (),
         multicast: bool = False,
+        key_folder: Path | None = None,
     ) -> None:
         self._places, self._listen, self._multicast = places, listen, multicast
-        wanted = [*map(session.check_endpoint, connect), *neighbours(places)]
+        self._key_folder = key_folder
+        named = [session.check_endpoint(e, key_folder=key_folder) for e in connect]
+        wanted = [*named, *neighbours(places)]
         self.dials = self._not_dialled_by(wanted)
         self.session = self._open()
 
@@ -98,6 +103,7 @@ class Dialled:
             listen=self._listen,
             dial=self.dials,
             multicast=self._multicast,
+            key_folder=self._key_folder,
         )
 
     def _not_dialled_by(self, wanted: Sequence[str]) -> list[str]:
@@ -133,7 +139,11 @@ class Dialled:
     def _client(self, endpoint: str) -> Generator[zenoh.Session | None, None, None]:
         try:
             link = session.client(
-                self._places.domain, connect=[endpoint], timeout=0.0, local=False
+                self._places.domain,
+                connect=[endpoint],
+                timeout=0.0,
+                local=False,
+                key_folder=self._key_folder,
             )
         except PbonetError:
             yield None
@@ -158,7 +168,7 @@ def ask(link: zenoh.Session, domain: str) -> list[m.AgentInfo]:
     packer = codec.Codec()
     found: list[m.AgentInfo] = []
     replies = link.get(
-        keys.all_rtpus(domain, "sbs"),
+        keys.all_rtpus(domain, "status"),
         payload=packer.pack(m.Hello(id="who")),
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,

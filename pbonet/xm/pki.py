@@ -16,13 +16,20 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from msgspec import Struct
 
 from pbonet.errors import ConfigFileError, NodeError
+
+try:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+except ImportError:
+    raise NodeError(
+        "making certificates needs the package cryptography",
+        remedy="pip install 'pbonet[keys]'",
+    ) from None
 
 from .credentials import CA, CERT, KEY, Role, check
 

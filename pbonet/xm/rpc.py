@@ -27,6 +27,7 @@ import msgspec
 import zenoh
 
 from pbonet.errors import (
+    AccessError,
     NoAnswerError,
     PbonetError,
     ProtocolError,
@@ -34,7 +35,7 @@ from pbonet.errors import (
     UnreachableError,
     did_you_mean,
 )
-from pbonet.xm import keys
+from pbonet.xm import keys, roles
 from pbonet.xm.codec import Codec
 from pbonet.xm.messages import Answer, Hello, Request
 
@@ -229,11 +230,12 @@ class Client:
     def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
         """Return the agent's answer, asking again while it is there and silent."""
         payload = self._codec.pack(request)
+        leaf, greeted = roles.leaf(request), False
         end = time.monotonic() + timeout + 0.5
         give_up = time.monotonic() + ANSWER_TIME
         alone = time.monotonic() + _ALONE_TIME
         while True:
-            waiter = self._get(rtpu, payload, end - time.monotonic())
+            waiter = self._get(rtpu, leaf, payload, end - time.monotonic())
             self._watch(rtpu, waiter, end)
             reply = waiter.reply
             if reply is not None and reply.ok is not None:
@@ -244,15 +246,18 @@ class Client:
             now = time.monotonic()
             if rtpu not in names and (names or now > alone):
                 raise unreachable(rtpu, self.domain, names)
+            if greeted:  # it answered a moment ago, but not this
+                raise _no_access(rtpu)
+            greeted = leaf == "sbs" and rtpu in names and self._hello(rtpu)
             if now > min(give_up, end):
                 raise _no_answer(rtpu, ANSWER_TIME)
             time.sleep(_RETRY_PAUSE)  # it starts up, or our own link is being restored
 
-    def _get(self, rtpu: str, payload: bytes, timeout: float) -> _Waiter:
+    def _get(self, rtpu: str, leaf: str, payload: bytes, timeout: float) -> _Waiter:
         waiter = _Waiter()
         try:
             self.session.get(
-                keys.rtpu(self.domain, rtpu, "sbs"),
+                keys.rtpu(self.domain, rtpu, leaf),
                 zenoh.handlers.Callback(waiter.take, waiter.end, indirect=False),
                 payload=payload,
                 timeout=max(timeout, 0.1),
@@ -277,7 +282,8 @@ class Client:
     def _hello(self, rtpu: str) -> bool:
         """Tell whether the agent answers the simplest request."""
         hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
-        waiter = self._get(rtpu, self._codec.pack(hello), _PROBE_TIME)
+        payload = self._codec.pack(hello)
+        waiter = self._get(rtpu, roles.leaf(hello), payload, _PROBE_TIME)
         waiter.done.wait(2 * _PROBE_TIME)
         return waiter.reply is not None and waiter.reply.ok is not None
 
@@ -328,6 +334,16 @@ def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:
         f"the agent is there and did not answer within {seconds:g} s",
         where=rtpu,
         remedy=f"see its output; 'pbonet doctor' measures the way to {rtpu}",
+    )
+
+
+def _no_access(rtpu: str) -> AccessError:
+    return AccessError(
+        "the agent is there, and what you ask was dropped on the way",
+        where=rtpu,
+        expected="the keys of a master",
+        remedy="name them with --keys; an observer's are good for status, display, "
+        "profile and events (`pbonet keys show` says whose they are)",
     )
 
 

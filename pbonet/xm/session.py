@@ -5,6 +5,10 @@ within reach reaches all. Agents of one machine find each other in the runtime f
 others are named, or found by multicast where that was asked for. There is no gossip,
 the shared-memory transport is off, and a lost peer is noticed within 400 ms.
 
+With a key folder every link over a network is mutual TLS and agents keep access
+control (see `credentials` and `access`). Without one, an agent that listens beyond
+loopback needs `insecure`.
+
 A session must be opened in a process that was started by exec, never after a fork.
 """
 
@@ -21,10 +25,11 @@ import zenoh
 
 from pbonet.errors import NodeError, UnreachableError
 
-from . import keys, rundir
+from . import access, credentials, keys, rundir
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
 LEASE_MS = 400
 """After this long without a sign a peer is lost; shorter leases gave false losses."""
@@ -37,18 +42,24 @@ RETRY_MS = 400
 SCOUTING_PORT = 17000
 """The first of the thousand ports on which domains look for their agents."""
 _OPEN_PAUSE = 0.05
-PROTOCOLS = ("tcp", "udp", "ws", "unixsock-stream")
+_KEYS_REFUSED = (
+    " Were both sides' keys made by one authority, and is the address among the agent's"
+    " hosts (`pbonet keys show`)?"
+)
+PROTOCOLS = ("tcp", "tls", "udp", "ws", "unixsock-stream")
 _HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):\d{1,5}([?#].*)?")
 TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
 
 
-def check_endpoint(endpoint: str, *, insecure: bool = True) -> str:
+def check_endpoint(
+    endpoint: str, *, insecure: bool = True, key_folder: Path | None = None
+) -> str:
     """Return `endpoint` if an agent may use it.
 
     Raises:
-        NodeError: It is malformed, of an unknown protocol, or reaches beyond this
-            machine without `insecure`.
+        NodeError: It is malformed, of an unknown protocol, reaches beyond this machine
+            without keys or `insecure`, or its protocol and the keys do not fit.
     """
     protocol, _, address = endpoint.partition("/")
     local = protocol == "unixsock-stream" and address
@@ -59,12 +70,32 @@ def check_endpoint(endpoint: str, *, insecure: bool = True) -> str:
             got=repr(endpoint),
             remedy="for example tcp/127.0.0.1:7447, or tcp/[::1]:7447",
         )
-    if protocol != "unixsock-stream" and not insecure and not _is_loopback(address):
+    if protocol == access.LOCAL:
+        return endpoint
+    if protocol == "tls" and key_folder is None:
+        raise NodeError(
+            "TLS needs keys",
+            where=endpoint,
+            expected="a key folder",
+            got="none",
+            remedy=f"name it with --keys or {credentials.VARIABLE}; "
+            "`pbonet keys` makes it",
+        )
+    if protocol != "tls" and key_folder is not None:
+        raise NodeError(
+            "with keys every link over a network is TLS",
+            where=endpoint,
+            expected=f"tls/{address}",
+            got=protocol,
+            remedy="write it so, or use no keys",
+        )
+    if not insecure and key_folder is None and not _is_loopback(address):
         raise NodeError(
             "listening beyond this machine is not protected",
             where=endpoint,
-            expected="an address of this machine alone, such as 127.0.0.1",
-            remedy="use --insecure if everybody on that network may steer the robot",
+            expected="keys, or an address of this machine alone, such as 127.0.0.1",
+            remedy=f"make keys with `pbonet keys` and write tls/{address}; or use "
+            "--insecure if everybody on that network may steer the robot",
         )
     return endpoint
 
@@ -85,6 +116,7 @@ def agent(
     listen: Sequence[str] = (),
     dial: Sequence[str] = (),
     multicast: bool = False,
+    key_folder: Path | None = None,
 ) -> zenoh.Session:
     """Open an agent's session: a router on its socket and on `listen`.
 
@@ -97,12 +129,14 @@ def agent(
 
     Raises:
         NodeError: An endpoint cannot be listened on.
+        ConfigFileError: The key folder cannot be used.
     """
     config = _config(
         mode="router",
         listen={"endpoints": [places.endpoint, *listen]},
         connect={"endpoints": list(dial)},
         multicast=_scouting(places.domain) if multicast else None,
+        key_folder=key_folder,
     )
     try:
         return zenoh.open(config)
@@ -134,6 +168,7 @@ def client(
     connect: Sequence[str] = (),
     timeout: float = 2.0,
     local: bool = True,
+    key_folder: Path | None = None,
 ) -> zenoh.Session:
     """Open the session of a master or tool: a client of any agent it can reach.
 
@@ -142,11 +177,15 @@ def client(
         connect: Endpoints of agents elsewhere.
         timeout: Seconds to keep trying.
         local: Whether agents of this machine will do.
+        key_folder: A key folder; the one that the environment names if left out.
 
     Raises:
         UnreachableError: No agent can be reached.
+        NodeError: An endpoint is malformed, or does not fit the keys.
+        ConfigFileError: The key folder cannot be used.
     """
-    endpoints = [*map(check_endpoint, connect)]
+    key_folder = key_folder or credentials.named()
+    endpoints = [check_endpoint(one, key_folder=key_folder) for one in connect]
     endpoints += local_endpoints(domain) if local else []
     if not endpoints:
         raise UnreachableError(
@@ -159,6 +198,7 @@ def client(
         mode="client",
         # With a time limit zenoh would spend all of it on the first endpoint.
         connect={"endpoints": endpoints, "timeout_ms": 0, "exit_on_failure": True},
+        key_folder=key_folder,
     )
     deadline = time.monotonic() + timeout
     while True:
@@ -172,7 +212,8 @@ def client(
                 f"no agent of domain {domain} answers",
                 where=" ".join(endpoints),
                 got=_reason(error),
-                remedy="is an agent running there, and does it listen on that address?",
+                remedy="is an agent running there, and does it listen on that address?"
+                + (_KEYS_REFUSED if key_folder else ""),
             ) from None
 
 
@@ -205,6 +246,7 @@ def _config(
     connect: Mapping[str, object],
     listen: Mapping[str, object] | None = None,
     multicast: Mapping[str, object] | None = None,
+    key_folder: Path | None = None,
 ) -> zenoh.Config:
     retry = {
         "period_init_ms": 100,
@@ -222,13 +264,36 @@ def _config(
         "transport": {
             "shared_memory": {"enabled": False},
             "unicast": {"open_timeout": OPEN_MS},
-            "link": {"tx": {"lease": LEASE_MS, "keep_alive": 4}},
+            "link": {
+                "tx": {"lease": LEASE_MS, "keep_alive": 4},
+                **(_tls(key_folder) if key_folder else {}),
+            },
         },
         "queries_default_timeout": 2000,
     }
     if listen is not None:
         settings["listen"] = listen
+        if key_folder:
+            settings["access_control"] = access.rules()
     return zenoh.Config.from_json5(json.dumps(settings))
+
+
+def _tls(folder: Path) -> dict[str, object]:
+    """Return the settings of links with the keys of `folder`, and of no others."""
+    credentials.check(folder)
+    ca, cert, key = (str(folder / name) for name in credentials.FILES)
+    return {
+        "protocols": ["tls", access.LOCAL],
+        "tls": {
+            "root_ca_certificate": ca,
+            "enable_mtls": True,
+            "listen_certificate": cert,
+            "listen_private_key": key,
+            "connect_certificate": cert,
+            "connect_private_key": key,
+            "close_link_on_expiration": True,
+        },
+    }
 
 
 def _reason(error: Exception) -> str:

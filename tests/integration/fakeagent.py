@@ -6,6 +6,7 @@ one machine: its agents share the values of each subsystem's table.
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from dataclasses import dataclass, field
@@ -24,7 +25,7 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.pbo import ModuleInfo
-from pbonet.xm import codec, keys, rundir, session
+from pbonet.xm import codec, keys, roles, rundir, session
 from pbonet.xm import messages as m
 
 MOVES = {
@@ -118,9 +119,13 @@ class FakeAgent:
         self.session = link.session
         self.closed = False
         self.kept: list[zenoh.Query] = []
-        self.queries = self.session.declare_queryable(
-            self.key("sbs"), zenoh.handlers.FifoChannel(64)
-        )
+        self.queries = queue.SimpleQueue()
+        self.queryables = [
+            self.session.declare_queryable(
+                self.key(leaf), zenoh.handlers.Callback(self.queries.put)
+            )
+            for leaf in roles.LEAVES
+        ]
         self.token = self.session.liveliness().declare_token(self.key("alive"))
         self.workers = [
             threading.Thread(target=self.work, daemon=True) for _ in range(4)
@@ -141,22 +146,25 @@ class FakeAgent:
         self.closed = True
         if not self.session.is_closed():
             self.token.undeclare()
-            self.queries.undeclare()
+            for queryable in self.queryables:
+                queryable.undeclare()
         for query in self.kept:
             query.drop()
         self.link.leave()
+        for _ in self.workers:
+            self.queries.put(None)
         for worker in self.workers:
             worker.join(5)
         self.lock.release()
 
     def work(self) -> None:
         try:
-            for query in self.queries:
+            while (query := self.queries.get()) is not None:
                 if self.silent:
                     self.kept.append(query)
                     continue
                 with query:
-                    query.reply(self.key("sbs"), self.answer(query.payload.to_bytes()))
+                    query.reply(query.key_expr, self.answer(query.payload.to_bytes()))
         except zenoh.ZError:
             return
 

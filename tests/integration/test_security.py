@@ -1,0 +1,238 @@
+"""Roles over mutual TLS: who may steer, who may look, who gets nothing.
+
+Two agents, of which the second is connected to the first. Clients have a runtime folder
+of their own, so that no Unix socket leads them past the keys.
+"""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import zenoh
+from nodekit import Master, rmod
+from watching import free_port, wait_for
+
+from pbonet.errors import AccessError, UnreachableError
+from pbonet.xm import codec, keys, pki, session
+from pbonet.xm import messages as m
+from pbonet.xm.credentials import Role
+from pbonet.xm.rpc import Client
+
+SBS = """
+SUBSYSTEM arm
+SVARFILE arm.svar
+MASTER arm0
+RTPU arm0
+SCHEDULER MUF
+USAGE exclusive
+MINFREQ 1
+MAXFREQ 1000
+EOF
+"""
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Return the key folders of a laboratory, and of another one."""
+    folders = {}
+    for where in ("lab", "other"):
+        authority = tmp_path / where
+        pki.make_authority(authority)
+        for role in Role:
+            hosts = ["127.0.0.1"] if role is Role.AGENT else []
+            made = pki.issue(authority, role, role.value, hosts=hosts)
+            folders[f"{where} {role.value}"] = made
+    return folders
+
+
+class Cell:
+    """Two agents with keys.
+
+    Args:
+        nodes: The kit.
+        lab: Key folders.
+    """
+
+    def __init__(self, nodes, lab):
+        self.nodes, self.lab = nodes, lab
+        self.near, self.far = (f"tls/127.0.0.1:{free_port()}" for _ in range(2))
+        own = {"keys": str(lab["lab agent"])}
+        nodes.agent_process("arm0", listen=(self.near,), **own)
+        nodes.agent_process("arm1", listen=(self.far,), connect=(self.near,), **own)
+
+
+@pytest.fixture
+def cell(nodes, lab, tmp_path, monkeypatch):
+    made = Cell(nodes, lab)
+    nodes.forget_session()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    with monkeypatch.context() as patch:
+        patch.setenv("PBONET_RUN_DIR", str(elsewhere))
+        made.elsewhere = elsewhere
+        yield made
+
+
+@pytest.fixture
+def come(cell):
+    """Open sessions with the keys of somebody."""
+    opened = []
+
+    def open_session(who, where):
+        made = session.client(
+            cell.nodes.domain, connect=[where], key_folder=cell.lab[who], timeout=0.5
+        )
+        opened.append(made)
+        return made
+
+    yield open_session
+    for one in opened:
+        one.close()
+
+
+def test_master_steers_through_the_second_agent(cell, come):
+    cell.nodes._session = come("lab master", cell.far)
+    master = cell.nodes.master("arm0", "arm")
+    master.spawn("a", "counts")
+    assert master.on("a").state == "ON"
+    master.wait_cycles("a", 3)
+    master.stop()
+    cell.nodes._session = None  # `come` closes it
+
+
+@pytest.mark.parametrize("edge", ["near", "far"])
+def test_observer_looks_and_changes_nothing(cell, come, edge):
+    boss = Master(_Over(cell, come("lab master", cell.near)), "arm0", "arm")
+    boss.open_table()
+    boss.spawn("a", "counts")
+    boss.on("a")
+    watcher = come("lab observer", getattr(cell, edge))
+    client = Client(watcher, cell.nodes.domain, "watcher")
+    assert client.rtpus() == ["arm0", "arm1"]
+    status = client.call("arm0", m.Status(subsystem="arm"), m.RtpuStatus)
+    assert [task.state for task in status.tasks] == ["ON"]
+    shown = m.Display(subsystem="arm", names=["Y0"])
+    assert client.call("arm0", shown, list[m.VarValue])[0].name == "Y0"
+    for request in (
+        m.Control(task="a", signal="off", subsystem="arm", epoch=boss.epoch),
+        m.Stop(subsystem="arm"),
+        m.Claim(subsystem="arm", take_over=True),
+    ):
+        with pytest.raises(AccessError) as caught:
+            client.call("arm0", request, object)
+        assert "--keys" in caught.value.remedy
+    assert boss.status("a").state == "ON"
+    boss.stop()
+
+
+def test_observer_cannot_steer_on_the_key_for_looking(cell, come):
+    """Access control lets the request through; the agent looks at what it asks."""
+    watcher = come("lab observer", cell.near)
+    asked = codec.Codec().pack(m.Stop(id="1", client="w"))
+    key = keys.rtpu(cell.nodes.domain, "arm0", "status")
+    replies = list(watcher.get(key, payload=asked, timeout=5.0))
+    answer = codec.Codec().answer(replies[0].ok.payload.to_bytes())
+    assert (answer.ok, answer.error["code"]) == (False, "ACCESS")
+
+
+def test_observer_cannot_speak_for_others(cell, come):
+    """Neither as a master's token, nor as an agent that answers or tells of events."""
+    domain = cell.nodes.domain
+    heard = []
+    boss = come("lab master", cell.near)
+    boss.declare_subscriber(
+        keys.all_rtpus(domain, "event"), zenoh.handlers.Callback(heard.append)
+    )
+    watcher = come("lab observer", cell.near)
+    watcher.liveliness().declare_token(keys.rtpu(domain, "fake", "alive"))
+    watcher.declare_queryable(keys.rtpu(domain, "fake", "sbs"), heard.append)
+    watcher.put(keys.rtpu(domain, "arm0", "event"), b"false alarm")
+    boss.put(keys.rtpu(domain, "arm0", "event"), b"from the master")
+    wait_for(lambda: heard, "the master's own event")
+    assert [one.payload.to_bytes() for one in heard] == [b"from the master"]
+    assert session.rtpus(boss, domain) == ["arm0", "arm1"]
+    assert not list(boss.get(keys.rtpu(domain, "fake", "sbs"), timeout=1.0))
+
+
+@pytest.mark.parametrize("who", ["other agent", "other master"])
+def test_keys_of_another_authority_open_nothing(cell, come, who):
+    with pytest.raises(UnreachableError) as caught:
+        come(who, cell.near)
+    assert "one authority" in caught.value.remedy
+
+
+def test_stranger_without_keys_gets_nothing(cell):
+    for protocol in ("tls", "tcp"):
+        config = zenoh.Config()
+        config.insert_json5("mode", '"client"')
+        config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("transport/shared_memory/enabled", "false")
+        where = cell.near.replace("tls", protocol)
+        config.insert_json5("connect/endpoints", json.dumps([where]))
+        with pytest.raises(zenoh.ZError):
+            zenoh.open(config)
+
+
+def test_agent_of_another_authority_stays_alone(cell, nodes):
+    """Its session keeps trying; it sees nobody and nobody sees it."""
+    nodes.agent_process(
+        "eye0",
+        wait=False,
+        connect=(cell.near,),
+        keys=str(cell.lab["other agent"]),
+    )
+
+    def alone():
+        try:
+            with session.client(nodes.domain) as its_own:
+                return session.rtpus(its_own, nodes.domain) == ["eye0"]
+        except UnreachableError:  # it starts up
+            return False
+
+    wait_for(alone, "the agent eye0 by itself", 30.0)
+    with session.client(
+        nodes.domain, connect=[cell.near], key_folder=cell.lab["lab master"]
+    ) as ours:
+        assert session.rtpus(ours, nodes.domain) == ["arm0", "arm1"]
+
+
+def test_observers_verbs(cell, tmp_path):
+    (tmp_path / "arm.sbs").write_text(SBS)
+    (tmp_path / "arm.svar").write_text(
+        "NAME Y0\nTYPE double\nDESC d\nUNITS none\nNELEM 2\nEOF\n"
+    )
+    (tmp_path / "a.rmod").write_text(rmod("counts"))
+
+    def pbonet(who, *words):
+        return subprocess.run(
+            [
+                *(sys.executable, "-m", "pbonet.cli", *words),
+                *("--keys", cell.lab[who], "--connect", cell.far),
+                *("--domain", cell.nodes.domain),
+            ],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, "PBONET_RUN_DIR": str(cell.elsewhere)},
+            check=False,
+        )
+
+    done = pbonet("lab observer", "status", "arm.sbs")
+    assert done.returncode == 0, done.stderr
+    done = pbonet("lab observer", "off", "arm.sbs", "a")
+    assert done.returncode == 1
+    assert "dropped on the way" in done.stderr
+    done = pbonet("lab observer", "stop")
+    assert done.returncode == 1
+    assert "dropped on the way" in done.stderr
+    done = pbonet("lab master", "stop")
+    assert done.returncode == 0, done.stderr
+
+
+class _Over:
+    """What a kit's master needs of a kit, over another session."""
+
+    def __init__(self, cell, opened):
+        self.session, self.domain = opened, cell.nodes.domain
