@@ -55,10 +55,10 @@ def agent(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of a machine that runs agents."""
-    from pbonet.xm import pki
+    from pbonet.xm import credentials, pki
 
     made = pki.issue(
-        folder, pki.Role.AGENT, name, hosts=host or (), days=days, folder=out
+        folder, credentials.Role.AGENT, name, hosts=host or (), days=days, folder=out
     )
     options.show_files([made], as_data=json_)
 
@@ -74,9 +74,9 @@ def master(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of somebody who may steer."""
-    from pbonet.xm import pki
+    from pbonet.xm import credentials, pki
 
-    made = pki.issue(folder, pki.Role.MASTER, name, days=days, folder=out)
+    made = pki.issue(folder, credentials.Role.MASTER, name, days=days, folder=out)
     options.show_files([made], as_data=json_)
 
 
@@ -91,9 +91,9 @@ def observer(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of somebody who may look, and steer nothing."""
-    from pbonet.xm import pki
+    from pbonet.xm import credentials, pki
 
-    made = pki.issue(folder, pki.Role.OBSERVER, name, days=days, folder=out)
+    made = pki.issue(folder, credentials.Role.OBSERVER, name, days=days, folder=out)
     options.show_files([made], as_data=json_)
 
 

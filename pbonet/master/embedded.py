@@ -141,8 +141,8 @@ class Embedded:
             command += ["--library", str(Path(folder).absolute())]
         for endpoint in self._connect:
             command += ["--connect", endpoint]
-        if folder := credentials.named():
-            command += ["--keys", str(folder)]
+        if keys := credentials.named():
+            command += ["--keys", str(keys)]
         output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the child
         process = subprocess.Popen(
             command,

@@ -126,6 +126,7 @@ def agent(
         dial: Endpoints that it keeps a link to; it goes on trying while one is away.
             No two agents may dial each other, see `pbonet.xm.dialling`.
         multicast: Find the agents of the domain on the same network by multicast too.
+        key_folder: The agent's keys, if it has any.
 
     Raises:
         NodeError: An endpoint cannot be listened on.

@@ -84,3 +84,14 @@ def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
         "node/state.py",  # a number of claims that no process before it gave
         "svar/lock.h",  # where the C library cannot wait by another clock
     }
+
+
+def test_no_merge_was_left_halfway() -> None:
+    mark = re.compile(rf"^({'<' * 7}|{'>' * 7}) ", re.MULTILINE)
+    found = [
+        str(path.relative_to(ROOT))
+        for path in tracked()
+        if path.suffix in CODE | {".md", ".toml", ".pxi", ".rmod", ".job"}
+        and mark.search(path.read_text())
+    ]
+    assert found == []
