@@ -123,8 +123,7 @@ def test_two_agents_of_a_name_that_meet_are_reported(own_lab, lan):
     try:
         own_lab.start("x", "b")
         lan.heal("a", "b")
-        wait_for(lambda: _events(own_lab, "DUPLICATE_NAME"), "the report")
-        (event, *_) = _events(own_lab, "DUPLICATE_NAME")
+        event = wait_for(lambda: _events(own_lab, "DUPLICATE_NAME"), "the report")[0]
         assert "another agent x runs on host-" in event.text
     finally:
         process.terminate()

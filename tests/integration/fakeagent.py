@@ -25,7 +25,7 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.pbo import ModuleInfo
-from pbonet.xm import codec, keys, roles, rundir, session
+from pbonet.xm import codec, dialling, keys, roles, rundir, session
 from pbonet.xm import messages as m
 
 MOVES = {
@@ -88,7 +88,8 @@ class Link:
     def __init__(self, world: World, *names: str) -> None:
         places = [rundir.Places(world.domain, name) for name in names]
         endpoints = [one.endpoint for one in places[1:]]
-        self.session = session.agent(places[0], listen=endpoints)
+        near = dialling.neighbours(places[0])
+        self.session = session.agent(places[0], listen=endpoints, dial=near)
         self.users = len(names)
 
     def leave(self) -> None:
