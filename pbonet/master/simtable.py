@@ -10,7 +10,7 @@ from pbonet.config.model import Limit
 from pbonet.svar import Flags
 from pbonet.svar.guards import limits_of
 from pbonet.svar.layout import group_of, values_of
-from pbonet.xm.values import VarValue
+from pbonet.xm.values import VarValue, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -55,7 +55,7 @@ class MemoryTable:
         return VarValue(
             name=name,
             index=number,
-            values=value.tobytes() if value.dtype.kind == "V" else value.tolist(),
+            values=plain(value),
             units=self.variables[number].units,
             desc=self.variables[number].desc,
             age=None if written is None else (now_ns - written) * 1e-9,

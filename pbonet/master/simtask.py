@@ -38,6 +38,8 @@ class SimTask(Struct, kw_only=True, eq=False):
     """Since it was last turned on."""
     warning: str = ""
     """The first of them."""
+    tid: int = 0
+    """As the number of a process: another one for each task, 0 where nobody asks."""
     told_state: State = State.NOT_CREATED
     """The last one that became an event."""
 
@@ -112,7 +114,7 @@ def status_of(task: SimTask, now_ns: int) -> m.TaskStatus:
         rmod=task.name,
         task=task.name,
         rtpu=task.member.rtpu,
-        tid=0,
+        tid=task.tid,
         S="P" if task.member.rmod.tasktype is TaskType.PERIODIC else "Y",
         crit=task.crit,
         rank=task.crit,

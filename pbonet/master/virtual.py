@@ -74,7 +74,7 @@ class VirtualRtpus(Simulation):
         self._writers: dict[str, str] = {}
         self._masks: dict[str, list[str]] = {}
         self._job: m.Standing | None = None
-        self._epochs = 0
+        self._epochs = self._spawns = 0
         self._do: dict[type[m.Request], Callable[[str, Any], object]] = {
             m.Hello: self._hello,
             m.Claim: self._claim,
@@ -226,6 +226,8 @@ class VirtualRtpus(Simulation):
             self._tasks.pop(member.name, None)
             raise
         self._rank()
+        self._spawns += 1
+        self.task(member.name).tid = self._spawns
         return self._one(self.task(member.name))
 
     def _control(self, _rtpu: str, request: m.Control) -> m.TaskStatus:

@@ -24,6 +24,7 @@ from pbonet.errors import (
 from pbonet.svar import Flags, Table
 from pbonet.xm import rundir
 from pbonet.xm.messages import TableInfo, VarValue
+from pbonet.xm.values import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -271,13 +272,10 @@ def _shown(
 ) -> VarValue:
     variable = table.variable(name)
     info = table.info(name)
-    values: list[float] | bytes = (
-        value.tobytes() if value.dtype.kind == "V" else value.tolist()
-    )
     return VarValue(
         name=name,
         index=table.index(name),
-        values=values,
+        values=plain(value),
         units=variable.units,
         desc=variable.desc,
         writer=info.writer,

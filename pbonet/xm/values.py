@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def plain(value: NDArray[Any]) -> list[float] | bytes:
+    """Return the elements of a variable as they travel; of a ``bool`` 0 and 1."""
+    if value.dtype.kind == "V":
+        return value.tobytes()
+    numbers: list[float] = (value + 0 if value.dtype.kind == "b" else value).tolist()
+    return numbers
 
 
 class ParamValue(Struct, kw_only=True):
