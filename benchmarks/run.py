@@ -25,6 +25,7 @@ RUNS = {
     "transfer": "transfer",
     "simulate": "simulate",
     "ipc": "ipc",
+    "tbuf": "tbuf",
     "signals": "signals",
 }
 """Module and arguments of each benchmark, by its name."""

@@ -163,6 +163,7 @@ def status(desk: Desk, given: Given) -> Data:
                 "util": rtpu.util,
                 "dispatcher": rtpu.dispatcher,
                 "illegal": rtpu.illegal,
+                "tbufs": [msgspec.to_builtins(link) for link in rtpu.tbufs],
                 "stalls": rtpu.stalls,
                 "stalled": rtpu.stalled,
             }

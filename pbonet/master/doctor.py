@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import msgspec
 from msgspec import Struct
 
 import pbonet
@@ -38,6 +39,8 @@ _EXTRAS: Final = {
 }
 _WAYS_TIME: Final = 10.0
 """Seconds in which an agent measures the ways to all others."""
+_QUIET: Final = 1.0
+"""A link whose last record is older, in seconds, is told."""
 _SLOW: Final = 0.05
 """A round trip to an agent of one machine should take no longer, in seconds."""
 
@@ -221,9 +224,36 @@ def agents(
             else:
                 yield from _agent(infos[-1], passed)
         yield from _cores(infos, allowed)
+        yield from _tbufs(client, infos)
         yield from _pairs(client, [info.name for info in infos])
     finally:
         client.close()
+
+
+def _tbufs(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+    """Tell the links between subsystems, those of each machine once."""
+    machines = {info.machine: info for info in infos}
+    asked: dict[str, m.Request] = {info.name: m.Status() for info in machines.values()}
+    found, _ = client.call_all(asked, m.RtpuStatus)  # who is silent was told before
+    for rtpu, status in sorted(found.items()):
+        for link in status.tbufs:
+            text = f"{rtpu}: link {render.link_line(msgspec.to_builtins(link))}"
+            yield Finding(*_judged(link, text))
+
+
+def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
+    """Return what is to be thought of a link."""
+    if not link.writer:
+        return Level.WARN, text, f"start who writes {link.name}, or its agent"
+    if not link.reader:
+        return Level.WARN, text, "start who reads it, or its agent"
+    if link.age is None or link.age > _QUIET:
+        return (
+            Level.WARN,
+            text,
+            "look whether its writer is ON, and its input not stale",
+        )
+    return Level.PASS, text, ""
 
 
 def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:

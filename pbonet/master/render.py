@@ -140,7 +140,21 @@ def _status(data: Data) -> str:
         for rtpu in data["rtpus"]
         if rtpu["stalls"]
     ]
-    return "\n".join(lines)
+    links = {  # RTPUs of one machine see the same
+        (link["name"], link["writer"], link["reader"]): f"LINK> {link_line(link)}"
+        for rtpu in data["rtpus"]
+        for link in rtpu["tbufs"]
+    }
+    return "\n".join([*lines, *links.values()])
+
+
+def link_line(link: Data) -> str:
+    """Return a link between subsystems as one line."""
+    age = "nothing yet" if link["age"] is None else f"{seconds(link['age'])} old"
+    return (
+        f"{link['name']}: written by {link['writer'] or 'nobody'}, read by "
+        f"{link['reader'] or 'nobody'}, record {link['number']}, {age}"
+    )
 
 
 def _status_set(data: Data) -> str:

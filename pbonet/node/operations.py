@@ -12,6 +12,7 @@ import traceback
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Any
 
+from pbonet import tbuf
 from pbonet.errors import (
     NodeError,
     PbonetError,
@@ -350,6 +351,7 @@ class Operations:
                 spent_ns=spent,
                 illegal=illegal,
                 events=rtpu.events.counts(request.subsystem),
+                tbufs=tbuf.seen(rtpu.config.domain),
             ),
             [],
         )

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 
 from pbonet.pbo import State
 from pbonet.sched.histogram import edge_ns
-from pbonet.xm.messages import RtpuStatus, SectionStatus, TaskProfile, TaskStatus
+from pbonet.xm.messages import (
+    RtpuStatus,
+    SectionStatus,
+    TaskProfile,
+    TaskStatus,
+    TbufStatus,
+)
 
 from ._rt import KINDS
 from .signalling import by_name
@@ -155,6 +161,7 @@ def rtpu_status(
     spent_ns: int,
     illegal: list[str],
     events: dict[str, dict[str, int]],
+    tbufs: list[TbufStatus],
 ) -> RtpuStatus:
     """Return the status of the RTPU with that of the tasks asked for.
 
@@ -166,6 +173,7 @@ def rtpu_status(
         spent_ns: CPU time of all its tasks since the dispatcher began.
         illegal: Causes for which the illegal-configuration flag is up.
         events: How often each event came, by task and code.
+        tbufs: Links between subsystems that stand on the machine.
     """
     now = max((task.now for task in tasks), default=0)
     since = now - core.since_ns if now and core.since_ns else 0
@@ -178,6 +186,7 @@ def rtpu_status(
         dispatcher=core.cpu_ns / since if since > 0 else 0.0,
         illegal=illegal,
         events=events,
+        tbufs=tbufs,
         stalls=core.stalls,
         stalled=core.stalled_ns * _NS,
     )

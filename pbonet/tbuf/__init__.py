@@ -8,5 +8,6 @@ no network either.
 
 from .ends import Reader, Writer
 from .places import sweep
+from .seen import seen
 
-__all__ = ["Reader", "Writer", "sweep"]
+__all__ = ["Reader", "Writer", "seen", "sweep"]

@@ -391,6 +391,21 @@ class TaskStatus(Struct, kw_only=True):
     """How often it has sent each signal since it was spawned, masked ones left out."""
 
 
+class TbufStatus(Struct, kw_only=True):
+    """A link between subsystems, as it stands on one machine (section 5.6)."""
+
+    name: str
+    writer: str
+    """Who writes it there: a process, or the agent that brings it from another machine;
+    empty: nobody."""
+    reader: str
+    """The same of who reads it."""
+    number: int
+    """Counter of the newest record; 0 before the first."""
+    age: float | None = None
+    """Of the newest record, seconds; None before the first."""
+
+
 class RtpuStatus(Struct, kw_only=True):
     """Status of an RTPU and of the tasks asked for."""
 
@@ -410,6 +425,8 @@ class RtpuStatus(Struct, kw_only=True):
     """Causes for which the illegal-configuration flag is up."""
     events: dict[str, dict[str, int]] = {}
     """How often each code of events came, by task; held-back ones are counted too."""
+    tbufs: list[TbufStatus] = []
+    """The links that stand on the machine, in this RTPU's domain."""
 
 
 class TaskProfile(Struct, kw_only=True):

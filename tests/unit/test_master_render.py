@@ -29,6 +29,22 @@ def test_times_get_a_unit_that_suits_them(value, text):
     assert render.seconds(value) == text
 
 
+LINK = {
+    "name": "vision:x",
+    "writer": "agent arm0 from eye0",
+    "reader": "process 8 of arm",
+    "number": 7,
+    "age": 0.003,
+}
+NEW = {
+    "name": "arm:y",
+    "writer": "process 8 of arm",
+    "reader": "",
+    "number": 0,
+    "age": None,
+}
+
+
 def test_columns_line_up_and_numbers_stand_to_the_right():
     text = render.table(("task", "n"), [["pid", "7"], ["grav_comp", "1024"]])
     assert text.splitlines() == [
@@ -50,12 +66,19 @@ def test_status_has_warning_and_error_below_their_task():
         "fields": list(DEFAULT),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
         "rtpus": [
-            {"rtpu": "arm0", "illegal": ["equation 2"], "stalls": 0, "stalled": 0.0},
+            {
+                "rtpu": "arm0",
+                "illegal": ["equation 2"],
+                "stalls": 0,
+                "stalled": 0.0,
+                "tbufs": [LINK],
+            },
             {
                 "rtpu": "arm1",
                 "illegal": ["equation 2", "arm1/pid died"],
                 "stalls": 2,
                 "stalled": 0.1,
+                "tbufs": [LINK | {"age": 0.004}, LINK | NEW],
             },
         ],
     }
@@ -72,6 +95,10 @@ def test_status_has_warning_and_error_below_their_task():
         "ILLEGAL> arm0, arm1: equation 2",
         "ILLEGAL> arm1: arm1/pid died",
         "STALLED> arm1: its core stood still 2 times, 100 ms in all",
+        "LINK> vision:x: written by agent arm0 from eye0, read by process 8 of arm, "
+        "record 7, 4 ms old",
+        "LINK> arm:y: written by process 8 of arm, read by nobody, record 0, "
+        "nothing yet",
     ]
     assert render.text("display", {"variables": []}) == "no variables"
     empty = render.text("status", {"fields": ["rmod"], "tasks": [], "rtpus": []})

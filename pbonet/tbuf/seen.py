@@ -1,0 +1,46 @@
+"""What can be seen of links from outside, without being an end of any."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+from pbonet.errors import XmError
+from pbonet.xm import files, names
+from pbonet.xm.messages import TbufStatus
+
+from . import places
+from ._tbuf import READER, WRITER, Buffer
+
+
+def seen(domain: str) -> list[TbufStatus]:
+    """Return the links of a domain that stand on this machine, by name."""
+    found: list[TbufStatus] = []
+    for text in places.standing(domain):
+        with contextlib.suppress(XmError):  # it has gone, or is no link
+            found.append(_look(text, domain))
+    return found
+
+
+def _look(text: str, domain: str) -> TbufStatus:
+    place, _, resource = text.partition(":")
+    name = names.Name(domain, place, resource)
+    fd, size = files.open_file(name, places.KIND)
+    buffer = Buffer()
+    buffer.map(fd, size, str(name.path(places.KIND)))
+    try:
+        buffer.verify()
+        age = (time.monotonic_ns() - buffer.last_ns) * 1e-9
+        return TbufStatus(
+            name=text,
+            writer=_who(buffer, WRITER),
+            reader=_who(buffer, READER),
+            number=buffer.written,
+            age=age if buffer.written else None,
+        )
+    finally:
+        places.leave(buffer)
+
+
+def _who(buffer: Buffer, role: int) -> str:
+    return buffer.who(role) if places.has(buffer.fileno, role) else ""
