@@ -27,6 +27,7 @@ RUNS = {
     "ipc": "ipc",
     "tbuf": "tbuf",
     "signals": "signals",
+    "hosts": "hosts",
 }
 """Module and arguments of each benchmark, by its name."""
 ROOT = Path(__file__).resolve().parents[1]

@@ -48,6 +48,8 @@ class Variable(Struct, frozen=True, kw_only=True):
     max: tuple[float | int, ...] | None = None
     maxage: float | None = None
     """Seconds; a reader sees the variable as stale when it is older."""
+    rate: float | None = None
+    """Hz; no more often is it carried to other machines. None: each commit is."""
     limit: Limit = Limit.NONE
     finite: bool = True
     """False admits NaN and infinities on copy-out."""

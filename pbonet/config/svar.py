@@ -25,7 +25,7 @@ MAX_BYTES = 1 << 30
 """Largest variable; beyond it a file surely has a typing error."""
 
 GRAMMAR = Grammar(
-    "NAME TYPE DESC UNITS NELEM [INIT] [MIN] [MAX] [MAXAGE|LIMIT|FINITE]",
+    "NAME TYPE DESC UNITS NELEM [INIT] [MIN] [MAX] [MAXAGE|RATE|LIMIT|FINITE]",
     after=("NAME", "EOF"),
 )
 _STRUCT = re.compile(r"struct\[([^\[\]]+)\]")
@@ -95,6 +95,9 @@ def _variable(reader: Reader) -> Variable:
     if line := block.get("MAXAGE"):
         word = words.single(line, "seconds")
         maxage = words.real(reader, word, "seconds above 0")
+    rate = None
+    if line := block.get("RATE"):
+        rate = words.real(reader, words.single(line, "Hz"), "Hz above 0")
     return Variable(
         name=name,
         type=kind.name,
@@ -105,6 +108,7 @@ def _variable(reader: Reader) -> Variable:
         min=low,
         max=high,
         maxage=maxage,
+        rate=rate,
         limit=limit,
         finite=finite,
         place=block["NAME"].place,
@@ -293,6 +297,8 @@ def _written(variable: Variable) -> str:
             lines.append(text_line(keyword.upper(), text))
     if variable.maxage is not None:
         lines.append(text_line("MAXAGE", number(variable.maxage)))
+    if variable.rate is not None:
+        lines.append(text_line("RATE", number(variable.rate)))
     if variable.limit is not Limit.NONE:
         lines.append(text_line("LIMIT", variable.limit.value))
     if not variable.finite:

@@ -30,12 +30,14 @@ from pbonet.xm.messages import AgentInfo, LinkReport
 from . import leftovers, service, wire
 from .ears import Ears
 from .links import Links
+from .mirrors import Mirrors
 from .server import Server
 from .supervise import RtpuLink, choose_core
 from .twins import Twins
 from .ways import Ways
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import FrameType
 
     from pbonet.config.model import AgentConfig
@@ -50,6 +52,8 @@ LOOK = 0.1
 """Seconds between looks whether a signal has asked for the end."""
 LOCK_TIME = 0.3
 """Seconds for which an RTPU process that ends may hold the name, to clean up."""
+LET_GO_TIME = 2.0
+"""Seconds in which tables are let go, so that whoever comes next may make them anew."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -92,6 +96,7 @@ class Agent:
         self._server: Server | None = None
         self._twins: Twins | None = None
         self._ways: Ways | None = None
+        self._mirrors: Mirrors | None = None
         self._token: zenoh.LivelinessToken | None = None
         self._ears: Ears | None = None
         self._links: Links | None = None
@@ -154,6 +159,9 @@ class Agent:
         self._twins.start()
         self._ways = Ways(self._session, self.info)
         self._ways.start()
+        self._mirrors = Mirrors(self._session, self.config.domain, self._ways.offset)
+        self._mirrors.start()
+        self._mirrors.carry(info.tables)
         self._ears = Ears(self._session, self.config.events, self._arrived)
         self._links = Links(
             self._session, self.config.domain, self.name, self._offset, self._note
@@ -244,6 +252,9 @@ class Agent:
         if self._ears is not None:
             self._ears.stop()
             self._ears = None
+        if self._mirrors is not None:
+            self._mirrors.stop()
+            self._mirrors = None
         if self._ways is not None:
             self._ways.stop()
             self._ways = None
@@ -350,12 +361,23 @@ class Agent:
             self._server.publish(data)
 
     def informed(self, info: wire.RtpuInfo) -> None:
-        """Take note of changes; `info` is read where it is needed."""
+        """Carry the tables that are open now; the rest is read where it is needed."""
+        if self._mirrors is not None:
+            self._mirrors.carry(info.tables)
+
+    def spread(self, subsystem: str, done: Callable[[], None]) -> None:
+        """Call `done` when the other machines know the subsystem's table."""
+        if subsystem and self._mirrors is not None:
+            self._mirrors.spread(subsystem, done)
+        else:
+            done()
 
     def lost(self, reason: str, *, orderly: bool) -> None:
         """Start the RTPU process again if it was killed; end with it if it ended."""
         if self._server is not None:
             self._server.fail_pending(f"the RTPU process ended: {reason}")
+        if self._mirrors is not None:
+            self._mirrors.carry({}, wait=LET_GO_TIME)
         with self._guard:
             if self._stopping:
                 return

@@ -22,7 +22,7 @@ from pbonet import tbuf
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.xm import live_on, rundir, sweep
 
-from . import control, leftovers, runtime, wire
+from . import control, leftovers, orphans, runtime, wire
 from .events import EventLog
 from .inlets import Inlets
 from .operations import Operations
@@ -113,6 +113,7 @@ class AgentLink:
         for event in self._rtpu.events.since(self._published + 1):
             self._publish(event)
         if back:
+            orphans.back(self._rtpu)
             self._rtpu.events.add(
                 Severity.INFO, "AGENT_BACK", f"agent {hello.agent_pid} took over"
             )
@@ -121,6 +122,9 @@ class AgentLink:
         self._writer = None
         if self._end.done():
             return
+        task = asyncio.create_task(orphans.give_up(self._rtpu))
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
         self._rtpu.events.add(
             Severity.WARNING,
             "AGENT_GONE",

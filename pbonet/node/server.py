@@ -14,6 +14,7 @@ import logging
 import queue
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 import zenoh
@@ -23,12 +24,29 @@ from pbonet.xm import codec, keys, roles, session
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pbonet.xm.messages import AgentInfo, LinkReport
 
 log = logging.getLogger("pbonet.node")
 
 PENDING = 2000
 """Requests that wait for their answers; more are refused."""
+
+
+CHANGES = (
+    m.OpenTable,
+    m.CloseTable,
+    m.Release,
+    m.Spawn,
+    m.Control,
+    m.Reconfig,
+    m.Write,
+    m.Flag,
+    m.Stop,
+)
+"""Requests after which a table may be another one: answered when the other machines of
+the subsystem know, so that what is asked next may be asked of any of them."""
 
 
 class Node(Protocol):
@@ -38,6 +56,9 @@ class Node(Protocol):
         self, n: int, data: bytes, masters: list[tuple[str, str]] | None
     ) -> None:
         """Hand a request on; its answer comes through `Server.answer`."""
+
+    def spread(self, subsystem: str, done: Callable[[], None]) -> None:
+        """Call `done` when the other machines know the subsystem's table."""
 
     def info(self) -> AgentInfo:
         """Return who this is."""
@@ -68,7 +89,8 @@ class Server:
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
         self._count = itertools.count(1)
-        self._pending: dict[int, tuple[zenoh.Query, str]] = {}
+        self._pending: dict[int, tuple[zenoh.Query, str, str]] = {}
+        """Queries, their ids, and the subsystem whose table they change."""
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
         self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
@@ -103,9 +125,9 @@ class Server:
     def answer(self, n: int, data: bytes) -> None:
         """Give the answer to forwarded request `n`."""
         with self._guard:
-            query, _ = self._pending.pop(n, (None, ""))
+            query, _, subsystem = self._pending.pop(n, (None, "", ""))
         if query is not None:
-            self._reply(query, data)
+            self._node.spread(subsystem, partial(self._reply, query, data))
 
     def publish(self, data: bytes) -> None:
         """Publish a packed event; it is dropped rather than waited for."""
@@ -118,7 +140,7 @@ class Server:
         with self._guard:
             waiting = list(self._pending.values())
             self._pending.clear()
-        for query, request_id in waiting:
+        for query, request_id, _ in waiting:
             error = NodeError(f"the request was not carried out to its end: {reason}")
             self._reply(query, self._codec.pack(codec.failure(error, request_id)))
 
@@ -153,9 +175,9 @@ class Server:
             self._reply(query, self._codec.pack(failed))
             return
         if isinstance(request, m.Claim):
-            self._pool.submit(self._claim, query, request.id, data)
+            self._pool.submit(self._claim, query, request, data)
         else:
-            self._forward(query, request.id, data, None)
+            self._forward(query, request, data, None)
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""
@@ -163,7 +185,7 @@ class Server:
         answer = m.Answer(id=request_id, ok=True, result=report)
         self._reply(query, self._codec.pack(answer))
 
-    def _claim(self, query: zenoh.Query, request_id: str, data: bytes) -> None:
+    def _claim(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
         """Forward a claim with the list of the masters that live."""
         masters: list[tuple[str, str]] | None
         try:
@@ -172,22 +194,23 @@ class Server:
             masters = None
         else:
             masters = [keys.master_of(token) for token in tokens]
-        self._forward(query, request_id, data, masters)
+        self._forward(query, request, data, masters)
 
     def _forward(
         self,
         query: zenoh.Query,
-        request_id: str,
+        request: m.AnyRequest,
         data: bytes,
         masters: list[tuple[str, str]] | None,
     ) -> None:
         n = next(self._count)
         with self._guard:
-            self._pending[n] = (query, request_id)
+            spread = request.subsystem if isinstance(request, CHANGES) else ""
+            self._pending[n] = (query, request.id, spread)
         try:
             self._node.forward(n, data, masters)
         except PbonetError as error:
-            self.answer(n, self._codec.pack(codec.failure(error, request_id)))
+            self.answer(n, self._codec.pack(codec.failure(error, request.id)))
 
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
         """Answer on our own key, and let go of the query: a kept one times out."""

@@ -65,7 +65,7 @@ class Rtpu:
         self.name = config.name
         self.slot_owner = f"{config.domain}/{config.name}"
         self.claims = Claims(config.name, epoch=time.time_ns() // 1_000_000)
-        self.tables = Tables(config.domain, changed=self.save)
+        self.tables = Tables(config.domain, changed=self.tell_claims)
         self.flags = Flags(config.name, self.tables)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}
@@ -140,6 +140,7 @@ class Rtpu:
             backend=self.dispatcher.backend,
             limits=self.limits,
             claims=self.claims.epochs(),
+            tables=self.tables.kept(),
         )
 
     def save(self) -> None:
@@ -161,7 +162,7 @@ class Rtpu:
             self.events.add(Severity.ERROR, error.code, str(error))
 
     def tell_claims(self) -> None:
-        """Write down and pass on that the claims have changed."""
+        """Write down and pass on that claims or tables have changed."""
         self.save()
         if self.claims_changed is not None:
             self.claims_changed()

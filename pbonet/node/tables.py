@@ -1,8 +1,9 @@
 """The state variable tables that an RTPU has open, one per subsystem (section 4.5.1).
 
 On each machine a subsystem has one table. The RTPU process of the keeper makes it and
-removes it; others on that machine attach. When the keeper is gone, whoever lets go last
-removes the file.
+removes it; others on that machine attach. On other machines the first one makes it, and
+agents carry what changes from one to the other. When the keeper is gone, or elsewhere,
+whoever lets go last removes the file.
 """
 
 from __future__ import annotations
@@ -67,6 +68,10 @@ class Tables:
     def subsystems(self) -> list[str]:
         """Return the subsystems whose tables are open."""
         return list(self._open)
+
+    def kept(self) -> dict[str, bool]:
+        """Return by subsystem whether this RTPU keeps the open table."""
+        return {name: opened.keep for name, opened in self._open.items()}
 
     def get(self, subsystem: str) -> Opened | None:
         """Return the subsystem's table if it is open."""
@@ -205,15 +210,12 @@ class Tables:
         except SvarExistsError:
             return self._attach(name, file)
 
-    @staticmethod
-    def _attach(name: str, file: SvarFile) -> Table:
+    def _attach(self, name: str, file: SvarFile) -> Table:
+        """Attach to the machine's table; make it when the keeper is on another one."""
         try:
             return Table.attach(name, layout=Table.layout_of(file.variables))
-        except SvarMissingError as error:
-            error.remedy = (
-                "open it on its keeper first; both RTPUs must be on one machine"
-            )
-            raise
+        except SvarMissingError:
+            return self._create(name, file)
 
     @staticmethod
     def _info(opened: Opened) -> TableInfo:

@@ -95,13 +95,17 @@ class Ways:
             self._thread.join()
 
     def offset(self, machine: str) -> tuple[int, int] | None:
-        """Return by how many ns a machine's clock is ahead, and the doubt about it."""
+        """Return by how many ns a machine's clock is ahead, and the doubt about it.
+
+        Args:
+            machine: As keys spell it.
+        """
         with self._guard:
             trips = [
                 best
                 for peer in self._peers.values()
                 if peer.info is not None
-                and peer.info.machine == machine
+                and keys.machine(peer.info.machine) == machine
                 and (best := peer.best) is not None
             ]
         best = min(trips, default=None)

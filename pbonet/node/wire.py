@@ -106,6 +106,8 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     backend: str
     limits: list[str]
     claims: dict[str, int]
+    tables: dict[str, bool] = {}
+    """Subsystems whose tables are open, and whether operators set variables there."""
 
 
 class Answered(Struct, tag="answered"):

@@ -2,10 +2,12 @@
 
 from .codes import Flags
 from .local import LocalTable
+from .outbox import MARK
 from .records import Cause, Counts, Register, VarInfo
 from .table import SPARE, Table
 
 __all__ = [
+    "MARK",
     "SPARE",
     "Cause",
     "Counts",

@@ -253,6 +253,27 @@ class Table(Closing):
             )
         self._check_stuck(code)
 
+    def peek(
+        self, number: int, room: NDArray[np.uint8]
+    ) -> tuple[int, bool, int, int, int, int, str] | None:
+        """Copy a variable into `room`, for who carries it to other machines.
+
+        Args:
+            number: Its index.
+            room: As many bytes as it takes in a group.
+
+        Returns:
+            Register, whether a task owns it, time (ns), cycle, the register's uid, the
+            commit's number, and task; None when no whole copy was had.
+        """
+        return self._open().look(number, room)
+
+    def put(self, number: int, data: NDArray[np.uint8], time_ns: int) -> bool:
+        """Set a variable as it was elsewhere; return whether no task owns it here."""
+        code = self._open().set(number, data, time_ns)
+        self._check_stuck(code)
+        return code != RIVAL
+
     def local(
         self,
         task: str,

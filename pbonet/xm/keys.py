@@ -31,6 +31,23 @@ def master_of(key: str) -> tuple[str, str]:
     return parts[3], parts[5]
 
 
+def svar(domain: str, subsystem: str, leaf: str, machine: str = "*") -> str:
+    """Return a key of a subsystem's table on a machine, or on all.
+
+    Args:
+        domain: The domain.
+        subsystem: Whose table.
+        leaf: ``here``, ``news``, ``sync`` or ``flush``.
+        machine: As `machine` spells it.
+    """
+    return f"{ROOT}/{domain}/sbs/{subsystem}/svar/{leaf}/{machine}"
+
+
+def machine(identity: str) -> str:
+    """Return a machine's identity as it is spelled in keys."""
+    return identity.replace("/", "-")
+
+
 def network(domain: str, portname: str) -> str:
     """Return the key on which a master's network interface answers (section 4.4.2)."""
     return f"{ROOT}/{domain}/net/{portname}"

@@ -296,8 +296,17 @@ def test_table_that_is_not_here(nodes):
     nodes.agent("arm0")
     arm = nodes.master("arm0", "arm", table=False)
     arm.refused(SvarMissingError, arm.spawn, "a", "counts")
-    arm.refused(SvarMissingError, arm.open_table, keep=False)
     arm.refused(SvarMissingError, arm.value, "X")
+
+
+def test_table_whose_keeper_is_on_another_machine(nodes, shared_memory):
+    """Whoever comes first on a machine makes it, and the last one removes it."""
+    nodes.agent("arm0")
+    arm = nodes.master("arm0", "arm", table=False)
+    arm.open_table(keep=False)
+    assert arm.value("X").values == [1.0, 2.0]
+    arm.ask(m.CloseTable())
+    assert not list(shared_memory.glob("*.svar"))
 
 
 def test_close_table_needs_its_tasks_gone(arm, shared_memory):

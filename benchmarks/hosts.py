@@ -1,0 +1,426 @@
+"""Two machines: a table on both, commands, what is lost and comes back, and the cost.
+
+Two agents, each with shared memory of its own, joined by one TCP link: to pbonet they
+are two machines. A process commits groups into the table of the first as a task would,
+and another watches the table of the second. In the same run, in turns, the same bytes
+go by a plain zenoh put and callback between two processes, and a plain queryable
+answers.
+
+As root two network namespaces with a cable take the place of the loopback for what is
+lost: the agent of the writer is killed, the cable is pulled and plugged in again.
+
+    python -m benchmarks.hosts [--only latency commands cpu loss] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+import zenoh
+
+from pbonet.config.model import AgentConfig
+from pbonet.svar import Table
+from pbonet.xm import keys, session
+from pbonet.xm import messages as m
+from pbonet.xm.rpc import Client
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+DOMAIN, SUBSYSTEM = "bench", "cell"
+GROUPS = 20
+SHM = "/dev/shm"  # noqa: S108 - where shared memory is
+SVAR = "".join(
+    f"NAME V{i}\nTYPE double\nDESC written\nUNITS none\nNELEM 6\nMAXAGE 0.5\n\n"
+    for i in range(GROUPS)
+)
+AGENT = """
+import sys, msgspec
+from pbonet.config.model import AgentConfig
+from pbonet.node.agent import main
+sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
+"""
+WRITER = """
+import os, sys, time
+from pbonet.svar import Table
+count, rate, seconds = int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])
+table = Table.attach(sys.argv[1])
+tasks = [table.local(f"w{i}", os.getpid(), outvar=[f"V{i}"]) for i in range(count)]
+for task in tasks: task.claim()
+due, n = time.monotonic(), 0
+end = due + seconds
+while due < end:
+    due += 1 / rate
+    time.sleep(max(due - time.monotonic(), 0))
+    n += 1
+    for task in tasks:
+        task.commit(time.monotonic_ns(), n)
+"""
+PLAIN = """
+import json, sys, time, zenoh
+config = zenoh.Config.from_json5(sys.argv[1])
+session = zenoh.open(config)
+if sys.argv[2] == "echo":
+    def answer(query):
+        with query: query.reply("bench/echo", query.payload)
+    q = session.declare_queryable("bench/echo", zenoh.handlers.Callback(answer))
+    print("there", flush=True)
+    time.sleep(1e6)
+rate, seconds = float(sys.argv[3]), float(sys.argv[4])
+pub = session.declare_publisher("bench/put")
+time.sleep(0.5)
+due = time.monotonic()
+end = due + seconds
+while due < end:
+    due += 1 / rate
+    time.sleep(max(due - time.monotonic(), 0))
+    pub.put(time.monotonic_ns().to_bytes(8, "little") + bytes(40))
+"""
+
+
+class Side:
+    """One machine: folders of its own, and an agent.
+
+    Args:
+        name: Of the agent.
+        folder: Where its own folders are made.
+        inside: What is put before its commands, to run them in a network of its own.
+    """
+
+    def __init__(self, name: str, folder: Path, inside: list[str]) -> None:
+        self.name, self.inside = name, inside
+        self.run_dir, self.shm_dir = folder / f"{name}.run", folder / f"{name}.shm"
+        for made in (self.run_dir, self.shm_dir):
+            made.mkdir(mode=0o700)
+        self.agent: subprocess.Popen[bytes] | None = None
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """The environment of its processes."""
+        folders = {"PBONET_RUN_DIR": self.run_dir, "PBONET_SHM_DIR": self.shm_dir}
+        return {**os.environ, **{key: str(path) for key, path in folders.items()}}
+
+    def start(self, listen: str = "", connect: str = "") -> None:
+        """Start its agent."""
+        config = AgentConfig(
+            name=self.name, domain=DOMAIN, grace=20.0, insecure=True,
+            listen=(listen,) if listen else (), connect=(connect,) if connect else (),
+            core=max(os.sched_getaffinity(0)),
+        )  # fmt: skip
+        text = msgspec.json.encode(config).decode()
+        self.agent = self.run(AGENT, text, stdout=subprocess.DEVNULL)
+
+    def run(
+        self, code: str, *words: str, stdout: int | None = None
+    ) -> subprocess.Popen[bytes]:
+        """Start a Python program on it."""
+        command = [*self.inside, sys.executable, "-c", code, *words]
+        return subprocess.Popen(command, env=self.environment, stdout=stdout)
+
+    @property
+    def socket(self) -> str:
+        """Its agent's endpoint for its own machine."""
+        return f"unixsock-stream/{self.run_dir / DOMAIN / self.name}.sock"
+
+    def socket_there(self) -> bool:
+        """Tell whether its agent listens."""
+        return Path(self.socket.partition("/")[2]).exists()
+
+    def attach(self) -> Table:
+        """Attach to its table."""
+        os.environ["PBONET_SHM_DIR"] = str(self.shm_dir)
+        return Table.attach(f"{DOMAIN}.{SUBSYSTEM}")
+
+    def write(self, count: int, rate: float, seconds: float) -> subprocess.Popen[bytes]:
+        """Start a process that commits `count` groups at `rate` Hz."""
+        words = (f"{DOMAIN}.{SUBSYSTEM}", str(count), str(rate), str(seconds))
+        return self.run(WRITER, *words)
+
+    def cpu(self) -> float:
+        """Return the processor seconds that its agent has used."""
+        assert self.agent is not None
+        fields = Path(f"/proc/{self.agent.pid}/stat").read_text().rpartition(")")[2]
+        return sum(map(int, fields.split()[11:13])) / os.sysconf("SC_CLK_TCK")
+
+
+class Pair:
+    """Two machines with a table on both.
+
+    Args:
+        ways: By side, what is put before its commands.
+        listen: What the first one listens on.
+        connect: What the second one dials.
+    """
+
+    def __init__(self, ways: list[list[str]], listen: str, connect: str) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="pbench-", dir=SHM)
+        folder = Path(self._folder.name)
+        names = ("one", "two")
+        self.one, self.two = (
+            Side(n, folder, w) for n, w in zip(names, ways, strict=True)
+        )
+        self.listen, self.connect = listen, connect
+        self.one.start(listen=listen)
+        wait(self.one.socket_there, "agent one")
+        self.two.start(connect=connect)
+        wait(self.two.socket_there, "agent two")
+        self.link = session.client(
+            DOMAIN, connect=[self.two.socket], timeout=20.0, local=False
+        )
+        self.client = Client(self.link, DOMAIN, "bench")
+        wait(lambda: len(self.client.rtpus()) == len(names), "both agents")
+        key = keys.master(DOMAIN, SUBSYSTEM, "bench")
+        self._token = self.link.liveliness().declare_token(key)
+        self.epochs: dict[str, int] = {}
+        for name in names:
+            claim = m.Claim(subsystem=SUBSYSTEM)
+            self.epochs[name] = self.client.call(name, claim, m.Claimed).epoch
+            table = m.OpenTable(
+                subsystem=SUBSYSTEM, epoch=self.epochs[name], svar=SVAR + "EOF\n",
+                svar_name="b.svar", keep=name == "one",
+            )  # fmt: skip
+            self.client.call(name, table, m.TableInfo)
+
+    def close(self) -> None:
+        """End everything."""
+        self.client.close()
+        for side in (self.one, self.two):
+            if side.agent is not None:
+                side.agent.send_signal(signal.SIGTERM)
+        for side in (self.one, self.two):
+            if side.agent is not None:
+                side.agent.wait(30.0)
+        self._folder.cleanup()
+
+
+def wait(condition: Callable[[], Any], what: str, limit: float = 30.0) -> float:
+    """Wait for a condition; return the seconds that it took."""
+    begin = time.monotonic()
+    while not condition():
+        assert time.monotonic() < begin + limit, f"not within {limit:g} s: {what}"
+        time.sleep(0.0005)
+    return time.monotonic() - begin
+
+
+def quantiles(values: list[float]) -> dict[str, float]:
+    """Return count, median and 99th percentile in microseconds, of seconds."""
+    found = np.quantile(np.array(values) * 1e6, [0.5, 0.99])
+    return {"n": len(values), "p50": float(found[0]), "p99": float(found[1])}
+
+
+def watch(table: Table, seconds: float) -> list[float]:
+    """Return how old each new commit of V0 was when it was first seen."""
+    room = np.zeros(48, np.uint8)
+    ages: list[float] = []
+    last, end = -1, time.monotonic() + seconds
+    while time.monotonic() < end:
+        seen = table.peek(0, room)
+        if seen is not None and seen[5] != last and seen[2]:
+            last = seen[5]
+            ages.append((time.monotonic_ns() - seen[2]) * 1e-9)
+        time.sleep(0.00002)
+    return ages
+
+
+@contextlib.contextmanager
+def raw(mode: str, *words: str) -> Iterator[zenoh.Session]:
+    """Yield a session linked to a process that puts or answers."""
+    listen = {"mode": "router", "listen": {"endpoints": ["tcp/127.0.0.1:17461"]}}
+    connect = {"mode": "client", "connect": {"endpoints": ["tcp/127.0.0.1:17461"]}}
+    off = {
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+        "transport": {"shared_memory": {"enabled": False}},
+    }
+    config = json.dumps(listen | off)
+    process = subprocess.Popen([sys.executable, "-c", PLAIN, config, mode, *words])
+    link = None
+    end = time.monotonic() + 10
+    while link is None:
+        try:
+            link = zenoh.open(zenoh.Config.from_json5(json.dumps(connect | off)))
+        except zenoh.ZError:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+    try:
+        yield link
+    finally:
+        link.close()  # type: ignore[no-untyped-call]
+        process.kill()
+        process.wait()
+
+
+def latency(pair: Pair, seconds: float = 6.0) -> dict[str, Any]:
+    """Measure a mirrored table beside a put and its callback, 48 bytes."""
+    found: dict[str, Any] = {}
+    table = pair.two.attach()
+    for rate in (200.0, 1000.0):
+        mirrored: list[float] = []
+        plain: list[float] = []
+        for _ in range(2):
+            writer = pair.one.write(1, rate, seconds + 1.5)
+            time.sleep(1.0)
+            mirrored += watch(table, seconds)
+            writer.wait()
+
+            def heard(sample: zenoh.Sample) -> None:
+                sent = int.from_bytes(sample.payload.to_bytes()[:8], "little")
+                plain.append((time.monotonic_ns() - sent) * 1e-9)  # noqa: B023
+
+            with raw("put", str(rate), str(seconds)) as link:
+                link.declare_subscriber("bench/put", zenoh.handlers.Callback(heard))
+                time.sleep(seconds)
+        found[f"{rate:g} Hz"] = {
+            "table": quantiles(mirrored),
+            "put": quantiles(plain),
+        }
+    table.close()
+    return found
+
+
+def commands(pair: Pair, count: int = 400) -> dict[str, Any]:
+    """Measure commands beside a plain queryable that answers at once."""
+
+    def times(ask: Callable[[], object]) -> list[float]:
+        taken = []
+        for _ in range(count):
+            begin = time.perf_counter()
+            ask()
+            taken.append(time.perf_counter() - begin)
+        return taken
+
+    def status() -> None:
+        pair.client.call("two", m.Status(subsystem=SUBSYSTEM), m.RtpuStatus)
+
+    found: dict[str, Any] = {}
+    with raw("echo") as link:
+
+        def echo() -> None:
+            replies = list(link.get("bench/echo", payload=bytes(100), timeout=2.0))
+            assert replies
+
+        wait(lambda: list(link.get("bench/echo", payload=b"", timeout=1.0)), "echo")
+        plain, hello, asked, set_ = [], [], [], []
+        for _ in range(2):
+            plain += times(echo)
+            hello += times(lambda: pair.client.call("two", m.Hello(), m.AgentInfo))
+            asked += times(status)
+            set_ += times(lambda: _write(pair))
+    for name, values in zip(
+        ("queryable", "hello", "status", "write, known to the other machine"),
+        (plain, hello, asked, set_),
+        strict=True,
+    ):
+        found[name] = quantiles(values)
+    return found
+
+
+def _write(pair: Pair) -> None:
+    request = m.Write(
+        subsystem=SUBSYSTEM, epoch=pair.epochs["one"], name="V19", values=[1.0] * 6
+    )
+    pair.client.call("one", request, m.VarValue)
+
+
+def cpu(pair: Pair, seconds: float = 10.0) -> dict[str, Any]:
+    """Measure the agents' share of a core: idle, and with 20 groups at 200 Hz."""
+
+    def shares() -> dict[str, float]:
+        before = [side.cpu() for side in (pair.one, pair.two)]
+        time.sleep(seconds)
+        after = [side.cpu() for side in (pair.one, pair.two)]
+        shares = [(b - a) / seconds for a, b in zip(before, after, strict=True)]
+        return {"sends": shares[0], "takes": shares[1]}
+
+    found = {"idle": shares()}
+    writer = pair.one.write(GROUPS, 200.0, seconds + 4.0)
+    time.sleep(2.0)
+    found["20 groups, 200 Hz"] = shares()
+    writer.wait()
+    return found
+
+
+def loss(times: int = 5) -> dict[str, Any]:
+    """Measure how soon a loss is seen, and how soon all is well again."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hosts"))
+    hosts: Any = importlib.import_module("lan")
+
+    if reason := hosts.missing():
+        return {"skipped": reason}
+    lan = hosts.Lan()
+    found: dict[str, list[float]] = {"agent killed": [], "taken over": [],
+                                     "cable pulled": [], "plugged in": []}  # fmt: skip
+    ways = [lan[name].command() for name in ("a", "b")]
+    pair = Pair(ways, "tcp/0.0.0.0:7447", "tcp/10.77.1.1:7447")
+    try:
+        writer = pair.one.write(1, 200.0, 30.0 * times)
+        table = pair.two.attach()
+        wait(lambda: fresh(table), "news")
+        for _ in range(times):
+            lan.cut("a", "b")
+            found["cable pulled"].append(wait(lambda: table.illegal, "flag"))
+            lan.heal("a", "b")
+            found["plugged in"].append(wait(lambda: fresh(table), "news"))
+            assert pair.one.agent is not None
+            pair.one.agent.kill()
+            found["agent killed"].append(wait(lambda: table.illegal, "flag"))
+            pair.one.agent.wait()
+            pair.one.start(listen=pair.listen)
+            found["taken over"].append(wait(lambda: fresh(table), "news"))
+        writer.kill()
+        writer.wait()
+    finally:
+        pair.close()
+        lan.close()
+    return {
+        name: {"median": float(np.median(values)), "longest": max(values)}
+        for name, values in found.items()
+    }
+
+
+def fresh(table: Table) -> bool:
+    """Tell whether the other machine's variable is brought up to date."""
+    info = table.info("V0")
+    return not table.illegal and info.owner is not None and not info.stale
+
+
+def main() -> None:
+    """Measure, print, and write a file where one is named."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parts = ("latency", "commands", "cpu", "loss")
+    parser.add_argument("--only", nargs="+", choices=parts, default=parts)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found: dict[str, Any] = {}
+    if set(options.only) - {"loss"}:
+        pair = Pair([[], []], "tcp/127.0.0.1:17460", "tcp/127.0.0.1:17460")
+        try:
+            for name, measure in (
+                ("latency", latency), ("commands", commands), ("cpu", cpu),
+            ):  # fmt: skip
+                if name in options.only:
+                    found[name] = measure(pair)
+        finally:
+            pair.close()
+    if "loss" in options.only:
+        found["loss"] = loss()
+    text = json.dumps(found, indent=2)
+    print(text)
+    if options.json:
+        options.json.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

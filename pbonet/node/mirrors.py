@@ -1,0 +1,390 @@
+"""Carries tables between machines: an agent's thread, never a task's.
+
+Agents of one subsystem on several machines find each other by liveliness tokens, one a
+machine: of the agents that share a table, the one that holds a lock on its file does
+it. News go out as they come, all groups of a moment in one packet, newest first, and
+are dropped where a link is slow. Whole states are asked for and given as queries: when
+machines meet, and before an agent answers a command that has changed its table.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import queue
+import secrets
+import struct
+import threading
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import zenoh
+
+from pbonet.errors import SvarError
+from pbonet.svar import Table, packets
+from pbonet.svar.mirror import Mirror
+from pbonet.xm import keys, rundir
+
+from .tables import remove_unused
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+log = logging.getLogger("pbonet.node")
+
+SHORTEST, LONGEST = 0.0005, 0.01
+"""Seconds between looks at a table, by how often it changes. A look costs some tens of
+microseconds, so commits that come closer to each other go together."""
+ALONE = 0.2
+"""Seconds between looks where no other machine listens."""
+BEAT = 0.5
+"""Seconds after which everything is told again, should something have been dropped."""
+SILENT = 1.6
+"""Seconds after which a machine that tells nothing is out of sight."""
+FLAG = 0.02
+"""Seconds between looks at the causes of the flag."""
+ANSWER_TIME = 0.5
+"""Seconds that another machine has to take a state."""
+_LOCK = struct.Struct("hhqqi4x")
+
+
+class Carried:
+    """One table of this machine, which this agent carries.
+
+    Args:
+        owner: Whose thread does the work.
+        subsystem: Whose table.
+        keep: Whether operators set variables here.
+    """
+
+    def __init__(self, owner: Mirrors, subsystem: str, *, keep: bool) -> None:
+        self._owner = owner
+        self.subsystem = subsystem
+        self.table = Table.attach(f"{owner.domain}.{subsystem}")
+        self.keep = keep
+        self.mirror: Mirror | None = None
+        self.next = 0.0
+        self._beat = self._flag = 0.0
+        self._zenoh: list[
+            zenoh.Subscriber[None] | zenoh.Queryable[None] | zenoh.LivelinessToken
+        ] = []
+        self._publisher: zenoh.Publisher | None = None
+        self._lock = -1
+
+    def turn(self, now: float) -> None:
+        """Do what is due, and say when the next time is."""
+        if self.mirror is None and not self._begin():
+            self.next = now + ALONE
+            return
+        mirror = self.mirror
+        if mirror is not None:
+            mirror.miss(SILENT)
+        if mirror is None or not mirror.others:
+            self.next = now + ALONE
+            return
+        look = now >= self._flag
+        if look:
+            self._flag = now + FLAG
+        packet = mirror.tell(full=now >= self._beat, look=look)
+        if packet is not None:
+            self._put(packet, now)
+        self._pace(now)
+
+    def spread(self, done: Callable[[], None]) -> None:
+        """Have the others take the whole state, then call `done`."""
+        if self.mirror is not None or self._begin():
+            self._exchange(done)
+        else:  # another agent of this machine carries it
+            self._get("flush", self._owner.machine, b"", done)
+
+    def close(self) -> None:
+        """Let go of the table, and remove it when nobody else uses it."""
+        for entity in self._zenoh:
+            with contextlib.suppress(zenoh.ZError):
+                entity.undeclare()  # type: ignore[no-untyped-call]
+        if self._publisher is not None:
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+        if self.mirror is not None:
+            self.mirror.close()
+        if self._lock >= 0:
+            os.close(self._lock)
+        path = self.table.path
+        self.table.close()
+        self.mirror = None
+        remove_unused(path)
+
+    def _begin(self) -> bool:
+        """Take the machine's part, unless another agent has it."""
+        if not self._take_lock():
+            return False
+        owner = self._owner
+        self.mirror = Mirror(
+            self.table,
+            owner.machine,
+            secrets.randbits(62),
+            keep=self.keep,
+            late=owner.late,
+        )
+        session, key = owner.session, partial(keys.svar, owner.domain, self.subsystem)
+        self._publisher = session.declare_publisher(
+            key("news", owner.machine),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._zenoh += [
+            session.declare_subscriber(
+                key("news"),
+                _at_once(self._heard),
+                allowed_origin=zenoh.Locality.REMOTE,
+            ),
+            session.declare_queryable(
+                key("sync", owner.machine), _at_once(self._asked), complete=True
+            ),
+            session.declare_queryable(
+                key("flush", owner.machine), _at_once(self._flushed), complete=True
+            ),
+            session.liveliness().declare_subscriber(
+                key("here"), _at_once(self._met), history=True
+            ),
+            session.liveliness().declare_token(key("here", owner.machine)),
+        ]
+        self._exchange(lambda: None)
+        return True
+
+    def _take_lock(self) -> bool:
+        """Lock the table's file, as one agent of a machine may while it lives."""
+        try:
+            fd = os.open(self.table.path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        except OSError:
+            return False
+        try:
+            whole = _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+            fcntl.fcntl(fd, fcntl.F_OFD_SETLK, whole)
+        except OSError:
+            os.close(fd)
+            return False
+        self._lock = fd
+        return True
+
+    def _put(self, packet: packets.Packet, now: float) -> None:
+        if packet.full is not None:
+            self._beat = now + BEAT
+        if self._publisher is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._publisher.put(packets.pack(packet))  # pyright: ignore[reportUnknownMemberType]
+
+    def _pace(self, now: float) -> None:
+        """Look again just behind the next commit, as the writers' periods tell it."""
+        due = self.mirror.due() if self.mirror is not None else None
+        if due is None:
+            self.next = now + LONGEST
+            return
+        until, period = due
+        apart = min(max(period / 4, SHORTEST), LONGEST)
+        self.next = now + min(max(until, apart), LONGEST)
+
+    # -- zenoh's threads ---------------------------------------------------------------
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        data = sample.payload.to_bytes()
+        self._owner.do(lambda: self._take(data))
+
+    def _met(self, sample: zenoh.Sample) -> None:
+        machine = keys.last(str(sample.key_expr))
+        if machine == self._owner.machine:
+            return
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._owner.do(lambda: self._exchange(lambda: None))
+        else:
+            self._owner.do(lambda: self._lose(machine))
+
+    def _asked(self, query: zenoh.Query) -> None:
+        self._owner.do(lambda: self._answer(query))
+
+    def _flushed(self, query: zenoh.Query) -> None:
+        def done() -> None:
+            with contextlib.suppress(zenoh.ZError), query:
+                query.reply(str(query.key_expr), b"")  # pyright: ignore[reportUnknownMemberType]
+
+        self._owner.do(lambda: self.spread(done))
+
+    # -- the carrier's thread ----------------------------------------------------------
+
+    def _take(self, data: bytes) -> None:
+        packet = packets.unpack(data)
+        if self.mirror is None or packet is None:
+            return
+        if packet.machine == self._owner.machine:
+            return
+        new = packet.machine not in self.mirror.others
+        placed = self.mirror.take(packet)
+        if new or (not placed and packet.full is None):
+            self.next = 0.0
+            self._beat = 0.0  # it may lack ours too
+
+    def _lose(self, machine: str) -> None:
+        if self.mirror is not None:
+            self.mirror.lose(machine)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """Take the asker's state, and give this machine's."""
+        if self.mirror is None:
+            query.drop()  # type: ignore[no-untyped-call]
+            return
+        if query.payload is not None:
+            self._take(query.payload.to_bytes())
+        packet = self.mirror.tell(full=True)
+        key = keys.svar(self._owner.domain, self.subsystem, "sync", self._owner.machine)
+        with contextlib.suppress(zenoh.ZError), query:
+            query.reply(key, packets.pack(packet) if packet is not None else b"")  # pyright: ignore[reportUnknownMemberType]
+
+    def _exchange(self, done: Callable[[], None]) -> None:
+        """Give every other machine this one's state, and take theirs."""
+        packet = self.mirror.tell(full=True) if self.mirror is not None else None
+        self._get("sync", "*", packets.pack(packet) if packet else b"", done)
+
+    def _get(
+        self, leaf: str, machine: str, data: bytes, done: Callable[[], None]
+    ) -> None:
+        owner = self._owner
+
+        def replied(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                answer = reply.ok.payload.to_bytes()
+                owner.do(lambda: self._take(answer))
+
+        try:
+            owner.session.get(
+                keys.svar(owner.domain, self.subsystem, leaf, machine),
+                zenoh.handlers.Callback(
+                    replied, lambda: owner.do(done), indirect=False
+                ),
+                payload=data,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=ANSWER_TIME,
+                allowed_destination=(
+                    zenoh.Locality.REMOTE if leaf == "sync" else zenoh.Locality.ANY
+                ),
+            )
+        except zenoh.ZError as error:
+            log.debug("%s: nobody could be asked: %s", self.subsystem, error)
+            done()
+
+
+class Mirrors:
+    """The tables that an agent carries, and the thread that does it.
+
+    Args:
+        session: The agent's.
+        domain: Its domain.
+        offset: Tells by how many nanoseconds another machine's clock is ahead, and the
+            doubt about it.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: str,
+        offset: Callable[[str], tuple[int, int] | None],
+    ) -> None:
+        self.session, self.domain = session, domain
+        self.machine = keys.machine(rundir.machine())
+        self._offset = offset
+        self._carried: dict[str, Carried] = {}
+        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._over = False
+        self._thread = threading.Thread(
+            target=self._work, name="pbonet mirrors", daemon=True
+        )
+
+    def start(self) -> None:
+        """Begin to carry what `carry` names."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let go of everything."""
+        self.carry({})
+        self.do(self._end)
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def do(self, what: Callable[[], None]) -> None:
+        """Have the carrier's thread do something; may be called from anywhere."""
+        self._todo.put(what)
+
+    def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
+        """Carry exactly these tables, by subsystem; the value tells who keeps them."""
+        done = threading.Event()
+        self.do(lambda: self._carry(tables))
+        self.do(done.set)
+        if wait:
+            done.wait(wait)
+
+    def spread(self, subsystem: str, done: Callable[[], None]) -> None:
+        """Call `done` when the other machines know the subsystem's table."""
+
+        def spread() -> None:
+            carried = self._carried.get(subsystem)
+            if carried is None:
+                done()
+            else:
+                carried.spread(done)
+
+        self.do(spread)
+
+    def late(self, machine: str, sent_ns: int) -> int:
+        """Return how many nanoseconds a packet was surely on its way."""
+        known = self._offset(machine)
+        if known is None:
+            return 0
+        offset, doubt = known
+        return max(time.monotonic_ns() - (sent_ns - offset) - doubt, 0)
+
+    def _carry(self, tables: dict[str, bool]) -> None:
+        for subsystem in self._carried.keys() - tables.keys():
+            self._carried.pop(subsystem).close()
+        for subsystem, keep in tables.items():
+            if subsystem in self._carried:
+                continue
+            try:
+                self._carried[subsystem] = Carried(self, subsystem, keep=keep)
+            except SvarError as error:
+                log.warning("the table of %s is not carried: %s", subsystem, error)
+
+    def _end(self) -> None:
+        self._over = True
+
+    def _work(self) -> None:
+        while not self._over:
+            due = min((one.next for one in self._carried.values()), default=None)
+            now = time.monotonic()
+            with contextlib.suppress(queue.Empty):
+                wait = None if due is None else max(due - now, 0.0)
+                self._safely(self._todo.get(timeout=wait) if wait != 0 else _nothing)
+                while True:
+                    self._safely(self._todo.get_nowait())
+            now = time.monotonic()
+            for one in list(self._carried.values()):
+                if now >= one.next:
+                    self._safely(partial(one.turn, now))
+
+    @staticmethod
+    def _safely(what: Callable[[], None]) -> None:
+        try:
+            what()
+        except Exception:  # one table's trouble is not that of the others
+            log.exception("a table could not be carried")
+
+
+def _nothing() -> None:
+    """Do nothing."""
+
+
+def _at_once(what: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
+    """Return a handler that runs in zenoh's own thread: it only hands over."""
+    return zenoh.handlers.Callback(what, indirect=False)

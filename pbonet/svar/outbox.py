@@ -1,0 +1,200 @@
+"""What of a machine's table is told to the others: its own groups, as they change."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from . import layout
+from .native import now_ns
+from .packets import Group, News
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from .epochs import Epochs
+    from .table import Table
+
+TRIES = 64
+"""Copies of a group that is being written, before it is left for the next look."""
+KEPT = 1 << 62
+"""From here on, identities of variables that an operator set."""
+BEHIND = 80_000
+"""Nanoseconds behind a commit that is expected, in which it will have come."""
+_IDLE, _BREAK, _MANY = 4, 20_000_000, 1000
+"""A writer that has been silent for so many periods and so long has stopped."""
+MARK = "@"
+"""In the names of those who write on other machines, ``TASK@HOST``."""
+
+
+class Own:
+    """One group of this machine."""
+
+    def __init__(self, table: Table, uid: int, task: str, variables: list[int]) -> None:
+        self.uid, self.task, self.variables = uid, task, variables
+        self._table = table
+        self._rooms = [room_of(table, v) for v in variables]
+        self.sent = -1
+        """The number of the commit that was sent last."""
+        self.pause_ns = _pause(table, variables)
+        self.next_ns = 0
+        self.stamp_ns = 0
+        """When what was sent last was committed."""
+        self.period_ns = 0
+        """From commit to commit, lately; 0: not known."""
+
+    def sends(self, news: News, now: int) -> None:
+        """Take note of a commit that is being sent."""
+        stamp = now - news.age_ns
+        commits = news.seq - self.sent
+        if self.sent >= 0 and 0 < commits < _MANY:
+            period = (stamp - self.stamp_ns) // commits
+            known = self.period_ns
+            self.period_ns = (3 * known + period) // 4 if known else period
+        self.sent, self.stamp_ns = news.seq, stamp
+        self.next_ns = now + self.pause_ns
+
+    def due_ns(self, now: int) -> int | None:
+        """Return when its next commit will stand; None when none is to be expected."""
+        if not self.period_ns or now - self.stamp_ns > _IDLE * self.period_ns + _BREAK:
+            return None
+        return max(self.stamp_ns + self.period_ns + BEHIND, self.next_ns)
+
+    def commit(self) -> int | None:
+        """Return the number of the newest commit."""
+        seen = self._table.peek(self.variables[0], self._rooms[0])
+        return None if seen is None else seen[5]
+
+    def read(self) -> News | None:
+        """Return the newest commit, whole; None when the group has gone or changes."""
+        for _ in range(TRIES):
+            looks = [
+                self._table.peek(v, room)
+                for v, room in zip(self.variables, self._rooms, strict=True)
+            ]
+            first = looks[0]
+            if first is None:
+                continue
+            if all(look is not None and look[4:6] == first[4:6] for look in looks):
+                data = b"".join(room.tobytes() for room in self._rooms)
+                return News(
+                    self.uid, first[5], max(now_ns() - first[2], 0), first[3], data
+                )
+        return None
+
+
+class Outbox:
+    """The groups of this machine.
+
+    Args:
+        table: The machine's table.
+        keep: Whether operators set variables here.
+    """
+
+    def __init__(self, table: Table, *, keep: bool) -> None:
+        self._table = table
+        self._keep = keep
+        self._generation = -1
+        self.groups: dict[int, Own] = {}
+        self._live: dict[int, bool] = {}
+        self._kept: int | None = None
+        """A variable that stands where operators set them, and the commit there."""
+        self._kept_seq = -1
+
+    def look(self, epochs: Epochs) -> bool:
+        """Take in who owns what now; return whether that has changed."""
+        generation = self._table.generation
+        if generation == self._generation and not self._keep_changed():
+            return False
+        self._generation, self._kept = generation, None
+        found: dict[int, tuple[str, bool, list[int]]] = {}
+        for number, variable in enumerate(self._table.variables):
+            room = np.zeros(layout.var_bytes(variable), np.uint8)
+            seen = self._table.peek(number, room)
+            if seen is not None and seen[0] == 0 and self._keep:
+                self._kept, self._kept_seq = number, seen[5]
+            if seen is None or not self._is_own(seen):
+                continue
+            uid = seen[4] if seen[0] else KEPT + number
+            found.setdefault(uid, (seen[6], seen[1], []))[2].append(number)
+        epochs.here({
+            v: (uid, live) for uid, (_, live, many) in found.items() for v in many
+        })
+        self.groups = {
+            uid: self._known(uid, task, many) for uid, (task, _, many) in found.items()
+        }
+        self._live = {uid: live for uid, (_, live, _) in found.items()}
+        return True
+
+    def news(self, now: int, *, everything: bool = False) -> list[News]:
+        """Return what is new, or the newest commit of every group."""
+        found: list[News] = []
+        for group in self.groups.values():
+            if not everything and (
+                now < group.next_ns or group.commit() in {None, group.sent}
+            ):
+                continue
+            if (news := group.read()) is not None:
+                group.sends(news, now)
+                found.append(news)
+        return found
+
+    def due(self, now: int) -> tuple[int, int] | None:
+        """Return when the next commit is to be expected, and the shortest period."""
+        expected = [
+            (due, group.period_ns)
+            for group in self.groups.values()
+            if (due := group.due_ns(now)) is not None
+        ]
+        if not expected:
+            return None
+        return min(due for due, _ in expected), min(period for _, period in expected)
+
+    def told(self, epochs: Epochs) -> list[Group]:
+        """Return the groups as they are told to others."""
+        return [
+            Group(
+                own.uid,
+                own.task,
+                self._live[own.uid],
+                own.variables,
+                [epochs.own[v].epoch for v in own.variables],
+            )
+            for own in self.groups.values()
+        ]
+
+    def _known(self, uid: int, task: str, variables: list[int]) -> Own:
+        known = self.groups.get(uid)
+        if known is not None and known.variables == variables:
+            return known
+        return Own(self._table, uid, task, variables)
+
+    def _is_own(self, seen: tuple[int, bool, int, int, int, int, str]) -> bool:
+        register, _, time_ns, _, _, _, task = seen
+        if register == 0:  # INIT is on every machine
+            return self._keep and time_ns != 0
+        return MARK not in task
+
+    def _keep_changed(self) -> bool:
+        """Whether an operator has set a variable, perhaps for the first time."""
+        if self._kept is None:
+            return False
+        seen = self._table.peek(self._kept, room_of(self._table, self._kept))
+        return seen is not None and seen[5] != self._kept_seq
+
+
+def room_of(table: Table, number: int) -> NDArray[np.uint8]:
+    """Return room for a variable as it stands in a group."""
+    return np.zeros(layout.var_bytes(table.variables[number]), np.uint8)
+
+
+def _pause(table: Table, variables: list[int]) -> int:
+    """Return the nanoseconds between two commits that are carried; 0: each is."""
+    rates = [table.variables[v].rate for v in variables]
+    if any(rate is None for rate in rates):
+        return 0
+    return round(1e9 / max(rate for rate in rates if rate is not None))
+
+
+__all__ = ["MARK", "Outbox", "room_of"]

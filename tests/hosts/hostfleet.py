@@ -1,0 +1,107 @@
+"""A master of a subsystem on several hosts, request by request."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+
+from nodekit import rmod, svar
+
+from pbonet.errors import PbonetError
+from pbonet.xm import keys
+from pbonet.xm import messages as m
+from pbonet.xm.rpc import Client
+
+AGED = """
+NAME Z0
+TYPE double
+DESC a variable that ages
+UNITS none
+NELEM 2
+MAXAGE 0.2
+
+NAME Z1
+TYPE double
+DESC one that is carried slowly
+UNITS none
+NELEM 2
+RATE 5
+
+EOF
+"""
+
+
+class Desk:
+    """A master on one of the hosts.
+
+    Args:
+        lab: The hosts and their agents.
+        subsystem: Its name.
+        rtpus: Those it uses; the first one keeps the table.
+        host: Where the master is.
+    """
+
+    def __init__(self, lab, subsystem, rtpus=("arm0", "arm1", "arm2"), host="a"):
+        self.lab, self.subsystem, self.host = lab, subsystem, host
+        self.rtpus = list(rtpus)
+        self.name = f"m{secrets.token_hex(3)}"
+        self.epochs: dict[str, int] = {}
+        key = keys.master(lab.domain, subsystem, self.name)
+        self.token = lab.session(host).liveliness().declare_token(key)
+        text = svar().replace("\nEOF\n", AGED)
+        for rtpu in self.rtpus:
+            self.epochs[rtpu] = self.ask(rtpu, m.Claim(), m.Claimed).epoch
+        for rtpu in self.rtpus:
+            keep = rtpu == self.rtpus[0]
+            request = m.OpenTable(svar=text, svar_name="t.svar", keep=keep)
+            self.ask(rtpu, request, m.TableInfo)
+
+    def ask(self, rtpu, request, result=object, *, limit=10.0):
+        client = Client(self.lab.session(self.host), self.lab.domain, self.name)
+        request.subsystem = self.subsystem
+        request.epoch = self.epochs.get(rtpu, 0)
+        return client.call(rtpu, request, result, timeout=limit)
+
+    def spawn(self, rtpu, task, module, **settings):
+        text = rmod(module, **settings)
+        request = m.Spawn(task=task, rmod=text, rmod_name=f"{task}.rmod")
+        return self.ask(rtpu, request, m.TaskStatus)
+
+    def control(self, rtpu, task, signal):
+        return self.ask(rtpu, m.Control(task=task, signal=signal), m.TaskStatus)
+
+    def on(self, rtpu, task):
+        return self.control(rtpu, task, "on")
+
+    def off(self, rtpu, task):
+        return self.control(rtpu, task, "off")
+
+    def write(self, name, values):
+        self.ask(self.rtpus[0], m.Write(name=name, values=values))
+
+    def value(self, rtpu, name):
+        """Return a variable as it stands on an RTPU's machine."""
+        return self.ask(rtpu, m.Display(names=[name]), list[m.VarValue])[0]
+
+    def flag(self, rtpu, cause, *, up):
+        self.ask(rtpu, m.Flag(cause=cause, up=up))
+
+    def illegal(self, rtpu):
+        """Return the causes that stand on an RTPU's machine, as one text."""
+        return "; ".join(self.ask(rtpu, m.Status(), m.RtpuStatus).illegal)
+
+    def status(self, rtpu, task):
+        return self.ask(rtpu, m.Status(task=task), m.RtpuStatus).tasks[0]
+
+    def close(self):
+        """Stop everything and give the RTPUs back, as far as they can be reached."""
+        for rtpu in self.rtpus:
+            with contextlib.suppress(PbonetError):
+                self.ask(rtpu, m.Stop(), m.Stopped)
+        for rtpu in reversed(self.rtpus):
+            with contextlib.suppress(PbonetError):
+                self.ask(rtpu, m.Release())
+        self.token.undeclare()
+
+
+__all__ = ["Desk"]

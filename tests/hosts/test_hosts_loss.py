@@ -1,0 +1,136 @@
+"""Agents, machines, cables and masters that are lost; both sides act, and all heals."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from hostfleet import Desk
+from hostkit import Lab
+from lan import Lan
+from nodekit import alive, processes_of
+from watching import wait_for
+
+
+@pytest.fixture
+def lab(lan: Lan):
+    """Agents for one test: it loses some of them."""
+    lan.heal_all()
+    made = Lab(lan)
+    try:
+        yield made
+    finally:
+        lan.heal_all()
+        made.close()
+
+
+@pytest.fixture
+def cell(lab):
+    """arm0 on a writes Z0, which ages; arm1 on b reads it, and is CRITICAL."""
+    lab.start("arm0", "a", grace=30.0)
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=30.0)
+    lab.wait_all()
+    desk = Desk(lab, "cell", ("arm0", "arm1"), host="b")
+    desk.spawn("arm0", "src", "counts", out="Z0")
+    desk.spawn("arm1", "sink", "holds", out="Y1", invar="Z0", critical=True)
+    desk.on("arm0", "src")
+    desk.on("arm1", "sink")
+    wait_for(lambda: not desk.illegal("arm1"), "a legal configuration")
+    wait_steady(desk)
+    yield desk
+    desk.close()
+
+
+def wait_steady(desk):
+    """Wait until news of src reach the other machine, and sink runs its cycle."""
+    first = desk.value("arm1", "Z0").cycle
+
+    def steady():
+        now = desk.value("arm1", "Z0")
+        level = desk.value("arm1", "Y1").values[0]
+        return now.cycle != first and not now.stale and level != -1.0
+
+    wait_for(steady, "news of src", 20.0)
+    assert desk.value("arm1", "Z0").writer == "src@host-a"
+
+
+def wait_stable(desk):
+    """Wait until the reader's side has acted: stale input, flag, `stable`."""
+    wait_for(lambda: desk.illegal("arm1"), "the flag")
+    wait_for(lambda: desk.value("arm1", "Y1").values[0] == -1.0, "stable()")
+    wait_for(lambda: desk.value("arm1", "Z0").stale, "a stale input")
+
+
+def test_a_cable_is_pulled_and_plugged_in_again(cell, lan):
+    lan.cut("a", "b")
+    wait_stable(cell)
+    assert "host host-a is out of sight; nobody writes Z0" in cell.illegal("arm1")
+    lan.heal("a", "b")
+    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+    wait_steady(cell)
+    assert cell.status("arm0", "src").state == "ON"
+
+
+def test_the_agent_of_the_writer_is_killed(cell, lab):
+    rtpu = lab.info("arm0", "b").rtpu_pid
+    lab.kill("arm0")
+    wait_stable(cell)
+    assert alive(rtpu)  # control goes on without its agent
+    lab.start("arm0", "a", grace=30.0)
+    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+    wait_steady(cell)
+    assert lab.info("arm0", "b").rtpu_pid == rtpu
+
+
+def test_the_agent_of_the_reader_is_killed(cell, lab):
+    """Its RTPU process sees that nobody brings the variable, and says so at once."""
+    lab.kill("arm1")
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=30.0)
+    lab.wait_all()
+    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+    wait_steady(cell)
+    raised = [e.text for e in lab_events(cell, "arm1") if e.code == "AGENT_GONE"]
+    assert raised
+
+
+def lab_events(desk, rtpu):
+    from pbonet.xm import messages as m
+
+    return desk.ask(rtpu, m.Events(), list[m.Event])
+
+
+def test_the_rtpu_process_of_the_writer_is_killed(cell, lab):
+    """Its tasks turn themselves off and end; nothing of them is left."""
+    info = lab.info("arm0", "b")
+    task = cell.status("arm0", "src").tid
+    import os
+
+    os.kill(info.rtpu_pid, signal.SIGKILL)
+    wait_stable(cell)
+    wait_for(lambda: not alive(task), "the end of src")
+
+
+def test_a_master_that_vanishes_changes_nothing(cell, lab):
+    cell.token.undeclare()
+    lab.forget_session("b")
+    before = cell.status("arm1", "sink").cycle
+    wait_for(lambda: cell.status("arm1", "sink").cycle > before + 20, "cycles of sink")
+    assert not cell.illegal("arm1")
+
+
+def test_an_agent_that_stays_away_leaves_everything_off(lan):
+    """The grace ends, `off` runs, and no process is left on its machine."""
+    lab = Lab(lan)
+    try:
+        lab.start("arm0", "a", grace=0.3)
+        desk = Desk(lab, "cell", ("arm0",))
+        diary = lab.run_dirs["a"].parent / f"{lab.domain}.diary"
+        desk.spawn("arm0", "src", "counts", out="Y0", local={"diary": diary})
+        desk.on("arm0", "src")
+        lab.kill("arm0")
+        folder = str(lab.run_dirs["a"])
+        wait_for(lambda: not processes_of("PBONET_RUN_DIR", folder), "the end", 20.0)
+        assert "off" in diary.read_text()
+        diary.unlink()
+    finally:
+        lab.close()
