@@ -38,7 +38,7 @@ from pbonet.xm import messages as m
 from pbonet.xm.rpc import Client
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Generator
 
 DOMAIN, SUBSYSTEM = "bench", "cell"
 GROUPS = 20
@@ -236,7 +236,7 @@ def watch(table: Table, seconds: float) -> list[float]:
 
 
 @contextlib.contextmanager
-def raw(mode: str, *words: str) -> Iterator[zenoh.Session]:
+def raw(mode: str, *words: str) -> Generator[zenoh.Session, None, None]:
     """Yield a session linked to a process that puts or answers."""
     listen = {"mode": "router", "listen": {"endpoints": ["tcp/127.0.0.1:17461"]}}
     connect = {"mode": "client", "connect": {"endpoints": ["tcp/127.0.0.1:17461"]}}
@@ -293,38 +293,31 @@ def latency(pair: Pair, seconds: float = 6.0) -> dict[str, Any]:
 def commands(pair: Pair, count: int = 400) -> dict[str, Any]:
     """Measure commands beside a plain queryable that answers at once."""
 
-    def times(ask: Callable[[], object]) -> list[float]:
-        taken = []
-        for _ in range(count):
-            begin = time.perf_counter()
-            ask()
-            taken.append(time.perf_counter() - begin)
-        return taken
-
     def status() -> None:
         pair.client.call("two", m.Status(subsystem=SUBSYSTEM), m.RtpuStatus)
 
-    found: dict[str, Any] = {}
+    def hello() -> None:
+        pair.client.call("two", m.Hello(), m.AgentInfo)
+
     with raw("echo") as link:
 
         def echo() -> None:
-            replies = list(link.get("bench/echo", payload=bytes(100), timeout=2.0))
-            assert replies
+            assert list(link.get("bench/echo", payload=bytes(100), timeout=2.0))
 
         wait(lambda: list(link.get("bench/echo", payload=b"", timeout=1.0)), "echo")
-        plain, hello, asked, set_ = [], [], [], []
-        for _ in range(2):
-            plain += times(echo)
-            hello += times(lambda: pair.client.call("two", m.Hello(), m.AgentInfo))
-            asked += times(status)
-            set_ += times(lambda: _write(pair))
-    for name, values in zip(
-        ("queryable", "hello", "status", "write, known to the other machine"),
-        (plain, hello, asked, set_),
-        strict=True,
-    ):
-        found[name] = quantiles(values)
-    return found
+        asked: dict[str, Callable[[], None]] = {
+            "queryable": echo,
+            "hello": hello,
+            "status": status,
+            "write, known to the other machine": lambda: _write(pair),
+        }
+        taken: dict[str, list[float]] = {name: [] for name in asked}
+        for name, ask in [*asked.items(), *asked.items()]:
+            for _ in range(count):
+                begin = time.perf_counter()
+                ask()
+                taken[name].append(time.perf_counter() - begin)
+    return {name: quantiles(values) for name, values in taken.items()}
 
 
 def _write(pair: Pair) -> None:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-SHORTEST, LONGEST = 0.0005, 0.01
+SHORTEST, LONGEST = 0.00015, 0.01
 """Seconds between looks at a table, by how often it changes. A look costs some tens of
 microseconds, so commits that come closer to each other go together."""
 ALONE = 0.2
@@ -182,10 +182,8 @@ class Carried:
         due = self.mirror.due() if self.mirror is not None else None
         if due is None:
             self.next = now + LONGEST
-            return
-        until, period = due
-        apart = min(max(period / 4, SHORTEST), LONGEST)
-        self.next = now + min(max(until, apart), LONGEST)
+        else:  # what is overdue is looked for twice as late each time
+            self.next = now + min(max(abs(due), SHORTEST), LONGEST)
 
     # -- zenoh's threads ---------------------------------------------------------------
 

@@ -142,13 +142,11 @@ class Mirror:
         self._lost.clear()
         self._raise_exactly({})
 
-    def due(self) -> tuple[float, float] | None:
-        """Return in how many seconds a commit is expected, and the shortest period."""
+    def due(self) -> float | None:
+        """Return in how many seconds a commit is expected; below 0: it is overdue."""
         now = now_ns()
         expected = self._outbox.due(now)
-        if expected is None:
-            return None
-        return (expected[0] - now) * 1e-9, expected[1] * 1e-9
+        return None if expected is None else (expected - now) * 1e-9
 
     def conflicts(self) -> list[str]:
         """Return the variables that are owned on two machines."""

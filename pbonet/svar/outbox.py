@@ -22,6 +22,8 @@ KEPT = 1 << 62
 """From here on, identities of variables that an operator set."""
 BEHIND = 80_000
 """Nanoseconds behind a commit that is expected, in which it will have come."""
+TOGETHER = 8
+"""Commits within this part of a period go together."""
 _IDLE, _BREAK, _MANY = 4, 20_000_000, 1000
 """A writer that has been silent for so many periods and so long has stopped."""
 MARK = "@"
@@ -140,8 +142,11 @@ class Outbox:
                 found.append(news)
         return found
 
-    def due(self, now: int) -> tuple[int, int] | None:
-        """Return when the next commit is to be expected, and the shortest period."""
+    def due(self, now: int) -> int | None:
+        """Return when to look for the next commit; in the past: it is overdue.
+
+        Those that are expected close to each other are looked for together.
+        """
         expected = [
             (due, group.period_ns)
             for group in self.groups.values()
@@ -149,7 +154,9 @@ class Outbox:
         ]
         if not expected:
             return None
-        return min(due for due, _ in expected), min(period for _, period in expected)
+        first = min(due for due, _ in expected)
+        together = first + min(period for _, period in expected) // TOGETHER
+        return max(due for due, _ in expected if due <= together)
 
     def told(self, epochs: Epochs) -> list[Group]:
         """Return the groups as they are told to others."""

@@ -11,7 +11,9 @@ from pbonet.errors import AccessError
 from . import messages as m
 
 LEAVES = ("sbs", "status")
-_LOOKING = (m.Hello, m.Get, m.Status, m.Profile, m.Display, m.Modules, m.Events)
+_LOOKING = (
+    *(m.Hello, m.Links, m.Get, m.Status, m.Profile, m.Display, m.Modules, m.Events),
+)
 
 
 def only_looks(request: m.Request) -> bool:
@@ -40,8 +42,8 @@ def check(request: m.Request, key: str) -> None:
         raise AccessError(
             "this key takes requests that change nothing",
             where=key,
-            expected="hello, status, profile, display, modules, events, get, or freq "
-            "without hz",
+            expected="hello, links, status, profile, display, modules, events, get, or "
+            "freq without hz",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys",
         )
