@@ -53,7 +53,7 @@ LOOK = 0.1
 LOCK_TIME = 0.3
 """Seconds for which an RTPU process that ends may hold the name, to clean up."""
 LET_GO_TIME = 2.0
-"""Seconds in which tables are let go, so that whoever comes next may make them anew."""
+"""Seconds in which tables are let go."""
 RESTARTS = 5
 RESTART_WINDOW = 60.0
 """An RTPU process that is lost more often than this many times in so many seconds is
@@ -372,12 +372,15 @@ class Agent:
         else:
             done()
 
+    def let_go(self) -> None:
+        """Carry no table any more, so that whoever comes next may make them anew."""
+        if self._mirrors is not None:
+            self._mirrors.carry({}, wait=LET_GO_TIME)
+
     def lost(self, reason: str, *, orderly: bool) -> None:
         """Start the RTPU process again if it was killed; end with it if it ended."""
         if self._server is not None:
             self._server.fail_pending(f"the RTPU process ended: {reason}")
-        if self._mirrors is not None:
-            self._mirrors.carry({}, wait=LET_GO_TIME)
         with self._guard:
             if self._stopping:
                 return

@@ -49,6 +49,9 @@ class Listener(Protocol):
     def informed(self, info: wire.RtpuInfo) -> None:
         """Take who the RTPU process is, as it has changed."""
 
+    def let_go(self) -> None:
+        """Let go of its tables: what it has left is about to be removed."""
+
     def lost(self, reason: str, *, orderly: bool) -> None:
         """Take the news that the RTPU process has ended."""
 
@@ -293,6 +296,7 @@ class RtpuLink:
             self._sock = None
             sock.close()
         if not self._closing:
+            self._listener.let_go()
             self._listener.lost(
                 self._describe_end(reason, orderly=orderly), orderly=orderly
             )
