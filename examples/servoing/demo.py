@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
+JOB = HERE / "inverse.job"
 BUILD = HERE.parents[1] / "build"
 SECONDS = 7.0
 """How long a run lasts; the target rests from 5.08 s on."""
@@ -62,14 +63,15 @@ class Result(NamedTuple):
 
 def run(steering: Any, *, swap: bool) -> Result:  # noqa: ANN401 - see steering.py
     """Run the job, with or without swaps."""
-    steering.begin(HERE / "inverse.job", SPARE)
+    steering.begin(SPARE)
+    arm = steering.subsystem
     try:
         if swap:
             if _watch(steering, lambda sigma: sigma < NEAR):
-                steering.swap(INVERSE, DAMPED)
+                arm.swap(INVERSE, DAMPED)
             if _watch(steering, lambda sigma: sigma > AWAY):
-                steering.swap(DAMPED, INVERSE)
-        steering.wait(max(0.0, SECONDS - steering.now()))
+                arm.swap(DAMPED, INVERSE)
+        arm.wait(max(0.0, SECONDS - steering.now()))
     finally:
         recording = steering.end()
     title = "with the swap" if swap else "without a swap"
@@ -81,7 +83,7 @@ def _watch(steering: Any, passed: Callable[[float], bool]) -> bool:  # noqa: ANN
     while steering.now() < SECONDS:
         if passed(steering.value("SIGMA")):
             return True
-        steering.wait(LOOK)
+        steering.subsystem.wait(LOOK)
     return False
 
 
@@ -199,9 +201,9 @@ def main(argv: list[str] | None = None) -> None:
     told = words.parse_args(argv)
     sys.path.insert(0, str(HERE))
     steering = importlib.import_module("steering")
-    make = steering.Virtual if told.sim else steering.Real
+    make = steering.Steering
     try:
-        results = [run(make(), swap=swap) for swap in (False, True)]
+        results = [run(make(JOB, sim=told.sim), swap=swap) for swap in (False, True)]
     except PbonetError as error:
         sys.exit(f"demo: {error}")
     plot(results, told.plot)

@@ -1,16 +1,13 @@
-"""One way to steer the example in real and in virtual time."""
+"""The example's subsystem in real or in virtual time, and every cycle of its tasks."""
 
 from __future__ import annotations
 
 import os
-import time
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from pbonet.errors import StateError
-from pbonet.master.embedded import Embedded
+from pbonet.master import Subsystem
 from pbonet.master.rings import Drain
-from pbonet.master.sim import Simulation
-from pbonet.master.subsystem import Subsystem
 from pbonet.node._ring import Ring  # noqa: PLC2701 - a task's every cycle
 
 if TYPE_CHECKING:
@@ -20,125 +17,55 @@ if TYPE_CHECKING:
     from pbonet.master.recording import Recording
 
 
-class Steering(Protocol):
-    """What the example's program needs of a running job."""
-
-    def begin(self, job: Path, spare: Sequence[tuple[str, str]]) -> None:
-        """Start a job, and create more tasks (RMOD and RTPU) that stay OFF."""
-        ...
-
-    def value(self, variable: str) -> float:
-        """Return the first element of a variable."""
-        ...
-
-    def swap(self, old: Sequence[str], new: Sequence[str]) -> None:
-        """Put tasks into the place of others."""
-        ...
-
-    def now(self) -> float:
-        """Return seconds since the job was started."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass."""
-        ...
-
-    def end(self) -> Recording:
-        """Turn everything off; return every cycle."""
-        ...
-
-
-class Virtual:
-    """In virtual time: the same result every time."""
-
-    def begin(self, job: Path, spare: Sequence[tuple[str, str]]) -> None:
-        """Start a job, and create more tasks that stay OFF."""
-        self._simulation = Simulation(job)
-        self._simulation.start()
-        self._begin_ns = self._simulation.now_ns
-        for rmod, rtpu in spare:
-            self._simulation.spawn(rmod, rtpu)
-
-    def value(self, variable: str) -> float:
-        """Return the first element of a variable."""
-        return float(self._simulation.table.values[variable][0])
-
-    def swap(self, old: Sequence[str], new: Sequence[str]) -> None:
-        """Put tasks into the place of others; both as the data flow."""
-        items = [(task, "off") for task in reversed(old)]
-        self._simulation.reconfig([*items, *((task, "on") for task in new)])
-
-    def now(self) -> float:
-        """Return seconds since the job was started."""
-        return (self._simulation.now_ns - self._begin_ns) * 1e-9
-
-    def wait(self, seconds: float) -> None:
-        """Let virtual time pass."""
-        self._simulation.advance(seconds)
-
-    def end(self) -> Recording:
-        """Turn everything off; return every cycle."""
-        self._simulation.stop()
-        return self._simulation.recording
-
-
-class Real:
-    """In real time, with agents of its own in a domain of its own.
+class Steering:
+    """One run of a job, recorded.
 
     Args:
-        domain: The domain, where agents run already; by default a new one.
+        job: The job's file.
+        sim: In virtual time: the same result every time.
+        domain: Where agents run already; by default a new one with agents of its own.
     """
 
-    def __init__(self, domain: str = "") -> None:
-        self._domain = domain or f"servoing{os.getpid()}"
-
-    def begin(self, job: Path, spare: Sequence[tuple[str, str]]) -> None:
-        """Start a job, and create more tasks that stay OFF."""
-        self._agents = Embedded(self._domain)
-        self._subsystem = Subsystem(job, domain=self._domain)
+    def __init__(self, job: Path, *, sim: bool = False, domain: str = "") -> None:
         self._drain: Drain | None = None
+        self.subsystem = Subsystem(
+            job,
+            domain=domain or f"servoing{os.getpid()}",
+            embed=not sim,
+            virtual=sim,
+        )
+
+    def begin(self, spare: Sequence[tuple[str, str]]) -> None:
+        """Start the job, and create more tasks (RMOD and RTPU) that stay OFF."""
+        arm = self.subsystem.open()
         try:
-            rtpus = [entry.name for entry in self._subsystem.sbs.rtpus]
-            if missing := self._agents.missing(rtpus):
-                self._agents.start(missing)
-            self._subsystem.open()
-            self._drain = Drain(self._subsystem, Ring.attach, {"job": job.stem})
-            self._drain.start()
-            self._subsystem.start()
+            if arm.simulation is None:
+                self._drain = Drain(arm, Ring.attach, {"job": arm.name})
+                self._drain.start()
+            arm.start()
             for rmod, rtpu in spare:
-                self._subsystem.spawn(rmod, rtpu)
-            self._drain.follow(self._subsystem.status_all())
+                arm.spawn(rmod, rtpu)
+            if self._drain is not None:
+                self._drain.follow(arm.status_all())
         except BaseException:
             self.end()
             raise
-        self._begin = time.monotonic()
-
-    @property
-    def subsystem(self) -> Subsystem:
-        """The subsystem."""
-        return self._subsystem
+        self._begin = arm.clock.now()
 
     def value(self, variable: str) -> float:
         """Return the first element of a variable."""
-        (found,) = self._subsystem.display([variable])
-        return float(found.values[0])
-
-    def swap(self, old: Sequence[str], new: Sequence[str]) -> None:
-        """Put tasks into the place of others."""
-        self._subsystem.swap(old, new)
+        return float(self.subsystem.display(variable)[0].values[0])
 
     def now(self) -> float:
         """Return seconds since the job was started."""
-        return time.monotonic() - self._begin
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass."""
-        time.sleep(seconds)
+        return self.subsystem.clock.now() - self._begin
 
     def end(self) -> Recording:
         """Turn everything off; return every cycle."""
-        with self._agents:
-            self._subsystem.__exit__(None, None, None)
+        arm = self.subsystem
+        arm.finish()
+        if arm.simulation is not None:
+            return arm.simulation.recording
         if self._drain is None:
-            raise StateError("the job was never started", where=self._domain)
+            raise StateError("the job was never started", where=arm.name)
         return self._drain.stop()

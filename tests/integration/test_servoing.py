@@ -28,7 +28,8 @@ def load(name):
 def steering(nodes):
     nodes.agent_process("arm0")
     nodes.agent_process("arm1")
-    return load("steering").Real(nodes.domain)
+    job = EXAMPLE / "inverse.job"
+    return load("steering").Steering(job, domain=nodes.domain)
 
 
 def cycles(subsystem, task, more):
@@ -38,19 +39,19 @@ def cycles(subsystem, task, more):
 
 def test_controllers_are_swapped_back_and_forth_while_the_arm_moves(steering):
     demo = load("demo")
-    steering.begin(EXAMPLE / "inverse.job", demo.SPARE)
+    steering.begin(demo.SPARE)
     try:
         arm = steering.subsystem
         # until the target moves, which it does 1.08 s after it was turned on
         wait_for(lambda: steering.value("X^_DES") != 0.0, "a target that moves", 30.0)
         cycles(arm, "puma_inv_kin", 20)
-        steering.swap(demo.INVERSE, demo.DAMPED)
+        arm.swap(demo.INVERSE, demo.DAMPED)
         cycles(arm, "qrint", 50)
         (reference,) = arm.display(["Q_REF"])
         assert reference.writer == "qrint"
         states = {task.task: task.state for task in arm.status_all()}
         assert states["puma_inv_kin"] == "OFF"
-        steering.swap(demo.DAMPED, demo.INVERSE)
+        arm.swap(demo.DAMPED, demo.INVERSE)
         cycles(arm, "puma_inv_kin", 50)
         (reference,) = arm.display(["Q_REF"])
         assert reference.writer == "puma_inv_kin"

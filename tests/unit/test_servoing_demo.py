@@ -36,7 +36,10 @@ def demo() -> ModuleType:
 @pytest.fixture(scope="module")
 def runs(demo: ModuleType) -> list[Any]:
     steering = load("steering")
-    return [demo.run(steering.Virtual(), swap=swap) for swap in (False, True)]
+    return [
+        demo.run(steering.Steering(demo.JOB, sim=True), swap=swap)
+        for swap in (False, True)
+    ]
 
 
 def fastest(run: Any, name: str) -> float:
