@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import hashlib
 import socket
+from collections import Counter
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import msgspec
 from msgspec import Struct, structs
@@ -33,6 +34,46 @@ FOLDER = "profiles"
 ENOUGH = 100
 """Cycles from which on a profile says something."""
 FORMAT = 1
+RUNS = 16
+"""So many runs are kept apart; what is older is joined."""
+Bins: TypeAlias = tuple[tuple[int, int], ...]
+
+
+class Run(Struct, frozen=True, kw_only=True):
+    """What one process of a task was measured to need; times in seconds."""
+
+    tid: int
+    """The process; 0 for several runs joined."""
+    when: str
+    cycles: int
+    least: float
+    most: float
+    mean: float
+    bins: Bins
+
+    def continues(self, earlier: Run) -> bool:
+        """Tell whether this is a later look at the same process."""
+        now = dict(self.bins)
+        return self.tid == earlier.tid != 0 and all(
+            now.get(index, 0) >= count for index, count in earlier.bins
+        )
+
+
+def joined(runs: Sequence[Run]) -> Run:
+    """Return what several runs say together: extremes, sums, the mean of all cycles."""
+    bins: Counter[int] = Counter()
+    for run in runs:
+        bins.update(dict(run.bins))
+    cycles = sum(run.cycles for run in runs)
+    return Run(
+        tid=runs[0].tid if len(runs) == 1 else 0,
+        when=runs[-1].when,
+        cycles=cycles,
+        least=min(run.least for run in runs),
+        most=max(run.most for run in runs),
+        mean=sum(run.mean * run.cycles for run in runs) / cycles,
+        bins=tuple(sorted(bins.items())),
+    )
 
 
 class Saved(Struct, frozen=True, kw_only=True):
@@ -54,13 +95,33 @@ class Saved(Struct, frozen=True, kw_only=True):
     least: float
     most: float
     mean: float
-    bins: tuple[tuple[int, int], ...]
+    bins: Bins
     """Bins of `pbonet.sched.histogram` and how many cycles each counts."""
+    runs: tuple[Run, ...] = ()
+    """What the figures above are joined from, in the order of saving."""
+
+    def behind(self, earlier: Saved) -> Saved:
+        """Return this profile of one run together with those saved before."""
+        runs = list(earlier.runs or [_run_of(earlier)])
+        if self.runs[0].continues(runs[-1]):
+            runs.pop()
+        runs += self.runs
+        if len(runs) > RUNS:
+            runs[:2] = [joined(runs[:2])]
+        every = structs.asdict(joined(runs))
+        del every["tid"]
+        return structs.replace(self, runs=tuple(runs), **every)
 
     @property
     def profile(self) -> soft.Profile:
         """The execution profile Psi(t)."""
         return profile_of(self.bins, self.most)
+
+
+def _run_of(saved: Saved) -> Run:
+    """Return the only run of a profile that names none."""
+    names = {*Run.__struct_fields__} - {"tid"}
+    return Run(tid=0, **{name: getattr(saved, name) for name in names})
 
 
 @lru_cache(maxsize=256)
@@ -155,7 +216,10 @@ class Store:
     def keep(
         self, found: TaskProfile, rmod: Rmod, *, host: str, when: str
     ) -> tuple[Saved, Path]:
-        """Save a task's profile; return it and its file.
+        """Save a task's profile, with what was saved before; return it and its file.
+
+        Runs of the same module with the same configuration on the same machine count
+        together. A later look at a process that was saved before replaces the earlier.
 
         Raises:
             StateError: It has counted too few cycles.
@@ -163,6 +227,9 @@ class Store:
         """
         saved = self.saved(found, rmod, host=host, when=when)
         path = self.folder / host / f"{rmod.name}.json"
+        earlier, _ = self.find(rmod, host, None)
+        if earlier is not None and earlier.version == saved.version:
+            saved = saved.behind(earlier)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             new = path.with_suffix(".new")
@@ -194,6 +261,15 @@ class Store:
                 got=f"{cycles} cycles",
                 remedy="let it run longer",
             )
+        run = Run(
+            tid=status.tid,
+            when=when,
+            cycles=cycles,
+            least=found.least,
+            most=found.most,
+            mean=status.tot_c / status.cycle if status.cycle else 0.0,
+            bins=tuple(found.cpu),
+        )
         return Saved(
             rmod=rmod.name,
             module=status.module,
@@ -203,11 +279,12 @@ class Store:
             rtpu=status.rtpu,
             when=when,
             hz=status.ref_f,
-            cycles=cycles,
-            least=found.least,
-            most=found.most,
-            mean=status.tot_c / status.cycle if status.cycle else 0.0,
-            bins=tuple(found.cpu),
+            cycles=run.cycles,
+            least=run.least,
+            most=run.most,
+            mean=run.mean,
+            bins=run.bins,
+            runs=(run,),
         )
 
 

@@ -81,6 +81,55 @@ def test_a_profile_is_found_as_it_was_saved(store, tmp_path):
     assert saved.profile.effective_ns(0.1) < 64_000
 
 
+def test_runs_are_joined(store):
+    """The largest MAXC, the least MINC, and E from the cycles of all of them."""
+    keep(store, found(tid=7))
+    slower = structs.replace(found(short=50, long=150, tid=8), least=55 * US, most=2e-3)
+    saved, path = keep(store, slower)
+    assert saved.cycles == 400
+    assert (saved.least, saved.most) == (50 * US, 2e-3)
+    assert dict(saved.bins) == {bin_of(60_000): 240, bin_of(900_000): 160}
+    assert [run.cycles for run in saved.runs] == [200, 200]
+    assert measured.read(path) == saved
+    assert saved.profile.effective_ns(0.1) > 800_000
+    task = measured.with_times(verify.Task(rmod=rmod(), rtpu="arm0"), saved)
+    assert verify.worst(task) == verify.Figure(2e-3, verify.Source.MEASURED)
+
+
+def test_a_later_look_at_a_run_replaces_the_earlier(store):
+    keep(store, found(tid=7))
+    saved, _ = keep(store, found(short=290, long=10, tid=7))
+    assert (saved.cycles, len(saved.runs)) == (300, 1)
+    saved, _ = keep(store, found(short=190, long=9, tid=7))  # another process, same id
+    assert (saved.cycles, len(saved.runs)) == (499, 2)
+
+
+def test_other_parameters_or_another_version_begin_anew(store):
+    keep(store, found(tid=7))
+    assert keep(store, found(tid=8), more="LOCAL\ngain 2\n")[0].cycles == 200
+    assert (
+        keep(store, found(tid=9, version="v2"), more="LOCAL\ngain 2\n")[0].cycles == 200
+    )
+    assert keep(store, found(tid=10, version="v2"))[0].cycles == 200
+
+
+def test_a_file_that_names_no_runs_is_one(store):
+    _, path = keep(store)
+    data = json.loads(path.read_text())
+    del data["runs"]
+    path.write_text(json.dumps(data))
+    saved, _ = keep(store, found(tid=8))
+    assert (saved.cycles, len(saved.runs)) == (400, 2)
+
+
+def test_old_runs_are_joined_and_lose_nothing(store):
+    for tid in range(1, 40):
+        most = 5e-3 if tid == 3 else 900 * US
+        saved, _ = keep(store, structs.replace(found(tid=tid), most=most))
+    assert len(saved.runs) == measured.RUNS
+    assert (saved.cycles, saved.most) == (39 * 200, 5e-3)
+
+
 def test_it_counts_on_its_own_machine_only(store):
     keep(store)
     assert store.find(rmod(), "h2", None) == (None, "")
