@@ -106,9 +106,9 @@ class Lines:
 def prepare(scheduler: str, folder: Path) -> Path:
     """Copy the files of a scheduler's job, and return the job.
 
-    RM and EDF have nothing to say about an overload but that it is one, so pbonet
-    refuses to start it. It starts what it knows nothing about: for these two MAXC is
-    left out, and CRIT, which would take the place of their rules.
+    Of an overload under EDF nobody knows what is kept, so pbonet refuses to start it.
+    It starts what it knows nothing about: for EDF and RM MAXC is left out, and with it
+    all reserves, and CRIT, which would take the place of their rules.
     """
     for path in HERE.iterdir():
         if path.suffix in {".svar", ".sbs", ".job", ".rmod"}:

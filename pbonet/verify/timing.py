@@ -275,9 +275,9 @@ def _overload(
     over = load.utilization > limit * (1 + MAX_FAULT)
     if (late or over) and (found := _too_large(load, tasks, configuration, late)):
         yield found
-    elif load.scheduler is Scheduler.MUF and critical:
+    elif critical and load.scheduler is not Scheduler.EDF:
         yield _not_critical(load, configuration, critical)
-    elif over and load.scheduler is not Scheduler.MUF:
+    elif over and not _known_victims(load, late):
         yield _too_much(load, limit)
     elif late:
         yield Problem(
@@ -290,6 +290,17 @@ def _overload(
             remedy="lower a frequency, or move a task to another RTPU",
             tasks=tuple(late),
         )
+
+
+def _known_victims(load: Load, late: list[str]) -> bool:
+    """Return whether it is known who misses in an overload, and who does not.
+
+    Under EDF it may be anybody (section 6.2.2). Under RM it is those of low rate, as
+    far as all execution times are known.
+    """
+    if load.scheduler is Scheduler.RM:
+        return bool(late and load.guaranteed)
+    return load.scheduler is Scheduler.MUF
 
 
 def _promise(load: Load) -> str:
@@ -349,8 +360,10 @@ def _not_critical(
     """Return the refusal of CRITICAL tasks that the critical set does not hold."""
     names = " and ".join(critical)
     there = [t for t in configuration.running if t.rtpu == load.rtpu]
-    changes = transform(
-        demands(there), critical, servers(there), limit=configuration.limit
+    changes = (
+        transform(demands(there), critical, servers(there), limit=configuration.limit)
+        if load.scheduler is Scheduler.MUF
+        else ()
     )
     if changes:
         remedy = " and ".join(
@@ -360,12 +373,14 @@ def _not_critical(
         )
     else:
         remedy = f"lower the frequency of {names}"
+    muf = "within the critical set, the shortest periods whose utilization is at most"
     return Problem(
         code=Code.OVERLOAD,
         what=f"RTPU {load.rtpu} is too busy for the CRITICAL {names}",
         where=load.rtpu,
-        expected="CRITICAL tasks within the critical set, the shortest periods whose "
-        f"utilization is at most {configuration.limit:.1%}",
+        expected=f"CRITICAL tasks {muf} {configuration.limit:.1%}"
+        if load.scheduler is Scheduler.MUF
+        else "CRITICAL tasks whose longest response is within their deadline",
         got=_used(load),
         remedy=f"{remedy}, lower another task's frequency, or move one to another RTPU",
         tasks=tuple(critical),

@@ -79,7 +79,13 @@ def test_edf_has_one_criticality_and_keeps_nothing_in_an_overload() -> None:
 
 def test_rm_goes_by_the_bound_of_equation_9() -> None:
     config = figure_6_1("RM")
-    assert "is asked for more than it has" in texts(config)[0]
+    assert texts(config) == [
+        "arm0: on RTPU arm0 t3 and t4 may miss deadlines (expected a utilization of at "
+        "most 75.7% under RM, got 125.0%); lower a frequency, or move a task to "
+        "another RTPU"
+    ]
+    assert verify.loads(config)[0].guaranteed == ("t1", "t2")
+    assert [problem.severity for problem in verify.check(config)] == ["warn"]
     three = configuration(*config.tasks[:3], rtpus=config.rtpus)
     (load,) = verify.loads(three)
     assert load.bound == pytest.approx(3 * (2 ** (1 / 3) - 1))
@@ -91,6 +97,27 @@ def test_rm_goes_by_the_bound_of_equation_9() -> None:
     two = configuration(*config.tasks[:2], rtpus=config.rtpus)
     assert verify.loads(two)[0].bound == pytest.approx(0.828, abs=1e-3)
     assert texts(two) == []
+
+
+def test_rm_refuses_an_overload_that_hits_a_critical_task() -> None:
+    config = figure_6_1("RM")
+    third = config.tasks[2]
+    marked = structs.replace(third, rmod=structs.replace(third.rmod, critical=True))
+    tasks = (*config.tasks[:2], marked, config.tasks[3])
+    (problem,) = verify.check(configuration(*tasks, rtpus=config.rtpus))
+    assert problem.severity == "refuse"
+    assert problem.what == "RTPU arm0 is too busy for the CRITICAL t3"
+    assert problem.expected == (
+        "CRITICAL tasks whose longest response is within their deadline"
+    )
+
+
+def test_rm_refuses_an_overload_of_which_nobody_is_safe() -> None:
+    tasks = [task("a", freq=100, maxc=0.009), task("b", freq=99, maxc=0.009)]
+    tasks = [structs.replace(t, rmod=structs.replace(t.rmod, crit=7)) for t in tasks]
+    (problem,) = verify.check(configuration(*tasks, rtpus=[rtpu(scheduler="RM")]))
+    assert problem.severity == "refuse"
+    assert "is asked for more than it has" in problem.what
 
 
 def test_rm_gives_the_faster_task_the_higher_criticality() -> None:
