@@ -47,8 +47,8 @@ check: setup  ## Lint, types, layers
 test: setup  ## Run every test
 	$(BIN)/python -m pytest
 
-bench: setup  ## Measure everything that docs/benchmarks publishes
-	$(BIN)/python -m benchmarks.run
+bench: setup  ## Measure all that docs/benchmarks publishes (BENCH=--quick: as little as works)
+	$(BIN)/python -m benchmarks.run $(BENCH)
 
 docs: setup  ## Build the documentation
 	$(BIN)/sphinx-build --fail-on-warning --keep-going -q -b html docs docs/_build/html

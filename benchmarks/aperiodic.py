@@ -10,7 +10,8 @@ under RM their rates do. Every policy gets the same events, from a fixed seed.
 *simulated* is `pbonet.sched.simulate`. *real* are processes under the dispatcher on one
 core, which spend their CPU time in Python; another process, on another core, writes the
 events into a pipe when their time has come, and a response time runs from that to the
-end of the event's cycle. There is no task type for polling: it is simulated only.
+end of the event's cycle. Polling has no task type of its own: it is a periodic task
+that looks into the pipe in each cycle and serves what is there within its capacity.
 
     python -m benchmarks.aperiodic [--seconds 8] [--blocks 1] [--core 1] [--simulate]
         [--json FILE]
@@ -64,13 +65,13 @@ class Policy(NamedTuple):
 
     kind: ServerKind
     rm: bool
-    task_kind: Kind | None
-    """The task type that does it; None where there is none."""
+    task_kind: Kind
+    """The task type that does it."""
 
 
 POLICIES = {
     "background": Policy(ServerKind.BACKGROUND, rm=False, task_kind=Kind.BACKGROUND),
-    "polling (MUF)": Policy(ServerKind.POLLING, rm=False, task_kind=None),
+    "polling (MUF)": Policy(ServerKind.POLLING, rm=False, task_kind=Kind.PERIODIC),
     "RDS": Policy(ServerKind.DEFERRABLE, rm=True, task_kind=Kind.DEFERRABLE),
     "RSS": Policy(ServerKind.SPORADIC, rm=True, task_kind=Kind.SPORADIC),
     "MDS": Policy(ServerKind.DEFERRABLE, rm=False, task_kind=Kind.DEFERRABLE),
@@ -208,15 +209,46 @@ def start_tasks(core: _rt.CoreTable, one: Plan) -> dict[int, int]:
     return started
 
 
+def poll(end: _rt.Slot, capacity: int, pipe: int, out: NDArray[np.int64]) -> None:
+    """Serve what has come, in each period for as long as the capacity lasts."""
+    os.set_blocking(pipe, False)
+    clock = time.thread_time_ns
+    number = rest = written = 0
+
+    def cycle(_dt: float) -> None:
+        nonlocal number, rest, written
+        until = clock() + capacity
+        while (left := until - clock()) > 0:
+            if not rest:
+                try:
+                    number, rest, written = EVENT.unpack(os.read(pipe, EVENT.size))
+                except BlockingIOError:
+                    return
+            if number < 0:
+                out[-1] = 1
+                return
+            now = min(rest, left)
+            spend(clock() + now)
+            rest -= now
+            if not rest:
+                out[number] = time.monotonic_ns() - written
+
+    end.run(cycle, None)
+
+
 def start_server(
     core: _rt.CoreTable, one: Plan, kind: Kind, pipe: int, out: NDArray[np.int64]
 ) -> tuple[int, int]:
     """Start the server; its slot and pid. `out` gets the response times."""
     slot = core.alloc("bench", "server")
     core.configure(slot, kind=kind, crit=one.server_crit, drop=one.server_drop)
-    core.configure(slot, period_ns=SERVER_PERIOD, maxc_ns=one.capacity_ns)
+    spare = SPARE if kind is Kind.PERIODIC else 0  # it keeps to its capacity itself
+    core.configure(slot, period_ns=SERVER_PERIOD, maxc_ns=one.capacity_ns + spare)
 
     def body(end: _rt.Slot) -> None:
+        if kind is Kind.PERIODIC:
+            poll(end, one.capacity_ns, pipe, out)
+            return
         clock, event = time.thread_time_ns, (0, 0, 0)
 
         def sync() -> None:
@@ -296,7 +328,7 @@ def main() -> None:
             for name, policy in POLICIES.items():
                 one = plan(load, policy, args.seconds)
                 found = {"simulated": [virtually(one, args.seconds)]}
-                if policy.task_kind is not None and not args.simulate:
+                if not args.simulate:
                     found["real"] = [
                         really(core, one, policy.task_kind, args.seconds)
                         for _ in range(args.blocks)

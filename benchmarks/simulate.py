@@ -5,7 +5,7 @@ at and around 100 Hz, without module code; beside it the twin of the dispatcher,
 keeps every decision (`pbonet.sched.inline`), and the whole of `simulate_job`. The
 median of five runs; the goal is 100 for the first line.
 
-    python -m benchmarks.simulate [--json FILE]
+    python -m benchmarks.simulate [--seconds 20] [--json FILE]
 """
 
 from __future__ import annotations
@@ -78,9 +78,8 @@ def job(seconds: float) -> None:
     verify.simulate_job(configuration, seconds=seconds).as_text()
 
 
-def speeds() -> dict[str, float]:
-    """Return how much faster than real time each case runs."""
-    seconds = 20
+def speeds(seconds: int) -> dict[str, float]:
+    """Return how much faster than real time each case runs so many seconds."""
     return {
         "10 tasks at 100 Hz": speed(
             lambda: simulate(tasks(0), until_ns=seconds * SECOND), seconds
@@ -92,7 +91,7 @@ def speeds() -> dict[str, float]:
             lambda: job(seconds), seconds
         ),
         "10 tasks at 100 Hz, twin of the dispatcher": speed(
-            lambda: twin(0, seconds // 4), seconds // 4
+            lambda: twin(0, seconds // 4 or 1), seconds // 4 or 1
         ),
     }
 
@@ -100,9 +99,10 @@ def speeds() -> dict[str, float]:
 def main() -> int:
     """Measure, print, and say whether the goal was met."""
     parser = argparse.ArgumentParser(description="Speed of virtual time.")
+    parser.add_argument("--seconds", type=int, default=20, help="of virtual time")
     parser.add_argument("--json", metavar="FILE", help="write the figures there too")
     arguments = parser.parse_args()
-    found = {"times real time": speeds()}
+    found = {"times real time": speeds(arguments.seconds)}
     for title, rows in found.items():
         print(title)
         for name, value in rows.items():
