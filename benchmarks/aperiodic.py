@@ -14,7 +14,7 @@ end of the event's cycle. Polling has no task type of its own: it is a periodic 
 that looks into the pipe in each cycle and serves what is there within its capacity.
 
     python -m benchmarks.aperiodic [--seconds 8] [--blocks 1] [--core 1] [--simulate]
-        [--json FILE]
+        [--policies NAME ...] [--json FILE]
 """
 
 from __future__ import annotations
@@ -310,6 +310,7 @@ def main() -> None:
     parser.add_argument("--blocks", type=int, default=1)
     parser.add_argument("--core", type=int, default=1)
     parser.add_argument("--simulate", action="store_true", help="leave the real runs")
+    parser.add_argument("--policies", nargs="+", choices=POLICIES, default=POLICIES)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     core = _rt.CoreTable(args.core)
@@ -325,7 +326,8 @@ def main() -> None:
                 "policy         how       capacity      mean [least, greatest]"
                 "           p50      p99      max  misses"
             )
-            for name, policy in POLICIES.items():
+            for name in args.policies:
+                policy = POLICIES[name]
                 one = plan(load, policy, args.seconds)
                 found = {"simulated": [virtually(one, args.seconds)]}
                 if not args.simulate:

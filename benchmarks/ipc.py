@@ -243,7 +243,7 @@ def main() -> None:
     if options.markdown:
         options.markdown.write_text("\n".join(lines) + "\n", encoding="utf-8")
     if any("NOT met" in line for line in lines):
-        sys.exit(1)
+        sys.exit(3)  # see run.py
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Run every benchmark in turn, as ``make bench`` does.
 
 With ``--quick`` each does the least that it can: the numbers mean nothing then, but
-that every benchmark still runs is seen in some minutes.
+that every benchmark still runs is seen in some minutes. A benchmark that ran and missed
+its goal ends with status 3; that is a failure but for a quick run.
 
 python -m benchmarks.run [--quick] [NAME ...]
 """
@@ -48,10 +49,11 @@ QUICK = {
     "swap": "--swaps 20 --rounds 1",
     "transfer": "--seconds 1",
     "simulate": "--seconds 2",
-    "ipc": "--rounds 1",
+    "ipc": "--rounds 3",
     "signals": "--rounds 3",
 }
 """Arguments behind those, which take their place, for a quick run."""
+MISSED = 3
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -69,7 +71,8 @@ def main() -> int:
         module, *arguments = RUNS[name].split()
         arguments += QUICK[name].split() if quick else []
         command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
-        if subprocess.run(command, cwd=ROOT, check=False).returncode:
+        status = subprocess.run(command, cwd=ROOT, check=False).returncode
+        if status and not (quick and status == MISSED):
             failed.append(name)
     print(f"\n{len(wanted)} run, failed: {' '.join(failed) or 'none'}")
     return len(failed)
