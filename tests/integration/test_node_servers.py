@@ -191,6 +191,19 @@ def test_under_rm_a_server_is_above_all_rates_and_then_below_them(nodes, kind, p
     assert master.status("s").crit == RM_LEVELS
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_under_park_a_server_falls_and_rises_by_the_same_decisions(nodes, kind, pipe):
+    nodes.agent("arm0", backend="park")
+    master = nodes.master("arm0", "arm")
+    serve(master, pipe, kind)
+    pipe[1](15)
+    wait_served(master, 1, 15)
+    wait_for(lambda: master.status("s").rank == 6, "its capacity back")
+    changes = [arg for event, arg, *_ in decisions(nodes, "s") if event is Event.CRIT]
+    assert changes[:2] == [4, 6]
+    assert master.status("s").overruns == changes.count(4)
+
+
 @pytest.mark.parametrize("kind", [*KINDS, "background"])
 def test_a_server_that_does_not_say_how_it_waits_is_refused(arm, kind):
     text = rmod("counts").replace("periodic", kind)
