@@ -18,6 +18,8 @@ _LOOKING = (
 
 def only_looks(request: m.Request) -> bool:
     """Tell whether the request changes nothing."""
+    if isinstance(request, m.Sigmask | m.Job):
+        return not request.changes
     return isinstance(request, _LOOKING) or (
         isinstance(request, m.Freq) and request.hz is None
     )
@@ -42,8 +44,8 @@ def check(request: m.Request, key: str) -> None:
         raise AccessError(
             "this key takes requests that change nothing",
             where=key,
-            expected="hello, links, status, profile, display, modules, events, get, or "
-            "freq without hz",
+            expected="hello, links, status, profile, display, modules, events, get, and "
+            "freq, sigmask and job that only ask",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys",
         )
