@@ -56,6 +56,7 @@ for line in sys.stdin:
         "new": new, "values": values, "number": end.number, "lost": end.lost,
         "age": None if end.age_ns() is None else end.age_ns() * 1e-9,
         "restarts": end.restarts, "dtype": end.value.dtype.str,
+        "apart": (end.stamp_ns - end.time_ns) * 1e-9,
     }), flush=True)
 """
 )
@@ -67,7 +68,7 @@ class Program:
     def __init__(self, machine: Machine, code: str, **settings: object) -> None:
         text = json.dumps({"domain": machine.domain, **settings})
         self.process = subprocess.Popen(
-            [sys.executable, "-c", code, text],
+            [*machine.prefix, sys.executable, "-c", code, text],
             env=machine.env,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -95,10 +96,13 @@ class Machine:
         name: The agent's.
         domain: Its domain.
         connect: Ports of agents that it dials.
+        prefix: What its programs are started with, such as a clock of their own.
     """
 
-    def __init__(self, name: str, domain: str, *connect: int) -> None:
-        self.name, self.domain = name, domain
+    def __init__(
+        self, name: str, domain: str, *connect: int, prefix: tuple[str, ...] = ()
+    ) -> None:
+        self.name, self.domain, self.prefix = name, domain, prefix
         self.port = free_port()
         self.shm = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/dev/shm"))
         self.run = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
@@ -109,23 +113,35 @@ class Machine:
         self.connect = tuple(f"tcp/127.0.0.1:{port}" for port in connect)
         self.programs: list[Program] = []
         self.agent: subprocess.Popen | None = None
+        self.other: subprocess.Popen | None = None
 
-    def start(self, *libraries: Path, **more) -> None:
+    def start(self, *libraries: Path) -> None:
         """Start the agent and wait until it can be seen."""
+        listen = (f"tcp/127.0.0.1:{self.port}",)
+        self.agent = self._agent(self.name, listen, *libraries)
+
+    def start_another(self, name: str) -> None:
+        """Start a second agent, which reaches others on its own."""
+        self.other = self._agent(name, ())
+
+    def _agent(
+        self, name: str, listen: tuple[str, ...], *libraries: Path
+    ) -> subprocess.Popen:
         config = AgentConfig(
-            name=self.name,
+            name=name,
             domain=self.domain,
             core=CORE,
             grace=5.0,
-            listen=(f"tcp/127.0.0.1:{self.port}",),
+            listen=listen,
             connect=self.connect,
             libraries=(str(MISBEHAVING), *map(str, libraries)),
-            **more,
         )
         text = msgspec.json.encode(config).decode()
-        self.agent = subprocess.Popen([sys.executable, "-c", AGENT, text], env=self.env)
-        lock = self.run / self.domain / f"{self.name}.agent"
-        wait_for(lambda: rundir.is_held(lock), f"the lock of {self.name}", 30.0)
+        command = [*self.prefix, sys.executable, "-c", AGENT, text]
+        agent = subprocess.Popen(command, env=self.env)
+        lock = self.run / self.domain / f"{name}.agent"
+        wait_for(lambda: rundir.is_held(lock), f"the lock of {name}", 30.0)
+        return agent
 
     def kill_agent(self) -> None:
         self.agent.kill()
@@ -150,19 +166,23 @@ class Machine:
         for program in self.programs:
             if program.process.poll() is None:
                 program.kill()
-        if self.agent is not None:
-            self.agent.terminate()
-            self.agent.wait(30)
+        for agent in filter(None, (self.other, self.agent)):
+            agent.terminate()
+            agent.wait(30)
         clean_folder(self.run, "PBONET_RUN_DIR")
         clean_folder(self.shm, "PBONET_SHM_DIR")
 
 
 class Pair:
-    """Machine A, and machine B that dials it, in one domain."""
+    """Machine A, and machine B that dials it, in one domain.
 
-    def __init__(self) -> None:
+    Args:
+        prefix: What the programs of A are started with.
+    """
+
+    def __init__(self, *prefix: str) -> None:
         self.domain = f"t{secrets.token_hex(3)}"
-        self.a = Machine("vision0", self.domain)
+        self.a = Machine("vision0", self.domain, prefix=prefix)
         self.cable = Cable(self.a.port)
         self.b = Machine("arm0", self.domain, self.cable.port)
 

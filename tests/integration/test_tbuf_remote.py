@@ -61,6 +61,18 @@ def test_killed_agents_come_back_without_anybody(pair):
     assert writer.process.poll() is None
 
 
+def test_another_agent_of_the_machine_takes_over(pair):
+    pair.a.writer()
+    reader = pair.b.reader("vision0:x")
+    flows(reader)
+    pair.b.start_another("arm1")
+    pair.b.kill_agent()
+    ages(reader, 0.05)
+    wait_for(lambda: pair.events(pair.a, "LINK_UP")[1:], "the second agent")
+    assert pair.events(pair.a, "LINK_UP")[-1] == "link vision0:x to arm1 is up"
+    assert flows(reader)["restarts"] == 0
+
+
 def test_a_killed_reader_leaves_its_place(pair):
     pair.a.writer()
     reader = pair.b.reader("vision0:x")
@@ -104,6 +116,27 @@ def test_other_records_are_told_and_not_taken(pair):
         "writer and reader the same fields and sizes"
     )
     assert reader.look()["number"] == 0
+
+
+def test_clocks_far_apart():
+    """The writer's machine started 5000 s earlier; ages are as if it had not."""
+    clock = "unshare", "--time", "--monotonic", "5000"
+    if subprocess.run([*clock, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("a clock of one's own needs the right to make time namespaces")
+    pair = Pair(*clock)
+    try:
+        pair.start()
+        reader = pair.b.reader("vision0:x")
+        pair.a.writer()
+        first = flows(reader)
+        found = wait_for(
+            lambda: (now := reader.look())["number"] > first["number"] + 3000 and now,
+            "clocks to have been measured",
+        )
+        assert found["apart"] == pytest.approx(5000, abs=5)
+        assert 0 < found["age"] < 5
+    finally:
+        pair.close()
 
 
 def refused(machine, code):
