@@ -1,23 +1,26 @@
 """Express mail: how tasks, agents and masters reach each other (Stewart 1994, 5.3).
 
-Semaphores and message queues in shared memory are what modules and programs import from
-here. Keys, messages, sessions and the request layer stand in files of their own, and
-everything over zenoh is opened there: importing this loads no network.
+Semaphores, message queues and shared memory segments are what modules and programs
+import from here. Keys, messages, sessions and the request layer stand in files of their
+own, and everything over zenoh is opened there: importing this loads no network.
 """
 
 from ._ipc import Full, Policy, Queue, Semaphore, Taken
 from .files import sweep
 from .names import live_on
-from .open import queue, semaphore
+from .open import queue, segment, semaphore
+from .segments import Segment
 
 __all__ = [
     "Full",
     "Policy",
     "Queue",
+    "Segment",
     "Semaphore",
     "Taken",
     "live_on",
     "queue",
+    "segment",
     "semaphore",
     "sweep",
 ]

@@ -46,7 +46,7 @@ class Name(NamedTuple):
         return f"{self.rtpu}:{self.resource}"
 
     def path(self, kind: str) -> Path:
-        """Return its file; `kind` is ``sem``, ``queue`` or ``tbuf``."""
+        """Return its file; `kind` is ``sem``, ``queue``, ``shm`` or ``tbuf``."""
         place = ":".join(self)
         return folder() / f"pbonet.{os.geteuid()}.{place}.{kind}"
 
@@ -116,8 +116,12 @@ def parse_at(text: str, place: str) -> Name:
     return Name(_home.domain, rtpu, resource)
 
 
-def resolve(text: str) -> Name:
+def resolve(text: str, *, remedy: str = "") -> Name:
     """Return the name of a resource of this machine.
+
+    Args:
+        text: The name.
+        remedy: What to do when it is elsewhere.
 
     Raises:
         XmNameError: It is no name.
@@ -132,6 +136,7 @@ def resolve(text: str) -> Name:
         expected="an RTPU that runs here, in domain " + name.domain,
         got=f"{', '.join(sorted(rtpus(name.domain))) or 'none'}",
         remedy=did_you_mean(name.rtpu, rtpus(name.domain))
+        or remedy
         or "start its agent here; semaphores and queues of other machines cannot be "
         "used yet",
     )
@@ -153,7 +158,7 @@ def standing(kind: str, domain: str) -> list[str]:
 
 def missing(name: Name, kind: str) -> XmMissingError:
     """Return the error for a resource that does not stand."""
-    what = {"sem": "semaphore", "queue": "queue", "tbuf": "link"}[kind]
+    what = _WORDS[kind]
     there = standing(kind, name.domain)
     return XmMissingError(
         f"there is no such {what}",
@@ -167,4 +172,6 @@ _MAKER = {
     "sem": "xm.semaphore(name, initial=...)",
     "queue": "xm.queue(name)",
     "tbuf": "tbuf.Reader(name, dtype)",
+    "shm": "xm.segment(name, size)",
 }
+_WORDS = {"sem": "semaphore", "queue": "queue", "tbuf": "link", "shm": "segment"}

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, TypeVar
 from pbonet.errors import XmExistsError, XmLayoutError, XmMissingError
 
 from ._ipc import Policy, Queue, Semaphore
+from .segments import Segment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-T = TypeVar("T", Semaphore, Queue)
+T = TypeVar("T", Semaphore, Queue, Segment)
 
 
 def semaphore(
@@ -90,6 +91,29 @@ def queue(
         blocks=blocks,
         block=block,
     )
+
+
+def segment(name: str, size: int | None = None) -> Segment:
+    """Attach to a shared memory segment; make it if there is none and `size` is given.
+
+    Args:
+        name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
+        size: Bytes.
+
+    Raises:
+        XmNameError: It is no name.
+        UnreachableError: The RTPU is not on this machine.
+        XmMissingError: There is none, and no `size` was given.
+        XmLayoutError: It stands with another size.
+        XmError: Its file cannot be used.
+    """
+
+    def make() -> Segment:
+        if size is None:
+            return Segment.attach(name)  # which says what is missing
+        return Segment.create(name, size)
+
+    return _open(lambda: Segment.attach(name), make, size=size)
 
 
 def _open(attach: Callable[[], T], make: Callable[[], T], **wanted: object) -> T:
