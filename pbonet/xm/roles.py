@@ -44,8 +44,8 @@ def check(request: m.Request, key: str) -> None:
         raise AccessError(
             "this key takes requests that change nothing",
             where=key,
-            expected="hello, links, status, profile, display, modules, events, get, and "
-            "freq, sigmask and job that only ask",
+            expected="hello, links, status, profile, display, modules, events, get, "
+            "and freq, sigmask and job that only ask",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys",
         )
