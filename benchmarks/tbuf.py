@@ -336,7 +336,7 @@ def report(
         lines.append(f"| {name} | {middle[name]:.0f} | {(three - quarter) / 2:.0f} |")
     lines += [
         "",
-        "| latency in us | p50 | p99 | records |",
+        "| latency in microseconds | p50 | p99 | records |",
         "|---|---|---|---|",
     ]
     median: dict[tuple[int, str], float] = {}

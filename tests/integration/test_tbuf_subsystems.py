@@ -9,7 +9,8 @@ from tbuf_rig import Pair
 from watching import wait_for
 
 from pbonet.errors import NodeError
-from pbonet.xm import session
+from pbonet.node import linkwire
+from pbonet.xm import keys, session
 
 pytestmark = pytest.mark.timeout(150)
 TABLE = """
@@ -142,6 +143,22 @@ def test_two_subsystems_by_rmod_files_alone(linked):
     stale(arm)
     pair.a.start()  # its tasks have gone on, and nobody says anything to them
     fresh(arm, count)
+
+
+def test_a_cycle_wakes_the_agent_when_it_is_over(linked):
+    """Records of a 200 Hz task go out one by one, not when the agent looks around."""
+    pair, arm, vision = linked
+    vision.on("counter")
+    vision.on("to_arm")
+    fresh(arm)
+    numbers = []
+    key = keys.link(pair.domain, "vision:count", "data", "vision0", "arm0")
+    subscriber = vision.nodes.session.declare_subscriber(
+        key, lambda one: numbers.append(linkwire.unpack(one.payload.to_bytes()).number)
+    )
+    wait_for(lambda: len(numbers) > 100, "a hundred records")
+    subscriber.undeclare()
+    assert numbers[100] - numbers[0] < 500, "a look around finds one in ten"
 
 
 def test_the_receivers_agent_is_killed_and_comes_back(linked):
