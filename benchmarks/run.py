@@ -32,6 +32,7 @@ RUNS = {
     "tbuf": "tbuf",
     "signals": "signals",
     "hosts": "hosts",
+    "combine": "combine",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -51,6 +52,7 @@ QUICK = {
     "simulate": "--seconds 2",
     "ipc": "--rounds 3",
     "signals": "--rounds 3",
+    "combine": "--blocks 1 --seconds 1",
 }
 """Arguments behind those, which take their place, for a quick run."""
 MISSED = 3

@@ -7,6 +7,7 @@ import `pbonet.master`; tests of modules import `pbonet.testing`.
 from .errors import PbonetError
 from .pbo import (
     Answer,
+    Handling,
     Params,
     PortBasedObject,
     Recovery,
@@ -21,6 +22,7 @@ from .ports import InConst, InVar, Matrix, OutConst, OutVar, Vector
 
 __all__ = [
     "Answer",
+    "Handling",
     "InConst",
     "InVar",
     "Matrix",

@@ -338,9 +338,15 @@ class StateError(TaskError):
 
 
 class MethodError(TaskError):
-    """A method of the module raised an exception."""
+    """A method of the module raised an exception.
+
+    `number` is what the module gave ``fail()``, 0 for none; `place` is the line of the
+    module, ``file:line in method``. Neither travels: events have them.
+    """
 
     code = "METHOD"
+    number: int = 0
+    place: str = ""
 
 
 class TaskDiedError(TaskError):

@@ -29,7 +29,7 @@ def command(
     connect: options.Connect = None,
     keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
     library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+    debug: options.Debug = False,
 ) -> None:
     """Show what happened lately."""
     from pbonet.cli.table import show
@@ -46,11 +46,12 @@ def command(
     if follow and count:
         raise StateError("--follow and --count do not go together", remedy="choose one")
     if follow:
-        following.follow(file, given, place, as_data=json_)
+        following.follow(file, given, place, as_data=json_, debug=debug)
         return
     if count:
         tasks: dict[str, object] = {"task": [task] if task else []}
         reply = oneshot.run(file, "events count", tasks, place)
     else:
         reply = oneshot.run(file, "events", given, place)
+        reply.data["debug"] = debug
     show(reply.command, reply.data, reply.warnings, as_data=json_)

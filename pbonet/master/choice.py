@@ -54,6 +54,6 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
         """Tell whether an event is wanted."""
         return (
             event.severity >= self.least
-            and self.code in {None, event.code}
+            and self.code in {None, event.code, str(event.errnum or "")}
             and self.task in {None, event.task}
         )

@@ -98,7 +98,12 @@ class Follower:
 
 
 def follow(
-    path: str | Path, given: Mapping[str, Any], place: Place, *, as_data: bool
+    path: str | Path,
+    given: Mapping[str, Any],
+    place: Place,
+    *,
+    as_data: bool,
+    debug: bool = False,
 ) -> None:
     """Print the last events and then each new one, until interrupted.
 
@@ -107,6 +112,7 @@ def follow(
         given: Arguments of `events`.
         place: Where the subsystem is.
         as_data: Print JSON, one object a line.
+        debug: Print the line of code behind an error, where one is known.
 
     Raises:
         PbonetError: An argument is wrong, or no agent can be reached.
@@ -126,12 +132,12 @@ def follow(
         since: int = given.get("since") or 0
         events = [event for event in follower.take() if event.n >= since]
         count = _LAST if last is None else last
-        _show(events[max(0, len(events) - count) :], as_data=as_data)
+        _show(events[max(0, len(events) - count) :], as_data=as_data, debug=debug)
         told: dict[str, str] = {}
         while True:
             news.wait(LOOK_TIME)
             news.clear()
-            _show(follower.take(), as_data=as_data)
+            _show(follower.take(), as_data=as_data, debug=debug)
             told = _complain(told, follower)
 
 
@@ -149,8 +155,9 @@ def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
     return now
 
 
-def _show(events: Iterable[m.Event], *, as_data: bool) -> None:
+def _show(events: Iterable[m.Event], *, as_data: bool, debug: bool) -> None:
     for event in events:
-        data = msgspec.json.encode(event).decode() if as_data else render.event(event)
+        text = render.event(event, debug=debug)
+        data = msgspec.json.encode(event).decode() if as_data else text
         sys.stdout.write(f"{data}\n")
     sys.stdout.flush()

@@ -366,19 +366,27 @@ def _transition(data: Data) -> str:
     return "\n".join(lines)
 
 
-def event(one: Event) -> str:
-    """Return an event as one line, or more if its text has more."""
+def event(one: Event, *, debug: bool = False) -> str:
+    """Return an event as one line, or more if its text has more.
+
+    Args:
+        one: The event.
+        debug: With the line of code, where one is known.
+    """
     clock = time.strftime("%H:%M:%S", time.localtime(one.wall))
     clock += f".{int(one.wall % 1 * 1000):03d}"
     severity = Severity(one.severity).name
     place = "/".join(filter(None, (one.rtpu, one.task)))
     cycle = f" cycle={one.cycle}" if one.cycle else ""
-    return f"{clock} {severity:7} {place} {one.code}{cycle} {one.text}"
+    number = f" errnum={one.errnum}" if one.errnum else ""
+    line = f" ({one.place})" if debug and one.place else ""
+    return f"{clock} {severity:7} {place} {one.code}{cycle}{number} {one.text}{line}"
 
 
 def _events(data: Data) -> str:
     found = msgspec.convert(data["events"], list[Event])
-    return "\n".join(map(event, found)) or "no events"
+    debug: bool = data.get("debug", False)
+    return "\n".join(event(one, debug=debug) for one in found) or "no events"
 
 
 def _events_count(data: Data) -> str:

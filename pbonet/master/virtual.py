@@ -136,11 +136,12 @@ class VirtualRtpus(Simulation):
             self._count(task, notice.bits)
             warns = notice.bits & Signal.WARNING
             names = " ".join(signal_names(notice.bits, _own(task)))
+            plain = warns or notice.handled
             self._tell(
                 task,
-                Severity.WARNING if warns else Severity.INFO,
-                "WARNING" if warns else "SIGNAL",
-                notice.text if warns else f"{names} {notice.text}".strip(),
+                Severity.WARNING if plain else Severity.INFO,
+                "HANDLED" if notice.handled else "WARNING" if warns else "SIGNAL",
+                notice.text if plain else f"{names} {notice.text}".strip(),
                 bits=notice.bits,
             )
         if state is State.ERROR and before is not State.ERROR:

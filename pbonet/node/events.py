@@ -59,6 +59,8 @@ class EventLog:
         task: str = "",
         cycle: int = 0,
         bits: int = 0,
+        errnum: int = 0,
+        place: str = "",
     ) -> Event:
         """Number, keep and publish something that happened."""
         if len(text) > LONGEST_TEXT:
@@ -74,6 +76,8 @@ class EventLog:
             task=task,
             cycle=cycle,
             bits=bits,
+            errnum=errnum,
+            place=place,
             text=text,
         )
         self._next += 1
@@ -83,9 +87,11 @@ class EventLog:
             self.publish(event)
         return event
 
-    def count(self, code: str, *, subsystem: str = "", task: str = "") -> None:
-        """Count an event; one that is held back in a flood is counted only."""
-        self._counts[subsystem, task, code] += 1
+    def count(
+        self, code: str, number: int = 1, *, subsystem: str = "", task: str = ""
+    ) -> None:
+        """Count events; those that are held back in a flood are counted only."""
+        self._counts[subsystem, task, code] += number
 
     def counts(self, subsystem: str = "") -> dict[str, dict[str, int]]:
         """Return how often each code came, by task; ``""`` is the RTPU itself.

@@ -15,6 +15,7 @@ from pbonet.pbo import (
     Answer,
     Counted,
     CycleAborted,
+    Handling,
     PortBasedObject,
     Recovery,
     Signal,
@@ -392,8 +393,8 @@ class Executor:
             What is still wrong; None when it answered CONTINUE and that went well.
         """
         answer = error.answer if isinstance(error, TaskFailure) else None
-        if answer is None:
-            answer = self._ask(error, failure)
+        if answer is None or answer is Answer.CONTINUE:
+            answer = self._settled(error, failure, answer) or self._ask(error, failure)
         if answer is Answer.CONTINUE:
             try:
                 self._steps(found, found.resume)
@@ -407,6 +408,24 @@ class Executor:
                 return None
         self._follow(outcome(found, answer), failure)
         return failure
+
+    def _settled(
+        self, error: Raised, failure: MethodError, answer: Answer | None
+    ) -> Answer | None:
+        """Return CONTINUE if a handler has put an error right, None to ask `error`.
+
+        `answer` is CONTINUE if the handler was asked already, within ``fail()``.
+        """
+        shown = error.error if isinstance(error, TaskFailure) else error
+        try:
+            if answer is None and self.task.settle(shown) is Handling.ABORT:
+                return None
+            self.instance.__resumed__()
+        except RAISED as second:
+            self._also(failure, contained(second), "a handler of errors")
+            return Answer.ERROR
+        self.failure = None
+        return Answer.CONTINUE
 
     def _follow(self, after: Outcome, failure: MethodError) -> None:
         """Go where an outcome leads; what fails on the way is told with `failure`."""

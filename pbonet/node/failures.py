@@ -6,7 +6,7 @@ import traceback
 from typing import TYPE_CHECKING, TypeGuard
 
 from pbonet.errors import MethodError, PbonetError, SvarError
-from pbonet.pbo import Answer, Recovery, TaskFailure
+from pbonet.pbo import Answer, Recovery, TaskFailure, place_of
 
 if TYPE_CHECKING:
     from .lifecycle import Outcome, Rule, Step
@@ -123,7 +123,14 @@ def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
 
 def method_error(error: Raised, method: str, task: str) -> MethodError:
     """Return what a method raised as the error of the task, with its parts kept."""
-    where = f"{task}.{method}"
+    told = _method_error(error, f"{task}.{method}")
+    cause = error.error if isinstance(error, TaskFailure) else error
+    told.number = cause.number if isinstance(cause, MethodError) else 0
+    told.place = place_of(cause)
+    return told
+
+
+def _method_error(error: Raised, where: str) -> MethodError:
     if isinstance(error, TaskFailure):
         return MethodError(error.error.what, where=where, debug=_trace(error))
     if isinstance(error, RefusedError):

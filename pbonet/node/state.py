@@ -27,7 +27,7 @@ from .flags import Flags
 from .signalling import Signals
 from .spawner import Spawner
 from .tables import Tables
-from .tasks import describe_end
+from .tasks import crash_place, describe_end
 from .tasktalk import INTERRUPT
 from .timekeeping import Timekeeper
 
@@ -252,6 +252,12 @@ class Rtpu:
     def told_by(self, task: Task, notice: wire.Notice) -> None:
         """Take what a task reports: an event, and perhaps an error or a warning."""
         severity = Severity(notice.severity)
+        for code, count in notice.lost.items():
+            where = task.facts.subsystem
+            self.events.count(code, count, subsystem=where, task=task.name)
+        if notice.lost and notice.code != "LOST":
+            lost = sum(notice.lost.values())
+            notice.text = f"[{lost} notices lost before this one] {notice.text}"
         if notice.code == "WARNING":
             task.warnings += 1
             task.warning = task.warning or notice.text
@@ -275,6 +281,8 @@ class Rtpu:
             task=task.name,
             cycle=notice.cycle,
             bits=notice.bits,
+            errnum=notice.errnum,
+            place=notice.place,
         )
 
     def settle(self, task: Task) -> None:
@@ -345,6 +353,7 @@ class Rtpu:
             task=task.name,
             cycle=last.cycle,
             bits=int(Signal.ERROR),
+            place=crash_place(trace),
         )
 
     def bury(self, subsystem: str, name: str) -> None:

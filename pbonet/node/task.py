@@ -269,13 +269,16 @@ class Host:
         """Have the executor deal with what a cycle raised, and report it."""
         method = self._method()
         self._waiting_outside = False
+        settled = False
         try:
             self.executor.fault(error, method)
+            settled = self.executor.failure is None
         except PbonetError as second:
             error = second
         if self.executor.state is not State.ON:
             self.slot.disarm()
-        self.voice.report(error, self.executor, self.time.cyclecount)
+        if not settled:  # else the handler's own event says it
+            self.voice.report(error, self.executor, self.time.cyclecount)
 
     def _obey(self, signal: str) -> None:
         """Carry out a signal that nobody waits for; report how it went."""

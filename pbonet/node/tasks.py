@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import re
 import signal
 import time
 from typing import TYPE_CHECKING
@@ -280,6 +281,15 @@ class Task:
 
     def _finished(self, message: wire.Done) -> None:
         self.state = State(message.state)
+        if message.lost:
+            total = sum(message.lost.values())
+            notice = wire.Notice(
+                severity=int(Severity.WARNING),
+                code="LOST",
+                text=f"{total} notices found no room; they are counted",
+                lost=message.lost,
+            )
+            self._tell(self, notice)
         if message.error is not None and self.state is State.ERROR:
             self.error = str(error_of(message))
         self._busy.pop(message.n, None)
@@ -318,6 +328,15 @@ def error_of(done: wire.Done) -> PbonetError:
     from pbonet.errors import PbonetError
 
     return PbonetError.from_wire(done.error or {})
+
+
+def crash_place(trace: str) -> str:
+    """Return the innermost line of Python in what a crash left, if any."""
+    found = _FRAME.search(trace)
+    return "{}:{} in {}".format(*found.groups()) if found else ""
+
+
+_FRAME = re.compile(r'File "([^"]+)", line (\d+) in (.+)')
 
 
 def describe_end(code: int) -> str:

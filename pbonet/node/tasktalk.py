@@ -8,6 +8,7 @@ import select
 import signal
 import socket
 import time
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from pbonet.errors import MethodError, PbonetError, Severity
@@ -60,7 +61,7 @@ class Voice:
         self.sock = sock
         self.own: dict[str, int] = {}
         """Names and bits of the module's own signals."""
-        self._dropped = 0
+        self._lost: Counter[str] = Counter()
 
     def hear(self) -> bytes | None:
         """Return the next packet, b"" when the other end is closed, None for none."""
@@ -77,6 +78,7 @@ class Voice:
 
     def say(self, done: wire.Done) -> None:
         """Answer a message; a too long one is answered with an error."""
+        done.lost = dict(self._lost)
         data = wire.encode(done)
         if len(data) > wire.LARGEST_PACKET:
             error = PbonetError(
@@ -91,17 +93,23 @@ class Voice:
             self.sock.send(data)
         except OSError:
             return  # the RTPU process is gone; the orphan guard says so
+        self._lost.clear()
 
     def put(self, notice: Notice) -> None:
         """Take a module's signal or warning, within a cycle."""
         warned = notice.bits & Signal.WARNING
+        handled = notice.handled
         self._post(
             wire.Notice(
-                severity=int(severity(notice.bits)),
-                code="WARNING" if warned else "SIGNAL",
-                text=notice.text if warned else self._signal_text(notice),
+                severity=int(
+                    Severity.WARNING if handled else severity(notice.bits),
+                ),
+                code="HANDLED" if handled else "WARNING" if warned else "SIGNAL",
+                text=notice.text if warned or handled else self._signal_text(notice),
                 cycle=notice.cycle,
                 bits=notice.bits,
+                errnum=notice.code,
+                place=notice.place,
             )
         )
 
@@ -114,14 +122,18 @@ class Voice:
         cycle: int = 0,
         state: str = "",
         error: PbonetError | None = None,
+        about: PbonetError | None = None,
     ) -> None:
-        """Tell that something happened unasked."""
+        """Tell that something happened unasked; `about` has number and place."""
+        about = about or error
         self._post(
             wire.Notice(
                 severity=int(severity),
                 code=code,
                 text=text,
                 cycle=cycle,
+                errnum=about.number if isinstance(about, MethodError) else 0,
+                place=about.place if isinstance(about, MethodError) else "",
                 state=state,
                 error=error.to_wire() if error else None,
             )
@@ -141,6 +153,7 @@ class Voice:
             cycle=cycle,
             state=executor.state,
             error=told,
+            about=executor.failure,
         )
 
     def _signal_text(self, notice: Notice) -> str:
@@ -148,16 +161,13 @@ class Voice:
         return f"{names}: {notice.text}" if notice.text else names
 
     def _post(self, notice: wire.Notice) -> None:
-        if self._dropped:
-            notice.text = (
-                f"[{self._dropped} notices lost before this one] {notice.text}"
-            )
+        notice.lost = dict(self._lost)
         try:
             self.sock.send(wire.encode(notice), socket.MSG_DONTWAIT)
         except OSError:
-            self._dropped += 1
+            self._lost[notice.code] += 1
         else:
-            self._dropped = 0
+            self._lost.clear()
 
 
 class SlotTime:

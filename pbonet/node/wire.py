@@ -209,6 +209,8 @@ class Done(Struct, tag="done", kw_only=True):
     state: str
     result: Any = None
     error: WireError | None = None
+    lost: dict[str, int] = {}
+    """Notices that found no room since the last message, by code."""
 
 
 class Notice(Struct, tag="notice", kw_only=True):
@@ -220,6 +222,12 @@ class Notice(Struct, tag="notice", kw_only=True):
     cycle: int = 0
     bits: int = 0
     """Signals that the module sent, as bits of `pbonet.Signal`."""
+    errnum: int = 0
+    """The number that the module gave the error or warning."""
+    place: str = ""
+    """Where it happened in the module's code."""
+    lost: dict[str, int] = {}
+    """Notices that found no room before this one, by code."""
     state: str = ""
     error: WireError | None = None
 

@@ -17,6 +17,7 @@ from ._describe import (
     render,
     source_version,
 )
+from ._handling import ErrorScope, Handling, Jump, place_of
 from ._object import METHODS, Interface, PortBasedObject, interface
 from ._param import Param, param
 from ._params import (
@@ -68,8 +69,11 @@ __all__ = [
     "Combined",
     "Counted",
     "CycleAborted",
+    "ErrorScope",
     "Fault",
+    "Handling",
     "Interface",
+    "Jump",
     "Memory",
     "ModuleInfo",
     "Notice",
@@ -111,6 +115,7 @@ __all__ = [
     "memory",
     "param",
     "params_type",
+    "place_of",
     "render",
     "signal_bits",
     "signal_names",

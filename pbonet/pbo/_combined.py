@@ -204,6 +204,11 @@ class Combined(PortBasedObject[Params], abstract=True):
         self._at = NOBODY
         return answer or Answer.CONTINUE
 
+    def __resumed__(self) -> None:
+        """Go on with the parts behind the one whose error was put right."""
+        if self._at != NOBODY:
+            self._go_on()
+
     def _leave(self, failed: list[int]) -> None:
         """Turn off the parts that did not fail, whatever fails in that.
 

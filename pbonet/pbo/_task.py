@@ -10,7 +10,22 @@ from typing import TYPE_CHECKING, NoReturn, Protocol
 from msgspec import Struct
 
 from pbonet.errors import MethodError, did_you_mean
+from pbonet.ports import here
 
+from ._handling import (
+    UNNUMBERED,
+    Code,
+    ErrorScope,
+    Handler,
+    Handling,
+    Jump,
+    Kept,
+    checked,
+    covers,
+    line_of,
+    number_of,
+    place_of,
+)
 from ._signals import Signal
 from ._timing import PythonWatch, TimingFailure, Watch
 
@@ -65,6 +80,10 @@ class Notice(Struct, frozen=True):
     cycle: int
     now: int
     """Nanoseconds, as `TaskContext.now`."""
+    handled: bool = False
+    """It is an error that a handler of the module has put right."""
+    place: str = ""
+    """Where it happened, ``file:line in method``, if known."""
 
 
 class Outbox(Protocol):
@@ -200,6 +219,9 @@ class TaskContext:
         self.handling: TimingFailure | None = None
         """In `timing_failure`: the failure that is handled; else None."""
         self.watch: Watch = watch or PythonWatch(self)
+        self.scopes: list[ErrorScope] = []
+        """Scopes with handlers of errors, the innermost last."""
+        self._kept: list[Kept] = []
         self.at: Callable[[], str] = str
         """Tells which part of a combination runs; empty for a module by itself."""
         self.in_vars: frozenset[str] = frozenset()
@@ -343,20 +365,99 @@ class TaskContext:
         if self._wanted(int(Signal.WARNING)):
             self._notice(Signal.WARNING, text, code)
 
-    def fail(self, text: str, code: int = 1) -> None:
-        """Report an error: `error` runs, and decides whether this call returns.
+    def on_error(self, code: Code, handler: Handler | None = None) -> ErrorScope:
+        """Handle errors of some lines: ``with self.task.on_error(7, handler):`` (8.2).
 
-        It returns when `error` answers CONTINUE; the method then goes on behind this
-        call. With any other answer, and always where `error` is not asked (in `init`,
-        `kill`, `error`, `clear`, `set` and `get`), the method ends here.
+        The innermost scope that covers an error is asked first. What it puts right is
+        told as a warning, and counted, with its place.
+
+        Args:
+            code: A number of ``fail()``, a class of exceptions, or None for all.
+            handler: Called with the error; answers a `Handling`. None jumps.
+        """
+        return ErrorScope(self, code, handler)
+
+    def always_on_error(self, code: Code, handler: Handler) -> None:
+        """Handle errors for as long as the task lives, where no scope did.
+
+        The latest that covers an error is asked, before the module's `error`, and
+        wherever that would be asked: not in `init`, for instance. In a combination it
+        counts for the part that calls this.
+
+        Args:
+            code: As for `on_error`.
+            handler: As for `on_error`.
+        """
+        self._kept.append(Kept(code, handler, self.at()))
+
+    def fail(self, text: str, code: int = UNNUMBERED) -> None:
+        """Report an error: handlers and `error` decide whether this call returns.
+
+        It returns when a handler or `error` answers CONTINUE; the method then goes on
+        behind this call. With any other answer, and where neither is asked (`error`
+        is not in `init`, `kill`, `error`, `clear`, `set` and `get`), the method ends
+        here.
 
         Args:
             text: What is wrong, and what to do about it.
-            code: A number that `error` and programs may look for, not 0.
+            code: A number that handlers and programs may look for, not 0.
         """
         error = MethodError(text, where=self.name)
+        error.number, error.place = code, line_of(here(1))
         self.errmsg = text
         self.errnum = code
+        for scope in reversed(self.scopes):
+            answer = scope.ask(error) if scope.covers(error) else Handling.ABORT
+            if answer is Handling.CONTINUE:
+                return
+            if answer is Handling.JUMP:
+                raise Jump(scope)
+        if self.on_fail is not None:
+            kept = self.settle(error)
+            if kept is Handling.CONTINUE:
+                return
+            if kept is Handling.JUMP:
+                self._unwind(error, Answer.CONTINUE)
+        self._fail(error)
+
+    def settle(self, error: Exception) -> Handling:
+        """Ask the handlers that live as long as the task; ABORT when none covers it."""
+        at = self.at()
+        for kept in reversed(self._kept):
+            if kept.part in {"", at} and covers(kept.code, error):
+                answer = self.handled(error, kept.handler)
+                if answer is not Handling.ABORT:
+                    return answer
+        return Handling.ABORT
+
+    def handled(self, error: Exception, handler: Handler) -> Handling:
+        """Run a handler, and tell what it put right; no handler counts meanwhile."""
+        before = self.scopes, self._kept, self.on_fail
+        self.scopes, self._kept, self.on_fail = [], [], None
+        if isinstance(error, MethodError):
+            self.errmsg = error.what
+        else:
+            self.errmsg = f"{type(error).__name__}: {error}"
+        self.errnum = number_of(error)
+        try:
+            answer = checked(handler(error))
+        finally:
+            self.scopes, self._kept, self.on_fail = before
+        if answer is not Handling.ABORT:
+            self.outbox.put(
+                Notice(
+                    0,
+                    f"{self.errmsg}: {answer}",
+                    self.errnum,
+                    self.cyclecount,
+                    self.now,
+                    handled=True,
+                    place=place_of(error),
+                )
+            )
+        return answer
+
+    def _fail(self, error: MethodError) -> None:
         if self.on_fail is None:
             self._unwind(error, None)
         answer = self.on_fail(error)

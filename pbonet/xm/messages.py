@@ -480,6 +480,10 @@ class Event(Struct, kw_only=True):
     cycle: int = 0
     bits: int = 0
     """Signals that a module sent, as bits of `pbonet.Signal` (section 4.4.4)."""
+    errnum: int = 0
+    """The number that the module gave the error or warning, 0 for none."""
+    place: str = ""
+    """Where in the module's code it happened, ``file:line in method``, if known."""
     text: str
 
 

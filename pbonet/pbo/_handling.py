@@ -1,0 +1,172 @@
+"""Global error handling: handlers by code and by scope (Stewart 1994, section 8.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeAlias
+
+from pbonet.errors import MethodError
+
+if TYPE_CHECKING:
+    from types import FrameType, TracebackType
+
+
+class Handling(StrEnum):
+    """What a handler of errors wants (Stewart 1994, section 8.2.1)."""
+
+    ABORT = "abort"
+    """It is not put right here: the next handler outside is asked, at last the
+    module's `error`, whose default leaves the task in ERROR."""
+    CONTINUE = "continue"
+    """Go on behind ``fail()``; after an exception, behind the scope."""
+    JUMP = "jump"
+    """Go on at the mark, which is the end of the scope; of a handler without one, the
+    end of the method, whose outputs are discarded."""
+
+
+Code: TypeAlias = int | type[Exception] | None
+"""Which errors: a number of ``fail()``, a class of exceptions, or None for all."""
+Handler: TypeAlias = Callable[[Exception], Handling | None]
+"""Is given the error and says what follows; None is `Handling.CONTINUE`."""
+UNNUMBERED = 1
+"""The number of an error that was given none."""
+
+
+class Jump(BaseException):
+    """Unwinds to the end of a scope."""
+
+    def __init__(self, scope: ErrorScope) -> None:
+        super().__init__("a jump to the end of a scope")
+        self.scope = scope
+
+
+class Kept(NamedTuple):
+    """A handler that lives as long as the task."""
+
+    code: Code
+    handler: Handler
+    part: str
+    """Of a combination: the part that gave it, and for which it counts."""
+
+
+class HasScopes(Protocol):
+    """A task, seen from here."""
+
+    scopes: list[ErrorScope]
+
+    def handled(self, error: Exception, handler: Handler) -> Handling:
+        """Run a handler, and tell what it put right."""
+        ...
+
+
+class ErrorScope:
+    """The lines in which a handler counts; made by `TaskContext.on_error`.
+
+    Attributes:
+        error: What it has handled; None while nothing went wrong.
+    """
+
+    def __init__(self, task: HasScopes, code: Code, handler: Handler | None) -> None:
+        self._task = task
+        self._code = code
+        self._handler = handler or _jump
+        self.error: Exception | None = None
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        self.error = None
+        self._task.scopes.append(self)
+        return self
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        error: BaseException | None,
+        _trace: TracebackType | None,
+    ) -> bool:
+        """End; True when an exception was handled and the task goes on here."""
+        scopes = self._task.scopes
+        del scopes[scopes.index(self) :]
+        if isinstance(error, Jump):
+            return error.scope is self
+        if not isinstance(error, Exception) or not covers(self._code, error):
+            return False
+        return self.ask(error) is not Handling.ABORT
+
+    def covers(self, error: Exception) -> bool:
+        """Tell whether the handler is one for `error`."""
+        return covers(self._code, error)
+
+    def ask(self, error: Exception) -> Handling:
+        """Run the handler."""
+        answer = self._task.handled(error, self._handler)
+        if answer is not Handling.ABORT:
+            self.error = error
+        return answer
+
+
+def _jump(_: Exception) -> Handling:
+    return Handling.JUMP
+
+
+def covers(code: Code, error: Exception) -> bool:
+    """Tell whether an error is one of those that `code` means."""
+    if isinstance(code, int):
+        return number_of(error) == code
+    return code is None or isinstance(error, code)
+
+
+def number_of(error: Exception) -> int:
+    """Return the number of an error."""
+    return (error.number if isinstance(error, MethodError) else 0) or UNNUMBERED
+
+
+def checked(answer: object) -> Handling:
+    """Return what a handler answered.
+
+    Raises:
+        MethodError: It gave an answer that there is not.
+    """
+    if answer is None:
+        return Handling.CONTINUE
+    if isinstance(answer, Handling):
+        return answer
+    raise MethodError(
+        "a handler of errors gave an answer that it cannot give",
+        expected=f"None or {' or '.join(f'Handling.{one.name}' for one in Handling)}",
+        got=repr(answer),
+    )
+
+
+_RUNTIME = tuple(
+    f"{Path(__file__).parents[1] / name}/" for name in ("pbo", "node", "testing")
+)
+
+
+def place_of(error: BaseException) -> str:
+    """Return where a module failed: the innermost line of its own folder.
+
+    A line of numpy, in which it was found out, is not the line that is wrong.
+    """
+    if isinstance(error, MethodError) and error.place:
+        return error.place
+    found, folder = "", None
+    trace = error.__traceback__
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        own = not file.startswith(_RUNTIME)
+        if own and folder in {None, Path(file).parent}:
+            folder = Path(file).parent
+            found = line_of(trace.tb_frame, trace.tb_lineno)
+        trace = trace.tb_next
+    return found
+
+
+def line_of(frame: FrameType | None, number: int = 0) -> str:
+    """Return ``file:line in method`` of a frame."""
+    if frame is None:
+        return ""
+    code = frame.f_code
+    return f"{code.co_filename}:{number or frame.f_lineno} in {code.co_name}"

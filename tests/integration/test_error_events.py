@@ -1,0 +1,106 @@
+"""Errors that are put right, and those that are not, as events (chapter 8)."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from nodekit import svar
+from watching import wait_for
+
+from pbonet.errors import Severity
+
+
+def place(event):
+    """Return the file's name and the method of an event's line."""
+    where, method = event.place.split(" in ")
+    file, line = where.rsplit(":", 1)
+    assert int(line) > 0
+    return file.rpartition("/")[2], method
+
+
+@pytest.mark.parametrize("way", ["continue", "jump"])
+def test_a_scope_keeps_the_task_on_and_says_so(arm, way):
+    arm.spawn("a", "handles", local={"WAY": way})
+    arm.on("a")
+    arm.wait_cycles("a", 10)
+    assert arm.status("a").state == "ON"
+    event = arm.wait_event("HANDLED", "a")
+    assert (event.severity, event.errnum) == (Severity.WARNING, 7)
+    assert event.text == f"too hot: {way}"
+    assert place(event) == ("handles.py", "cycle")
+    cycles, errors = arm.value("Y0").values
+    assert cycles == errors > 0
+
+
+def test_a_kept_handler_discards_the_cycle_and_the_task_goes_on(arm):
+    arm.spawn("a", "handles", local={"WAY": "kept"})
+    arm.on("a")
+    event = arm.wait_event("HANDLED", "a")
+    assert event.text == "DeviceError: no encoder: jump"
+    assert place(event) == ("handles.py", "cycle")
+    arm.wait_cycles("a", 10)
+    assert arm.status("a").state == "ON"
+    assert arm.events("METHOD", "a") == []
+
+
+def test_by_default_the_task_is_in_error_with_number_line_and_cycle(arm):
+    arm.spawn("a", "handles", local={"WAY": "none"})
+    arm.spawn("good", "counts", out="Y1")
+    arm.on("good")
+    arm.on("a")
+    event = arm.wait_event("METHOD", "a")
+    assert event.severity == Severity.ERROR
+    assert event.text == "a.cycle: DeviceError: no encoder: ERROR"
+    assert place(event) == ("handles.py", "cycle")
+    assert arm.status("a").state == "ERROR"
+    arm.wait_cycles("good", 10)
+
+
+def test_a_crash_in_native_code_has_a_line_too(arm):
+    arm.spawn("a", "segfaults")
+    arm.on("a")
+    event = arm.wait_event("TASK_DIED", "a")
+    assert place(event)[0].endswith(".py")
+
+
+def test_a_flood_is_held_back_and_counted(arm):
+    arm.spawn("a", "handles", freq=1000.0, local={"WAY": "continue"})
+    arm.on("a")
+    arm.wait_cycles("a", 600)
+    arm.off("a")
+    errors = int(arm.value("Y0").values[1])
+
+    def counted():
+        told = arm.rtpu_status().events["a"]["HANDLED"]
+        return told == errors
+
+    wait_for(counted, f"{errors} errors to be counted")
+    assert len(arm.events("HANDLED", "a")) < errors
+
+
+def test_events_with_debug_show_the_line(nodes, tmp_path):
+    nodes.agent_process("arm0")
+    (tmp_path / "s.svar").write_text(svar())
+    (tmp_path / "s.sbs").write_text("SUBSYSTEM two\nSVARFILE s.svar\nRTPU arm0\nEOF\n")
+    arm = nodes.master("arm0", "two")
+    arm.spawn("a", "handles", local={"WAY": "none"})
+    arm.on("a")
+    arm.wait_event("METHOD", "a")
+
+    def told(*words):
+        command = [sys.executable, "-m", "pbonet.cli", "events", tmp_path / "s.sbs"]
+        domain = ["--domain", nodes.domain]
+        done = subprocess.run(
+            [*command, *domain, "--code", "METHOD", *words],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return done.stdout
+
+    assert "handles.py" not in told()
+    assert "handles.py:" in told("--debug")
+    assert "in cycle)" in told("--debug")
+    (event,) = json.loads(told("--json"))["events"]
+    assert event["place"].endswith(" in cycle")
