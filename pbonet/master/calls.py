@@ -20,6 +20,7 @@ from pbonet.master import modules, profiling
 from pbonet.master.profile import Baselines, Profile, columns
 from pbonet.master.signalling import Opened
 from pbonet.master.words import check_time, names_of
+from pbonet.svar import MARK
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -251,7 +252,7 @@ class Calls(Opened, Protocol):
         keeper = self.files.sbs.keeper
         values = self.fleet.call(keeper, request, list[m.VarValue])
         values.sort(key=lambda one: names.index(one.name))
-        return [one for one in values if writer in {None, one.writer}]
+        return [one for one in values if writer in {None, _task_of(one.writer)}]
 
     def module(self, module: str | None = None) -> list[ModuleInfo]:
         """Return what is known about the modules in the agents' libraries.
@@ -282,6 +283,11 @@ class Calls(Opened, Protocol):
         check_time(seconds)
         self.stopped.clear()
         return not self.clock.wait(seconds, self.stopped)
+
+
+def _task_of(writer: str | None) -> str | None:
+    """Return the task's name of a writer, which may be on another machine."""
+    return None if writer is None else writer.partition(MARK)[0]
 
 
 def _matching(patterns: list[str], known: list[str]) -> list[str]:

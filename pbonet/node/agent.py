@@ -76,6 +76,7 @@ class Agent:
             )
         self.config = config
         self.places = rundir.Places(config.domain, config.name)
+        self._machine = rundir.machine()
         self._key_folder = Path(config.keys) if config.keys else None
         for endpoint in config.listen:
             session.check_endpoint(
@@ -326,7 +327,7 @@ class Agent:
             name=self.name,
             domain=self.config.domain,
             host=socket.gethostname(),
-            machine=rundir.machine(),
+            machine=self._machine,
             core=self._rtpu_config.core,
             cores=os.cpu_count() or 1,
             pid=os.getpid(),

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-SHORTEST, LONGEST = 0.00015, 0.01
+SHORTEST, LONGEST = 0.00015, 0.025
 """Seconds between looks at a table, by how often it changes. A look costs some tens of
 microseconds, so commits that come closer to each other go together."""
 ALONE = 0.2

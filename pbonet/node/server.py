@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
+HELLO = b"hello"
+SHORT = 1024
+"""Bytes of a request that asks who the agent is, at the most."""
 PENDING = 2000
 """Requests that wait for their answers; more are refused."""
 
@@ -105,7 +108,9 @@ class Server:
         self._publisher = self._session.declare_publisher(self._event_key)
         self._queryables = [
             self._session.declare_queryable(
-                key, zenoh.handlers.Callback(self._arrived.put), complete=True
+                key,
+                zenoh.handlers.Callback(self._arrive, indirect=False),
+                complete=True,
             )
             for key in self._keys
         ]
@@ -144,6 +149,24 @@ class Server:
             error = NodeError(f"the request was not carried out to its end: {reason}")
             self._reply(query, self._codec.pack(codec.failure(error, request_id)))
 
+    def _arrive(self, query: zenoh.Query) -> None:
+        """Take a query from zenoh's own thread, which nothing may hold up.
+
+        Only who the agent is can be told at once; another thread does the rest.
+        """
+        data = query.payload.to_bytes() if query.payload is not None else b""
+        if len(data) <= SHORT and HELLO in data:
+            with contextlib.suppress(PbonetError):
+                request = self._codec.request(data)
+                if isinstance(request, m.Hello):
+                    self._introduce(query, request)
+                    return
+        self._arrived.put(query)
+
+    def _introduce(self, query: zenoh.Query, request: m.Hello) -> None:
+        answer = m.Answer(id=request.id, ok=True, result=self._node.info())
+        self._reply(query, self._codec.pack(answer))
+
     def _serve(self) -> None:
         while (query := self._arrived.get()) is not None:
             try:
@@ -158,8 +181,7 @@ class Server:
             request = self._codec.request(data)
             roles.check(request, str(query.key_expr))
             if isinstance(request, m.Hello):
-                answer = m.Answer(id=request.id, ok=True, result=self._node.info())
-                self._reply(query, self._codec.pack(answer))
+                self._introduce(query, request)
                 return
             if isinstance(request, m.Links):
                 self._pool.submit(self._measure, query, request.id)

@@ -8,6 +8,7 @@ when, and over which network, is its caller's business; all calls come from one 
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 from typing import TYPE_CHECKING
 
@@ -62,6 +63,8 @@ class Mirror:
         """Whether something is to be told that is not in the table."""
         self._raised: dict[tuple[str, str, str], None] = {}
         self._causes: list[tuple[str, str]] = []
+        self._glance = table.local(RAISER, os.getpid())
+        """Tells whether the flag is up by one load."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
 
     def tell(self, *, full: bool = False, look: bool = True) -> Packet | None:
@@ -217,9 +220,10 @@ class Mirror:
 
     def _look_at_causes(self) -> bool:
         """Take in what was raised on this machine; return whether it has changed."""
+        standing = self.table.illegal if self._glance.illegal else []
         causes = [
             (one.cause, one.raiser)
-            for one in self.table.illegal
+            for one in standing
             if (one.cause, one.raiser, one.machine) not in self._raised
         ]
         if causes == self._causes:

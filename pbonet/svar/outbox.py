@@ -103,6 +103,7 @@ class Outbox:
         self._kept: int | None = None
         """A variable that stands where operators set them, and the commit there."""
         self._kept_seq = -1
+        self._kept_room = np.zeros(0, np.uint8)
 
     def look(self, epochs: Epochs) -> bool:
         """Take in who owns what now; return whether that has changed."""
@@ -115,7 +116,7 @@ class Outbox:
             room = np.zeros(layout.var_bytes(variable), np.uint8)
             seen = self._table.peek(number, room)
             if seen is not None and seen[0] == 0 and self._keep:
-                self._kept, self._kept_seq = number, seen[5]
+                self._kept, self._kept_seq, self._kept_room = number, seen[5], room
             if seen is None or not self._is_own(seen):
                 continue
             uid = seen[4] if seen[0] else KEPT + number
@@ -187,7 +188,7 @@ class Outbox:
         """Whether an operator has set a variable, perhaps for the first time."""
         if self._kept is None:
             return False
-        seen = self._table.peek(self._kept, room_of(self._table, self._kept))
+        seen = self._table.peek(self._kept, self._kept_room)
         return seen is not None and seen[5] != self._kept_seq
 
 

@@ -73,6 +73,7 @@ class _Waiter:
     def take(self, reply: zenoh.Reply) -> None:
         if self.reply is None:
             self.reply = reply
+            self.done.set()  # there is one answer; zenoh's end comes some time later
 
     def end(self) -> None:
         self.done.set()

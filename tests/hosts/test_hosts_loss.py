@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
 import pytest
 from hostfleet import Desk
 from hostkit import Lab
-from lan import Lan
+from lan import Lan, missing, netem
 from nodekit import alive, processes_of
 from watching import wait_for
+
+from pbonet.xm import messages as m
+
+SLOW = missing() or netem()
+"""Why a cable cannot be made slow here."""
 
 
 @pytest.fixture
@@ -32,7 +38,8 @@ def cell(lab):
     lab.wait_all()
     desk = Desk(lab, "cell", ("arm0", "arm1"), host="b")
     desk.spawn("arm0", "src", "counts", out="Z0")
-    desk.spawn("arm1", "sink", "holds", out="Y1", invar="Z0", critical=True)
+    wanted = {"invar": "Z0", "local": {"level": 1.0}, "critical": True}
+    desk.spawn("arm1", "sink", "holds", out="Y1", **wanted)
     desk.on("arm0", "src")
     desk.on("arm1", "sink")
     wait_for(lambda: not desk.illegal("arm1"), "a legal configuration")
@@ -71,6 +78,38 @@ def test_a_cable_is_pulled_and_plugged_in_again(cell, lan):
     assert cell.status("arm0", "src").state == "ON"
 
 
+def test_a_split_in_which_both_sides_write(cell, lan, lab):
+    """Neither is believed when they meet; the master turns one off, and all is well."""
+    lan.cut("a", "b")
+    wait_for(lambda: "out of sight" in cell.illegal("arm1"), "the flag")
+    cell.spawn("arm1", "two", "counts", out="Z0")
+    cell.on("arm1", "two")
+    wait_for(lambda: not cell.illegal("arm1"), "a writer on this side", 20.0)
+    lan.heal("a", "b")
+    fight = "Z0 is written on two machines"
+    wait_for(lambda: fight in cell.illegal("arm1"), "the fight on b", 20.0)
+    lab.wait_reached("arm0", "b")
+    wait_for(lambda: fight in cell.illegal("arm0"), "the fight on a", 20.0)
+    assert cell.value("arm0", "Z0").writer == "src"
+    assert cell.value("arm1", "Z0").writer == "two"
+    cell.off("arm1", "two")
+    wait_for(lambda: not cell.illegal("arm1"), "healing on b", 20.0)
+    wait_for(lambda: not cell.illegal("arm0"), "healing on a", 20.0)
+    wait_steady(cell)
+
+
+@pytest.mark.skipif(bool(SLOW), reason=SLOW or "it can be")
+def test_a_slow_cable_is_no_loss(cell, lan):
+    """News come late and are as old as they are; nobody is out of sight."""
+    lan.slow("a", "b", "40ms")
+    try:
+        wait_for(lambda: cell.value("arm1", "Z0").age > 0.04, "late news")
+        wait_steady(cell)
+        assert not cell.illegal("arm1")
+    finally:
+        lan.slow("a", "b", "")
+
+
 def test_the_agent_of_the_writer_is_killed(cell, lab):
     rtpu = lab.info("arm0", "b").rtpu_pid
     lab.kill("arm0")
@@ -94,8 +133,6 @@ def test_the_agent_of_the_reader_is_killed(cell, lab):
 
 
 def lab_events(desk, rtpu):
-    from pbonet.xm import messages as m
-
     return desk.ask(rtpu, m.Events(), list[m.Event])
 
 
@@ -103,8 +140,6 @@ def test_the_rtpu_process_of_the_writer_is_killed(cell, lab):
     """Its tasks turn themselves off and end; nothing of them is left."""
     info = lab.info("arm0", "b")
     task = cell.status("arm0", "src").tid
-    import os
-
     os.kill(info.rtpu_pid, signal.SIGKILL)
     wait_stable(cell)
     wait_for(lambda: not alive(task), "the end of src")

@@ -43,7 +43,8 @@ def test_a_group_arrives_whole_with_its_age(cell):
 def test_a_reader_elsewhere_takes_part(cell):
     """A task on c reads what one on a writes, and one on b reads that."""
     cell.spawn("arm0", "src", "counts", out="Y0")
-    cell.spawn("arm2", "sink", "holds", out="Y1", invar="Y0")
+    local = {"level": 1.0}
+    cell.spawn("arm2", "sink", "holds", out="Y1", invar="Y0", local=local)
     cell.on("arm0", "src")
     cell.on("arm2", "sink")
     wait_for(lambda: cell.value("arm1", "Y1").cycle > 20, "sink's values on b")
