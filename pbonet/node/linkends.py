@@ -63,6 +63,11 @@ class Sender:
         )
         self._thread.start()
 
+    @property
+    def works(self) -> bool:
+        """Whether records are sent: not when the buffer was destroyed."""
+        return self._thread.is_alive()
+
     def stop(self) -> None:
         """Send no more, and let another reader have the buffer."""
         self._over = True
@@ -116,7 +121,7 @@ class Receiver:
         *,
         who: str,
         offset: Callable[[], int | None],
-        misfit: Callable[[PbonetError], None],
+        misfit: Callable[[Exception], None],
     ) -> None:
         self._end = Out()
         self._name = str(name)
@@ -149,7 +154,7 @@ class Receiver:
             packet = linkwire.unpack(sample.payload.to_bytes())
             with self._guard:
                 self._store(packet, now)
-        except PbonetError as error:
+        except (PbonetError, OverflowError) as error:
             if not self._told:
                 self._told = True
                 self._misfit(error)

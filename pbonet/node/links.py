@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
-from pbonet.errors import PbonetError, Severity, XmError, XmTakenError
+from pbonet.errors import PbonetError, Severity, XmError
 from pbonet.tbuf import places
 from pbonet.tbuf.native import CARER, READER, WRITER, Buffer
 from pbonet.xm import keys, names
@@ -118,7 +118,10 @@ class Links:
 
     def _heard(self, sample: zenoh.Sample) -> None:
         """Take note of a token that came or went; runs in zenoh's own thread."""
-        text, leaf, agents = keys.link_parts(str(sample.key_expr))
+        parts = keys.link_parts(str(sample.key_expr))
+        if parts is None:
+            return
+        text, leaf, agents = parts
         came = sample.kind == zenoh.SampleKind.PUT
         with self._guard:
             there = self._there.setdefault(text, Elsewhere())
@@ -142,10 +145,7 @@ class Links:
     def _work(self) -> None:
         while not self._over:
             self._news.clear()
-            try:
-                self._look()
-            except Exception:  # the thread outlives any link
-                log.exception("%s: a link could not be looked after", self._name)
+            self._look()
             self._news.wait(LOOK)
 
     def _look(self) -> None:
@@ -154,16 +154,23 @@ class Links:
             if text not in self._cares:
                 self._adopt(text)
         for text, care in list(self._cares.items()):
-            if text not in standing or care.gone:
-                self._drop(text)
-                continue
-            here = care.here
-            if not here.writer and not here.reader and care.duty == IDLE:
-                self._drop(text)
-                continue
-            wanted = duty(self._name, here, self._elsewhere(text), care.duty)
-            if wanted != care.duty:
-                self._change(care, wanted)
+            try:
+                self._tend(text, care, stands=text in standing)
+            except Exception:  # the others want to be looked after too
+                log.exception("%s: link %s cannot be looked after", self._name, text)
+
+    def _tend(self, text: str, care: Care, *, stands: bool) -> None:
+        """Look after one link."""
+        here = care.here
+        unused = not here.writer and not here.reader and care.duty == IDLE
+        if not stands or care.gone or unused:
+            self._drop(text)
+            return
+        wanted = duty(self._name, here, self._elsewhere(text), care.duty)
+        if care.sender is not None and not care.sender.works:
+            wanted = IDLE  # and anew at the next look
+        if wanted != care.duty:
+            self._change(care, wanted)
 
     def _adopt(self, text: str) -> None:
         """Look after a link, unless another agent of this machine does."""
@@ -192,7 +199,7 @@ class Links:
             care.sender = None
         try:
             self._begin(care, wanted)
-        except (XmTakenError, zenoh.ZError) as error:
+        except (XmError, zenoh.ZError) as error:
             log.debug("%s: link %s: %s", self._name, care.name, error)
             wanted = Duty(sink=wanted.sink)
         self._show(care, wanted)
@@ -241,7 +248,7 @@ class Links:
             text = f"link {care.name} {_way(care.duty)} is down"
             self._note(wire.Note(int(Severity.WARNING), "LINK_DOWN", text))
 
-    def _misfit(self, name: names.Name, error: PbonetError) -> None:
+    def _misfit(self, name: names.Name, error: Exception) -> None:
         text = f"records of link {name} are not taken: {error}"
         self._note(wire.Note(int(Severity.ERROR), "LINK_MISFIT", text))
 

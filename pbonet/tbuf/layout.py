@@ -20,6 +20,10 @@ from ._tbuf import LONGEST_TEXT
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
+_NO_LAYOUT = (
+    *(ValueError, TypeError, SyntaxError, OverflowError),
+    *(MemoryError, RecursionError),  # of a text that means harm
+)
 LARGEST = 1 << 20
 """Bytes of a record: it is copied within a cycle."""
 
@@ -55,7 +59,7 @@ def parse(text: bytes) -> np.dtype[Any]:
     Raises:
         XmLayoutError: It describes none.
     """
-    with contextlib.suppress(ValueError, TypeError, SyntaxError, MemoryError):
+    with contextlib.suppress(*_NO_LAYOUT):
         descr, shape = ast.literal_eval(text.decode())
         return np.dtype((npy.descr_to_dtype(descr), tuple(shape)))
     raise XmLayoutError(

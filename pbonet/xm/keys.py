@@ -90,7 +90,10 @@ def all_links(domain: str) -> str:
     return f"{ROOT}/{domain}/tbuf/**"
 
 
-def link_parts(key: str) -> tuple[str, str, list[str]]:
-    """Return name, leaf and agents out of a key of a link."""
-    _, _, _, name, leaf, *agents = key.split("/")
-    return name, leaf, agents
+def link_parts(key: str) -> tuple[str, str, list[str]] | None:
+    """Return name, leaf and agents out of a key of a link; None if it is none."""
+    match key.split("/"):
+        case [_, _, "tbuf", name, leaf, *agents]:
+            return name, leaf, agents
+        case _:
+            return None

@@ -30,6 +30,10 @@ POSE = np.dtype([("x", "f8", (3,)), ("valid", "?"), ("id", "i4")])
 SECOND = 1_000_000_000
 
 
+def repr_short(text):
+    return repr(text[:12])
+
+
 @pytest.fixture(autouse=True)
 def home():
     xm.live_on("arm0", domain="d", subsystem="arm")
@@ -353,7 +357,12 @@ def test_a_layout_is_told_in_text(dtype):
 
 
 @pytest.mark.parametrize(
-    "text", [b"", b"('q9', ())", b"1", b"__import__('os')", b"\xff"]
+    "text",
+    [
+        *(b"", b"('q9', ())", b"1", b"__import__('os')", b"\xff"),
+        *(b"(" * 60_000, b"-" * 60_000 + b"1", b"('f8', (1" + b"0" * 30 + b",))"),
+    ],
+    ids=repr_short,
 )
 def test_a_text_that_tells_no_layout(text):
     with pytest.raises(XmLayoutError, match="not understood"):

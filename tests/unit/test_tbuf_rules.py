@@ -6,6 +6,7 @@ from pbonet.errors import ProtocolError
 from pbonet.node import linkwire
 from pbonet.node.linkends import written_ns
 from pbonet.node.linkrules import IDLE, Duty, Elsewhere, Here, duty
+from pbonet.xm import keys
 
 NOBODY, WRITER = Here(writer=False, reader=False), Here(writer=True, reader=False)
 READER, BOTH = Here(writer=False, reader=True), Here(writer=True, reader=True)
@@ -55,6 +56,14 @@ def test_two_agents_come_together_and_part():
     a = duty("a", WRITER, there(), a)
     b = duty("b", READER, there({"b"}), b)
     assert (a, b) == (IDLE, Duty(sink=True)), "the link was cut"
+
+
+def test_keys_are_taken_apart():
+    key = keys.link("d", "vision:x", "source", "a", "b")
+    assert key == "pbonet/d/tbuf/vision:x/source/a/b"
+    assert keys.link_parts(key) == ("vision:x", "source", ["a", "b"])
+    for other in ("pbonet/d/tbuf/x", "pbonet/d/rtpu/a/alive", "x"):
+        assert keys.link_parts(other) is None
 
 
 PACKET = linkwire.Packet(7, 1 << 62, 123, 45, b"('<f8', ())", b"12345678")
