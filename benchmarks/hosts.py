@@ -9,7 +9,8 @@ answers.
 As root two network namespaces with a cable take the place of the loopback for what is
 lost: the agent of the writer is killed, the cable is pulled and plugged in again.
 
-    python -m benchmarks.hosts [--only latency commands cpu loss] [--json FILE]
+    python -m benchmarks.hosts [--only latency commands cpu loss] [--seconds 6]
+        [--times 5] [--json FILE]
 """
 
 from __future__ import annotations
@@ -262,7 +263,7 @@ def raw(mode: str, *words: str) -> Generator[zenoh.Session, None, None]:
         process.wait()
 
 
-def latency(pair: Pair, seconds: float = 6.0) -> dict[str, Any]:
+def latency(pair: Pair, seconds: float) -> dict[str, Any]:
     """Measure a mirrored table beside a put and its callback, 48 bytes."""
     found: dict[str, Any] = {}
     table = pair.two.attach()
@@ -290,7 +291,7 @@ def latency(pair: Pair, seconds: float = 6.0) -> dict[str, Any]:
     return found
 
 
-def commands(pair: Pair, count: int = 400) -> dict[str, Any]:
+def commands(pair: Pair, seconds: float) -> dict[str, Any]:
     """Measure commands beside a plain queryable that answers at once."""
 
     def status() -> None:
@@ -313,7 +314,7 @@ def commands(pair: Pair, count: int = 400) -> dict[str, Any]:
         }
         taken: dict[str, list[float]] = {name: [] for name in asked}
         for name, ask in [*asked.items(), *asked.items()]:
-            for _ in range(count):
+            for _ in range(round(70 * seconds)):
                 begin = time.perf_counter()
                 ask()
                 taken[name].append(time.perf_counter() - begin)
@@ -327,7 +328,7 @@ def _write(pair: Pair) -> None:
     pair.client.call("one", request, m.VarValue)
 
 
-def cpu(pair: Pair, seconds: float = 10.0) -> dict[str, Any]:
+def cpu(pair: Pair, seconds: float) -> dict[str, Any]:
     """Measure the agents' share of a core: idle, and with 20 groups at 200 Hz."""
 
     def shares() -> dict[str, float]:
@@ -345,7 +346,7 @@ def cpu(pair: Pair, seconds: float = 10.0) -> dict[str, Any]:
     return found
 
 
-def loss(times: int = 5) -> dict[str, Any]:
+def loss(times: int) -> dict[str, Any]:
     """Measure how soon a loss is seen, and how soon all is well again."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hosts"))
     hosts: Any = importlib.import_module("lan")
@@ -394,6 +395,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parts = ("latency", "commands", "cpu", "loss")
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
+    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--times", type=int, default=5)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     found: dict[str, Any] = {}
@@ -404,11 +407,11 @@ def main() -> None:
                 ("latency", latency), ("commands", commands), ("cpu", cpu),
             ):  # fmt: skip
                 if name in options.only:
-                    found[name] = measure(pair)
+                    found[name] = measure(pair, options.seconds)
         finally:
             pair.close()
     if "loss" in options.only:
-        found["loss"] = loss()
+        found["loss"] = loss(options.times)
     text = json.dumps(found, indent=2)
     print(text)
     if options.json:

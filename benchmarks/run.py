@@ -51,8 +51,10 @@ QUICK = {
     "transfer": "--seconds 1",
     "simulate": "--seconds 2",
     "ipc": "--rounds 3",
+    "tbuf": "--rounds 1 --seconds 1",
     "signals": "--rounds 3",
     "combine": "--blocks 1 --seconds 1",
+    "hosts": "--seconds 1 --times 1",
 }
 """Arguments behind those, which take their place, for a quick run."""
 MISSED = 3
