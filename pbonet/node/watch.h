@@ -44,7 +44,8 @@ static inline int64_t rt_due(const struct rt_state *s)
     return due;
 }
 
-/* The part of it that comes whether cycles end before or not. */
+/* The part of it that comes whether cycles end before or not. An instant that is not
+ * listed here is slept for only while a cycle or an event is under way: see looker.h. */
 static inline int64_t rt_sure(const struct rt_state *s)
 {
     return s->kind == RT_SYNCHRONOUS ? s->check_ns : s->next_ns;
