@@ -422,8 +422,8 @@ class Executor:
                 return None
             self.instance.__resumed__()
         except RAISED as second:
-            self._also(failure, contained(second), "a handler of errors")
-            return Answer.ERROR
+            self._also(failure, contained(second), self._actions.method)
+            return None
         self.failure = None
         return Answer.CONTINUE
 

@@ -10,8 +10,8 @@ from pbonet.testing import Bench
 PROBE = """
 from typing import Annotated as A, Literal
 from pbonet import (
-    Answer, InConst, InVar, OutConst, OutVar, Params, PortBasedObject, Recovery,
-    Signal, UserSignal, Vector, param,
+    Answer, Handling, InConst, InVar, OutConst, OutVar, Params, PortBasedObject,
+    Recovery, Signal, UserSignal, Vector, param,
 )
 
 class Told(Params):

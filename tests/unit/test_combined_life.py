@@ -250,3 +250,69 @@ def test_critical_parts_are_stable_and_the_others_go_on(folder):
     bench.illegal = True
     bench.step()
     assert calls(bench) == ["one.cycle", "two.stable"]
+
+
+KEEPS = """
+    def init(self):
+        self.note("init")
+        self.task.always_on_error(RuntimeError, self.mend)
+
+    def mend(self, error):
+        self.note("mend")
+        return Handling.JUMP
+"""
+
+
+@pytest.mark.parametrize("method", ["on", "reinit", "off"])
+def test_what_a_kept_handler_puts_right_goes_on_with_the_other_parts(folder, method):
+    first, second = ("two", "one") if method == "off" else ("one", "two")
+    folder.module(first, ONE if first == "one" else TWO, more=KEEPS)
+    bench = folder.bench(f"{first}.FAILS {method}")
+    calls(bench)
+    bench.on()
+    if method != "on":
+        calls(bench)
+        getattr(bench, method)()
+    assert calls(bench) == [
+        *(f"{first}.{method}", f"{first}.mend"),
+        f"{second}.{method}",
+    ]
+    assert bench.state is (State.OFF if method == "off" else State.ON)
+
+
+def test_when_the_next_part_fails_too_both_are_told(folder):
+    folder.module("one", ONE, more=KEEPS)
+    bench = folder.bench("one.FAILS on; two.FAILS on")
+    with pytest.raises(MethodError) as caught:
+        bench.on()
+    assert str(caught.value) == (
+        "both.one.on: RuntimeError: one fails in on; and then both.two.on: "
+        "RuntimeError: two fails in on"
+    )
+    assert bench.state is State.ERROR
+    assert calls(bench)[2:] == [
+        *("one.on", "one.mend"),
+        *("two.on", "two.error", "one.off"),
+    ]
+
+
+def test_a_kept_handler_is_its_part_s_own(folder):
+    folder.module("one", ONE, more=KEEPS)
+    bench = folder.bench("two.FAILS cycle")
+    bench.on()
+    calls(bench)
+    with pytest.raises(MethodError, match=r"both\.two\.cycle"):
+        bench.step()
+    assert calls(bench) == ["one.cycle", "two.cycle", "two.error", "one.off"]
+
+
+def test_a_scope_within_a_part(folder):
+    cycle = "with self.task.on_error(None) as s: self.task.fail('x'); self.y[:] = 9"
+    folder.module("one", ONE, cycle)
+    bench = folder.bench()
+    bench.on()
+    assert bench.step() is State.ON
+    assert bench.outputs.z.tolist() == [0.0] * 3
+    (notice,) = bench.notices()
+    assert notice.handled
+    assert bench.task.scopes == []
