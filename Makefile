@@ -8,10 +8,10 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o -name '*.h')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup native demo check test bench docs clean
+.PHONY: help setup native demo hosts-demo check test bench docs clean
 
 help:  ## Show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
 setup: $(VENV)/.native  ## Install what is needed into .venv
 
@@ -36,6 +36,9 @@ native: $(VENV)/.native  ## Build the native parts again after a change
 
 demo: setup  ## Run the PUMA 560 example for 15 s and plot it
 	$(BIN)/python examples/puma/demo.py
+
+hosts-demo: setup  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
+	$(BIN)/python examples/two_hosts/demo.py
 
 check: setup  ## Lint, types, layers
 	$(BIN)/ruff check .

@@ -6,7 +6,8 @@ import functools
 
 import pytest
 from hostkit import OWN_PORT, Lab
-from lan import Lan, missing
+
+from pbonet.testing.lan import Lan, missing
 
 _missing = functools.cache(missing)
 

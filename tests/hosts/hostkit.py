@@ -13,12 +13,12 @@ import tempfile
 from pathlib import Path
 
 import msgspec
-from lan import Lan
 from nodekit import AGENT, MISBEHAVING, alive
 from watching import processes_of, wait_for
 
 from pbonet.config.model import AgentConfig
 from pbonet.errors import PbonetError
+from pbonet.testing.lan import Lan
 from pbonet.xm import messages as m
 from pbonet.xm import session
 from pbonet.xm.rpc import Client

@@ -8,10 +8,10 @@ import signal
 import pytest
 from hostfleet import Desk
 from hostkit import Lab
-from lan import Lan, missing, netem
 from nodekit import alive, processes_of
 from watching import wait_for
 
+from pbonet.testing.lan import Lan, missing, netem
 from pbonet.xm import messages as m
 
 SLOW = missing() or netem()

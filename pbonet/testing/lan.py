@@ -22,7 +22,7 @@ CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
 NUMBERS = {"a": 1, "b": 2, "c": 3}
 
 
-def _run(*command: str, check: bool = True) -> subprocess.CompletedProcess:
+def _run(*command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, check=check, capture_output=True, text=True)
 
 
@@ -76,7 +76,8 @@ class Host:
 
     def address(self, other: str, *, six: bool = False) -> str:
         """Return the address that host `other` sees this one at."""
-        cable = CABLES[tuple(sorted((self.name, other)))]
+        one, two = sorted((self.name, other))
+        cable = CABLES[one, two]
         number = NUMBERS[self.name]
         return f"fd77:{cable}::{number}" if six else f"10.77.{cable}.{number}"
 
@@ -147,8 +148,8 @@ class Lan:
             here, there = self.hosts[one].space, self.hosts[other].space
             pair = ("type", "veth", "peer", "name", f"to-{one}", "netns", there)
             _run("ip", "-n", here, "link", "add", f"to-{other}", *pair)
-            for host, peer in ((one, other), (other, one)):
-                self._address(host, peer, number)
+            for near, far in ((one, other), (other, one)):
+                self._address(near, far, number)
         for one, other in CABLES:
             self.heal(one, other)
 
