@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from pbonet.testing.lan import Lan, missing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator
 
 HERE = Path(__file__).parent
 PORT = 7447
@@ -92,7 +92,7 @@ def _shm() -> str:
 
 
 @contextlib.contextmanager
-def hosts() -> Iterator[tuple[Lan, Hosts]]:
+def hosts() -> Generator[tuple[Lan, Hosts], None, None]:
     """Make three hosts with agents; take everything away at the end."""
     lan = Lan()
     made = Hosts(lan)
