@@ -270,6 +270,12 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
     for one, other in itertools.combinations(sorted(reports), 2):
         yield _pair(one, other, ways.get((one, other)) or ways.get((other, one)))
     for name, report in sorted(reports.items()):
+        for news in report.tables:
+            yield Finding(
+                Level.PASS,
+                f"{name} has {news.commits} commits of {news.subsystem} from "
+                f"{news.host}, passed over {news.gaps}, refused {news.refused}",
+            )
         for other in report.double:
             yield Finding(
                 Level.WARN,

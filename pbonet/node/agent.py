@@ -347,7 +347,10 @@ class Agent:
     def ways(self) -> LinkReport:
         """Return the ways to the other agents, measured now."""
         ways = self._ways
-        return LinkReport(rtpu=self.name) if ways is None else ways.report()
+        report = LinkReport(rtpu=self.name) if ways is None else ways.report()
+        if self._mirrors is not None:
+            report.tables = self._mirrors.report()
+        return report
 
     # -- what the RTPU process says ----------------------------------------------------
 

@@ -27,6 +27,7 @@ from pbonet.errors import SvarError
 from pbonet.svar import Table, packets
 from pbonet.svar.mirror import Mirror
 from pbonet.xm import keys, rundir
+from pbonet.xm import messages as m
 
 from .tables import remove_unused
 
@@ -334,6 +335,29 @@ class Mirrors:
                 carried.spread(done)
 
         self.do(spread)
+
+    def report(self, limit: float = ANSWER_TIME) -> list[m.TableNews]:
+        """Return what has come from other machines; nothing if it takes too long."""
+        found: list[m.TableNews] = []
+        done = threading.Event()
+
+        def look() -> None:
+            for subsystem, carried in self._carried.items():
+                others = carried.mirror.others if carried.mirror is not None else {}
+                found.extend(
+                    m.TableNews(
+                        subsystem=subsystem,
+                        host=other.host,
+                        commits=other.counts.commits,
+                        gaps=other.counts.gaps,
+                        refused=other.counts.refused,
+                    )
+                    for other in others.values()
+                )
+            done.set()
+
+        self.do(look)
+        return found if done.wait(limit) else []
 
     def late(self, machine: str, sent_ns: int) -> int:
         """Return how many nanoseconds a packet was surely on its way."""

@@ -54,10 +54,24 @@ class Way(Struct, kw_only=True):
     """Why there was no round trip; empty when there was."""
 
 
+class TableNews(Struct, kw_only=True):
+    """What has come from another machine for a subsystem's table."""
+
+    subsystem: str
+    host: str
+    commits: int
+    """Those that stand, or stood, in the table."""
+    gaps: int
+    """Commits that were passed over, because newer ones were there."""
+    refused: int
+    """Commits that a task of this machine or a guard kept out."""
+
+
 class LinkReport(Struct, kw_only=True):
     """What an agent knows of the ways to the others."""
 
     rtpu: str
     ways: list[Way] = []
+    tables: list[TableNews] = []
     double: list[str] = []
     """Agents to which two links stand, which makes zenoh's routers stall."""

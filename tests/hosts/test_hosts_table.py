@@ -7,6 +7,7 @@ from hostfleet import Desk
 from watching import wait_for
 
 from pbonet.errors import SvarOwnerError
+from pbonet.xm import messages as m
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +39,11 @@ def test_a_group_arrives_whole_with_its_age(cell):
     )
     assert 0 <= later.age < 1.0
     assert not later.stale
+    report = cell.ask("arm2", m.Links(), m.LinkReport)
+    (news,) = [one for one in report.tables if one.host == "host-a"]
+    assert news.subsystem == "cell"
+    assert news.commits > 10
+    assert news.refused == 0
 
 
 def test_a_reader_elsewhere_takes_part(cell):

@@ -18,6 +18,7 @@ RECORDS = [
     m.AgentInfo,
     m.LinkReport,
     m.Way,
+    m.TableNews,
     m.Claimed,
     m.TableInfo,
     m.TaskStatus,
