@@ -77,7 +77,7 @@ class Program:
     def run(self, *, stuck: bool = False) -> bool:
         """Carry two parts with two tools; return whether both have arrived."""
         self._say(
-            f"{'s':>6s}  {'what':24s}{'hand m':>22s}{'tip m':>22s}   jaws mm     N"
+            f"{'s':>6s}  {'what':30s}{'hand m':>22s}{'tip m':>22s}   jaws mm     N"
         )
         self.cell.spawn("short_fingers", "arm1")
         first = self.carry()
@@ -142,7 +142,7 @@ class Program:
         self.timeline.append(done)
         hand, at = (" ".join(f"{v:6.3f}" for v in p) for p in (done.hand, done.tip))
         self._say(
-            f"{done.at:6.2f}  {what:24s}  {hand}  {at}   {1e3 * done.width:7.1f}"
+            f"{done.at:6.2f}  {what:30s}  {hand}  {at}   {1e3 * done.width:7.1f}"
             f" {done.force:5.0f}"
         )
 
