@@ -22,16 +22,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks import rtbench
+from pbonet.errors import StateError
 from pbonet.master import Subsystem
 from pbonet.master.embedded import Embedded
-from pbonet.master.rings import Drain
-from pbonet.node._ring import Ring
 from pbonet.svar.layout import group_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.master.recording import Recording
+    from pbonet.log import Cycles
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "servoing"
 CHAINS = {"damped": ("forward_kin", "damped_ls", "qrint"), "combined": ("servo",)}
@@ -40,18 +39,15 @@ SETTLE = 1.0
 """Seconds that are left out at the begin of each run."""
 
 
-def record(job: str, seconds: float) -> tuple[Recording, dict[str, float]]:
+def record(job: str, seconds: float) -> tuple[Cycles, dict[str, float]]:
     """Run a job; return every cycle, and what its controller copies."""
     with Subsystem(EXAMPLE / f"{job}.job", warned=lambda _text: None) as arm:
-        drain = Drain(arm, Ring.attach, {"benchmark": "combine"})
-        drain.start()
-        try:
-            arm.start()
-            drain.follow(arm.status_all())
-            time.sleep(SETTLE + seconds)
-            copies = transfers(arm, CHAINS[job])
-        finally:
-            recording = drain.stop()
+        arm.start()
+        time.sleep(SETTLE + seconds)
+        copies = transfers(arm, CHAINS[job])
+        recording = arm.logbook.finish(arm.fleet)
+        if recording is None:
+            raise StateError("nothing was recorded", where=job)
         return recording, copies
 
 
@@ -67,7 +63,7 @@ def transfers(arm: Subsystem, tasks: Sequence[str]) -> dict[str, float]:
     return {"transfers a period": 2.0 * len(tasks), "bytes a period": float(moved)}
 
 
-def figures(recording: Recording, tasks: Sequence[str]) -> dict[str, list[float]]:
+def figures(recording: Cycles, tasks: Sequence[str]) -> dict[str, list[float]]:
     """Return CPU time of a period and the way of the data through it."""
     cycles = [recording.arrays(task) for task in tasks]
     begin = max(one["release_ns"][0] for one in cycles) + int(SETTLE * 1e9)

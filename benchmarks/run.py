@@ -33,6 +33,7 @@ RUNS = {
     "signals": "signals",
     "hosts": "hosts",
     "combine": "combine",
+    "record": "record",
 }
 """Module and arguments of each benchmark, by its name."""
 QUICK = {
@@ -55,6 +56,7 @@ QUICK = {
     "signals": "--rounds 3",
     "combine": "--blocks 1 --seconds 1",
     "hosts": "--seconds 1 --times 1",
+    "record": "--blocks 1 --seconds 0.5",
 }
 """Arguments behind those, which take their place, for a quick run."""
 MISSED = 3

@@ -107,7 +107,7 @@ def delays(subsystem: Subsystem, rounds: int) -> list[float]:
         sent = subsystem.sigwait(["SENT"], task=["slow"], timeout=10.0)
         taken += [time.monotonic_ns()] * sent.count
     subsystem.control("slow", "off")
-    begun = [record.start_ns for record in ring.drain()]
+    begun = [one.start_ns for one in ring.drain() if not one.kind]
     ring.close()
     return [(end - start) / 1e6 for start, end in zip(begun, taken, strict=False)]
 
@@ -148,7 +148,10 @@ def measure(rounds: int) -> tuple[list[float], dict[str, float]]:
             agents.start(["bench0"])
             path = folder / "signals.sbs"
             with Subsystem(
-                path, libraries=[str(folder)], warned=lambda _text: None
+                path,
+                libraries=[str(folder)],
+                warned=lambda _text: None,
+                record="off",
             ) as subsystem:
                 return delays(subsystem, rounds), flood(subsystem)
 

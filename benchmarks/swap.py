@@ -238,7 +238,7 @@ def main() -> None:
         sbs = write_files(folder)
         with Embedded("default") as agents:
             agents.start(["bench0"])
-            with Subsystem(sbs, warned=lambda _text: None) as subsystem:
+            with Subsystem(sbs, warned=lambda _text: None, record="off") as subsystem:
                 found = swaps(subsystem, folder, args.swaps)
                 lengths = lists(subsystem, args.rounds)
     print(rtbench.machine())

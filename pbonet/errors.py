@@ -52,6 +52,7 @@ from a task to the master without losing anything.
     │   ├── ProtocolError                  a message that is not understood
     │   ├── RealTimeError (OSError)        real-time rights refused
     │   └── SeveralError                   several places failed, each with its error
+    ├── LogError (ValueError)              a log that is none, damaged, or too new
     └── DeviceError (OSError)              a device is missing or does not answer
 """
 
@@ -456,6 +457,12 @@ class SeveralError(NodeError):
         wire = super().to_wire()
         wire["parts"] = [error.to_wire() for error in self.errors]
         return wire
+
+
+class LogError(PbonetError, ValueError):
+    """A log cannot be written, is none, is damaged, or is of a newer version."""
+
+    code = "LOG"
 
 
 class DeviceError(PbonetError, OSError):

@@ -37,6 +37,14 @@ def shared_memory(monkeypatch):
         clean_folder(folder, "PBONET_SHM_DIR")
 
 
+@pytest.fixture(autouse=True)
+def runs(monkeypatch, tmp_path):
+    """The folder in which this test's runs are recorded."""
+    folder = tmp_path / "runs"
+    monkeypatch.setenv("PBONET_RUNS", str(folder))
+    return folder
+
+
 @pytest.fixture
 def nodes(monkeypatch, tmp_path):
     """Real agents in a domain of their own; see `nodekit.Nodes`."""

@@ -30,12 +30,11 @@ from pbonet.master.embedded import assign_cores
 from pbonet.master.oneshot import Place
 from pbonet.master.run import Run
 from pbonet.node import _rt  # noqa: PLC2701 - its rights
-from pbonet.node._ring import Ring  # noqa: PLC2701 - every cycle
 from pbonet.sched import chart
 from pbonet.sched.simulate import PeriodicTask, simulate
 
 if TYPE_CHECKING:
-    from pbonet.master.recording import Recording
+    from pbonet.log import Cycles
     from pbonet.sched.outcome import Outcome
     from pbonet.sched.records import SlotStatus
 
@@ -140,14 +139,14 @@ def run(scheduler: str, bursts: int) -> Seen:
             lines,
             # It ends in the rest behind the last burst, where its tasks obey at once.
             seconds=(bursts * (WORK + REST) + 1.5) * HYPERPERIOD_NS * 1e-9,
-            open_ring=Ring.attach,
+            runs=Path(folder, "runs"),
         ).run()
     if outcome.status or outcome.recording is None:
         raise NodeError("the run failed", got="\n".join([*lines.said, *outcome.faults]))
     strangers = {status.rtpu for status in watcher.slots.values()} - {
         f"{DOMAIN}/{RTPU}"
     }
-    if strangers or watcher.lost or outcome.recording.about["lost"]:
+    if strangers or watcher.lost or outcome.recording.lost():
         raise NodeError(
             "the core was not ours alone, or its trace is not complete",
             where=f"core {core()}",
@@ -157,7 +156,7 @@ def run(scheduler: str, bursts: int) -> Seen:
     return read(scheduler, watcher, outcome.recording)
 
 
-def read(scheduler: str, watcher: seen.Watcher, recording: Recording) -> Seen:
+def read(scheduler: str, watcher: seen.Watcher, recording: Cycles) -> Seen:
     """Return what ran, from the core's trace and the tasks' records.
 
     Raises:
@@ -179,7 +178,7 @@ def read(scheduler: str, watcher: seen.Watcher, recording: Recording) -> Seen:
     )
 
 
-def whole_bursts(recording: Recording) -> list[tuple[int, int]]:
+def whole_bursts(recording: Cycles) -> list[tuple[int, int]]:
     """Return begin and end of the bursts that have run to their end, as pulse wrote."""
     arrays = recording.arrays(CONDUCTOR)
     go, at = arrays["GO"].ravel().tolist(), arrays["release_ns"].tolist()

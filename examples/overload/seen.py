@@ -27,7 +27,7 @@ from pbonet.sched.records import Mode
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from pbonet.master.recording import Recording
+    from pbonet.log import Cycles
     from pbonet.sched.records import Decision, SlotStatus
 
 _LOOK = 0.05
@@ -238,7 +238,7 @@ class History(Struct):
         )
 
 
-def cycles_of(recording: Recording) -> dict[str, list[Cycle]]:
+def cycles_of(recording: Cycles) -> dict[str, list[Cycle]]:
     """Return the cycles of every task of a recording."""
     found: dict[str, list[Cycle]] = {}
     for task in recording.tasks:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pbonet.errors import PbonetError
-from pbonet.master.recording import STABLE, Recording
+from pbonet.log import STABLE, Cycles, Log, last_run
 
 Floats = NDArray[np.float64]
 
@@ -30,18 +30,19 @@ BUILD = HERE.parents[1] / "build"
 JOINTS = ("waist", "shoulder", "elbow", "wrist turn", "wrist bend", "flange")
 
 
-def run(seconds: float, file: Path, *, sim: bool) -> None:
-    """Run the job; exit with its status when it fails."""
+def run(seconds: float, runs: Path, *, sim: bool) -> Path:
+    """Run the job; return its log, or exit with its status when it fails."""
     command = [sys.executable, "-m", "pbonet.cli", "run", str(HERE / "puma.job")]
-    command += ["--seconds", f"{seconds:g}", "--record", str(file)]
+    command += ["--seconds", f"{seconds:g}", "--runs", str(runs)]
     if sim:
         command.append("--sim")
     status = subprocess.run(command, check=False).returncode
     if status:
         sys.exit(status)
+    return last_run(runs)
 
 
-def tracking(recording: Recording) -> tuple[Floats, Floats, Floats, Floats]:
+def tracking(recording: Cycles) -> tuple[Floats, Floats, Floats, Floats]:
     """Return time (s), reference, measured angle (rad) and their difference.
 
     There is one row for each servo cycle; the reference is the newest that had been
@@ -60,7 +61,7 @@ def missed(release_ns: NDArray[np.int64], period_ns: float) -> int:
     return int(np.sum(np.round(np.diff(release_ns) / period_ns) - 1))
 
 
-def task_table(recording: Recording) -> list[str]:
+def task_table(recording: Cycles) -> list[str]:
     """Return one line for each task: cycles, misses, CPU time, delay of the start."""
     lines = [
         "task        cycles    Hz  missed  stable | CPU us/cycle    p99    max"
@@ -85,7 +86,7 @@ def task_table(recording: Recording) -> list[str]:
     return lines
 
 
-def joint_table(recording: Recording) -> list[str]:
+def joint_table(recording: Cycles) -> list[str]:
     """Return one line for each joint: how far it moved and how well it followed."""
     _, reference, _, error = tracking(recording)
     lines = ["joint        moved deg | error mrad rms    max"]
@@ -96,7 +97,7 @@ def joint_table(recording: Recording) -> list[str]:
     return lines
 
 
-def plot(recording: Recording, file: Path) -> None:
+def plot(recording: Cycles, file: Path) -> None:
     """Draw reference, measured angle and their difference for every joint."""
     import matplotlib as mpl
 
@@ -150,16 +151,13 @@ def main(argv: list[str] | None = None) -> None:
     words = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     words.add_argument("--seconds", type=float, default=15.0, help="how long")
     words.add_argument("--sim", action="store_true", help="in virtual time")
-    words.add_argument("--from", dest="old", type=Path, help="show this recording")
-    words.add_argument("--record", type=Path, default=BUILD / "puma.npz")
+    words.add_argument("--from", dest="old", type=Path, help="show this log")
+    words.add_argument("--runs", type=Path, default=BUILD / "runs", help="of logs")
     words.add_argument("--plot", type=Path, default=BUILD / "puma.png")
     told = words.parse_args(argv)
-    file = told.old or told.record
-    if told.old is None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        run(told.seconds, file, sim=told.sim)
+    file = told.old or run(told.seconds, told.runs, sim=told.sim)
     try:
-        recording = Recording.load(file)
+        recording = Log(file)
         if not len(tracking(recording)[0]):
             sys.exit(f"demo: no reference was written in {file}; let it run longer")
     except PbonetError as error:

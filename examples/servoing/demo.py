@@ -25,7 +25,7 @@ from pbonet.errors import PbonetError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pbonet.master.recording import Recording
+    from pbonet.log import Cycles
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Result(NamedTuple):
     """What became of one run."""
 
     title: str
-    recording: Recording
+    recording: Cycles
 
     @property
     def swaps(self) -> list[float]:
@@ -87,7 +87,7 @@ def _watch(steering: Any, passed: Callable[[float], bool]) -> bool:  # noqa: ANN
     return False
 
 
-def tracking(recording: Recording) -> tuple[Floats, Floats, Floats]:
+def tracking(recording: Cycles) -> tuple[Floats, Floats, Floats]:
     """Return time (s), and how far the hand was from the target in mm and degrees.
 
     The target is where the vision subsystem said last that it is.

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 
 from pbonet.errors import StateError
 from pbonet.master import Subsystem
-from pbonet.master.rings import Drain
-from pbonet.node._ring import Ring  # noqa: PLC2701 - a task's every cycle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pbonet.master.recording import Recording
+    from pbonet.log import Cycles
 
 
 class Steering:
@@ -27,7 +25,6 @@ class Steering:
     """
 
     def __init__(self, job: Path, *, sim: bool = False, domain: str = "") -> None:
-        self._drain: Drain | None = None
         self.subsystem = Subsystem(
             job,
             domain=domain or f"servoing{os.getpid()}",
@@ -39,14 +36,9 @@ class Steering:
         """Start the job, and create more tasks (RMOD and RTPU) that stay OFF."""
         arm = self.subsystem.open()
         try:
-            if arm.simulation is None:
-                self._drain = Drain(arm, Ring.attach, {"job": arm.name})
-                self._drain.start()
             arm.start()
             for rmod, rtpu in spare:
                 arm.spawn(rmod, rtpu)
-            if self._drain is not None:
-                self._drain.follow(arm.status_all())
         except BaseException:
             self.end()
             raise
@@ -60,12 +52,13 @@ class Steering:
         """Return seconds since the job was started."""
         return self.subsystem.clock.now() - self._begin
 
-    def end(self) -> Recording:
+    def end(self) -> Cycles:
         """Turn everything off; return every cycle."""
         arm = self.subsystem
         arm.finish()
         if arm.simulation is not None:
             return arm.simulation.recording
-        if self._drain is None:
+        log = arm.logbook.log()
+        if log is None:
             raise StateError("the job was never started", where=arm.name)
-        return self._drain.stop()
+        return log

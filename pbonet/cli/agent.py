@@ -54,6 +54,10 @@ def command(
             metavar="FOLDER",
         ),
     ] = None,
+    runs: A[
+        Path | None,
+        typer.Option(help="Folder of the logs; PBONET_RUNS or runs by default."),
+    ] = None,
     insecure: A[
         bool, typer.Option("--insecure", help="Listen beyond this machine.")
     ] = False,
@@ -88,6 +92,7 @@ def command(
         "libraries": [str(folder) for folder in library] if library else None,
         "grace": grace,
         "keys": str(keys.absolute()) if keys else None,
+        "runs": str(runs) if runs else None,
         "insecure": insecure or None,
         "multicast": multicast or None,
     }

@@ -13,7 +13,9 @@ def command(
     *,
     file: options.File,
     last: A[int | None, typer.Argument(help="How many.", metavar="LAST", min=0)] = None,
-    since: A[int | None, typer.Option(help="Number of the first.", min=0)] = None,
+    since: A[
+        str | None, typer.Option(help="Number of the first, or how long ago: 5m.")
+    ] = None,
     task: A[str | None, typer.Option(help="Of one task.")] = None,
     code: A[str | None, typer.Option(help="Of one code, such as WARNING.")] = None,
     severity: A[

@@ -23,7 +23,11 @@ def command(
         bool, typer.Option(help="Start agents for RTPUs that nobody runs.")
     ] = True,
     record: A[
-        Path | None, typer.Option(help="Keep every cycle.", metavar="FILE.npz")
+        str | None,
+        typer.Option(help="What of each cycle: off, outputs or all; as the job says."),
+    ] = None,
+    runs: A[
+        Path | None, typer.Option(help="Folder of the logs; runs by default.")
     ] = None,
     profile: A[
         bool,
@@ -42,7 +46,6 @@ def command(
 
     from pbonet.master import oneshot
     from pbonet.master.run import run
-    from pbonet.node._ring import Ring
 
     outcome = run(
         file,
@@ -56,8 +59,8 @@ def command(
         sim=sim,
         embed=embed,
         record=record,
+        runs=runs,
         profile=profile,
-        open_ring=Ring.attach,
         quiet=json_,
     )
     if json_:

@@ -14,7 +14,7 @@ from . import words
 from .blocks import Block, Grammar, read_block
 from .conditions import parse, replaced
 from .lines import Line, Word, fault, quote
-from .model import Condition, JobFile, JobTask
+from .model import Condition, JobFile, JobTask, RecordLine
 from .reader import Reader, load
 from .timing import frequency
 from .write import number, same_again, text_line
@@ -22,7 +22,9 @@ from .write import number, same_again, text_line
 if TYPE_CHECKING:
     from pathlib import Path
 
-GRAMMAR = Grammar("JOB DESC SBS PRE* POST* TASK+ [OFF]")
+GRAMMAR = Grammar("JOB DESC SBS PRE* POST* TASK+ RECORD* [OFF]")
+MODES = ("off", "outputs", "all")
+"""How a task can be recorded."""
 _FREQ_WORDS = 2
 
 
@@ -58,6 +60,7 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
             )
         tasks[task.rmod] = task
     off_order = _off(block, tasks)
+    record = tuple(_record(line) for line in block.all("RECORD"))
     reader.finish()
     return JobFile(
         file=file,
@@ -68,6 +71,7 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
         post=tuple(_condition(reader, line) for line in block.all("POST")),
         tasks=tuple(tasks.values()),
         off_order=off_order,
+        record=record,
     )
 
 
@@ -145,6 +149,21 @@ def _rtpu(word: Word) -> str:
     return words.label(word, "an RTPU")
 
 
+def _record(line: Line) -> RecordLine:
+    """Return what ``RECORD off|outputs|all [task or variable]...`` says."""
+    mode = line.words[0].text if line.words else ""
+    if mode not in MODES:
+        raise fault(
+            "RECORD is malformed",
+            line.words[0].place if line.words else line.place,
+            expected="RECORD off|outputs|all [task or variable]...",
+            got=quote(mode) if mode else "nothing",
+            remedy=did_you_mean(mode, MODES) or "say how to record first",
+        )
+    names = tuple(word.text for word in line.words[1:])
+    return RecordLine(mode, names, line.place)
+
+
 def _off(block: Block, tasks: dict[str, JobTask]) -> tuple[str, ...]:
     """Return the turn-off order of the OFF line."""
     line = block.get("OFF")
@@ -193,6 +212,9 @@ def write_job(record: JobFile) -> str:
         freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
         parts = (task.rmod, task.rtpu or "", freq)
         lines.append(text_line("TASK", " ".join(part for part in parts if part)))
+    lines += [
+        text_line("RECORD", " ".join((one.mode, *one.names))) for one in record.record
+    ]
     if record.off_order:
         lines.append(text_line("OFF", " ".join(record.off_order)))
     return same_again(record, "".join([*lines, "EOF\n"]), parse_job)

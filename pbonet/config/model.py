@@ -212,6 +212,16 @@ class JobTask(Struct, frozen=True, kw_only=True):
         return {"RTPU": self.place} if self.rtpu and self.place else {}
 
 
+class RecordLine(Struct, frozen=True):
+    """A RECORD line: how tasks or variables are recorded, or everything."""
+
+    mode: str
+    """``off``, ``outputs`` or ``all``."""
+    names: tuple[str, ...] = ()
+    """Tasks and variables; none for all tasks that no line names."""
+    place: Place | None = None
+
+
 class Condition(Struct, frozen=True):
     """A PRE or POST condition, as written."""
 
@@ -232,6 +242,7 @@ class JobFile(Struct, frozen=True, kw_only=True):
     tasks: tuple[JobTask, ...]
     off_order: tuple[str, ...] = ()
     """OFF line: the order in which tasks are turned off; empty means the reverse."""
+    record: tuple[RecordLine, ...] = ()
 
 
 class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -252,5 +263,7 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """True lets the agent listen beyond this machine without protection."""
     multicast: bool = False
     """True lets the agents of the domain on one network find each other."""
+    runs: str | None = None
+    """Folder of the logs; ``runs`` in the working directory by default."""
     events: dict[str, str] = {}
     """Queues of the RTPU, and the keys whose messages go into them."""

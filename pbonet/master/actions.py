@@ -247,11 +247,15 @@ def module(desk: Desk, given: Given) -> Data:
     }
 
 
+def _number(word: int | str) -> int | str:
+    return int(word) if str(word).isdecimal() else word
+
+
 def events(desk: Desk, given: Given) -> Data:
     """Show what happened."""
     found = desk.subsystem.events(
         given.get("last", _LAST_EVENTS),
-        since=given.get("since", 0),
+        since=_number(given.get("since", 0)),
         task=given.get("task"),
         code=given.get("code"),
         severity=given.get("severity"),

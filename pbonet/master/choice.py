@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import re
+import time
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -12,6 +14,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pbonet.xm import messages as m
+
+
+_AGO: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([smhd])")
+_UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
 def severity(word: str) -> Severity:
@@ -30,12 +36,39 @@ def severity(word: str) -> Severity:
     return names[word.lower()]
 
 
+def since(word: int | str) -> tuple[int, float]:
+    """Return the number of the first event wanted, and the earliest time of day.
+
+    Args:
+        word: A number, or how long ago: ``90s``, ``5m``, ``2h``, ``1d``.
+
+    Returns:
+        The number, 0 for any; and seconds since 1970, 0 for any.
+
+    Raises:
+        StateError: It is neither.
+    """
+    text = str(word)
+    if text.isdecimal():
+        return int(text), 0.0
+    found = _AGO.fullmatch(text)
+    if found is None:
+        raise StateError(
+            "this says not since when",
+            expected="the number of an event, or a time such as 90s, 5m, 2h or 1d",
+            got=text[:40],
+        )
+    return 0, time.time() - float(found[1]) * _UNITS[found[2]]
+
+
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
     """Which events are wanted."""
 
     least: Severity = Severity.DEBUG
     code: str | None = None
     task: str | None = None
+    after: float = 0.0
+    """Seconds since 1970."""
 
     @staticmethod
     def of(given: Mapping[str, Any]) -> Choice:
@@ -48,6 +81,7 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
             least=severity(given.get("severity") or "debug"),
             code=given.get("code"),
             task=given.get("task"),
+            after=since(given.get("since") or 0)[1],
         )
 
     def __call__(self, event: m.Event) -> bool:
@@ -56,4 +90,5 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
             event.severity >= self.least
             and self.code in {None, event.code, str(event.errnum or "")}
             and self.task in {None, event.task}
+            and event.wall >= self.after
         )

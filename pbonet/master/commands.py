@@ -167,7 +167,12 @@ COMMANDS: Final = (
         actions.events,
         (
             Arg("last", Kind.COUNT, "how many", Use.MAYBE),
-            Arg("since", Kind.COUNT, "number of the first", Use.NAMED),
+            Arg(
+                "since",
+                Kind.WORD,
+                "number of the first, or how long ago: 5m",
+                Use.NAMED,
+            ),
             Arg("task", Kind.TASK, "of one task", Use.NAMED),
             Arg("code", Kind.WORD, "of one code, such as WARNING", Use.NAMED),
             Arg("severity", Kind.WORD, "the least: debug to fatal", Use.NAMED),

@@ -29,7 +29,10 @@ if TYPE_CHECKING:
     from pbonet.config.model import Rmod
     from pbonet.master.files import Files
     from pbonet.master.fleet import Fleet
+    from pbonet.master.logbook import Logbook
     from pbonet.pbo import ModuleInfo
+
+    Warned = Callable[[str], None]
 
 CONTROL_TIME = 5.0
 SPAWN_TIME = 10.0
@@ -63,21 +66,21 @@ class Crew:
         files: The subsystem's files.
         fleet: Its RTPUs.
         warned: Called with each warning.
+        logbook: Has the run recorded.
     """
 
     def __init__(
-        self, files: Files, fleet: Fleet, warned: Callable[[str], None]
+        self, files: Files, fleet: Fleet, warned: Warned, logbook: Logbook
     ) -> None:
         self.files = files
         self.fleet = fleet
         self.warned = warned
+        self.logbook = logbook
         self.picture = Picture()
         self._info = cache(partial(modules.on, fleet))
         self._flag_up = False
-        self._unfed: set[str] = set()
-        """What was told already of inputs without a writer."""
-        self._noted: set[str] = set()
-        """What was told already of saved profiles."""
+        self._unfed: set[str] = set()  # told already, of inputs without a writer
+        self._noted: set[str] = set()  # the same, of saved profiles
 
     # -- the picture ------------------------------------------------------------------
 
@@ -305,8 +308,6 @@ class Crew:
         for text in warnings:
             self.warned(text)
 
-    # -- changing ---------------------------------------------------------------------
-
     def create(self, member: Member, freq: float | None) -> m.TaskStatus:
         """Spawn one task and take it into the picture.
 
@@ -325,9 +326,10 @@ class Crew:
             effc=soft.seconds if soft else None,
             timeout=SPAWN_TIME,
         )
-        status = self.fleet.call(
-            member.rtpu, request, m.TaskStatus, timeout=SPAWN_TIME + 1.0
-        )
+        if not len(self.picture):
+            self.logbook.begin(self.fleet, self.files, self.warned)
+        limit = SPAWN_TIME + 1.0
+        status = self.fleet.call(member.rtpu, request, m.TaskStatus, timeout=limit)
         self.picture.add(member)
         self.note(status)
         return status
@@ -487,10 +489,11 @@ class Crew:
             m.Stopped,
             timeout=STOP_TIME + rpc.ANSWER_TIME,
         )
-        stopped = m.Stopped(off=[], killed=[])
-        for result in results.values():
-            stopped.off += result.off
-            stopped.killed += result.killed
+        self.logbook.end()
+        stopped = m.Stopped(
+            off=[task for one in results.values() for task in one.off],
+            killed=[task for one in results.values() for task in one.killed],
+        )
         for member in self.picture:
             if member.rtpu in results:
                 self.picture.remove(member.name)

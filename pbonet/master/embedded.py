@@ -64,6 +64,7 @@ class Embedded:
         domain: Their domain.
         libraries: Folders with modules.
         connect: Endpoints of agents on other machines, which they join.
+        runs: Folder of their logs; None for PBONET_RUNS, else ``runs`` here.
     """
 
     def __init__(
@@ -72,7 +73,9 @@ class Embedded:
         *,
         libraries: Sequence[str] = (),
         connect: Sequence[str] = (),
+        runs: str | Path | None = None,
     ) -> None:
+        self._runs = runs
         self._domain = domain
         self._libraries = libraries
         self._connect = connect
@@ -143,6 +146,8 @@ class Embedded:
             command += ["--connect", endpoint]
         if keys := credentials.named():
             command += ["--keys", str(keys)]
+        if self._runs is not None:
+            command += ["--runs", str(Path(self._runs).absolute())]
         output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the child
         process = subprocess.Popen(
             command,

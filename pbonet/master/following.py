@@ -13,7 +13,7 @@ import msgspec
 
 from pbonet.errors import PbonetError
 from pbonet.master import render
-from pbonet.master.choice import Choice
+from pbonet.master.choice import Choice, since
 from pbonet.master.subsystem import Subsystem
 from pbonet.xm import messages as m
 
@@ -129,8 +129,8 @@ def follow(
     with subsystem, subsystem.news() as news:
         follower = Follower(subsystem, wanted)
         last = given.get("last")
-        since: int = given.get("since") or 0
-        events = [event for event in follower.take() if event.n >= since]
+        first, _ = since(given.get("since") or 0)
+        events = [event for event in follower.take() if event.n >= first]
         count = _LAST if last is None else last
         _show(events[max(0, len(events) - count) :], as_data=as_data, debug=debug)
         told: dict[str, str] = {}

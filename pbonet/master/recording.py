@@ -1,57 +1,29 @@
-"""Every cycle of every task of one run, and the ``.npz`` file they are kept in.
+"""Every cycle of every task of one run in virtual time, in memory.
 
-A run in real time fills a `Recording` from the tasks' rings, the simulator from its own
-table; plots, summaries and comparisons then do not care which it was. For long runs
-there is the log (`pbonet.log`), which is written while the run goes on.
-
-The file holds, for each task, the arrays ``task/release_ns``, ``task/cycle`` and the
-other columns of `COLUMNS` with one element a cycle, ``task/VARIABLE`` with one row a
-cycle for each variable the task writes, and ``about`` with JSON text.
+A run in real time is recorded into a log (`pbonet.log`), which tells the same about it.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import zlib
+import platform
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
-from zipfile import BadZipFile
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.errors import ConfigFileError, UnknownVariableError, did_you_mean
+import pbonet
+from pbonet.errors import LogError
+from pbonet.log import COLUMNS, Cycles, LogWriter, RunAbout, TaskAbout
+from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.svar.layout import group_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
-    from pbonet.node._ring import Record
-
-COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags")
-"""What is known of a cycle beside its values: instants of CLOCK_MONOTONIC, its number,
-CPU time, and the flags of its copies."""
-STABLE: Final = 1 << 31
-"""The flag of a cycle in which ``stable`` ran."""
-
-
-_UNREADABLE: Final = (
-    *(OSError, ValueError, KeyError, AttributeError, TypeError, EOFError),
-    *(BadZipFile, zlib.error, RuntimeError, MemoryError),
-)
-"""What numpy and zipfile raise for a file that is no recording."""
-
-
-def _unwritable(path: str | Path, why: str) -> ConfigFileError:
-    return ConfigFileError(
-        "the recording cannot be written",
-        where=str(path),
-        got=why,
-        remedy="choose a folder that exists and may be written to",
-    )
 
 
 class TaskRecord:
@@ -67,6 +39,8 @@ class TaskRecord:
         self, task: str, variables: Sequence[Variable], outputs: Sequence[str]
     ) -> None:
         self.task = task
+        self.end_ns = 0
+        """When the last cycle ended."""
         numbers = [i for i, v in enumerate(variables) if v.name in set(outputs)]
         self._group = group_of(variables, numbers)
         self._variables = [variables[i] for i in self._group.indices]
@@ -109,22 +83,39 @@ class TaskRecord:
             cpu_ns: CPU time it took.
             flags: Of its copies.
         """
+        self.end_ns = end_ns or release_ns
         row = (release_ns, cycle, start_ns, end_ns, cpu_ns, flags)
         self._heads += np.array(row, np.int64).tobytes()
         self._data += data
 
-    def take(self, records: Iterable[Record]) -> None:
-        """Append cycles as they come out of the task's ring."""
-        for record in records:
-            self.add(
-                record.data,
-                release_ns=record.release_ns,
-                cycle=record.cycle,
-                start_ns=record.start_ns,
-                end_ns=record.end_ns,
-                cpu_ns=record.cpu_ns,
-                flags=record.flags,
-            )
+    def records(self) -> bytes:
+        """Return the cycles as a ring would have them."""
+        heads = np.frombuffer(bytes(self._heads), np.int64).reshape(-1, len(COLUMNS))
+        parts: list[bytes] = []
+        size = (RECORD.size + HEAD_DTYPE.itemsize + self.size + 7) & ~7
+        for number, row in enumerate(heads):
+            head = np.zeros(1, HEAD_DTYPE)
+            for name, value in zip(COLUMNS, row, strict=True):
+                head[name] = value
+            head["end_ns"] = max(row[0], row[3])
+            data = self._data[number * self.size : (number + 1) * self.size]
+            parts += [RECORD.pack(size, 0, self.size, 0), head.tobytes(), bytes(data)]
+        return b"".join(parts)
+
+    def about(self, subsystem: str) -> TaskAbout:
+        """Return whose cycles these are, for a log."""
+        return TaskAbout(
+            domain="",
+            rtpu="",
+            subsystem=subsystem,
+            task=self.task,
+            module="",
+            pid=0,
+            freq=0.0,
+            rmod="",
+            rmod_name=f"{self.task}.rmod",
+            outvar=self._variables,
+        )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all columns and variables, by name."""
@@ -141,7 +132,7 @@ class TaskRecord:
         return found
 
 
-class Recording:
+class Recording(Cycles):
     """Every cycle of a run, by task.
 
     Args:
@@ -149,9 +140,8 @@ class Recording:
     """
 
     def __init__(self, about: Mapping[str, Any] | None = None) -> None:
-        self.about: dict[str, Any] = dict(about or {})
+        self.about = dict(about or {})
         self._tasks: dict[str, TaskRecord] = {}
-        self._loaded: dict[str, dict[str, NDArray[Any]]] = {}
 
     def task(
         self, name: str, variables: Sequence[Variable], outputs: Sequence[str]
@@ -162,10 +152,47 @@ class Recording:
             record = self._tasks[name] = TaskRecord(name, variables, outputs)
         return record
 
+    def save(self, path: str | Path) -> None:
+        """Write a log that says the same, at times since 1970.
+
+        Raises:
+            LogError: It exists, or cannot be written.
+        """
+        path = Path(path)
+        subsystem = str(self.about.get("subsystem", "simulation"))
+        about = RunAbout(
+            run=path.parent.name,
+            job=str(self.about.get("job", "")),
+            subsystem=subsystem,
+            domain="",
+            rtpu="",
+            host=platform.node(),
+            pbonet=pbonet.__version__,
+            python=platform.python_version(),
+            numpy=np.__version__,
+            kernel=platform.release(),
+            begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            epoch_ns=time.time_ns() - self.begin_ns,
+        )
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            writer = LogWriter(path, about)
+            for record in self._tasks.values():
+                number = writer.add_task(record.about(subsystem))
+                writer.add(number, record.records())
+            writer.close()
+        except OSError as error:
+            raise LogError(
+                "the log cannot be written",
+                where=str(path),
+                got=error.strerror or str(error),
+                remedy="make room there, or choose another folder",
+            ) from None
+
     @property
     def tasks(self) -> list[str]:
         """The names of the tasks."""
-        return list(self._loaded or self._tasks)
+        return list(self._tasks)
 
     def arrays(self, task: str) -> dict[str, NDArray[Any]]:
         """Return the columns and variables of a task, by name.
@@ -173,8 +200,6 @@ class Recording:
         Raises:
             KeyError: There is no such task.
         """
-        if task in self._loaded:
-            return self._loaded[task]
         return self._tasks[task].arrays()
 
     def variables(self, task: str) -> list[str]:
@@ -183,99 +208,4 @@ class Recording:
         Raises:
             KeyError: There is no such task.
         """
-        if task in self._loaded:
-            return [name for name in self._loaded[task] if name not in COLUMNS]
         return self._tasks[task].names
-
-    def writer(self, variable: str) -> str:
-        """Return the task that wrote a variable, the first one if there were several.
-
-        Raises:
-            UnknownVariableError: No task of the run wrote it.
-        """
-        known: dict[str, str] = {}
-        for task in self.tasks:
-            for name in self.variables(task):
-                known.setdefault(name, task)
-        if variable not in known:
-            raise UnknownVariableError(
-                f"no task of the run wrote {variable}",
-                expected=" or ".join(known) or "a run with tasks",
-                remedy=did_you_mean(variable, known) or "name one that was written",
-            )
-        return known[variable]
-
-    def series(self, variable: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
-        """Return a variable over time: seconds since the run began, and its values.
-
-        Raises:
-            UnknownVariableError: No task of the run wrote it.
-        """
-        arrays = self.arrays(self.writer(variable))
-        return (arrays["release_ns"] - self.begin_ns) * 1e-9, arrays[variable]
-
-    @property
-    def begin_ns(self) -> int:
-        """The first release of any task."""
-        firsts = [
-            int(releases[0])
-            for task in self.tasks
-            if len(releases := self.arrays(task)["release_ns"])
-        ]
-        return min(firsts, default=0)
-
-    @staticmethod
-    def check_path(path: str | Path) -> None:
-        """Refuse a file that cannot be written, before a run is made for it.
-
-        Raises:
-            ConfigFileError: It cannot.
-        """
-        path = Path(path).absolute()
-        if path.is_dir():
-            raise _unwritable(path, "a folder")
-        if not path.parent.is_dir():
-            raise _unwritable(path, f"no folder {path.parent}")
-        if not os.access(path if path.exists() else path.parent, os.W_OK):
-            raise _unwritable(path, "Permission denied")
-
-    def save(self, path: str | Path) -> None:
-        """Write the file.
-
-        Raises:
-            ConfigFileError: It cannot be written.
-        """
-        content: dict[str, Any] = {"about": np.array(json.dumps(self.about))}
-        for task in self.tasks:
-            for name, values in self.arrays(task).items():
-                content[f"{task}/{name}"] = values
-        try:
-            with Path(path).open("wb") as file:
-                np.savez_compressed(file, **content)
-        except OSError as error:
-            raise _unwritable(path, error.strerror or str(error)) from None
-
-    @staticmethod
-    def load(path: str | Path) -> Recording:
-        """Return the recording in a file.
-
-        Raises:
-            ConfigFileError: There is none, or it is not one.
-        """
-        try:
-            with Path(path).open("rb") as file, np.load(file) as archive:
-                content: dict[str, NDArray[Any]] = {k: archive[k] for k in archive}
-            about = json.loads(str(content.pop("about")))
-        except _UNREADABLE as error:
-            raise ConfigFileError(
-                "the recording cannot be read",
-                where=str(path),
-                expected="a file that `pbonet run --record` wrote",
-                got=str(error),
-                remedy="record the run again",
-            ) from None
-        recording = Recording(cast("dict[str, Any]", about))
-        for key, values in content.items():
-            task, _, name = key.partition("/")
-            recording._loaded.setdefault(task, {})[name] = values
-        return recording

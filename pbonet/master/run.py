@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import platform
 import signal
 import threading
 import time
@@ -15,12 +14,11 @@ from msgspec import Struct
 from pbonet import verify
 from pbonet.config.library import Library
 from pbonet.errors import PbonetError, SeveralError, Severity, StateError
-from pbonet.master import live, profiling, render, summary
+from pbonet.master import live, profiling, render, simlog, summary
 from pbonet.master.embedded import Embedded
 from pbonet.master.files import Files
+from pbonet.master.logbook import Logbook
 from pbonet.master.network import Port
-from pbonet.master.recording import Recording
-from pbonet.master.rings import Drain
 from pbonet.master.subsystem import Subsystem
 from pbonet.master.watching import Listener
 from pbonet.xm import messages as m
@@ -30,9 +28,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import FrameType
 
+    from pbonet.log import Cycles
     from pbonet.master.live import View
     from pbonet.master.oneshot import Place
-    from pbonet.master.rings import Hook, RingReader
     from pbonet.master.sim import Simulation
     from pbonet.xm.messages import RtpuStatus
 
@@ -56,7 +54,10 @@ class Outcome(Struct, kw_only=True):
     """Why it ended."""
     faults: list[str] = []
     """What went wrong at the end."""
-    recording: Recording | None = None
+    log: str = ""
+    """The run's folder, with its log; empty when nothing was recorded here."""
+    recording: Cycles | None = None
+    """The same, to be read."""
 
     @property
     def status(self) -> int:
@@ -120,9 +121,8 @@ class Run:
         view: Where it is shown.
         seconds: How long; None: until interrupted, or stopped from elsewhere.
         embed: Start agents for RTPUs that nobody runs.
-        open_ring: Opens a task's ring; then every cycle is taken out of it.
-        hook: Called with a task's name and its records as they come.
-        keep: Keep every cycle for the outcome's recording.
+        record: ``off``, ``outputs`` or ``all``; None for what the job says.
+        runs: Folder of the logs of embedded agents; None for theirs.
         profile: Save the tasks' execution profiles at the end.
 
     Raises:
@@ -137,9 +137,8 @@ class Run:
         *,
         seconds: float | None = None,
         embed: bool = True,
-        open_ring: Callable[[str], RingReader] | None = None,
-        hook: Hook | None = None,
-        keep: bool = True,
+        record: str | None = None,
+        runs: str | Path | None = None,
         profile: bool = False,
     ) -> None:
         self._path = path
@@ -147,9 +146,9 @@ class Run:
         self._view = view
         self._seconds = seconds
         self._embed = embed
-        self._open_ring = open_ring
-        self._hook = hook
-        self._keep = keep
+        self._logbook = Logbook(record)
+        self._record = record
+        self._runs = runs
         self._profile = profile
         self._missing = 0
         self._interrupts = Interrupts()
@@ -169,6 +168,7 @@ class Run:
             self._place.domain,
             libraries=self._place.libraries,
             connect=self._place.connect,
+            runs=self._runs,
         )
         with self._interrupts.caught(), agents:
             if self._embed:
@@ -176,6 +176,7 @@ class Run:
             outcome = self._steer()
             ours = {child.rtpu for child in agents.children}
             killed = agents.stop()
+        self._read_log(outcome)
         outcome.faults += [
             f"the embedded agent of {rtpu} had to be killed" for rtpu in killed
         ]
@@ -204,22 +205,20 @@ class Run:
             take_over=self._place.take_over,
             kind="run",
             warned=lambda text: self._view.say(render.warning(text)),
+            record=self._record,
         )
+        self._logbook = subsystem.logbook
         subsystem.open()
         self._tell_limits(subsystem)
         statuses: list[RtpuStatus] = []
-        drain: Drain | None = None
         begin = time.monotonic()
         try:
             self._interrupts.force = subsystem.stop
-            drain = self._drain(subsystem)
             begin = self._start(subsystem)
-            statuses = self._watch(subsystem, drain, begin)
+            statuses = self._watch(subsystem, begin)
         except BaseException:
             with contextlib.suppress(PbonetError):  # the first error is the one to tell
                 subsystem.finish()
-            if drain is not None:
-                drain.stop()
             raise
         passed = time.monotonic() - begin
         if self._profile:
@@ -230,17 +229,28 @@ class Run:
             self._unfinished += error.errors
         except PbonetError as error:
             self._unfinished.append(error)
-        recording = drain.stop() if drain is not None else None
-        if recording is not None:
-            recording.about["seconds"] = passed
         return Outcome(
             job=self.job.name,
             seconds=passed,
-            tasks=summary.summarize(statuses, recording),
+            tasks=summary.summarize(statuses),
             reason=self._reason,
             faults=self._faults,
-            recording=recording,
         )
+
+    def _read_log(self, outcome: Outcome) -> None:
+        """Read what was recorded on this machine, for the exact delays."""
+        try:
+            log = self._logbook.log()
+        except PbonetError as error:
+            self._view.say(render.warning(f"the log cannot be read: {error}"))
+            return
+        if log is None:
+            return
+        outcome.log, outcome.recording = str(log.path), log
+        outcome.tasks = summary.refined(outcome.tasks, log)
+        for task, lost in log.lost().items():
+            text = f"{lost} records of {task} did not fit its ring"
+            self._view.say(render.warning(text))
 
     def _save_profiles(self, subsystem: Subsystem) -> None:
         """Save what was measured; that it cannot be is no fault of the run."""
@@ -261,25 +271,6 @@ class Run:
                 lacking.setdefault(limit, []).append(rtpu)
         for limit, rtpus in lacking.items():
             self._view.say(render.warning(f"{', '.join(rtpus)}: {limit}"))
-
-    def _drain(self, subsystem: Subsystem) -> Drain | None:
-        if self._open_ring is None:
-            return None
-        about = {
-            "job": self.job.name,
-            "file": self.job.file,
-            "mode": "real time",
-            "machine": platform.node(),
-            "kernel": platform.release(),
-            "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        }
-        drain = Drain(
-            subsystem, self._open_ring, about, hook=self._hook, keep=self._keep
-        )
-        for rtpu in drain.elsewhere:
-            self._view.say(f"{rtpu} is another machine's; its cycles are not recorded")
-        drain.start()
-        return drain
 
     def _start(self, subsystem: Subsystem) -> float:
         """Assemble the job; an interrupt meanwhile gives it up. Return the time."""
@@ -304,9 +295,7 @@ class Run:
         self._view.say(f"job {self.job.name} is ON: {names}")
         return time.monotonic()
 
-    def _watch(
-        self, subsystem: Subsystem, drain: Drain | None, begin: float
-    ) -> list[RtpuStatus]:
+    def _watch(self, subsystem: Subsystem, begin: float) -> list[RtpuStatus]:
         """Show the status until it is time to end; return the last one."""
         listener = Listener(subsystem)
         listener.open()
@@ -317,8 +306,6 @@ class Run:
                 statuses = self._look(subsystem)
                 if any(rtpu.tasks for rtpu in statuses):
                     last = statuses
-                if drain is not None:
-                    drain.follow([task for one in statuses for task in one.tasks])
                 events = listener.take()
                 self._view.show(passed, statuses, events)
                 fatal = [e.text for e in events if e.severity >= Severity.FATAL]
@@ -430,9 +417,8 @@ def run(
     seconds: float | None = None,
     sim: bool = False,
     embed: bool = True,
-    record: str | Path | None = None,
-    open_ring: Callable[[str], RingReader] | None = None,
-    hook: Hook | None = None,
+    record: str | None = None,
+    runs: str | Path | None = None,
     profile: bool = False,
     quiet: bool = False,
 ) -> Outcome:
@@ -444,17 +430,14 @@ def run(
         seconds: How long; None: until interrupted, or 10 s of virtual time.
         sim: In virtual time.
         embed: Start agents for RTPUs that nobody runs.
-        record: A file for every cycle of every task (``.npz``).
-        open_ring: Opens a task's ring; needed to record in real time, and for `hook`.
-        hook: Called with a task's name and its records as they come, in real time.
+        record: ``off``, ``outputs`` or ``all``; None for what the job says.
+        runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
         profile: Save the tasks' execution profiles at the end, in real time.
         quiet: Leave standard output to the caller.
 
     Raises:
-        PbonetError: The job could not be started, or the recording not be written.
+        PbonetError: The job could not be started.
     """
-    if record is not None:
-        Recording.check_path(record)
     if sim and profile:
         raise StateError(
             "a simulation measures no execution times",
@@ -465,26 +448,22 @@ def run(
     view = live.view(quiet=quiet)
     if sim:
         outcome = simulate(path, place, view, seconds)
+        simlog.save(outcome, path, place, record=record, runs=runs)
     else:
-        wanted = record is not None or hook is not None
         outcome = Run(
             path,
             place,
             view,
             seconds=seconds,
             embed=embed,
-            open_ring=open_ring if wanted else None,
-            hook=hook,
-            keep=record is not None,
+            record=record,
+            runs=runs,
             profile=profile,
         ).run()
     view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
     view.say(summary.text(outcome.tasks))
     for fault in outcome.faults:
         view.say(f"ERROR> {fault}")
-    if record is not None and outcome.recording is not None:
-        outcome.recording.save(record)
-        view.say(f"every cycle is in {record}")
-        for task, lost in outcome.recording.about.get("lost", {}).items():
-            view.say(render.warning(f"{lost} cycles of {task} did not fit the ring"))
+    if outcome.log:
+        view.say(f"every cycle is in {outcome.log}")
     return outcome

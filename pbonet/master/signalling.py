@@ -14,6 +14,7 @@ import zenoh
 from msgspec import Struct
 
 from pbonet.errors import NoAnswerError, StateError, did_you_mean
+from pbonet.master import choice
 from pbonet.master.choice import Choice
 from pbonet.master.words import check_time, names_of
 from pbonet.pbo import PREDEFINED
@@ -215,7 +216,7 @@ class Signalled(Opened, Protocol):
         self,
         last: int | None = None,
         *,
-        since: int = 0,
+        since: int | str = 0,
         task: str | None = None,
         code: str | None = None,
         severity: str | None = None,
@@ -224,17 +225,19 @@ class Signalled(Opened, Protocol):
 
         Args:
             last: At most so many, the newest; None: all that the RTPUs remember.
-            since: Number of the first event wanted of each RTPU.
+            since: Number of the first event wanted of each RTPU, or how long ago it
+                may have been, such as ``5m``.
             task: Of one task.
             code: Of one code, such as ``WARNING``.
             severity: The least: ``debug`` to ``fatal``.
 
         Raises:
-            StateError: There is no such severity.
+            StateError: There is no such severity, or `since` says not since when.
         """
-        wanted = Choice.of({"task": task, "code": code, "severity": severity})
+        given = {"task": task, "code": code, "severity": severity, "since": since}
+        wanted, first = Choice.of(given), choice.since(since)[0]
         request = m.Events
-        results, errors = self.fleet.each(lambda _: request(since=since), list[m.Event])
+        results, errors = self.fleet.each(lambda _: request(since=first), list[m.Event])
         rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
         found = [event for events in results.values() for event in events]
         mine = [event for event in found if event.subsystem in {"", self.name}]

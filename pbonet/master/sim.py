@@ -23,11 +23,12 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.io.policy import no_devices
+from pbonet.log import STABLE
 from pbonet.master import conditions
 from pbonet.master.failures import stuck
 from pbonet.master.files import Files
 from pbonet.master.picture import Member
-from pbonet.master.recording import STABLE, Recording
+from pbonet.master.recording import Recording
 from pbonet.master.simtable import MemoryCopies, MemoryTable
 from pbonet.master.simtask import SimTask, Turns, must_be_simulated, status_of
 from pbonet.node.executor import Executor

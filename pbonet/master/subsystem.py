@@ -32,6 +32,7 @@ from pbonet.master.embedded import Embedded
 from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
+from pbonet.master.logbook import Logbook
 from pbonet.master.signalling import Inbox, Signalled
 from pbonet.master.switching import Switching
 from pbonet.master.virtual import VirtualClient, VirtualClock, VirtualRtpus
@@ -70,6 +71,7 @@ class Subsystem(Switching, Calls, Signalled):
         virtual: Run in virtual time, in this process, without agents and devices: time
             passes where the program waits.
         warned: Called with each warning, one sentence, unless a `Desk` collects it.
+        record: ``off``, ``outputs`` or ``all``; None for what the job says, or outputs.
 
     Raises:
         ConfigError: A file is missing or wrong.
@@ -88,6 +90,7 @@ class Subsystem(Switching, Calls, Signalled):
         embed: bool = False,
         virtual: bool = False,
         warned: Callable[[str], None] = log_warning,
+        record: str | None = None,
     ) -> None:
         self.files = Files(path, Library(libraries))
         self.domain = domain
@@ -108,6 +111,7 @@ class Subsystem(Switching, Calls, Signalled):
         self.shown = profile.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = profile.Baselines()
+        self.logbook = Logbook("off" if virtual else record)
         self._connect = connect
         self._kind = kind
         self._take_over = take_over
@@ -201,7 +205,7 @@ class Subsystem(Switching, Calls, Signalled):
 
     def _open(self, client: rpc.Client) -> Crew:
         fleet = Fleet(client, self.files.sbs)
-        crew = Crew(self.files, fleet, self._warn)
+        crew = Crew(self.files, fleet, self._warn, self.logbook)
         try:
             if not self.watch:
                 crew.take(take_over=self._take_over)
@@ -423,8 +427,10 @@ class Subsystem(Switching, Calls, Signalled):
 
         def attempt() -> list[m.TaskStatus]:
             with self._changing() as crew:
+                wanted = self.files.read_job(job)
+                self.logbook.of(wanted, self.files)
                 try:
-                    return assembly.start(crew, self.files.read_job(job), self.stopped)
+                    return assembly.start(crew, wanted, self.stopped)
                 finally:
                     crew.settle()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 
@@ -11,9 +12,9 @@ from pbonet.master import render
 from pbonet.master.profile import delay_quantile, profile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
-    from pbonet.master.recording import Recording
+    from pbonet.log import Cycles
     from pbonet.xm.messages import RtpuStatus, TaskStatus
 
 HEAD = (
@@ -46,42 +47,41 @@ class TaskSummary(Struct, frozen=True, kw_only=True):
     error: str = ""
 
 
-def summarize(
-    rtpus: Iterable[RtpuStatus], recording: Recording | None = None
-) -> list[TaskSummary]:
+def summarize(rtpus: Iterable[RtpuStatus]) -> list[TaskSummary]:
     """Return a summary of each task; what takes no virtual time is None."""
-    delays = {} if recording is None else _delays(recording)
     return [
-        _task(task, delays, virtual=rtpu.backend == "inline")
+        _task(task, virtual=rtpu.backend == "inline")
         for rtpu in rtpus
         for task in rtpu.tasks
     ]
 
 
-def _delays(recording: Recording) -> dict[str, Any]:
-    """Return the delays from release to cycle of each task, in seconds."""
-    found: dict[str, Any] = {}
-    for task in recording.tasks:
-        arrays = recording.arrays(task)
-        if len(arrays["release_ns"]) and arrays["start_ns"].any():
-            found[task] = (arrays["start_ns"] - arrays["release_ns"]) * 1e-9
-    return found
+def refined(summaries: Iterable[TaskSummary], cycles: Cycles) -> list[TaskSummary]:
+    """Return summaries with exact delays, of tasks whose every cycle is known."""
+    return [_refined(one, cycles) for one in summaries]
 
 
-def _task(
-    status: TaskStatus, delays: Mapping[str, Any], *, virtual: bool
-) -> TaskSummary:
+def _refined(one: TaskSummary, cycles: Cycles) -> TaskSummary:
+    if one.task not in cycles.tasks:
+        return one
+    arrays = cycles.arrays(one.task)
+    if not len(arrays["release_ns"]):
+        return one
+    delays = (arrays["start_ns"] - arrays["release_ns"]) * 1e-9
+    return msgspec.structs.replace(
+        one,
+        jitter_p50=float(np.quantile(delays, 0.5)),
+        jitter_p99=float(np.quantile(delays, 0.99)),
+        jitter_max=float(delays.max()),
+        jitter_exact=True,
+    )
+
+
+def _task(status: TaskStatus, *, virtual: bool) -> TaskSummary:
     fields: dict[str, Any] = profile(status).fields
     if virtual:
         fields |= dict.fromkeys(("avgC", "maxC", "avgU", "xfer"))
-    exact = status.task in delays
-    quantiles: list[float | None] = [
-        float(np.quantile(delays[status.task], share))
-        if exact
-        else delay_quantile(status.jitter, share)
-        for share in (0.5, 0.99)
-    ]
-    longest = float(delays[status.task].max()) if exact else status.jitter_max
+    quantiles = [delay_quantile(status.jitter, share) for share in (0.5, 0.99)]
     return TaskSummary(
         task=status.task,
         rtpu=status.rtpu,
@@ -94,8 +94,8 @@ def _task(
         utilization=fields["avgU"],
         jitter_p50=quantiles[0],
         jitter_p99=quantiles[1],
-        jitter_max=longest if status.cycle and not virtual else None,
-        jitter_exact=exact,
+        jitter_max=status.jitter_max if status.cycle and not virtual else None,
+        jitter_exact=False,
         transfer=fields["xfer"],
         warnings=status.warn,
         error=status.error if status.state == "ERROR" else "",

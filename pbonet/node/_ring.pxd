@@ -10,13 +10,23 @@ cdef extern from "ring.h" nogil:
     const uint32_t RING_STABLE
     struct ring:
         uint64_t magic, capacity
-        uint32_t version
+        uint32_t version, about
     struct ring_record:
-        uint32_t size, n_consumed, bytes, flags
+        uint32_t size, n_consumed, bytes, in_bytes
         uint64_t cycle
-        int64_t release_ns, start_ns, end_ns
-        uint64_t cpu_ns
-    void ring_init(ring *r, uint64_t capacity)
+        int64_t release_ns, start_ns, end_ns, dt_ns
+        uint64_t cpu_ns, uid, number, lost
+        uint32_t flags, kind
+    void ring_init(ring *r, uint64_t capacity, uint32_t about)
+    enum:
+        RING_WANT_NEW
+        RING_WANT_ALL
+    uint32_t ring_wants(const ring *r)
+    void ring_want(ring *r, uint32_t bits)
+    void ring_wanted(ring *r)
+    int ring_fits(const ring *r, const ring_record *record)
+    void ring_stage(ring *r, const ring_record *record, uint64_t at, const void *src,
+                    uint64_t n)
     int ring_put(ring *r, ring_record *record, const uint64_t *consumed, const void *data)
     uint64_t ring_ready(const ring *r)
     uint64_t ring_lost(const ring *r)
@@ -32,5 +42,5 @@ cdef class Ring:
     cdef readonly str name, path
     cdef ring *open(self) except NULL
     cdef Ring check(self)
-    cdef uint64_t parse(self, const char *text, uint64_t n, list records) except 0
+    cdef bytes copy(self)
     cdef claim(self)

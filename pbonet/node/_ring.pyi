@@ -1,7 +1,7 @@
 """A ring of cycle records in shared memory, one per task."""
 
 class Record:
-    """One cycle, out of a ring."""
+    """One record, out of a ring."""
 
     cycle: int
     release_ns: int
@@ -9,13 +9,32 @@ class Record:
     """When ``cycle`` was called."""
     end_ns: int
     """When the commit was done."""
+    dt_ns: int
+    """The time step that ``cycle`` was told."""
     cpu_ns: int
+    uid: int
+    """The register of the commit; 0: none."""
+    number: int
+    """The number of the commit in that register."""
+    lost: int
+    """Records that the ring had dropped before this one."""
     flags: int
+    kind: int
+    """What happened, as `pbonet.log.Step` has it; 0: a cycle."""
     stable: bool
     consumed: tuple[tuple[int, int], ...]
-    """(register, sequence) pairs of the copy-in."""
+    """(register, number) pairs of the copy-in."""
     data: bytes
     """The out-group as committed."""
+    inputs: bytes
+    """The in-vars as copied in, where they do not follow from `consumed`."""
+
+def parse(text: bytes) -> list[Record]:
+    """Return the records in what `Ring.take` returned.
+
+    Raises:
+        NodeError: They are damaged.
+    """
 
 class Ring:
     """Single producer, single consumer: ``pbonet.<uid>.<name>.ring``.
@@ -26,18 +45,30 @@ class Ring:
     name: str
     path: str
     lost: int
+    about: bytes
+    """What its maker says of it."""
     @staticmethod
-    def create(name: str, capacity: int = 1 << 20) -> Ring:
+    def create(name: str, capacity: int = 1 << 20, about: bytes = b"") -> Ring:
         """Make the file (replacing one that stands) and return its producer's end.
 
         Args:
             name: At most 100 characters, for instance ``subsystem.task``.
             capacity: Bytes, rounded up to a power of two.
+            about: Whose it is, for whoever drains it.
         """
     @staticmethod
     def attach(name: str) -> Ring:
         """Open an existing ring, as producer or consumer."""
-    def put(self, data: bytes, *, cycle: int = 0) -> bool:
+    def put(
+        self,
+        data: bytes,
+        *,
+        cycle: int = 0,
+        kind: int = 0,
+        now_ns: int = 0,
+        uid: int = 0,
+        number: int = 0,
+    ) -> bool:
         """Append one record; False when the ring is full."""
     def drain(self, limit: int = 0) -> list[Record]:
         """Take the records that stand in the ring, oldest first (0: all).
@@ -45,6 +76,14 @@ class Ring:
         Raises:
             NodeError: Another process drains this ring.
         """
+    def take(self) -> bytes:
+        """Take the same as bytes, for `parse` or for a log.
+
+        Raises:
+            NodeError: Another process drains this ring.
+        """
+    def want(self, *, always: bool = False) -> None:
+        """Have the next cycle store its inputs, or each cycle."""
     def close(self) -> None: ...
     def destroy(self) -> None:
         """Close and remove the file."""

@@ -23,17 +23,55 @@ def _path(str name) -> str:
 
 
 class Record:
-    """One cycle, out of a ring; `_ring.pyi` says what the fields are."""
+    """One record, out of a ring; `_ring.pyi` says what the fields are."""
 
-    __slots__ = ("cycle", "release_ns", "start_ns", "end_ns", "cpu_ns", "flags",
-                 "stable", "consumed", "data")
+    __slots__ = ("cycle", "release_ns", "start_ns", "end_ns", "dt_ns", "cpu_ns", "uid",
+                 "number", "lost", "flags", "kind", "stable", "consumed", "data", "inputs")
+
+
+def parse(const unsigned char[::1] text not None) -> list:
+    cdef uint64_t at = 0, n = text.shape[0]
+    records = []
+    while at < n:
+        at += _parse(<const char *>&text[at], n - at, records)
+    return records
+
+
+cdef uint64_t _parse(const char *text, uint64_t n, list records) except 0:
+    cdef const ring_record *r = <const ring_record *>text
+    cdef const uint64_t *pairs
+    cdef uint64_t k, head = sizeof(ring_record)
+    if n < head or r.size > n or r.size < head + 16 * r.n_consumed + r.bytes + r.in_bytes:
+        raise NodeError("the ring is damaged")
+    pairs = <const uint64_t *>(text + head + r.bytes)
+    record = Record()
+    record.cycle = r.cycle
+    record.release_ns = r.release_ns
+    record.start_ns = r.start_ns
+    record.end_ns = r.end_ns
+    record.dt_ns = r.dt_ns
+    record.cpu_ns = r.cpu_ns
+    record.uid = r.uid
+    record.number = r.number
+    record.lost = r.lost
+    record.flags = r.flags & ~RING_STABLE
+    record.kind = r.kind
+    record.stable = bool(r.flags & RING_STABLE)
+    record.consumed = tuple([(pairs[2 * k], pairs[2 * k + 1])
+                             for k in range(r.n_consumed)])
+    record.data = (text + head)[:r.bytes]
+    record.inputs = (text + head + r.bytes + 16 * r.n_consumed)[:r.in_bytes]
+    records.append(record)
+    return r.size
 
 
 cdef class Ring:
     @staticmethod
-    def create(str name, capacity=1 << 20):
+    def create(str name, capacity=1 << 20, bytes about=b""):
         if not 1 <= len(name) <= 100 or "/" in name:
             raise ValueError(f"ring name {name!r} is not 1 to 100 characters without /")
+        if len(about) > 1 << 24:
+            raise ValueError(f"{len(about)} bytes about a ring are too many")
         if not 1 <= capacity <= 1 << 32:
             raise ValueError(f"capacity {capacity} is not within 1 to {1 << 32}")
         size = 1 << max(12, (int(capacity) - 1).bit_length())
@@ -43,17 +81,19 @@ cdef class Ring:
                 os.unlink(path)
             fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
             try:
-                os.posix_fallocate(fd, 0, sizeof(ring) + size)
+                os.posix_fallocate(fd, 0, sizeof(ring) + size + len(about))
             except OSError:
                 os.close(fd)
                 os.unlink(path)
                 raise
         except OSError as error:
             raise RealTimeError("the ring cannot be made", where=path, got=error.strerror,
-                                expected=f"{sizeof(ring) + size} bytes",
+                                expected=f"{sizeof(ring) + size + len(about)} bytes",
                                 remedy="make room there") from None
         cdef Ring self = _map_ring(name, path, fd)
-        ring_init(self.r, size)
+        if about:
+            self.memory[sizeof(ring) + size:] = about
+        ring_init(self.r, size, len(about))
         return self
 
     @staticmethod
@@ -70,7 +110,7 @@ cdef class Ring:
         cdef bint good = self.view.shape[0] > <Py_ssize_t>sizeof(ring)
         if good:
             good = (self.r.magic == RING_MAGIC and self.r.version == RING_VERSION
-                    and self.r.capacity == self.view.shape[0] - sizeof(ring))
+                    and self.r.capacity + self.r.about == self.view.shape[0] - sizeof(ring))
         if not good:
             self.close()
             raise NodeError("the file is no ring, or of another version", where=self.path)
@@ -85,47 +125,47 @@ cdef class Ring:
     def lost(self) -> int:
         return ring_lost(self.open())
 
-    def put(self, const unsigned char[::1] data, *, uint64_t cycle=0) -> bool:
+    @property
+    def about(self) -> bytes:
+        return bytes(self.memory[sizeof(ring) + self.open().capacity:])
+
+    def put(self, const unsigned char[::1] data, *, uint64_t cycle=0, unsigned kind=0,
+            int64_t now_ns=0, uint64_t uid=0, uint64_t number=0) -> bool:
         cdef ring_record r
         memset(&r, 0, sizeof(r))
-        r.cycle = cycle
+        r.cycle, r.kind, r.uid, r.number = cycle, kind, uid, number
+        r.release_ns = r.start_ns = r.end_ns = now_ns
         r.bytes = data.shape[0]
         return bool(ring_put(self.open(), &r, NULL, &data[0] if r.bytes else NULL))
 
+    def want(self, *, bint always=False) -> None:
+        ring_want(self.open(), RING_WANT_ALL if always else RING_WANT_NEW)
+
     def drain(self, limit=0) -> list:
-        if not self.consumer:
-            self.claim()
-        cdef uint64_t n = ring_ready(self.open()), at = 0
-        if n > self.r.capacity:
-            raise NodeError("the ring is damaged", where=self.path)
-        cdef bytes copy = PyBytes_FromStringAndSize(NULL, n)
-        cdef char *text = copy
-        ring_look(self.r, text, n)
+        cdef bytes copy = self.copy()
+        cdef const char *text = copy
+        cdef uint64_t n = len(copy), at = 0
         records = []
         while at < n and (not limit or len(records) < limit):
-            at += self.parse(text + at, n - at, records)
+            at += _parse(text + at, n - at, records)
         ring_done(self.r, at)
         return records
 
-    cdef uint64_t parse(self, const char *text, uint64_t n, list records) except 0:
-        cdef const ring_record *r = <const ring_record *>text
-        cdef const uint64_t *pairs = <const uint64_t *>(text + sizeof(ring_record))
-        cdef uint64_t k, head = sizeof(ring_record)
-        if n < head or r.size > n or r.size < head + 16 * r.n_consumed + r.bytes:
+    def take(self) -> bytes:
+        cdef bytes copy = self.copy()
+        ring_done(self.r, len(copy))
+        return copy
+
+    cdef bytes copy(self):
+        """Return what stands in the ring, and leave it there."""
+        if not self.consumer:
+            self.claim()
+        cdef uint64_t n = ring_ready(self.open())
+        if n > self.r.capacity:
             raise NodeError("the ring is damaged", where=self.path)
-        record = Record()
-        record.cycle = r.cycle
-        record.release_ns = r.release_ns
-        record.start_ns = r.start_ns
-        record.end_ns = r.end_ns
-        record.cpu_ns = r.cpu_ns
-        record.flags = r.flags & ~RING_STABLE
-        record.stable = bool(r.flags & RING_STABLE)
-        record.consumed = tuple([(pairs[2 * k], pairs[2 * k + 1])
-                                 for k in range(r.n_consumed)])
-        record.data = (text + head + 16 * r.n_consumed)[:r.bytes]
-        records.append(record)
-        return r.size
+        cdef bytes copy = PyBytes_FromStringAndSize(NULL, n)
+        ring_look(self.r, <char *>copy, n)
+        return copy
 
     cdef claim(self):
         self.open()

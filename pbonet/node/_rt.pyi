@@ -9,6 +9,7 @@ from typing import Final
 
 from pbonet.node._ring import Record as Record
 from pbonet.node._ring import Ring as Ring
+from pbonet.node._ring import parse as parse
 from pbonet.sched.records import (
     CoreStatus,
     Decision,

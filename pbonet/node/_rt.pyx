@@ -13,7 +13,10 @@ from libc.string cimport memset, strdup
 
 from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node import _ring, rights
-from pbonet.node._ring cimport RING_STABLE, Ring, ring_put, ring_record
+from pbonet.node._ring cimport (
+    RING_STABLE, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record, ring_stage,
+    ring_wanted, ring_wants,
+)
 from pbonet.node._rt_headers cimport *
 from pbonet.sched.histogram import octaves
 from pbonet.sched.records import (
@@ -31,7 +34,7 @@ MIN_PERIOD_NS = RT_MIN_PERIOD_NS
 COMMAND_LEVEL = RT_COMMAND_LEVEL
 DISPATCHER_LEVEL = RT_DISPATCHER_LEVEL
 LEAVE = 8 | 16 | 32 | 64
-globals().update(Ring=_ring.Ring, Record=_ring.Record)  # a cimported name is C's alone
+globals().update(Ring=_ring.Ring, Record=_ring.Record, parse=_ring.parse)  # a cimported name is C's alone
 _BACKENDS = {RT_NONE: "", RT_FIFO: "fifo", RT_PARK: "park"}
 
 cdef enum:
@@ -58,6 +61,7 @@ cdef class Slot:
     cdef object dt
     cdef uint64_t cpu_mark, fault_mark
     cdef public int64_t stamp_ns
+    cdef ring_record record
     cdef readonly Failures failures
 
     def __init__(self, CoreTable table not None, int i):
@@ -156,6 +160,8 @@ cdef class Slot:
         cost.stale = (flags & COPY_STALE) != 0
         self.flags = flags
         cost.failed = (flags & leave) != 0
+        if ring is not None:
+            self.begin_record(local, ring)
         cost.called_ns = rt_now()
         try:
             if not cost.failed:
@@ -198,29 +204,53 @@ cdef class Slot:
         cost.cpu_ns = cpu - self.cpu_mark
         self.cpu_mark = cpu
         if ring is not None and not cost.failed:
-            cost.lost = not self.record(local, ring)
+            cost.lost = not self.end_record(local, ring)
         rt_account(&self.task, cost)
         if not rt_cycles(self.task.slot) & 63:
             self.count_faults()
         rt_end(&self.task)
         c_ring_bells()      # readers on other machines, which this cycle wrote to
 
-    cdef bint record(self, LocalTable local, Ring ring) noexcept:
-        cdef ring_record r
+    cdef void begin_record(self, LocalTable local, Ring ring) noexcept:
+        """Say how large the record will be; store the inputs, which `cycle` may change."""
+        cdef ring_record *r = &self.record
+        cdef size_t n, at = 0
+        cdef const void *value
+        cdef int i
+        r.n_consumed = r.bytes = r.in_bytes = r.kind = 0
+        r.uid = r.number = 0
+        if local is None:
+            return
+        r.n_consumed = local.n_consumed
+        r.bytes = local.out_bytes
+        r.in_bytes = local.c_due(ring_wants(ring.r) != 0)
+        if not r.in_bytes or not ring_fits(ring.r, r):
+            return
+        for i in range(local.c_inputs()):
+            value = local.c_input(i, &n)
+            ring_stage(ring.r, r, at, value, n)
+            at += n
+
+    cdef bint end_record(self, LocalTable local, Ring ring) noexcept:
+        cdef ring_record *r = &self.record
         cdef rt_cost *cost = &self.cost
+        cdef bint kept
         r.cycle = rt_cycles(self.task.slot) + 1
         r.release_ns = self.task.rel_ns
         r.start_ns = cost.called_ns
         r.end_ns = cost.end_ns
+        r.dt_ns = self.dt_ns
         r.cpu_ns = cost.cpu_ns
         r.flags = <uint32_t>self.flags | (RING_STABLE if cost.stable else 0)
-        r.n_consumed = 0
-        r.bytes = 0
         if local is None:
-            return ring_put(ring.r, &r, NULL, NULL)
-        r.n_consumed = local.n_consumed
-        r.bytes = local.out_bytes
-        return ring_put(ring.r, &r, <const uint64_t *>local.consumed, local.out_data)
+            return ring_put(ring.r, r, NULL, NULL)
+        r.uid, r.number = local.out_uid, local.out_number
+        kept = ring_put(ring.r, r, <const uint64_t *>local.consumed, local.out_data)
+        if kept and r.in_bytes:
+            local.c_stored()
+            if ring_wants(ring.r) & RING_WANT_NEW:
+                ring_wanted(ring.r)
+        return kept
 
     cdef void count_faults(self) noexcept:
         cdef uint64_t now = rt_faults()

@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+import msgspec
 import zenoh
 
 import pbonet
@@ -31,6 +32,7 @@ from . import leftovers, service, wire
 from .ears import Ears
 from .links import Links
 from .mirrors import Mirrors
+from .recorders import Recorders
 from .server import Server
 from .supervise import RtpuLink, choose_core
 from .twins import Twins
@@ -90,7 +92,9 @@ class Agent:
             libraries=tuple(os.path.abspath(p) for p in config.libraries),  # noqa: PTH100
             grace=config.grace,
             backend=backend,
+            runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
+        self._recorders = Recorders(self._note)
         self._lock: rundir.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
@@ -148,6 +152,7 @@ class Agent:
         self._refuse_duplicate()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
+        self._recorders.update(info.recordings)
         self._server = Server(self._session, self.config.domain, self.name, self)
         self._server.start()
         self._refuse_duplicate()
@@ -203,6 +208,7 @@ class Agent:
         try:
             return link.shut_down(timeout) if link is not None else True
         finally:
+            self._recorders.stop()
             self._leave()
 
     def abandon(self) -> None:
@@ -210,6 +216,7 @@ class Agent:
         link = self._begin_to_stop()
         if link is not None:
             link.close()
+        self._recorders.stop()
         self._leave()
 
     def _begin_to_stop(self) -> RtpuLink | None:
@@ -234,7 +241,7 @@ class Agent:
         ahead = self._ways.ahead(agent) if self._ways is not None else None
         return None if ahead is None else -ahead
 
-    def _note(self, note: wire.Note) -> None:
+    def _note(self, note: msgspec.Struct) -> None:
         """Have something numbered among the events, if there is an RTPU process."""
         link = self._link
         if link is not None:
@@ -360,12 +367,14 @@ class Agent:
             self._server.answer(n, data)
 
     def published(self, data: bytes) -> None:
-        """Publish an event."""
+        """Publish an event, and put it on record."""
+        self._recorders.happened(data)
         if self._server is not None:
             self._server.publish(data)
 
     def informed(self, info: wire.RtpuInfo) -> None:
-        """Carry the tables that are open now; the rest is read where it is needed."""
+        """Carry the tables that are open now, and record what is to be recorded."""
+        self._recorders.update(info.recordings)
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)
 
@@ -383,6 +392,7 @@ class Agent:
 
     def lost(self, reason: str, *, orderly: bool) -> None:
         """Start the RTPU process again if it was killed; end with it if it ended."""
+        self._recorders.update({})
         if self._server is not None:
             self._server.fail_pending(f"the RTPU process ended: {reason}")
         with self._guard:

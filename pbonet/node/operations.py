@@ -24,7 +24,7 @@ from pbonet.errors import (
 from pbonet.xm import codec
 from pbonet.xm import messages as m
 
-from . import control, inspecting, params, spawning, status, wire
+from . import control, inspecting, params, recordings, spawning, status, wire
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -79,6 +79,7 @@ class Operations:
             m.Flag: self._flag,
             m.Sigmask: self._sigmask,
             m.Job: self._job,
+            m.Record: self._record,
             m.Events: self._events,
         }
 
@@ -202,6 +203,7 @@ class Operations:
         for subsystem in self._rtpu.tables.subsystems():
             if subsystem not in claimed:
                 self._rtpu.tables.close(subsystem)
+                recordings.end(self._rtpu, subsystem)
 
     async def _claim(self, request: m.Claim) -> Result:
         return self._claim_knowing(request, None)
@@ -213,6 +215,7 @@ class Operations:
         self._rtpu.events.forget(request.subsystem)
         self._rtpu.tables.close(request.subsystem)
         self._rtpu.claims.release(request.subsystem)
+        recordings.end(self._rtpu, request.subsystem)
         self._rtpu.tell_claims()
         self._rtpu.events.add(
             Severity.INFO,
@@ -254,6 +257,9 @@ class Operations:
         else:
             table.clear_illegal("master", cause=request.cause)
         return self._rtpu.tables.causes(request.subsystem), []
+
+    async def _record(self, request: m.Record) -> Result:
+        return recordings.begin(self._rtpu, request), []
 
     async def _sigmask(self, request: m.Sigmask) -> Result:
         rtpu, subsystem = self._rtpu, request.subsystem
@@ -352,6 +358,7 @@ class Operations:
                 illegal=illegal,
                 events=rtpu.events.counts(request.subsystem),
                 tbufs=tbuf.seen(rtpu.config.domain),
+                recorder=rtpu.recorders.get(request.subsystem),
             ),
             [],
         )

@@ -12,30 +12,38 @@
 #include <string.h>
 
 #define RING_MAGIC UINT64_C(0x676e69726f6e6270)
-enum { RING_VERSION = 1 };
+enum { RING_VERSION = 2 };
+enum { RING_WANT_NEW = 1, RING_WANT_ALL = 2 };  /* inputs: of the next record, of all */
 #define RING_STABLE (UINT32_C(1) << 31)
 
+/* The text `about` stands behind the data: whose ring this is, for whoever drains it. */
 struct ring {
     uint64_t magic;
-    uint32_t version, unused;
+    uint32_t version, about;                /* about: bytes of that text */
     uint64_t capacity;                      /* of data, a power of two */
     _Alignas(64) _Atomic uint64_t head;     /* producer */
     _Atomic uint64_t lost;
     _Alignas(64) _Atomic uint64_t tail;     /* consumer */
+    _Atomic uint32_t want;                  /* RING_WANT_*: what it wants stored */
     _Alignas(64) unsigned char data[];
 };
 
-/* What stands before the consumed pairs and the data of one record. */
+/* What stands before the data, the consumed pairs and the inputs of one record. From
+ * `cycle` on it goes into a log as it is (pbonet.log.schema). */
 struct ring_record {
-    uint32_t size, n_consumed, bytes, flags;
+    uint32_t size, n_consumed, bytes, in_bytes;
     uint64_t cycle;
-    int64_t release_ns, start_ns, end_ns;
+    int64_t release_ns, start_ns, end_ns, dt_ns;
     uint64_t cpu_ns;
+    uint64_t uid, number;                   /* register and number of the commit */
+    uint64_t lost;                          /* records lost before this one */
+    uint32_t flags, kind;
 };
 
-static inline void ring_init(struct ring *r, uint64_t capacity)
+static inline void ring_init(struct ring *r, uint64_t capacity, uint32_t about)
 {
     r->version = RING_VERSION;
+    r->about = about;
     r->capacity = capacity;
     /* SYNC POINT: who maps the ring looks at `magic` first. */
     atomic_thread_fence(memory_order_release);
@@ -64,27 +72,65 @@ static inline void ring_copy_out(const struct ring *r, uint64_t at, void *to, ui
         memcpy((char *)to + first, r->data, n - first);
 }
 
-/* Append a record; 0 when the ring is full. Sets `size`. */
-static inline int ring_put(struct ring *r, struct ring_record *record,
-                           const uint64_t *consumed, const void *data)
+static inline uint64_t ring_size(const struct ring_record *record)
 {
-    uint64_t pairs = (uint64_t)record->n_consumed * 16;
-    uint64_t size = (sizeof *record + pairs + record->bytes + 7) & ~UINT64_C(7);
+    return (sizeof *record + record->bytes + (uint64_t)record->n_consumed * 16 +
+            record->in_bytes + 7) & ~UINT64_C(7);
+}
+
+/* Whether a record finds room; what it needs is known before it is filled. */
+static inline int ring_fits(const struct ring *r, const struct ring_record *record)
+{
     uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
     /* SYNC POINT: ring_done stores `tail` once what stood before it is copied. */
     uint64_t tail = atomic_load_explicit(&r->tail, memory_order_acquire);
-    if (size > r->capacity - (head - tail)) {
-        atomic_store_explicit(&r->lost,
-                              atomic_load_explicit(&r->lost, memory_order_relaxed) + 1,
-                              memory_order_relaxed);
+    return ring_size(record) <= r->capacity - (head - tail);
+}
+
+static inline uint32_t ring_wants(const struct ring *r)
+{
+    return atomic_load_explicit(&r->want, memory_order_relaxed);
+}
+
+static inline void ring_want(struct ring *r, uint32_t bits)
+{
+    atomic_fetch_or_explicit(&r->want, bits, memory_order_relaxed);
+}
+
+static inline void ring_wanted(struct ring *r)
+{
+    atomic_fetch_and_explicit(&r->want, ~(uint32_t)RING_WANT_NEW, memory_order_relaxed);
+}
+
+/* Put inputs where the next record will have them, `at` bytes into them. The caller has
+ * seen that the record fits; nobody sees anything of it before ring_put. */
+static inline void ring_stage(struct ring *r, const struct ring_record *record, uint64_t at,
+                              const void *from, uint64_t n)
+{
+    uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
+    ring_copy_in(r, head + sizeof *record + record->bytes +
+                 (uint64_t)record->n_consumed * 16 + at, from, n);
+}
+
+/* Append a record; 0 when the ring is full. Sets `size` and `lost`; the inputs were
+ * staged. */
+static inline int ring_put(struct ring *r, struct ring_record *record,
+                           const uint64_t *consumed, const void *data)
+{
+    uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
+    uint64_t lost = atomic_load_explicit(&r->lost, memory_order_relaxed);
+    if (!ring_fits(r, record)) {
+        atomic_store_explicit(&r->lost, lost + 1, memory_order_relaxed);
         return 0;
     }
-    record->size = (uint32_t)size;
+    record->size = (uint32_t)ring_size(record);
+    record->lost = lost;
     ring_copy_in(r, head, record, sizeof *record);
-    ring_copy_in(r, head + sizeof *record, consumed, pairs);
-    ring_copy_in(r, head + sizeof *record + pairs, data, record->bytes);
+    ring_copy_in(r, head + sizeof *record, data, record->bytes);
+    ring_copy_in(r, head + sizeof *record + record->bytes, consumed,
+                 (uint64_t)record->n_consumed * 16);
     /* SYNC POINT: ring_ready loads `head` before it looks at records. */
-    atomic_store_explicit(&r->head, head + size, memory_order_release);
+    atomic_store_explicit(&r->head, head + record->size, memory_order_release);
     return 1;
 }
 

@@ -151,6 +151,8 @@ class AgentLink:
                 self._rtpu.events.add(
                     Severity(message.severity), message.code, message.text
                 )
+            case wire.Recorder():
+                self._rtpu.recorders[message.subsystem] = message
             case wire.Arrived():
                 self._inlets.put(message)
             case wire.Shutdown():

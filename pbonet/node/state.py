@@ -75,6 +75,10 @@ class Rtpu:
         self.spawned: dict[Key, tuple[int | None, int]] = {}
         """The same, as they came with the spawn."""
         self.ranks: dict[Key, ranking.Ranked] = {}
+        self.recordings: dict[str, wire.Recording] = {}
+        """What the agent is to have recorded, by subsystem."""
+        self.recorders: dict[str, wire.Recorder] = {}
+        """What the agent said about that last."""
         self.stopping: set[str] = set()
         self.turned_on = 0
         self.signals = Signals(events)
@@ -141,6 +145,7 @@ class Rtpu:
             limits=self.limits,
             claims=self.claims.epochs(),
             tables=self.tables.kept(),
+            recordings=self.recordings,
         )
 
     def save(self) -> None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from .ranking import Ranked
     from .tasks import Task
+    from .wire import Recorder
 
 TICK = 1e-9
 """Resolution of the profile in seconds: the CPU clock counts nanoseconds."""
@@ -94,6 +95,7 @@ def task_status(
         on_ns=slot.on_ns,
         now=slot.now_ns,
         ring=task.facts.ring,
+        lost=slot.ring_lost,
         rank=slot.rank,
         reserve=slot.maxc_ns * _NS,
         failures=dict(zip(KINDS, slot.failures, strict=True)),
@@ -162,6 +164,7 @@ def rtpu_status(
     illegal: list[str],
     events: dict[str, dict[str, int]],
     tbufs: list[TbufStatus],
+    recorder: Recorder | None = None,
 ) -> RtpuStatus:
     """Return the status of the RTPU with that of the tasks asked for.
 
@@ -174,6 +177,7 @@ def rtpu_status(
         illegal: Causes for which the illegal-configuration flag is up.
         events: How often each event came, by task and code.
         tbufs: Links between subsystems that stand on the machine.
+        recorder: How the subsystem's recorder fares.
     """
     now = max((task.now for task in tasks), default=0)
     since = now - core.since_ns if now and core.since_ns else 0
@@ -187,6 +191,8 @@ def rtpu_status(
         illegal=illegal,
         events=events,
         tbufs=tbufs,
+        log=recorder.path if recorder else "",
+        unlogged=recorder.lost if recorder else 0,
         stalls=core.stalls,
         stalled=core.stalled_ns * _NS,
     )

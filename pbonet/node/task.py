@@ -23,11 +23,12 @@ from pbonet.config import parse_rmod
 from pbonet.config.library import Library
 from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
+from pbonet.log import Did
 from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
 from pbonet.svar import Table
 from pbonet.xm import live_on
 
-from . import _rt, runtime, tasktalk, wire
+from . import _rt, journal, runtime, tasktalk, wire
 from ._ring import Ring
 from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
@@ -105,14 +106,17 @@ class Host:
         """
         spec = self.spec
         self.rmod: Rmod = parse_rmod(spec.rmod, spec.rmod_name)
-        loaded = Library(spec.libraries).load_rmod(self.rmod)
+        library = Library(spec.libraries)
+        loaded = library.load_rmod(self.rmod)
         self.info = loaded.info
         check_ports(self.rmod, loaded.info)
         params = decode_params(loaded.cls, self.rmod.settings, where=self.rmod.file)
         self.table = Table.attach(spec.table, layout=spec.layout)
         self.local = local_table(self.table, spec.task, self.rmod)
-        self.ring = Ring.create(spec.ring)
+        told = journal.about(spec, self.rmod, self.info, library, self.table)
+        self.ring = Ring.create(spec.ring, about=msgspec.json.encode(told))
         self.time = SlotTime(self.slot)
+        self.journal = journal.Journal(self.local, self.ring, told, self.time)
         self.context = Context(
             spec.task,
             rmod=self.rmod.name,
@@ -139,9 +143,10 @@ class Host:
         instance = bind(loaded.cls, params, arrays, self.context)
         self.context.is_stale = ages(self.rmod, self.info, self.local.stale)
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
-        self.executor = Executor(instance, self.local, illegal=illegal)
+        self.executor = Executor(instance, self.journal, illegal=illegal)
         self.executor.cycling = self._method
-        self.executor.spawn()
+        with self.journal.doing(Did("spawn")):
+            self.executor.spawn()
 
     def settle(self) -> None:
         """Make the process fit for real time, then say that the task is OFF."""
@@ -252,7 +257,8 @@ class Host:
     def _begin_anew(self) -> None:
         """Carry out what follows a cycle that the module's handler ended."""
         try:
-            self.executor.abort()
+            with self.journal.doing(Did("abort")):
+                self.executor.abort()
         except PbonetError as error:
             self.voice.report(error, self.executor, self.time.cyclecount)
         if self.executor.state is not State.ON:
@@ -271,7 +277,8 @@ class Host:
         self._waiting_outside = False
         settled = False
         try:
-            self.executor.fault(error, method)
+            with self.journal.doing(Did("fault", name=method, arg=str(error))):
+                self.executor.fault(error, method)
             settled = self.executor.failure is None
         except PbonetError as second:
             error = second
@@ -284,7 +291,8 @@ class Host:
         """Carry out a signal that nobody waits for; report how it went."""
         failed: PbonetError | None = None
         try:
-            self.executor.signal(signal)
+            with self.journal.doing(Did(signal)):
+                self.executor.signal(signal)
         except PbonetError as error:
             failed = error
         self._after_signal()
@@ -321,17 +329,24 @@ class Host:
                 self._signal(message)
                 return None
             case wire.SetParam():
-                return set_param(self.executor, self.info, message.name, message.value)
+                did = Did("set", name=message.name, arg=message.value)
+                with self.journal.doing(did):
+                    return set_param(
+                        self.executor, self.info, message.name, message.value
+                    )
             case wire.GetParam():
                 return get_params(self.executor, self.info, message.name)
             case wire.SetFreq():
-                self.context.freq = message.hz
+                with self.journal.doing(Did("freq", hz=message.hz)):
+                    self.context.freq = message.hz
                 return message.hz
 
     def _signal(self, message: wire.Signal) -> None:
         if message.signal == "on":
             self.time.turned_on()
-        self.executor.signal(message.signal, message.arg, handover=message.handover)
+        did = Did(message.signal, arg=message.arg, handover=message.handover)
+        with self.journal.doing(did):
+            self.executor.signal(message.signal, message.arg, handover=message.handover)
         self._after_signal()
 
     def _after_signal(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import select
@@ -18,7 +19,7 @@ from . import wire
 from .signalling import severity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Generator
 
     from ._rt import Slot
     from .executor import Executor
@@ -176,6 +177,7 @@ class SlotTime:
     def __init__(self, slot: Slot) -> None:
         self._slot = slot
         self._base = slot.cycles
+        self._held = 0
         self.cycling = False
 
     def turned_on(self) -> None:
@@ -184,8 +186,29 @@ class SlotTime:
 
     @property
     def now(self) -> int:
-        """The release of the present cycle, or the clock's time between cycles."""
-        return self._slot.release_ns if self.cycling else time.monotonic_ns()
+        """The release of the present cycle; between cycles, when the method began."""
+        if self.cycling:
+            return self._slot.release_ns
+        return self._held or time.monotonic_ns()
+
+    @contextlib.contextmanager
+    def held(self) -> Generator[None]:
+        """Have time stand still between cycles, so that a log can say which it was."""
+        self.tick()
+        try:
+            yield
+        finally:
+            self._held = 0
+
+    def tick(self) -> int:
+        """Have it stand still from now on, and return it."""
+        self._held = time.monotonic_ns()
+        return self._held
+
+    @property
+    def cycles(self) -> int:
+        """Cycles executed since the task was spawned."""
+        return self._slot.cycles
 
     @property
     def cyclecount(self) -> int:

@@ -40,6 +40,8 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     libraries: tuple[str, ...] = ()
     grace: float = 5.0
     backend: str = "auto"
+    runs: str = "runs"
+    """Folder of the logs, absolute."""
     ready_fd: int = -1
     """Where to write one `Ready` when commands can be taken."""
 
@@ -91,7 +93,51 @@ class Arrived(Struct, tag="arrived"):
     data: bytes
 
 
-FromAgent = Attach | Forward | Note | Shutdown | Arrived
+class Recorder(Struct, tag="recorder", kw_only=True):
+    """How a recorder fares."""
+
+    subsystem: str
+    path: str = ""
+    """The log that it writes; empty while it writes none."""
+    lost: int = 0
+    """Records that could not be written."""
+
+
+FromAgent = Attach | Forward | Note | Shutdown | Arrived | Recorder
+
+
+# -- agent to recorder, and back ------------------------------------------------------
+
+
+class Recording(Struct, kw_only=True):
+    """What is to be recorded; in a memory file of the recorder."""
+
+    domain: str
+    rtpu: str
+    subsystem: str
+    core: int
+    folder: str
+    """The run's own folder."""
+    file: str
+    """Name of the log, without ``.mcap``."""
+    run: str
+    job: str
+    mode: str
+    tasks: dict[str, str] = {}
+    """Modes of single tasks."""
+    hidden: list[str] = []
+    """Variables that are not recorded."""
+    files: dict[str, str] = {}
+    """Configuration files: text by name."""
+
+
+class Happened(Struct, tag="happened"):
+    """A packed event."""
+
+    data: bytes
+
+
+FromRecorder = Note | Recorder
 
 
 # -- RTPU process to agent ------------------------------------------------------------
@@ -108,6 +154,8 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     claims: dict[str, int]
     tables: dict[str, bool] = {}
     """Subsystems whose tables are open, and whether operators set variables there."""
+    recordings: dict[str, Recording] = {}
+    """What is to be recorded, by subsystem."""
 
 
 class Answered(Struct, tag="answered"):

@@ -5,6 +5,7 @@ from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
 cdef extern from "local.h" nogil:
     enum: PB_NAME, PB_TEXT, PB_CAUSES, PB_CAUSES_EACH, PB_VERSION, PB_PLAN_CONSTS, PB_PLAN_IN, PB_PLAN_ON
     enum: PB_FREE, PB_HELD, PB_STUCK, PB_GROUP_VARS, PB_GROUP_CONSTS
+    enum: PB_KEEPER
     struct pb_stamp:
         int64_t time_ns
         uint64_t cycle
@@ -43,13 +44,15 @@ cdef extern from "local.h" nogil:
         const void *min
         const void *max
     struct pb_source:
-        uint64_t uid
+        pb_reg *reg
+        uint64_t uid, head
     struct pb_piece:
         uint64_t bytes
     struct pb_age:
         uint32_t var
     struct pb_plan:
-        uint32_t n_vars
+        uint32_t n_vars, n_sources
+        uint64_t generation
         const uint32_t *vars
         const uint64_t *to
         pb_source *sources

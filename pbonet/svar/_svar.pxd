@@ -35,6 +35,14 @@ cdef class LocalTable:
     cdef int n_consumed                # number of pairs
     cdef readonly unsigned long long out_uid     # register of the out-vars; 0: none
     cdef readonly unsigned long long out_number  # number of its last commit there
+    cdef unsigned long long stored, stored_set  # generation and keeper's number, see below
     cdef int c_copy_in(self) noexcept nogil
+    # Inputs as a log has them: bytes of the in-vars if they cannot be rebuilt from what
+    # other tasks committed since the last store, else 0; the variables one by one; and
+    # that they are stored now.
+    cdef size_t c_due(self, bint whole) noexcept nogil
+    cdef int c_inputs(self) noexcept nogil
+    cdef const void *c_input(self, int i, size_t *n) noexcept nogil
+    cdef void c_stored(self) noexcept nogil
     cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil
     cdef bint c_illegal(self) noexcept nogil

@@ -205,6 +205,15 @@ cdef inline int copy(LocalTable task, int which) noexcept nogil:
     return task.flags
 
 
+cdef inline unsigned long long keeps(LocalTable task, const pb_plan *p) noexcept nogil:
+    """Return the number of the keeper's group that a plan brought; 0: none of it."""
+    cdef uint32_t i
+    for i in range(p.n_sources):
+        if p.sources[i].reg == local(task).table.regs + PB_KEEPER:
+            return p.sources[i].head
+    return 0
+
+
 cdef void *room(list kept, size_t n, size_t size):
     memory = bytearray((n or 1) * size)
     kept.append(memory)
@@ -317,6 +326,28 @@ cdef class LocalTable:
         self.flags = pb_commit(local(self), local(self).outputs + PB_GROUP_VARS, now_ns, cycle)
         self.out_number = pb_committed(local(self).outputs + PB_GROUP_VARS)
         return self.flags
+
+    cdef size_t c_due(self, bint whole) noexcept nogil:
+        cdef const pb_plan *p = local(self).plans + PB_PLAN_IN
+        cdef size_t bytes = 0
+        cdef uint32_t i
+        if not whole and p.generation == self.stored and keeps(self, p) == self.stored_set:
+            return 0
+        for i in range(p.n_vars):
+            bytes += local(self).table.vars[p.vars[i]].bytes
+        return bytes
+
+    cdef int c_inputs(self) noexcept nogil:
+        return local(self).plans[PB_PLAN_IN].n_vars
+
+    cdef const void *c_input(self, int i, size_t *n) noexcept nogil:
+        cdef const pb_plan *p = local(self).plans + PB_PLAN_IN
+        n[0] = local(self).table.vars[p.vars[i]].bytes
+        return local(self).data + p.to[i]
+
+    cdef void c_stored(self) noexcept nogil:
+        cdef const pb_plan *p = local(self).plans + PB_PLAN_IN
+        self.stored, self.stored_set = p.generation, keeps(self, p)
 
     cdef bint c_illegal(self) noexcept nogil:
         return pb_illegal(&local(self).table, &local(self).flag)

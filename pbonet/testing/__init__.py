@@ -12,10 +12,25 @@ The bench runs the module through the same executor as a task, with the copies o
 section 3.6 before and after each method, but in one thread, without shared memory and
 without waiting. What it calls ``inputs`` and ``outputs`` is the global table: a module
 sees an input when it is copied in, and an output appears when it is copied out.
+
+A run that was recorded is a test too: `replay` runs a task's code again on its log.
 """
 
 from ._bench import Bench
 from ._clock import FakeClock
+from ._replay import DivergedError, replay, verify
 from ._table import BenchTable, PortValues
+from ._verdict import Changed, Divergence, Verdict
 
-__all__ = ["Bench", "BenchTable", "FakeClock", "PortValues"]
+__all__ = [
+    "Bench",
+    "BenchTable",
+    "Changed",
+    "DivergedError",
+    "Divergence",
+    "FakeClock",
+    "PortValues",
+    "Verdict",
+    "replay",
+    "verify",
+]

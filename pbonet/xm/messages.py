@@ -20,6 +20,11 @@ from .agents import AgentInfo as AgentInfo  # noqa: PLC0414 - taken from here
 from .agents import LinkReport as LinkReport  # noqa: PLC0414 - taken from here
 from .agents import TableNews as TableNews  # noqa: PLC0414 - taken from here
 from .agents import Way as Way  # noqa: PLC0414 - taken from here
+from .statuses import RtpuStatus as RtpuStatus  # noqa: PLC0414
+from .statuses import SectionStatus as SectionStatus  # noqa: PLC0414
+from .statuses import TaskProfile as TaskProfile  # noqa: PLC0414
+from .statuses import TaskStatus as TaskStatus  # noqa: PLC0414
+from .statuses import TbufStatus as TbufStatus  # noqa: PLC0414
 
 VERSION = 1
 ParamValue: TypeAlias = values.ParamValue
@@ -253,6 +258,27 @@ class Job(Request, tag="job"):
         return self.forget or self.told is not None
 
 
+class Record(Request, tag="record"):
+    """Record the subsystem's tasks on this RTPU from now on. Result: `Recorded`.
+
+    It ends when the RTPU is given back, or with mode ``off``.
+    """
+
+    run: str = ""
+    """Name of the run, and of its folder."""
+    file: str = "run"
+    """Name of the log, without ``.mcap``."""
+    job: str = ""
+    mode: str = "outputs"
+    """``off``; ``outputs``; or ``all``, with the inputs of every cycle beside them."""
+    tasks: dict[str, str] = {}
+    """Modes of single tasks."""
+    hidden: list[str] = []
+    """Variables that are not recorded."""
+    files: dict[str, str] = {}
+    """Configuration files to attach: text by name."""
+
+
 class Events(Request, tag="events"):
     """Ask for the agent's last events. Result: list of `Event`."""
 
@@ -283,6 +309,7 @@ AnyRequest = (
     | Flag
     | Sigmask
     | Job
+    | Record
     | Events
 )
 
@@ -305,147 +332,12 @@ class TableInfo(Struct, kw_only=True):
     machine: str
 
 
-class SectionStatus(Struct, kw_only=True):
-    """One timed section of a task's cycle; CPU seconds."""
+class Recorded(Struct, kw_only=True):
+    """Where a recording goes."""
 
-    count: int
-    total: float
-    min: float
-    max: float
-
-
-class TaskStatus(Struct, kw_only=True):
-    """Everything that section 4.4.1 lists for one task, and a little more.
-
-    Counters are totals since the task was turned on; each interface keeps its own
-    baseline to show "since the last status".
-    """
-
-    rmod: str
-    task: str
-    rtpu: str
-    tid: int
-    """The task's process id."""
-    S: str
-    crit: int
-    crit_assumed: bool = True
-    """True while the criticality does not rest on a known MAXC."""
-    priority: int = 0
-    state: str
-    cycle: int
-    miss: int
-    ref_f: float
-    mez_f: float
-    mez_t: float
-    ptime: float
-    on_ns: int = 0
-    """CLOCK_MONOTONIC nanoseconds at which it was last turned on; 0: never."""
-    tot_c: float
-    tick: float
-    min_c: float
-    max_c: float
-    last_c: float
-    first_c: float = 0.0
-    """CPU seconds of the first cycle since on; `now_c` of the one under way."""
-    now_c: float = 0.0
-    warn: int
-    warning: str = ""
-    error: str = ""
-    jitter_max: float = 0.0
-    """Largest delay from release to the first line of `cycle`, seconds."""
-    jitter: list[int] = []
-    """Histogram of that delay; bin k counts delays below 2**k microseconds."""
-    faults: int = 0
-    """Minor page faults since the task was turned on."""
-    retries: int = 0
-    """Copy-ins that met the retry bound."""
-    module: str = ""
-    version: str = ""
-    transfer_in: float = 0.0
-    """Mean seconds of a copy-in, and of a copy-out."""
-    transfer_out: float = 0.0
-    now: int = 0
-    """CLOCK_MONOTONIC nanoseconds at which this was read."""
-    ring: str = ""
-    """Name of the ring in shared memory that gets one record a cycle."""
-    rank: int = 0
-    """Criticality at this moment: lower while a reserve is used up."""
-    reserve: float = 0.0
-    """CPU seconds reserved for each cycle, or for a server's period; 0 for none."""
-    failures: dict[str, int] = {}
-    """Timing failures by kind, since the task was spawned (section 6.3)."""
-    overruns: int = 0
-    """How often the reserve was used up."""
-    aborted: int = 0
-    """Cycles ended by the module's handler of timing failures."""
-    skipped: int = 0
-    """Releases left out: too late to begin, or because the handler said so."""
-    handlers: int = 0
-    """Calls of that handler."""
-    delivery_max: float = 0.0
-    """Longest time from the finding of a failure to its handler's begin, seconds."""
-    held_off: int = 0
-    """Critical sections that lasted too long, and were overruled."""
-    sections: dict[str, SectionStatus] = {}
-    """Timed sections by name (section 6.7.2)."""
-    signals: dict[str, int] = {}
-    """How often it has sent each signal since it was spawned, masked ones left out."""
-
-
-class TbufStatus(Struct, kw_only=True):
-    """A link between subsystems, as it stands on one machine (section 5.6)."""
-
-    name: str
-    writer: str
-    """Who writes it there: a process, or the agent that brings it from another machine;
-    empty: nobody."""
-    reader: str
-    """The same of who reads it."""
-    number: int
-    """Counter of the newest record; 0 before the first."""
-    age: float | None = None
-    """Of the newest record, seconds; None before the first."""
-
-
-class RtpuStatus(Struct, kw_only=True):
-    """Status of an RTPU and of the tasks asked for."""
-
-    rtpu: str
-    backend: str
-    scheduler: str
-    tasks: list[TaskStatus]
-    util: float = 0.0
-    """CPU share used by the tasks since the dispatcher started, of one core."""
-    dispatcher: float = 0.0
-    """CPU share used by the dispatcher."""
-    stalls: int = 0
-    """How often the core stood still for more than 20 ms."""
-    stalled: float = 0.0
-    """Seconds that it stood still, in all."""
-    illegal: list[str] = []
-    """Causes for which the illegal-configuration flag is up."""
-    events: dict[str, dict[str, int]] = {}
-    """How often each code of events came, by task; held-back ones are counted too."""
-    tbufs: list[TbufStatus] = []
-    """The links that stand on the machine, in this RTPU's domain."""
-
-
-class TaskProfile(Struct, kw_only=True):
-    """The profile of one task (section 6.7.1), and the status read with it."""
-
-    status: TaskStatus
-    least: float
-    """CPU seconds of the shortest of the cycles in `cpu`; `most` of the longest."""
-    most: float
-    cpu: list[tuple[int, int]] = []
-    """Bins of `pbonet.sched.histogram` that count cycles by CPU time, and the counts;
-    since the task was spawned, without the first cycle after each `on`."""
-    jitter: list[tuple[int, int]] = []
-    """The same for delays from release to cycle, every cycle."""
-    late: int = 0
-    """Cycles that ended after their deadline, since the task was spawned."""
-    failed: int = 0
-    """Cycles in which the module raised, since then."""
+    path: str
+    """The log on the agent's machine; empty when it was ended."""
+    machine: str
 
 
 class Reconfigured(Struct, kw_only=True):

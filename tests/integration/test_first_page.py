@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from desk import PATIENCE, ROOT, Desk, words_of
 
-from pbonet.master.recording import Recording
+from pbonet.log import Log, last_run
 
 TEXT = (ROOT / "docs" / "first.md").read_text()
 WHOLE = re.DOTALL | re.MULTILINE
@@ -55,7 +55,7 @@ def test_it_runs_in_virtual_time_and_is_drawn(desk):
     *_, verdict = desk.call(check).splitlines()
     assert verdict == "swing.job: job swing of 3 tasks: legal"
     assert "10 s of virtual time are over" in desk.call(run)
-    recording = Recording.load(desk.cwd / "swing.npz")
+    recording = Log(last_run(desk.cwd / "runs"))
     time, angle = recording.series("Q_MEZ")
     _, reference = recording.series("Q_REF")
     assert len(angle) == 5000

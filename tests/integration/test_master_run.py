@@ -14,9 +14,9 @@ import pytest
 from rich.console import Console
 from watching import processes_of, wait_for
 
+from pbonet.log import Log
 from pbonet.master.embedded import assign_cores
 from pbonet.master.live import Screen
-from pbonet.master.recording import Recording
 from pbonet.master.sim import Simulation
 from pbonet.node import _rt
 from pbonet.xm import rundir, session
@@ -88,8 +88,7 @@ def left_of(nodes):
 def test_run_for_a_time_leaves_nothing_and_records_every_cycle(
     run, nodes, tmp_path, shared_memory
 ):
-    kept = tmp_path / "run.npz"
-    process = run("--seconds", "1.5", "--record", kept, "--json")
+    process = run("--seconds", "1.5", "--runs", tmp_path / "kept", "--json")
     out, err = process.communicate(timeout=50)
     assert process.returncode == 0, err
     outcome = json.loads(out)
@@ -105,8 +104,10 @@ def test_run_for_a_time_leaves_nothing_and_records_every_cycle(
         assert err.count(limit) == 1, "what is reduced is said, once for all RTPUs"
     assert left_of(nodes) == []
     assert list(shared_memory.iterdir()) == []
-    recording = Recording.load(kept)
-    assert recording.about["lost"] == {}
+    assert Path(outcome["log"]).parent == tmp_path / "kept"
+    recording = Log(outcome["log"])
+    assert recording.lost() == {}
+    assert all(part.complete for part in recording.parts)
     cycles = recording.arrays("puma_pidg")["cycle"]
     assert len(cycles) >= servo["cycles"]
     assert np.all(np.diff(cycles) == 1)  # every one of them

@@ -88,7 +88,7 @@ class TestAgent:
             assert after.miss - before.miss <= reference.lost(40.0)
         assert [one.tid for one in master.status().values()] == pids
         assert after.on_ns == before.on_ns
-        done = [record.cycle for record in ring.drain()]
+        done = [record.cycle for record in ring.drain() if not record.kind]
         ring.close()
         assert done == list(range(done[0], done[-1] + 1))
         assert done[-1] >= after.cycle > before.cycle

@@ -21,6 +21,7 @@ RECORDS = [
     m.TableNews,
     m.Claimed,
     m.TableInfo,
+    m.Recorded,
     m.TaskStatus,
     m.RtpuStatus,
     m.Reconfigured,

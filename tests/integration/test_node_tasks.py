@@ -222,7 +222,7 @@ def test_every_cycle_is_in_the_ring(arm):
     arm.on("a")
     arm.wait_cycles("a", 20)
     off = arm.off("a")
-    cycles = [record.cycle for record in ring.drain()]
+    cycles = [record.cycle for record in ring.drain() if not record.kind]
     assert len(cycles) == off.cycle
     assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
     ring.close()

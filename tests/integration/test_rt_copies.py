@@ -5,11 +5,13 @@ Task and dispatcher share this test's process, under ``park``, so no level is to
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import signal
 import time
 
+import numpy as np
 import pytest
 
 from pbonet.config.model import Limit, Variable
@@ -99,6 +101,41 @@ def test_inputs_come_in_and_outputs_go_out(core, slot, svar, local) -> None:
     assert status.copy_in_ns > 0
     assert status.copy_out_ns > 0
     assert status.mode is Mode.COMMAND
+    ring.destroy()
+
+
+def test_inputs_are_stored_when_they_do_not_follow_from_commits(
+    core, slot, svar, local
+) -> None:
+    ring = _rt.Ring.create("t", about=b"whose")
+    reader = _rt.Ring.attach("t")
+    assert reader.about == b"whose"
+    svar.write("IN", [4.0, 5.0, 6.0])
+    cycles = itertools.count(1)
+
+    def body(_dt):
+        now = next(cycles)
+        if now == 3:
+            svar.write("IN", [7.0, 8.0, 9.0])
+        if now == 5:
+            reader.want()
+        if now == 7:
+            reader.want(always=True)
+
+    assert slot.run(ending(core, slot, 10, body), local, ring=ring) == _rt.COMMAND
+    text = reader.take()
+    records = _rt.parse(text)
+    assert reader.take() == b""
+    stored = [list(np.frombuffer(r.inputs)) for r in records]
+    first, second = [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]
+    assert stored == [first, [], [], second, [], second, [], second, second, second]
+    assert {r.uid for r in records} == {local.out_uid}
+    numbers = [r.number for r in records]
+    assert numbers == list(range(numbers[0], numbers[0] + 10))
+    assert numbers[-1] == local.out_number
+    releases = [r.release_ns for r in records]
+    assert [r.dt_ns for r in records[1:]] == np.diff(releases).tolist()
+    reader.close()
     ring.destroy()
 
 
@@ -200,7 +237,7 @@ def test_what_to_leave_on_can_be_chosen(core, slot, local) -> None:
 
 def test_a_full_ring_delays_nobody_and_is_counted(core, slot) -> None:
     ring = _rt.Ring.create("t", 1)
-    while ring.put(b"x" * 64):
+    while ring.put(b""):
         pass
     assert slot.run(ending(core, slot, 3), None, ring=ring) == _rt.COMMAND
     assert core.snapshot(slot.index).ring_lost == 3

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from pbonet.log import Log, last_run
+
 PUMA = Path(__file__).parents[2] / "examples" / "puma"
 RUN = """
 import signal
@@ -72,8 +74,7 @@ def wait_for_line(process: subprocess.Popen[str], text: str) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_first_signal_ends_it_in_order_and_sums_up(start, tmp_path, number) -> None:
-    kept = tmp_path / "run.npz"
-    process = start(PUMA / "puma.job", "--record", kept)
+    process = start(PUMA / "puma.job", "--runs", tmp_path)
     wait_for_line(process, "is ON in virtual time: puma_pidg, grav_comp")
     process.send_signal(number)
     out, err = process.communicate()
@@ -82,7 +83,7 @@ def test_first_signal_ends_it_in_order_and_sums_up(start, tmp_path, number) -> N
     row = next(line.split() for line in out.splitlines() if line[:9] == "puma_pidg")
     assert row[1:3] == ["arm0", "ON"]
     assert row[6:13] == ["-"] * 7, "CPU time, jitter and transfers are not simulated"
-    assert kept.exists()
+    assert Log(last_run(tmp_path)).variables("grav_comp") == ["T_GRAV"]
 
 
 def test_second_signal_ends_a_module_that_hangs(start, tmp_path) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from pbonet import State
-from pbonet.master.recording import STABLE, Recording
+from pbonet.log import STABLE
+from pbonet.master.recording import Recording
 from pbonet.master.sim import Simulation, simulate
 
 ROOT = Path(__file__).parents[2]

@@ -16,10 +16,8 @@ from watching import wait_for
 
 from pbonet.io.chain import Chain
 from pbonet.io.puma560 import PUMA560
-from pbonet.master.rings import Drain
 from pbonet.master.subsystem import Subsystem
 from pbonet.node import _rt
-from pbonet.node._ring import Ring
 from pbonet.sched.events import Event
 
 POSTURE = np.array([0.0, 0.785398, -3.141593, 0.0, 0.785398, 0.0])
@@ -127,7 +125,7 @@ FILES = {
 
 @pytest.fixture
 def arm(nodes, tmp_path):
-    """The arm, moved by controller a, with every cycle of every task in a drain."""
+    """The arm, moved by controller a, with every cycle of every task on record."""
     nodes.agent_process("arm0")
     nodes.agent_process("arm1")
     nodes.write_module("torque_arm", ARM)
@@ -148,15 +146,10 @@ def arm(nodes, tmp_path):
         subsystem.spawn(task, rtpu)
     for task, rtpu in (("b", "arm0"), ("forgets", "arm1")):
         subsystem.spawn(task, rtpu)
-    drain = Drain(subsystem, Ring.attach, {})
-    drain.follow(subsystem.status_all())
-    drain.start()
-    subsystem.drain = drain
     subsystem.reconfig([("wave", "on"), ("a", "on"), ("robot", "on")])
     try:
         yield subsystem
     finally:
-        drain.stop()
         subsystem.finish()
 
 
@@ -221,7 +214,7 @@ def test_the_arm_does_not_drop_and_nobody_misses_a_cycle(arm, nodes):
     assert trace.released > 6 * 40
     assert trace.missed <= lost
     assert {task: arm.status(task).on_ns for task in on} == on
-    recording = arm.drain.stop()
+    recording = arm.logbook.finish(arm.fleet)
     first = min(recording.arrays("b")["release_ns"])
     start = recording.arrays("robot")["end_ns"][0]
     before = errors(recording, start, first)
@@ -234,7 +227,7 @@ def test_a_controller_that_forgets_lets_it_drop(arm):
     cycles(arm, "robot", 400)
     arm.swap("a", "forgets")
     cycles(arm, "robot", 60)
-    recording = arm.drain.stop()
+    recording = arm.logbook.finish(arm.fleet)
     first = min(recording.arrays("forgets")["release_ns"])
     start = recording.arrays("robot")["end_ns"][0]
     before = errors(recording, start, first)
@@ -247,7 +240,6 @@ def test_the_writer_changes_within_a_cycle(arm, rtpu, tmp_path):
     (tmp_path / "c.rmod").write_text((tmp_path / "b.rmod").read_text())
     arm.spawn("c", rtpu, SLOW)
     arm.freq("a", SLOW)
-    arm.drain.follow(arm.status_all())
     cycles(arm, "a", 3)
     for _ in range(5):
         for old, new in (("a", "c"), ("c", "a")):
@@ -256,7 +248,7 @@ def test_the_writer_changes_within_a_cycle(arm, rtpu, tmp_path):
             after = arm.display(["T_REF"])[0]
             assert (before.writer, after.writer) == (old, new)
             cycles(arm, new, 3)
-    recording = arm.drain.stop()
+    recording = arm.logbook.finish(arm.fleet)
     ends = [(t, "a") for t in recording.arrays("a")["start_ns"]]
     ends += [(t, "c") for t in recording.arrays("c")["start_ns"]]
     ends.sort()

@@ -12,6 +12,7 @@ import typer.main
 from pbonet import cli
 from pbonet.cli import build, main
 from pbonet.errors import StateError
+from pbonet.log import Log, last_run
 from pbonet.master.commands import COMMANDS, Scope
 
 OWN = {"stop", "check", "profile"}
@@ -61,8 +62,8 @@ def test_every_command_of_the_table_is_a_verb_too(app):
 
 
 def test_every_verb_has_help_json_and_debug(app):
-    groups = [app.commands.pop(name).commands for name in ("new", "keys")]
-    verbs = {**app.commands, **groups[0], **groups[1]}
+    groups = [app.commands.pop(name).commands for name in ("new", "keys", "log")]
+    verbs = {**app.commands, **groups[0], **groups[1], **groups[2]}
     for name, command in verbs.items():
         assert command.help, name
         assert "--debug" in options_of(command), name
@@ -234,12 +235,11 @@ def test_new_module_is_written_once(call, tmp_path):
 
 
 def test_job_runs_in_virtual_time(call, tmp_path):
-    kept = tmp_path / "run.npz"
-    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.2", "--record", kept]
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.2", "--runs", tmp_path]
     status, out, _ = call(*words)
     assert status == 0
     assert "0.2 s of virtual time are over" in out
-    assert kept.exists()
+    assert len(Log(last_run(tmp_path)).arrays("puma_pidg")["cycle"]) == 100
     status, out, _ = call(*words, "--json")
     outcome = json.loads(out)
     assert outcome["tasks"][0]["cpu_avg"] is None, "not simulated"
@@ -251,11 +251,40 @@ def test_job_runs_in_virtual_time(call, tmp_path):
     }
 
 
-def test_record_is_refused_before_the_run(call, tmp_path):
-    kept = tmp_path / "nowhere" / "run.npz"
-    status, out, err = call("run", PUMA / "puma.job", "--sim", "--record", kept)
-    assert (status, out) == (1, "")
-    assert "the recording cannot be written" in err
+def test_a_run_is_looked_at(call, tmp_path):
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.2", "--runs"]
+    for folder in ("one", "two"):
+        assert call(*words, tmp_path / folder)[0] == 0
+    one, two = (last_run(tmp_path / folder) for folder in ("one", "two"))
+    data = json.loads(call("log", "info", one, "--json")[1])
+    assert data["tasks"]["qrdiff"]["cycles"] == 20
+    assert "puma_pidg" in call("log", "info", one)[1]
+    rows = call("log", "cat", one, "jttrace", "Q_REF")[1].splitlines()
+    assert rows[0].startswith("time,cycle,Q_REF[0]")
+    assert len(rows) == 11
+    table = json.loads(call("log", "cat", one, "jttrace", "--json")[1])
+    assert table["cycle"] == list(range(1, 11))
+    assert call("log", "diff", one, two)[0] == 0, "a simulation gives the same twice"
+    merged = tmp_path / "m.mcap"
+    out = json.loads(call("log", "merge", one, "-o", merged, "--json")[1])
+    assert out == {"file": str(merged), "messages": 180}
+    assert call("log", "recover", merged, "-o", merged)[0] == 1, "it stands"
+    assert call("log", "plot", one, "Q_MEZ", "-o", tmp_path / "a.png")[0] == 0
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert json.loads(call("log", "events", one, "--json")[1]) == {"events": []}
+    status, out, _ = call("replay", one, "grav_comp", "--verify")
+    assert status == 0
+    assert "not verifiable: it is of a simulation" in out
+    assert call("replay", one)[0] == 1
+
+
+def test_what_is_recorded_is_said(call, tmp_path):
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.1", "--runs", tmp_path]
+    status, _, err = call(*words, "--record", "alll")
+    assert status == 1
+    assert "this is no way to record (expected off or outputs or all, got alll)" in err
+    assert call(*words, "--record", "off")[0] == 0
+    assert list(tmp_path.glob("*")) == []
 
 
 def test_negative_numbers_are_values(monkeypatch, call):

@@ -1,13 +1,16 @@
 """Each event is handed out once, whatever the RTPU process goes through."""
 
+import time
 from types import SimpleNamespace
 
+import msgspec
 import pytest
 
 from pbonet.errors import NoAnswerError, Severity, StateError
-from pbonet.master.choice import Choice
+from pbonet.master.choice import Choice, since
 from pbonet.master.following import Follower
 from pbonet.node.events import KEPT, EventLog
+from pbonet.xm import messages as m
 
 
 class Rtpu:
@@ -114,3 +117,25 @@ def test_choice(rtpu):
     assert Choice.of({"severity": "Error"}).least is Severity.ERROR
     with pytest.raises(StateError, match=r"no severity worse .*debug info warning"):
         Choice.of({"severity": "worse"})
+
+
+@pytest.mark.parametrize(
+    ("word", "seconds"), [("90s", 90), ("5m", 300), ("1.5h", 5400), ("2d", 172800)]
+)
+def test_since_how_long_ago(word, seconds):
+    now = time.time()
+    number, after = since(word)
+    assert number == 0
+    assert now - seconds <= after <= time.time() - seconds
+    wanted = Choice.of({"since": word, "severity": "warning"})
+    kinds = {"n": 1, "time": 0, "code": "C", "rtpu": "r", "text": "t"}
+    young = m.Event(**kinds, wall=now, severity=30)
+    assert wanted(young)
+    assert not wanted(msgspec.structs.replace(young, wall=now - seconds - 1))
+    assert not wanted(msgspec.structs.replace(young, severity=20))
+
+
+def test_since_a_number_or_nonsense():
+    assert since(7) == since("7") == (7, 0.0)
+    with pytest.raises(StateError, match="this says not since when"):
+        since("yesterday")

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from pbonet.master.recording import Recording
+from pbonet.log import Log
 from pbonet.master.sim import simulate
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "puma"
@@ -27,13 +27,13 @@ def demo() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("puma") / "run.npz"
+    path = tmp_path_factory.mktemp("puma") / "run.mcap"
     simulate(EXAMPLE / "puma.job", 3.0).save(path)
     return path
 
 
 def test_error_is_that_of_the_newest_reference(demo: ModuleType, file: Path) -> None:
-    time, reference, measured, error = demo.tracking(Recording.load(file))
+    time, reference, measured, error = demo.tracking(Log(file))
     assert len(time) == len(reference) == len(measured) == len(error)
     assert len(time) > 3.0 * 500 - 12, "every cycle but those before the first Q_REF"
     assert np.array_equal(error, measured - reference)
@@ -48,7 +48,7 @@ def test_missed_cycles_are_counted(demo: ModuleType) -> None:
 
 
 def test_tables_say_what_ran(demo: ModuleType, file: Path) -> None:
-    recording = Recording.load(file)
+    recording = Log(file)
     words = [line.split() for line in demo.task_table(recording)[1:]]
     assert {w[0]: w[1:5] for w in words} == {
         "puma_pidg": ["1500", "500", "0", "0"],
@@ -72,12 +72,12 @@ def test_plot_and_summary_are_made_of_a_recording(
 
 
 def test_recording_that_shows_nothing_is_told(demo: ModuleType, tmp_path: Path) -> None:
-    empty = tmp_path / "empty.npz"
+    empty = tmp_path / "empty.mcap"
     simulate(EXAMPLE / "puma.job", 0.0).save(empty)
     with pytest.raises(SystemExit, match="let it run longer"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
     empty.write_bytes(b"")
-    with pytest.raises(SystemExit, match="the recording cannot be read"):
+    with pytest.raises(SystemExit, match="this is no log"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
     assert not (tmp_path / "a.png").exists()
 
@@ -87,5 +87,5 @@ def test_a_failed_run_ends_the_demo(
 ) -> None:
     monkeypatch.setattr(demo, "HERE", tmp_path)  # there is no job
     with pytest.raises(SystemExit) as caught:
-        demo.main(["--seconds", "1", "--sim", "--record", str(tmp_path / "r.npz")])
+        demo.main(["--seconds", "1", "--sim", "--runs", str(tmp_path)])
     assert caught.value.code not in {0, None}

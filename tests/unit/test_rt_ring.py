@@ -101,7 +101,7 @@ def test_damage_is_found_and_not_followed(ring) -> None:
     ring.put(b"x" * 16)
     with Path(ring.path).open("r+b") as file:
         raw = file.read()
-        at = raw.index(b"x" * 16) - 56
+        at = raw.index(b"x" * 16) - 96
         file.seek(at)
         file.write(b"\xff\xff\xff\x7f")
     with pytest.raises(NodeError, match="the ring is damaged"):

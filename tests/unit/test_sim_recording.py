@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pbonet.config.model import Variable
-from pbonet.errors import ConfigFileError, UnknownVariableError
+from pbonet.errors import LogError, UnknownVariableError
+from pbonet.log import Cycles, Log
 from pbonet.master.recording import Recording
 
 VARIABLES = (
@@ -31,7 +31,7 @@ def filled() -> Recording:
     return recording
 
 
-def check(recording: Recording) -> None:
+def check(recording: Cycles) -> None:
     assert recording.about == {"job": "demo", "seconds": 1.5}
     assert recording.tasks == ["one", "two", "idle"]
     one = recording.arrays("one")
@@ -55,8 +55,11 @@ def test_it_gives_back_what_was_put_in() -> None:
 
 
 def test_its_file_says_the_same(tmp_path: Path) -> None:
-    filled().save(tmp_path / "run.npz")
-    check(Recording.load(tmp_path / "run.npz"))
+    filled().save(tmp_path / "x" / "run.mcap")
+    log = Log(tmp_path / "x")
+    assert log.about["job"] == "demo"
+    log.about = filled().about
+    check(log)
 
 
 def test_of_two_writers_the_first_counts() -> None:
@@ -71,39 +74,8 @@ def test_unknown_variable_offers_the_nearest() -> None:
     assert e.value.remedy == "did you mean B?"
 
 
-def test_file_that_cannot_be_written_or_is_none(tmp_path: Path) -> None:
-    with pytest.raises(ConfigFileError, match="cannot be written"):
-        filled().save(tmp_path / "nowhere" / "run.npz")
-    filled().save(tmp_path / "run.npz")
-    good = (tmp_path / "run.npz").read_bytes()
-    other = tmp_path / "other.npz"
-    other.write_bytes(b"PK\3\4 this is no archive")
-    for path in (other, tmp_path / "missing.npz"):
-        with pytest.raises(ConfigFileError, match="cannot be read"):
-            Recording.load(path)
-    for damaged in (b"", good[:300], good[:80] + bytes(40) + good[120:]):
-        other.write_bytes(damaged)
-        with pytest.raises(ConfigFileError, match="cannot be read"):
-            Recording.load(other)
-    np.savez(tmp_path / "plain.npz", x=np.zeros(3))
-    with pytest.raises(ConfigFileError, match="pbonet run --record"):
-        Recording.load(tmp_path / "plain.npz")
-
-
-def test_path_is_looked_at_before_the_run(tmp_path: Path) -> None:
-    Recording.check_path(tmp_path / "run.npz")
-    assert list(tmp_path.iterdir()) == []
-    for path, got in (
-        (tmp_path, "a folder"),
-        (tmp_path / "nowhere" / "run.npz", f"no folder {tmp_path}/nowhere"),
-    ):
-        with pytest.raises(ConfigFileError, match="cannot be written") as caught:
-            Recording.check_path(path)
-        assert caught.value.got == got
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_path_that_may_not_be_written(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    with pytest.raises(ConfigFileError, match="Permission denied"):
-        Recording.check_path(tmp_path / "run.npz")
+def test_log_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file" / "run.mcap", tmp_path / "file"):
+        with pytest.raises(LogError, match="the log cannot be written"):
+            filled().save(path)

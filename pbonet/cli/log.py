@@ -1,0 +1,172 @@
+"""``pbonet log``: what was recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated as A
+
+import typer
+
+from pbonet.cli import options
+
+command = typer.Typer(help="Look at what was recorded.", no_args_is_help=True)
+
+File = A[
+    Path | None,
+    typer.Argument(help="A log, or a run's folder; the newest in runs by default."),
+]
+Out = A[Path, typer.Option("--out", "-o", help="The new file.")]
+
+
+def _written(out: Path, json_: bool, messages: int | None = None) -> None:
+    import msgspec
+
+    if json_:
+        data = {"file": str(out), "messages": messages}
+        print(msgspec.json.encode(data).decode())
+    else:
+        print(out if messages is None else f"{out}: {messages} messages")
+
+
+@command.callback()
+def log() -> None:
+    """Look at what was recorded."""
+
+
+@command.command("info")
+def info(
+    *,
+    file: File = None,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Say what a log holds: duration, tasks, rates, misses, events."""
+    import msgspec
+
+    from pbonet.log import Log, last_run, text
+
+    data = text.info(Log(file or last_run()))
+    print(msgspec.json.encode(data).decode() if json_ else text.info_text(data))
+
+
+@command.command("cat")
+def cat(
+    *,
+    file: A[Path, typer.Argument(help="A log, or a run's folder.")],
+    task: A[str, typer.Argument(help="The task.")],
+    variables: A[
+        list[str] | None, typer.Argument(help="Which; all that it writes.")
+    ] = None,
+    npz: A[
+        Path | None, typer.Option(help="Write arrays for numpy.", metavar="FILE.npz")
+    ] = None,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Give a task's values, one row a cycle, as CSV, JSON or for numpy."""
+    import sys
+
+    from pbonet.log import Log, text
+
+    table = text.columns(Log(file), task, variables or ())
+    if npz is not None:
+        text.write_npz(table, npz)
+    elif json_:
+        text.write_json(table, sys.stdout)
+    else:
+        text.write_csv(table, sys.stdout)
+
+
+@command.command("events")
+def events(
+    *,
+    file: File = None,
+    task: A[str | None, typer.Option(help="Of one task.")] = None,
+    code: A[str | None, typer.Option(help="Of one code, such as WARNING.")] = None,
+    severity: A[
+        str | None,
+        typer.Option(help="The least: debug, info, warning, error or fatal."),
+    ] = None,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Show the events of a run."""
+    import msgspec
+
+    from pbonet.log import Log, last_run
+    from pbonet.master import render
+    from pbonet.master.choice import Choice
+    from pbonet.xm.messages import Event
+
+    wanted = Choice.of({"task": task, "code": code, "severity": severity})
+    found = [msgspec.convert(one, Event) for one in Log(file or last_run()).events()]
+    chosen = [event for event in found if wanted(event)]
+    if json_:
+        print(msgspec.json.encode({"events": chosen}).decode())
+        return
+    for event in chosen:
+        print(render.event(event))
+
+
+@command.command("plot")
+def plot(
+    *,
+    file: A[Path, typer.Argument(help="A log, or a run's folder.")],
+    variables: A[list[str], typer.Argument(help="Which, one picture for each.")],
+    out: Out = Path("log.png"),
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Draw variables over time."""
+    from pbonet.log import Log
+    from pbonet.master import logplot
+
+    logplot.draw(Log(file), variables, out)
+    _written(out, json_)
+
+
+@command.command("diff")
+def diff(
+    *,
+    one: A[Path, typer.Argument(help="A log, or a run's folder.")],
+    other: A[Path, typer.Argument(help="Another.")],
+    task: A[list[str] | None, typer.Option(help="Only this one.")] = None,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Compare two runs: the first cycle in which each variable differs."""
+    import msgspec
+
+    from pbonet.log import Log, text
+
+    rows = text.diff(Log(one), Log(other), task or ())
+    print(msgspec.json.encode(rows).decode() if json_ else text.diff_text(rows))
+    raise typer.Exit(int(any(row["first"] is not None for row in rows)))
+
+
+@command.command("merge")
+def merge(
+    *,
+    files: A[list[Path], typer.Argument(help="Logs, or folders of runs.")],
+    out: Out,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Make one log of several, ordered by time."""
+    from pbonet.log.rewrite import merge as do
+
+    _written(out, json_, do(files, out))
+
+
+@command.command("recover")
+def recover(
+    *,
+    file: A[Path, typer.Argument(help="A log that was cut short.")],
+    out: Out,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Make a whole log of one that was cut short."""
+    from pbonet.log.rewrite import recover as do
+
+    _written(out, json_, do(file, out))

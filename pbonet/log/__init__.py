@@ -1,0 +1,39 @@
+"""Logs: every cycle of a run in MCAP files, and reading them again.
+
+::
+
+    log = Log("runs/2026-05-04T10-11-12-teleop")
+    time, torque = log.series("T_GRAV")
+
+``writer`` and ``reader`` are the two ends of a file; ``schema`` says how cycles stand
+in it, ``fields`` how names of variables become names of fields; ``scan`` finds what is
+whole in a file that was cut.
+"""
+
+from .cycles import COLUMNS, STABLE, Cycles
+from .fields import field_name, variable_name
+from .reader import Log, Message, Part, files_of, last_run
+from .records import Attached, CodeFile, Did, RunAbout, Step, TaskAbout
+from .scan import is_complete
+from .writer import LogWriter
+
+__all__ = [
+    "COLUMNS",
+    "STABLE",
+    "Attached",
+    "CodeFile",
+    "Cycles",
+    "Did",
+    "Log",
+    "LogWriter",
+    "Message",
+    "Part",
+    "RunAbout",
+    "Step",
+    "TaskAbout",
+    "field_name",
+    "files_of",
+    "is_complete",
+    "last_run",
+    "variable_name",
+]

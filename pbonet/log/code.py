@@ -1,0 +1,74 @@
+"""The files whose code a module runs: its own, and what it imports beside it."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .records import CodeFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+_OURS = ("pbonet.modules", "pbonet.io")
+"""Packages of pbonet that count as a module's code; the rest is the runtime."""
+
+
+def code_of(paths: Iterable[str | Path]) -> list[CodeFile]:
+    """Return the files that modules' code is in, their own first, with their hashes.
+
+    Files of its own folder and of pbonet's library and devices count, as far as
+    ``import`` lines at any place name them; installed packages do not.
+    """
+    found: dict[Path, CodeFile] = {}
+    waiting = [Path(path) for path in paths]
+    while waiting:
+        file = waiting.pop(0)
+        if file in found:
+            continue
+        try:
+            source = file.read_bytes()
+        except OSError:
+            continue
+        found[file] = CodeFile(str(file), hashlib.sha256(source).hexdigest())
+        waiting += _imported(file, source)
+    return list(found.values())
+
+
+def _imported(file: Path, source: bytes) -> Iterator[Path]:
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level == 1:
+            names = [node.module] if node.module else [one.name for one in node.names]
+            for name in names:
+                yield from _beside(file.parent, name)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield from _of_pbonet(node.module)
+            for one in node.names:
+                yield from _of_pbonet(f"{node.module}.{one.name}")
+        elif isinstance(node, ast.Import):
+            for one in node.names:
+                yield from _of_pbonet(one.name)
+
+
+def _beside(folder: Path, name: str) -> Iterator[Path]:
+    path = folder.joinpath(*name.split(".")).with_suffix(".py")
+    if path.is_file():
+        yield path
+
+
+def _of_pbonet(name: str) -> Iterator[Path]:
+    if not any(name == one or name.startswith(f"{one}.") for one in _OURS):
+        return
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        return
+    if spec is not None and spec.origin and spec.origin.endswith(".py"):
+        yield Path(spec.origin)

@@ -1,0 +1,46 @@
+"""Values of variables as bytes, as a table has them: each in whole words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from pbonet.svar.layout import padded, var_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+    from pbonet.config.model import Variable
+
+
+def pack(variables: Iterable[Variable], array: Callable[[str], NDArray[Any]]) -> bytes:
+    """Return the values of variables, one behind the other.
+
+    Args:
+        variables: Which, in the order of the table.
+        array: Gives the array of a variable by its name.
+    """
+    parts: list[bytes] = []
+    for variable in variables:
+        data = array(variable.name).tobytes()
+        parts += [data, bytes(padded(len(data)) - len(data))]
+    return b"".join(parts)
+
+
+def unpack(
+    variables: Iterable[Variable],
+    data: bytes | memoryview,
+    array: Callable[[str], NDArray[Any]],
+) -> None:
+    """Put values back into the arrays they came from."""
+    at = 0
+    for variable in variables:
+        to = array(variable.name).view("u1")
+        to[:] = memoryview(data)[at : at + to.size]
+        at += var_bytes(variable)
+
+
+def size(variables: Iterable[Variable]) -> int:
+    """Return how many bytes the values take."""
+    return sum(var_bytes(variable) for variable in variables)

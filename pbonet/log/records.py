@@ -1,0 +1,125 @@
+"""What a log says of a task, and what kinds of records a task makes."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+from msgspec import Struct
+
+from pbonet.config.model import Variable
+
+FORMAT = 1
+"""The version of what pbonet writes into its logs."""
+METADATA = "pbonet"
+"""The name of the metadata record that says which run this is."""
+
+
+class Step(IntEnum):
+    """What a record of a task's ring is about.
+
+    Behind cycles come the copies around the other methods, as the executor made them,
+    and what made it run them; all that is needed to run the module's code again.
+    """
+
+    CYCLE = 0
+    CONSTS_IN = 1
+    """In-consts were copied in; the data are those."""
+    ON_IN = 2
+    """In-vars and out-vars were copied in, before `on`; the data are the in-vars, then
+    the out-vars."""
+    VARS_IN = 3
+    """In-vars were copied in outside a cycle."""
+    CONSTS_OUT = 4
+    """Out-consts were copied out."""
+    CLAIM = 5
+    """Out-vars were committed and owned, behind `on`."""
+    COMMIT = 6
+    """Out-vars were committed outside a cycle, behind `off`."""
+    DID = 7
+    """A signal, a new parameter or the like, as JSON text (`Did`)."""
+
+
+class Did(Struct, omit_defaults=True):
+    """What made the executor run methods other than ``cycle``."""
+
+    what: str
+    """``spawn``, a signal, ``set``, ``freq``, ``abort``, ``fault`` or ``refused``."""
+    arg: str = ""
+    handover: bool = False
+    name: str = ""
+    """Of the parameter, for ``set``; of the method that failed, for ``fault``."""
+    hz: float = 0.0
+
+
+class CodeFile(Struct, frozen=True):
+    """A file whose code a module runs."""
+
+    path: str
+    sha256: str
+
+
+class TaskAbout(Struct, kw_only=True):
+    """Whose cycles a ring or a channel holds."""
+
+    domain: str
+    rtpu: str
+    subsystem: str
+    task: str
+    module: str
+    pid: int
+    freq: float
+    rmod: str
+    """Text of the RMOD it was spawned from."""
+    rmod_name: str
+    libraries: tuple[str, ...] = ()
+    inconst: list[Variable] = []
+    invar: list[Variable] = []
+    outconst: list[Variable] = []
+    outvar: list[Variable] = []
+    code: list[CodeFile] = []
+    """The module's own file first."""
+    hidden: list[str] = []
+    """Out-vars that are not recorded."""
+
+    @property
+    def topic(self) -> str:
+        """The channel of its cycles."""
+        return f"{self.subsystem}/{self.task}"
+
+
+class RunAbout(Struct, kw_only=True):
+    """Which run a log is of."""
+
+    run: str
+    job: str
+    subsystem: str
+    domain: str
+    rtpu: str
+    host: str = ""
+    machine: str = ""
+    """Boot identity: clocks of one machine may be compared."""
+    pbonet: str = ""
+    python: str = ""
+    numpy: str = ""
+    kernel: str = ""
+    config_hash: str = ""
+    """SHA-256 over all configuration files."""
+    begun: str = ""
+    """Date and time, for people to read."""
+    epoch_ns: int = 0
+    """What is added to CLOCK_MONOTONIC to get the times of messages."""
+    part: int = 1
+    """2, 3, ... after a recorder was lost or a file was full."""
+    format: int = FORMAT
+
+
+class Attached(Struct, frozen=True):
+    """A file that a log carries."""
+
+    name: str
+    data: bytes
+    media_type: str = "text/plain"
+
+
+JsonObject = dict[str, Any]

@@ -1,0 +1,245 @@
+"""What a log says, as data and as text: what is in it, values, differences."""
+
+from __future__ import annotations
+
+import csv
+from typing import TYPE_CHECKING, Any, TextIO
+
+import msgspec
+import numpy as np
+
+from pbonet.errors import LogError
+
+from .scan import is_complete
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from .cycles import Cycles
+    from .reader import Log
+
+JsonObject = dict[str, Any]
+
+
+def info(log: Log) -> JsonObject:
+    """Return what a log holds: files, duration, and each task's figures."""
+    spans = [
+        (times[0][0], times[-1][0])
+        for part in log.parts
+        for times in part.messages.values()
+        if times
+    ]
+    ends = [end for span in spans for end in span]
+    seconds = (max(ends) - min(ends)) / 1e9 if ends else 0.0
+    lost = log.lost()
+    events = log.events()
+    return {
+        "about": log.about,
+        "seconds": seconds,
+        "files": [
+            {
+                "path": str(part.path),
+                "bytes": part.size,
+                "complete": is_complete(part.path),
+                "messages": part.count,
+                "chunks": part.chunks,
+                "damaged": part.damaged,
+            }
+            for part in log.parts
+        ],
+        "tasks": {
+            task: task_info(log, task) | {"lost": lost.get(task, 0)}
+            for task in log.tasks
+        },
+        "events": {
+            code: sum(event["code"] == code for event in events)
+            for code in sorted({event["code"] for event in events})
+        },
+        "attached": {name: len(one.data) for name, one in log.attached.items()},
+    }
+
+
+def task_info(log: Log, task: str) -> JsonObject:
+    """Return what a log holds of one task."""
+    about, arrays = log.task_about(task), log.arrays(task)
+    releases = arrays["release_ns"]
+    gaps = np.diff(releases)
+    period = float(np.median(gaps)) if len(gaps) else 0.0
+    missed = np.round(gaps / period) - 1 if period else np.zeros(0)
+    breaks = missed > _BREAK
+    delays = (arrays["start_ns"] - releases) * 1e-9
+    return {
+        "module": about.module,
+        "rtpu": about.rtpu,
+        "lives": len(log.lives(task)),
+        "cycles": len(releases),
+        "hz": 1e9 / period if period else 0.0,
+        "missed": int(missed[~breaks].sum()),
+        "pauses": int(breaks.sum()),
+        "jitter_max": float(delays.max()) if len(delays) else 0.0,
+        "variables": log.variables(task),
+    }
+
+
+_BREAK = 1000
+"""A gap of more periods than this is taken for a time in which the task was OFF."""
+
+
+def info_text(data: JsonObject) -> str:
+    """Return what `info` gave as lines."""
+    about = data["about"]
+    lines = [
+        f"run {about.get('run', '?')}, job {about.get('job', '?')}, subsystem "
+        f"{about.get('subsystem', '?')}, {data['seconds']:.1f} s",
+        f"recorded by pbonet {about.get('pbonet', '?')} on {about.get('host', '?')}, "
+        f"{about.get('begun', '?')}",
+    ]
+    for file in data["files"]:
+        state = "complete" if file["complete"] else "not finished: see `log recover`"
+        damaged = f", {file['damaged']} damaged chunks" if file["damaged"] else ""
+        lines.append(
+            f"{file['path']}: {file['bytes'] / 1e6:.2f} MB, "
+            f"{file['messages']} messages in {file['chunks']} chunks{damaged}, {state}"
+        )
+    head = f"{'task':<16}{'rtpu':<10}{'cycles':>9}{'Hz':>9}{'missed':>8}{'lost':>7}"
+    lines += ["", f"{head}  variables"]
+    for name, task in data["tasks"].items():
+        row = f"{name:<16}{task['rtpu']:<10}{task['cycles']:>9}{task['hz']:>9.1f}"
+        row += f"{task['missed']:>8}{task['lost']:>7}"
+        lines.append(f"{row}  {' '.join(task['variables'])}")
+    if data["events"]:
+        counts = ", ".join(f"{count} {code}" for code, count in data["events"].items())
+        lines += ["", f"events: {counts}"]
+    return "\n".join(lines)
+
+
+def columns(log: Cycles, task: str, names: Sequence[str] = ()) -> JsonObject:
+    """Return values of a task by column: time, cycle, then each element.
+
+    Args:
+        log: The run.
+        task: The task.
+        names: Variables or columns such as ``cpu_ns``; none for all variables.
+
+    Raises:
+        LogError: The task has no such column.
+    """
+    arrays = log.arrays(task)
+    found: dict[str, NDArray[Any]] = {
+        "time": (arrays["release_ns"] - log.begin_ns) * 1e-9,
+        "cycle": arrays["cycle"],
+    }
+    for name in names or log.variables(task):
+        if name not in arrays:
+            raise LogError(
+                f"{task} has no {name} on record",
+                expected=" or ".join(log.variables(task)),
+                got=name,
+                remedy="see `pbonet log info`",
+            )
+        values = arrays[name]
+        if values.ndim == 1:
+            found[name] = values
+        elif values.shape[1] == 1:
+            found[name] = values[:, 0]
+        else:
+            found |= {f"{name}[{i}]": values[:, i] for i in range(values.shape[1])}
+    return found
+
+
+def write_csv(table: JsonObject, file: TextIO) -> None:
+    """Write columns as CSV, numbers so that they read back the same."""
+    writer = csv.writer(file)
+    writer.writerow(table)
+    writer.writerows(zip(*(_texts(values) for values in table.values()), strict=True))
+
+
+def write_json(table: JsonObject, file: TextIO) -> None:
+    """Write columns as one JSON object of lists; what is no number there is null."""
+    data = {name: _plain(values) for name, values in table.items()}
+    file.write(msgspec.json.encode(data).decode() + "\n")
+
+
+def _plain(values: NDArray[Any]) -> list[Any]:
+    if values.dtype.kind == "V":
+        return [bytes(value).hex() for value in values]
+    return list(values.tolist())
+
+
+def _texts(values: NDArray[Any]) -> Iterable[str]:
+    if values.dtype.kind == "V":
+        return [bytes(value).hex() for value in values]
+    return [repr(value) for value in values.tolist()]
+
+
+def write_npz(table: JsonObject, path: Path) -> None:
+    """Write columns as arrays in one ``.npz`` file.
+
+    Raises:
+        LogError: It cannot be written.
+    """
+    try:
+        with path.open("wb") as file:
+            np.savez_compressed(file, **table)
+    except OSError as error:
+        raise LogError(
+            "the file cannot be written",
+            where=str(path),
+            got=error.strerror or str(error),
+            remedy="choose another file",
+        ) from None
+
+
+def diff(one: Cycles, other: Cycles, tasks: Sequence[str] = ()) -> list[JsonObject]:
+    """Compare two runs variable by variable, cycle by cycle.
+
+    Cycles are counted from each task's first one on record.
+
+    Args:
+        one: A run.
+        other: Another.
+        tasks: Which; none for all that both have.
+    """
+    both = [task for task in one.tasks if task in other.tasks]
+    rows: list[JsonObject] = []
+    for task in tasks or both:
+        a, b = one.arrays(task), other.arrays(task)
+        rows += [
+            {"task": task, "variable": name, **_differ(a[name], b[name])}
+            for name in one.variables(task)
+            if name in other.variables(task)
+        ]
+    return rows
+
+
+def _differ(a: NDArray[Any], b: NDArray[Any]) -> JsonObject:
+    cycles = min(len(a), len(b))
+    row: JsonObject = {"cycles": [len(a), len(b)], "first": None, "largest": None}
+    if a.shape[1:] != b.shape[1:] or a.dtype != b.dtype:
+        return row | {"first": 0}
+    a, b = a[:cycles], b[:cycles]
+    same = a == b
+    if a.dtype.kind == "f":
+        same |= np.isnan(a) & np.isnan(b)
+    other = np.flatnonzero(~same.reshape(cycles, -1).all(axis=1))
+    if len(other):
+        row["first"] = int(other[0])
+        if a.dtype.kind in "fiu":
+            row["largest"] = float(np.nanmax(np.abs(a.astype(float) - b.astype(float))))
+    return row
+
+
+def diff_text(rows: Iterable[JsonObject]) -> str:
+    """Return what `diff` gave as lines."""
+    lines = [f"{'task':<16}{'variable':<16}{'cycles':>15}{'first':>9}{'largest':>13}"]
+    for row in rows:
+        cycles = "/".join(map(str, row["cycles"]))
+        first = "same" if row["first"] is None else str(row["first"])
+        largest = "" if row["largest"] is None else f"{row['largest']:.6g}"
+        lines.append(
+            f"{row['task']:<16}{row['variable']:<16}{cycles:>15}{first:>9}{largest:>13}"
+        )
+    return "\n".join(lines)

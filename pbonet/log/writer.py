@@ -1,0 +1,269 @@
+"""Writing a log: one MCAP file, whole up to its last chunk wherever it is cut.
+
+Whoever writes a file that cannot grow any more gets an `OSError`, and the file ends
+behind the last record that was written whole.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import msgspec
+
+from pbonet.errors import LogError
+
+from .records import METADATA, Attached, RunAbout, Step, TaskAbout
+from .schema import StepSchema, TaskSchema, record_size, times
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+CHUNK: Final = 256 << 10
+"""Bytes of messages in a chunk, before it is compressed."""
+_LOG_SCHEMA: Final = {
+    "type": "object",
+    "title": "foxglove.Log",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {
+                "sec": {"type": "integer", "minimum": 0},
+                "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999},
+            },
+        },
+        "level": {"type": "integer"},
+        "message": {"type": "string"},
+        "name": {"type": "string"},
+        "file": {"type": "string"},
+        "line": {"type": "integer"},
+        "event": {"type": "object"},
+    },
+}
+_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2))
+"""Severities of events, and the levels of a log that they are for a viewer."""
+
+
+class _Whole:
+    """A file that grows by whole writes or not at all, unbuffered.
+
+    Args:
+        path: It must not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self._at = 0
+        self.failed = False
+
+    def write(self, data: bytes) -> int:
+        if self.failed:
+            return len(data)  # the library's buffer is emptied, the file is closed
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError:
+            self.failed = True
+            os.ftruncate(self._file.fileno(), self._at)
+            raise
+        self._at += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class _Task:
+    """The two channels of a task."""
+
+    def __init__(self, schema: TaskSchema, cycles: int, steps: int) -> None:
+        self.schema = schema
+        self.cycles = cycles
+        self.steps = steps
+
+
+class LogWriter:
+    """Writes one log.
+
+    Args:
+        path: The file; it must not exist.
+        about: Which run it is of.
+        attached: Files that it carries.
+
+    Raises:
+        LogError: It exists or cannot be made.
+        OSError: No room is left.
+    """
+
+    def __init__(
+        self, path: Path, about: RunAbout, attached: Iterable[Attached] = ()
+    ) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        self.path = path
+        self.about = about
+        try:
+            self._stream = _Whole(path)
+        except OSError as error:
+            raise LogError(
+                "the log cannot be written",
+                where=str(path),
+                got=error.strerror or str(error),
+                remedy="choose a folder that may be written to (PBONET_RUNS)",
+            ) from None
+        self._writer = Writer(
+            cast("Any", self._stream),
+            chunk_size=CHUNK,
+            compression=CompressionType.ZSTD,
+        )
+        self._tasks: dict[int, _Task] = {}
+        self._json: dict[str, int] = {}
+        self._step_schema = 0
+        self._counts: dict[int, int] = {}
+        self._names: set[str] = set()
+        self._writer.start(profile="", library=f"pbonet {about.pbonet}")
+        fields = msgspec.to_builtins(about)
+        self._writer.add_metadata(METADATA, {k: str(v) for k, v in fields.items()})
+        for file in attached:
+            self.attach(file)
+
+    @property
+    def size(self) -> int:
+        """The size of the file so far."""
+        return self._stream.tell()
+
+    def attach(self, file: Attached) -> None:
+        """Attach a file, unless one of that name is there.
+
+        Raises:
+            OSError: No room is left.
+        """
+        if file.name in self._names:
+            return
+        self._names.add(file.name)
+        now = time.time_ns()
+        self._writer.add_attachment(now, now, file.name, file.media_type, file.data)
+
+    def add_task(self, about: TaskAbout) -> int:
+        """Return a number for `add`, under which a task's records are written."""
+        schema = TaskSchema(about)
+        if not self._step_schema:
+            self._step_schema = self._writer.register_schema(
+                StepSchema.NAME, "ros2msg", StepSchema.text().encode()
+            )
+        cycles = self._writer.register_channel(
+            about.topic,
+            "cdr",
+            self._writer.register_schema(
+                schema.name, "ros2msg", schema.text().encode()
+            ),
+            schema.metadata(),
+        )
+        steps = self._writer.register_channel(
+            f"{about.topic}/steps", "cdr", self._step_schema, {"of": str(cycles)}
+        )
+        number = len(self._tasks) + 1
+        self._tasks[number] = _Task(schema, cycles, steps)
+        return number
+
+    def add(self, task: int, records: bytes) -> int:
+        """Write what a ring gave; return how many records it was.
+
+        Raises:
+            OSError: No room is left.
+        """
+        one, text, at, count = self._tasks[task], memoryview(records), 0, 0
+        encode, epoch = one.schema.encode, self.about.epoch_ns
+        while at < len(text):
+            size = record_size(text, at)
+            record = text[at : at + size]
+            release, end, kind = times(record)
+            if kind in _COMMITS:
+                self._put(one.cycles, end + epoch, encode(record), release + epoch)
+            else:
+                step = StepSchema.encode(record)
+                self._put(one.steps, end + epoch, step, release + epoch)
+            at += size
+            count += 1
+        return count
+
+    def add_event(self, event: dict[str, Any]) -> None:
+        """Write an event, as a message that viewers list among logs.
+
+        Raises:
+            OSError: No room is left.
+        """
+        time_ns = int(event["time"]) + self.about.epoch_ns
+        severity = int(event["severity"])
+        level = next((level for least, level in _LEVELS if severity >= least), 1)
+        sec, nsec = divmod(time_ns, 10**9)
+        task = event.get("task") or event.get("rtpu", "")
+        data = {
+            "timestamp": {"sec": sec, "nsec": nsec},
+            "level": level,
+            "message": f"{event['code']}: {event['text']}",
+            "name": f"{self.about.subsystem}/{task}",
+            "file": "",
+            "line": 0,
+            "event": event,
+        }
+        channel = self._channel("events", "foxglove.Log", _LOG_SCHEMA)
+        self._put(channel, time_ns, msgspec.json.encode(data), time_ns)
+
+    def add_status(self, now_ns: int, status: dict[str, Any]) -> None:
+        """Write numbers about the run, as they stand at an instant.
+
+        Raises:
+            OSError: No room is left.
+        """
+        schema = {"type": "object", "title": "pbonet.Status"}
+        channel = self._channel(f"status/{self.about.rtpu}", "pbonet.Status", schema)
+        time_ns = now_ns + self.about.epoch_ns
+        self._put(channel, time_ns, msgspec.json.encode(status), time_ns)
+
+    def _channel(self, what: str, name: str, schema: dict[str, Any]) -> int:
+        if what not in self._json:
+            text = msgspec.json.encode(schema)
+            number = self._writer.register_schema(name, "jsonschema", text)
+            topic = f"{self.about.subsystem}/{what}"
+            self._json[what] = self._writer.register_channel(topic, "json", number)
+        return self._json[what]
+
+    def _put(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+        sequence = self._counts.get(channel, 0)
+        self._counts[channel] = sequence + 1
+        self._writer.add_message(channel, log_ns, data, publish_ns, sequence)
+
+    def flush(self) -> None:
+        """Write the chunk that is being filled.
+
+        Raises:
+            OSError: No room is left.
+        """
+        # The library closes chunks by size only; a slow run would lose minutes.
+        getattr(self._writer, "_Writer__finalize_chunk")()  # noqa: B009
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            OSError: No room is left; what was written stays readable.
+        """
+        try:
+            if not self._stream.failed:
+                cast("Any", self._writer).finish()
+        finally:
+            self._stream.close()
+
+
+_COMMITS: Final = frozenset({Step.CYCLE, Step.CLAIM, Step.COMMIT})

@@ -1,0 +1,174 @@
+"""The master's part in recording: which run this is, and what is recorded of it.
+
+Recording never stands in the way of a run: what cannot be recorded is a warning.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pbonet.config.job import MODES
+from pbonet.config.reader import load
+from pbonet.errors import ConfigError, LogError, PbonetError, did_you_mean
+from pbonet.log import Log, is_complete
+from pbonet.xm import messages as m
+from pbonet.xm import rpc, rundir
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.config.model import JobFile
+    from pbonet.master.files import Files
+    from pbonet.master.fleet import Fleet
+
+FINISH_TIME: Final = 5.0
+"""Seconds that recorders may take to finish."""
+DEFAULT: Final = "outputs"
+_ODD = re.compile(r"[^A-Za-z0-9_.\-]+")
+
+
+class Logbook:
+    """Has runs of a subsystem recorded.
+
+    Args:
+        mode: ``off``, ``outputs`` or ``all``; None for what the job says.
+
+    Raises:
+        LogError: There is no such mode.
+
+    Attributes:
+        mode: Of tasks that are not named.
+        paths: The log of each RTPU, on its machine, once the run has begun.
+        run: The run's name; empty before it has begun.
+    """
+
+    def __init__(self, mode: str | None = None) -> None:
+        if mode is not None and mode not in MODES:
+            raise LogError(
+                "this is no way to record",
+                expected=" or ".join(MODES),
+                got=mode,
+                remedy=did_you_mean(mode, MODES) or "say one of them",
+            )
+        self._told = mode
+        self._job: JobFile | None = None
+        self.mode = mode or DEFAULT
+        self._tasks: dict[str, str] = {}
+        self._hidden: list[str] = []
+        self.run = ""
+        self.paths: dict[str, m.Recorded] = {}
+
+    def of(self, job: JobFile, files: Files) -> None:
+        """Record the next run as a job says.
+
+        Raises:
+            ConfigError: It names what is neither one of its tasks nor a variable.
+        """
+        self._job, self._tasks, self._hidden = job, {}, []
+        tasks = {task.rmod for task in job.tasks}
+        variables = {variable.name for variable in files.table.variables}
+        default = DEFAULT
+        for line in job.record:
+            if not line.names:
+                default = line.mode
+            for name in line.names:
+                if name in tasks:
+                    self._tasks[name] = line.mode
+                elif name in variables and line.mode == "off":
+                    self._hidden.append(name)
+                else:
+                    known = tasks | variables
+                    raise ConfigError(
+                        f"RECORD {line.mode} names {name}",
+                        where=str(line.place or job.file),
+                        expected="a task of the job"
+                        if line.mode != "off"
+                        else "a task of the job, or a variable",
+                        got="a variable" if name in variables else "neither",
+                        remedy=did_you_mean(name, known) or "correct the name",
+                    )
+        self.mode = self._told or default
+        if self._told is not None:
+            self._tasks = {}
+
+    def begin(self, fleet: Fleet, files: Files, warned: Callable[[str], None]) -> None:
+        """Have the agents record from now on, unless they do already."""
+        if self.run:
+            return
+        job = self._job.name if self._job is not None else files.sbs.subsystem
+        self.named(job)
+        if self.mode == "off" and not set(self._tasks.values()) - {"off"}:
+            return
+        texts = self._texts(files)
+        alone = len(fleet.names) == 1
+
+        def request(rtpu: str) -> m.Record:
+            return m.Record(
+                run=self.run,
+                file="run" if alone else rtpu,
+                job=job,
+                mode=self.mode,
+                tasks=self._tasks,
+                hidden=self._hidden,
+                files=texts,
+            )
+
+        self.paths, errors = fleet.each(request, m.Recorded)
+        for error in errors:
+            warned(f"not recorded: {error}")
+
+    def named(self, job: str) -> str:
+        """Give the run that begins now a name, and return it."""
+        now = time.time()
+        stamp = time.strftime("%Y-%m-%dT%H-%M-%S", time.localtime(now))
+        self.run = f"{stamp}.{int(now * 1000) % 1000:03d}-{_ODD.sub('_', job)}"
+        return self.run
+
+    def end(self) -> None:
+        """The run has ended; the next task begins another."""
+        self.run = ""
+
+    def finish(self, fleet: Fleet) -> Log | None:
+        """Have the logs finished while tasks go on; return the run as recorded here.
+
+        Raises:
+            PbonetError: An agent did not answer, or a log cannot be read.
+        """
+        _, errors = fleet.each(lambda _: m.Record(mode="off"), m.Recorded)
+        rpc.raise_all("not every log was finished", errors)
+        return self.log()
+
+    def log(self) -> Log | None:
+        """Return what was recorded on this machine, once it is written whole.
+
+        Raises:
+            LogError: A log cannot be read.
+        """
+        deadline = time.monotonic() + FINISH_TIME
+        while not all(map(is_complete, self.here)) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        there = [path for path in self.here if path.exists()]
+        return Log(there[0].parent) if there else None
+
+    @property
+    def here(self) -> list[Path]:
+        """The logs that are on this machine."""
+        machine = rundir.machine()
+        found = [one for one in self.paths.values() if one.machine == machine]
+        return [Path(one.path) for one in found if one.path]
+
+    def _texts(self, files: Files) -> dict[str, str]:
+        """Return the configuration files, by name."""
+        found = {Path(files.table.file).name: files.table_text}
+        paths = [str(files.path)]
+        if self._job is not None:
+            paths.append(self._job.file)
+        for path in paths:
+            try:
+                found[Path(path).name] = load(path)
+            except PbonetError:
+                continue  # it was read when the subsystem was opened
+        return found

@@ -1,0 +1,188 @@
+"""The agent's recorders: one process for each subsystem that is to be recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from pbonet.errors import Severity
+
+from . import runtime, wire
+from .tasks import describe_end
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from typing import BinaryIO
+
+    Tell = Callable[[msgspec.Struct], None]
+
+END_TIME: Final = 10.0
+"""Seconds that a recorder may take to finish its log."""
+RESTARTS: Final = 5
+WINDOW: Final = 60.0
+"""A recorder that is lost more often than this many times in so many seconds is not
+started again."""
+
+
+class _Child:
+    """One recorder's process.
+
+    Args:
+        wanted: What it records.
+        tell: Takes what it says.
+    """
+
+    def __init__(self, wanted: wire.Recording, tell: Tell) -> None:
+        self.wanted = wanted
+        self._tell = tell
+        self._guard = threading.Lock()
+        self._ending = False
+        self._lost: list[float] = []
+        self._events, self._said = -1, -1
+        self._process = self._start()
+        self._thread = threading.Thread(
+            target=self._listen, name="pbonet recorder", daemon=True
+        )
+        self._thread.start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        """Start a process; what it is to do is in a file, its news go into a pipe."""
+        wanted = os.memfd_create("recording")
+        os.write(wanted, wire.encode(self.wanted))
+        events, self._events = os.pipe()
+        self._said, said = os.pipe()
+        try:
+            return subprocess.Popen(
+                [sys.executable, "-P", "-m", "pbonet.node.recorder", str(wanted)],
+                env=runtime.environment(),
+                stdin=events,
+                stdout=said,
+                pass_fds=[wanted],
+                start_new_session=True,
+            )
+        finally:
+            for fd in (wanted, events, said):
+                os.close(fd)
+            os.set_blocking(self._events, False)
+
+    def happened(self, data: bytes) -> None:
+        """Hand an event on; a recorder that takes none is started anew."""
+        frame = wire.frame(wire.Happened(data))
+        with self._guard:
+            if self._ending or self._events < 0:
+                return
+            try:
+                sent = os.write(self._events, frame)
+            except BlockingIOError:
+                sent = 0
+            except OSError:
+                return  # it has ended; `_listen` sees to that
+            if sent < len(frame):
+                self._process.kill()
+
+    def end(self) -> None:
+        """Have the log finished; `join` waits for that."""
+        with self._guard:
+            self._ending = True
+            self._close_events()
+
+    def _close_events(self) -> None:
+        if self._events >= 0:
+            os.close(self._events)
+            self._events = -1
+
+    def join(self) -> None:
+        """Wait for the end; a recorder that does not end is killed."""
+        try:
+            self._process.wait(END_TIME)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        again = True
+        while again:
+            with os.fdopen(self._said, "rb") as said:
+                self._hear(said)
+            again = self._again(self._process.wait())
+
+    def _hear(self, said: BinaryIO) -> None:
+        decoder = msgspec.msgpack.Decoder(wire.FromRecorder)
+        head = wire.LENGTH.size
+        while len(data := said.read(head)) == head:
+            (size,) = wire.LENGTH.unpack(data)
+            with contextlib.suppress(msgspec.MsgspecError):
+                self._tell(decoder.decode(said.read(size)))
+
+    def _again(self, code: int) -> bool:
+        """Start a recorder that was lost anew; return whether that was done."""
+        with self._guard:
+            if self._ending:
+                return False
+            self._close_events()
+        now = time.monotonic()
+        self._lost = [t for t in self._lost if now - t < WINDOW] + [now]
+        again = len(self._lost) <= RESTARTS
+        subsystem = self.wanted.subsystem
+        what = "another one goes on" if again else "nothing is recorded any more"
+        self._tell(
+            wire.Note(
+                int(Severity.ERROR),
+                "RECORDER_DIED",
+                f"the recorder of {subsystem} ended: {describe_end(code)}; {what}",
+            )
+        )
+        self._tell(wire.Recorder(subsystem=subsystem))
+        with self._guard:
+            if again and not self._ending:
+                self._process = self._start()
+                return True
+        return False
+
+
+class Recorders:
+    """Keeps a recorder for each subsystem that is to be recorded.
+
+    Args:
+        tell: Hands a message to the RTPU process.
+    """
+
+    def __init__(self, tell: Tell) -> None:
+        self._tell = tell
+        self._children: dict[str, _Child] = {}
+        self._ended: list[_Child] = []
+        self._guard = threading.Lock()
+
+    def update(self, wanted: Mapping[str, wire.Recording]) -> None:
+        """Start and end recorders, so that these are recorded and no others."""
+        with self._guard:
+            for subsystem, child in list(self._children.items()):
+                if wanted.get(subsystem) != child.wanted:
+                    del self._children[subsystem]
+                    child.end()
+                    self._ended.append(child)
+            for subsystem, one in wanted.items():
+                if subsystem not in self._children:
+                    self._children[subsystem] = _Child(one, self._tell)
+
+    def happened(self, data: bytes) -> None:
+        """Put a packed event on record."""
+        with self._guard:
+            children = list(self._children.values())
+        for child in children:
+            child.happened(data)
+
+    def stop(self) -> None:
+        """Finish every log."""
+        self.update({})
+        with self._guard:
+            ended, self._ended = self._ended, []
+        for child in ended:
+            child.join()

@@ -1,0 +1,83 @@
+"""What is to be recorded on an RTPU: its part of the request ``record``.
+
+The RTPU process only keeps what was asked for, so that it outlives an agent; the agent
+has it carried out by a recorder.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pbonet.errors import LogError
+from pbonet.xm import rundir
+from pbonet.xm.messages import Recorded
+
+from . import wire
+
+if TYPE_CHECKING:
+    from pbonet.xm.messages import Record
+
+    from .state import Rtpu
+
+MODES = ("off", "outputs", "all")
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,120}")
+
+
+def begin(rtpu: Rtpu, request: Record) -> Recorded:
+    """Keep what is to be recorded, and tell the agent.
+
+    Raises:
+        LogError: A name or a mode cannot be.
+    """
+    _check(request)
+    if request.mode == "off" and not set(request.tasks.values()) - {"off"}:
+        end(rtpu, request.subsystem)
+        return Recorded(path="", machine=rundir.machine())
+    folder = Path(rtpu.config.runs, request.run)
+    rtpu.recordings[request.subsystem] = wire.Recording(
+        domain=rtpu.config.domain,
+        rtpu=rtpu.name,
+        subsystem=request.subsystem,
+        core=rtpu.config.core,
+        folder=str(folder),
+        file=request.file,
+        run=request.run,
+        job=request.job,
+        mode=request.mode,
+        tasks=request.tasks,
+        hidden=request.hidden,
+        files=request.files,
+    )
+    rtpu.tell_claims()
+    path = str(folder / f"{request.file}.mcap")
+    return Recorded(path=path, machine=rundir.machine())
+
+
+def end(rtpu: Rtpu, subsystem: str) -> None:
+    """Have the recording of a subsystem finished."""
+    rtpu.recorders.pop(subsystem, None)
+    if rtpu.recordings.pop(subsystem, None) is not None:
+        rtpu.tell_claims()
+
+
+def _check(request: Record) -> None:
+    for mode in (request.mode, *request.tasks.values()):
+        if mode not in MODES:
+            raise LogError(
+                "this is no way to record",
+                expected=" or ".join(MODES),
+                got=mode[:40],
+                remedy="correct it",
+            )
+    if request.mode == "off" and not request.tasks:
+        return
+    for name in (request.run, request.file):
+        if not _NAME.fullmatch(name):
+            raise LogError(
+                "this is no name for a run or a log",
+                expected="at most 121 letters, digits, '_-+.', no '.' first",
+                got=repr(name[:60]),
+                remedy="choose another name",
+            )

@@ -1,0 +1,136 @@
+"""What a task read in each cycle, rebuilt from what all tasks committed.
+
+A cycle's record names the commits that it read by register and number. Where one of
+them is in nobody's record (initial values, what an operator set), the inputs stand in
+the record itself.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from pbonet.log.groups import unpack
+from pbonet.log.schema import CDR, HEAD_DTYPE
+from pbonet.svar.layout import group_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    from pbonet.log import Log, TaskAbout
+    from pbonet.log.reader import Life
+
+_KEY: Final = struct.Struct("<QQ")
+_KEY_AT: Final = len(CDR) + int(HEAD_DTYPE.fields["register"][1])  # type: ignore[index]
+Key = tuple[int, int]
+"""Register and number of a commit."""
+
+
+class Piece(NamedTuple):
+    """One variable of a commit, and where it goes."""
+
+    to: memoryview
+    at: int
+    size: int
+
+
+class Commits:
+    """Every commit of a run, by register and number.
+
+    Args:
+        log: The run.
+        machine: Only what was recorded there counts: tables of others have their own.
+    """
+
+    def __init__(self, log: Log, machine: str) -> None:
+        self._found: dict[Key, tuple[Life, bytes]] = {}
+        for task in log.tasks:
+            for life in log.lives(task):
+                if life.part.about is None or life.part.about.machine != machine:
+                    continue
+                for message in life.commits:
+                    key = _KEY.unpack_from(message, _KEY_AT)
+                    self._found[key] = (life, message)
+
+    def find(self, key: Key) -> tuple[Life, bytes] | None:
+        """Return whose commit it is, and its message; None when it is not recorded."""
+        return self._found.get(key)
+
+
+class Inputs:
+    """Brings in-vars into the arrays of a task, cycle by cycle.
+
+    Args:
+        about: The task.
+        array: Gives the array of a variable by its name.
+        commits: Of the whole run.
+    """
+
+    def __init__(
+        self,
+        about: TaskAbout,
+        array: Callable[[str], NDArray[Any]],
+        commits: Commits,
+    ) -> None:
+        self._about = about
+        self._array = array
+        self._commits = commits
+        self._read: dict[int, int] = {}
+        self._pieces: dict[int, list[Piece]] = {}
+        self._hidden: dict[int, str] = {}
+
+    def bring(self, consumed: bytes, stored: bytes) -> str:
+        """Bring in what one cycle read.
+
+        Args:
+            consumed: Pairs of register and number.
+            stored: The in-vars themselves, where the record has them.
+
+        Returns:
+            Why that cannot be done; empty when it was.
+        """
+        pairs = struct.unpack(f"<{len(consumed) // 8}Q", consumed)
+        if stored:
+            unpack(self._about.invar, stored, self._array)
+            self._read = dict(zip(pairs[::2], pairs[1::2], strict=True))
+            return ""
+        for register, number in zip(pairs[::2], pairs[1::2], strict=True):
+            if self._read.get(register) != number:
+                if why := self._apply(register, number):
+                    return why
+                self._read[register] = number
+        return ""
+
+    def _apply(self, register: int, number: int) -> str:
+        found = self._commits.find((register, number))
+        if found is None:
+            return f"commit {number} of register {register} is not on record"
+        life, message = found
+        key = id(life)
+        if key not in self._pieces:
+            self._learn(key, life)
+        if key in self._hidden:
+            return f"{self._hidden[key]} is not recorded"
+        group = life.schema.group(message)
+        for to, at, size in self._pieces[key]:
+            to[:] = group[at : at + size]
+        return ""
+
+    def _learn(self, key: int, life: Life) -> None:
+        """Find out which variables of a task are inputs here."""
+        outvar = life.about.outvar
+        ours = {variable.name for variable in self._about.invar}
+        group = group_of(outvar, range(len(outvar)))
+        self._pieces[key] = []
+        for variable, at in zip(outvar, group.at, strict=True):
+            if variable.name not in ours:
+                continue
+            if variable.name in life.about.hidden:
+                self._hidden[key] = variable.name
+            to = self._array(variable.name).view(np.uint8).data
+            self._pieces[key].append(Piece(to, at, len(to)))

@@ -1,0 +1,147 @@
+"""What came of running a task's code again on what was recorded."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from pbonet.log import Log, TaskAbout
+
+
+class Divergence(Struct, kw_only=True):
+    """The first place where the code gave something else than was recorded."""
+
+    cycle: int
+    """Of the task since it was spawned."""
+    where: str
+    """``cycle``, ``on``, ``off``, ``init`` or what else was run."""
+    variable: str = ""
+    element: int = 0
+    recorded: Any = None
+    computed: Any = None
+    reason: str = ""
+    """In words, where it is not about a value."""
+
+    def __str__(self) -> str:
+        """Return it in one sentence."""
+        place = f"cycle {self.cycle}"
+        if self.where != "cycle":
+            place = f"{self.where}, behind {place}"
+        if self.reason:
+            return f"{place}: {self.reason}"
+        return (
+            f"{place}: {self.variable}[{self.element}] is {self.computed!r}, "
+            f"recorded {self.recorded!r}"
+        )
+
+
+class Changed(Struct, kw_only=True):
+    """A file of the module's code that is another one now."""
+
+    path: str
+    recorded: str
+    """SHA-256 of the recorded file."""
+    now: str
+    """SHA-256 of the present one; empty when there is none."""
+    lines: list[int] = []
+    """Lines of the present file that are new or other."""
+
+    def __str__(self) -> str:
+        """Return it in one sentence."""
+        if not self.now:
+            return f"{self.path} is gone (recorded {self.recorded[:12]})"
+        lines = f", lines {ranges(self.lines)}" if self.lines else ""
+        return (
+            f"{self.path} has changed: {self.recorded[:12]} to {self.now[:12]}{lines}"
+        )
+
+
+class Verdict(Struct, kw_only=True):
+    """What came of one task."""
+
+    task: str
+    cycles: int = 0
+    """Cycles that gave the same."""
+    recorded: int = 0
+    """Cycles on record."""
+    divergence: Divergence | None = None
+    gaps: list[str] = []
+    """Why some cycles could not be run again."""
+    changed: list[Changed] = []
+    seconds: float = 0.0
+    """Of the run that were verified."""
+    took: float = 0.0
+    """Seconds that it took."""
+
+    @property
+    def good(self) -> bool:
+        """Whether every recorded cycle was run again and gave the same."""
+        return self.divergence is None and self.cycles == self.recorded
+
+    def __str__(self) -> str:
+        """Return it in a few lines."""
+        speed = f", {self.seconds / self.took:.0f} x real time" if self.took else ""
+        lines = [f"{self.task}: {self.cycles} cycles identical{speed}"]
+        if self.cycles != self.recorded:
+            lines[0] = (
+                f"{self.task}: {self.cycles} of {self.recorded} cycles identical{speed}"
+            )
+        if self.divergence is not None:
+            lines.append(f"  first divergence: {self.divergence}")
+        lines += [f"  not verifiable: {text}" for text in self.gaps]
+        lines += [f"  {one}" for one in self.changed]
+        return "\n".join(lines)
+
+
+def changed(log: Log, about: TaskAbout) -> list[Changed]:
+    """Return the files of a task's code that are other ones now."""
+    found: list[Changed] = []
+    for code in about.code:
+        try:
+            now = Path(code.path).read_bytes()
+        except OSError:
+            found.append(Changed(path=code.path, recorded=code.sha256, now=""))
+            continue
+        digest = hashlib.sha256(now).hexdigest()
+        if digest == code.sha256:
+            continue
+        before = log.attached.get(code.path)
+        known = before is not None and (
+            hashlib.sha256(before.data).hexdigest() == code.sha256
+        )
+        lines = _other_lines(before.data, now) if before is not None and known else []
+        found.append(
+            Changed(path=code.path, recorded=code.sha256, now=digest, lines=lines)
+        )
+    return found
+
+
+def _other_lines(before: bytes, now: bytes) -> list[int]:
+    """Return the numbers of lines of `now` that are not those of `before`."""
+    old = before.decode(errors="replace").splitlines()
+    new = now.decode(errors="replace").splitlines()
+    found: list[int] = []
+    for tag, _, _, first, last in difflib.SequenceMatcher(
+        None, old, new, autojunk=False
+    ).get_opcodes():
+        if tag != "equal":
+            found += range(first + 1, max(last, first + 1) + 1)
+    return sorted(set(found))
+
+
+def ranges(numbers: list[int]) -> str:
+    """Return numbers as ``3-5, 9``."""
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][-1] + 1:
+            parts[-1].append(number)
+        else:
+            parts.append([number])
+    return ", ".join(
+        str(part[0]) if len(part) == 1 else f"{part[0]}-{part[-1]}" for part in parts
+    )

@@ -1,0 +1,323 @@
+"""Runs of real tasks are recorded whole, and what is recorded is verified.
+
+The faults: recorder, agent and task are killed, the disk is full.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from nodekit import Master
+from watching import processes_of, wait_for
+
+from pbonet.errors import LogError, ModuleLoadError
+from pbonet.log import Log, is_complete
+from pbonet.testing import DivergedError, replay, verify
+from pbonet.xm import messages as m
+
+ADDS = '''
+from typing import Annotated as A
+
+from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
+
+
+class Gain(Params):
+    """How much is added."""
+
+    gain: A[float, param("1", "of the input")] = 1.0
+
+
+class Adds(PortBasedObject[Gain]):
+    """Adds its input up, with the time and its own age."""
+
+    n: A[int, InConst("N", "1", "size")]
+    z: A[Vector, InVar("Z", "n", "none", "input")]
+    y: A[Vector, OutVar("Y", "n", "none", "sum")]
+
+    def init(self) -> None:
+        self.age = 0.1
+
+    def on(self) -> None:
+        self.age += self.task.now * 1e-9
+
+    def cycle(self, dt: float) -> None:
+        self.age += dt / 3.0
+        self.y += self.params.gain * self.z * dt + self.age + self.task.now * 1e-12
+'''
+TEXT = """MODULE adds
+DESC adds
+SVARALIAS Z={z}
+SVARALIAS Y={y}
+INCONST N
+OUTCONST none
+INVAR Z
+OUTVAR Y
+TASKTYPE periodic
+FREQ 250
+LOCAL
+gain 0.75
+EOF
+"""
+
+
+def spawn(master, task, z, y):
+    return master.spawn(task, "adds", text=TEXT.format(z=z, y=y))
+
+
+def record(master, **more):
+    """Begin to record; return the path of the log once it is being written."""
+    got = master.ask(m.Record(**{"run": "r", "mode": "outputs", **more}), m.Recorded)
+    wait_for(lambda: master.rtpu_status().log, "the log")
+    return Path(got.path)
+
+
+def finish(master, path):
+    """Have the log finished, and return the run."""
+    last = Path(master.rtpu_status().log)
+    master.ask(m.Record(mode="off"), m.Recorded)
+    wait_for(lambda: is_complete(last), "the end of the log")
+    return Log(path.parent)
+
+
+def recorder(nodes):
+    """Return the recorder's process id, once there is one."""
+
+    def there():
+        found = processes_of("PBONET_RUN_DIR", str(nodes.folder))
+        return [pid for pid, command in found if "pbonet.node.recorder" in command]
+
+    return wait_for(there, "a recorder")[0]
+
+
+def cycles_of(*lives):
+    """Return the numbers of the cycles on record."""
+    found = []
+    for life in lives:
+        arrays = life.schema.arrays(life.commits)
+        found += arrays["cycle"][arrays["kind"] == 0].tolist()
+    return found
+
+
+def without_a_hole(cycles):
+    return len(cycles) > 0 and cycles == list(range(cycles[0], cycles[-1] + 1))
+
+
+@pytest.fixture
+def line(nodes):
+    """Two tasks in a line, X to a to Y0 to b to Y1, by an agent of its own process."""
+    nodes.write_module("adds", ADDS)
+    nodes.agent_process("arm0")
+    return nodes.master("arm0", "arm")
+
+
+def begin(master, **more):
+    path = record(master, **more)
+    spawn(master, "a", "X", "Y0")
+    spawn(master, "b", "Y0", "Y1")
+    master.on("a")
+    master.on("b")
+    return path
+
+
+def end(master, path):
+    for task in ("b", "a"):
+        master.off(task)
+        master.kill(task)
+    return finish(master, path)
+
+
+def exercise(line):
+    """Do all that the verification must follow."""
+    line.wait_cycles("b", 20)
+    line.ask(m.Write(name="X", values=[0.25, -3.0]), m.VarValue)
+    line.wait_cycles("b", 20)
+    line.ask(m.Set(task="a", name="gain", value="2.5"))
+    line.ask(m.Freq(task="b", hz=125.0))
+    line.wait_cycles("b", 20)
+    line.off("a")
+    line.wait_cycles("b", 5)
+    line.control("a", "reinit")
+    line.on("a", arg="again")
+    line.wait_cycles("b", 20)
+
+
+def test_a_run_is_recorded_whole_and_gives_the_same_again(line, nodes):
+    path = begin(line, files={"arm.sbs": "SUBSYSTEM arm"}, job="adding")
+    exercise(line)
+    last = line.status("b").cycle
+    log = end(line, path)
+    assert log.about["job"] == "adding"
+    assert log.attached["arm.sbs"].data == b"SUBSYSTEM arm"
+    assert log.attached["a.rmod"].data.decode() == TEXT.format(z="X", y="Y0")
+    assert log.lost() == {}
+    for task in ("a", "b"):
+        assert without_a_hole(cycles_of(*log.lives(task)))
+    assert cycles_of(*log.lives("b"))[-1] >= last
+    codes = [event["code"] for event in log.events()]
+    assert codes.count("SPAWNED") == 2
+    assert [one for one in log.messages("json") if one.topic == "arm/status/arm0"]
+    verdicts = verify(log)
+    assert all(one.good for one in verdicts), "\n".join(map(str, verdicts))
+
+    # The module changes: its lines are named, and the first other value.
+    nodes.write_module("adds", ADDS.replace("dt / 3.0", "dt / 3.5"))
+    with pytest.raises(DivergedError) as caught:
+        replay(path, "b")
+    text = str(caught.value)
+    assert f"b: 0 of {len(log.arrays('b')['cycle'])} cycles identical" in text
+    assert "first divergence: cycle 1: Y1[0] is " in text
+    assert "adds.py has changed: " in text
+    number = ADDS.splitlines().index("        self.age += dt / 3.0") + 1
+    assert text.endswith(f", lines {number}")
+    assert replay(path, "b", rtol=1.0).good
+    (nodes.library / "adds.py").unlink()
+    with pytest.raises(ModuleLoadError):
+        replay(path, "b")
+
+
+def test_the_library_of_mcap_reads_every_channel(line):
+    path = begin(line)
+    line.wait_cycles("b", 40)
+    log = end(line, path)
+    rows, count = [], 0
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {one.topic for one in summary.channels.values()} == {
+            *("arm/a", "arm/b", "arm/a/steps", "arm/b/steps"),
+            *("arm/events", "arm/status/arm0"),
+        }
+        for schema, channel, message in reader.iter_messages():
+            count += 1
+            if channel.topic == "arm/b":
+                assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+                assert "float64[2] y1  # Y1 [none]" in schema.data.decode()
+                rows.append(np.frombuffer(message.data, np.float64, 2, 84))
+        assert summary.statistics.message_count == count
+        assert {one.name for one in reader.iter_attachments()} == set(log.attached)
+    life = log.lives("b")[0]
+    assert np.array_equal(rows, life.schema.arrays(life.commits)["Y1"])
+
+
+def test_modes_by_task_and_hidden_variables(line):
+    path = begin(line, mode="all", tasks={"a": "off"})
+    line.wait_cycles("b", 20)
+    log = end(line, path)
+    assert log.tasks == ["b"]
+    assert replay(path, "b").good, "what others do not record is in its own records"
+
+    path = begin(line, run="hidden", hidden=["Y0"])
+    line.wait_cycles("b", 20)
+    log = end(line, path)
+    assert log.variables("a") == []
+    assert log.variables("b") == ["Y1"]
+    b = verify(log, ["b"])[0]
+    assert not b.good
+    assert b.divergence is None
+    assert b.gaps[0].endswith("Y0 is not recorded")
+
+
+def test_what_cannot_be_recorded_is_refused(line):
+    for more in ({"run": "../up"}, {"run": "a", "file": ""}, {"mode": "some"}):
+        error = line.refused(LogError, line.ask, m.Record(**more))
+        assert "this is no" in str(error)
+    assert line.ask(m.Record(mode="off"), m.Recorded).path == ""
+
+
+def test_a_killed_recorder_is_felt_by_nobody(line, nodes):
+    path = begin(line)
+    before = line.wait_cycles("b", 50)
+    os.kill(recorder(nodes), signal.SIGKILL)
+    line.wait_event("RECORDER_DIED")
+    wait_for(lambda: line.rtpu_status().log.endswith("run-2.mcap"), "another log")
+    after = line.wait_cycles("b", 50)
+    assert after.tid == before.tid
+    log = end(line, path)
+    first, second = (Log(path.with_name(name)) for name in ("run.mcap", "run-2.mcap"))
+    assert [one.parts[0].complete for one in (first, second)] == [False, True]
+    assert without_a_hole(cycles_of(*first.lives("b")))
+    cycles = cycles_of(*second.lives("b"))
+    assert without_a_hole(cycles)
+    assert cycles[-1] >= after.cycle
+    assert len(log.lives("b")) == 2
+    assert "begins amid the task's life" in str(verify(log, ["b"])[0])
+
+
+def test_a_killed_agent_ends_the_log_and_the_next_begins_another(line, nodes):
+    path = begin(line)
+    line.wait_cycles("b", 50)
+    old = recorder(nodes)
+    nodes.processes["arm0"].kill()
+    nodes.processes["arm0"].wait()
+    nodes.forget_session()
+    wait_for(lambda: is_complete(path), "the end of the first log")
+    nodes.agent_process("arm0")
+    master = Master(nodes, "arm0", "arm")
+    wait_for(lambda: master.rtpu_status().log.endswith("run-2.mcap"), "another log")
+    assert recorder(nodes) != old
+    master.wait_cycles("b", 50)
+    log = end(master, path)
+    assert [part.complete for part in log.parts] == [True, True]
+    lives = [Log(path).lives("b")[0], Log(path.with_name("run-2.mcap")).lives("b")[0]]
+    assert without_a_hole(cycles_of(*lives)), "the ring has kept what came between"
+
+
+def test_a_killed_task_leaves_its_cycles(line):
+    path = begin(line)
+    status = line.wait_cycles("b", 50)
+    os.kill(status.tid, signal.SIGKILL)
+    line.wait_event("TASK_DIED", "b")
+    line.kill("b")
+    spawn(line, "b", "Y0", "Y1")
+    line.on("b")
+    line.wait_cycles("b", 50)
+    log = end(line, path)
+    first, second = log.lives("b")
+    assert len(first.commits) >= status.cycle
+    assert len(second.commits) > 50
+    assert verify(log, ["b"])[0].good
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A file system of 300 KiB."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=300k", "none", str(folder)]
+    if os.geteuid() or subprocess.run(command, check=False).returncode:
+        pytest.skip("mounting is not allowed here")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk_is_told_and_felt_by_nobody(small, nodes):
+    nodes.write_module("adds", ADDS)
+    nodes.agent_process("arm0", runs=str(small))
+    line = nodes.master("arm0", "arm")
+    path = begin(line, mode="all")
+    before = line.wait_cycles("b", 20)
+    fill = small / "fill"
+    with contextlib.suppress(OSError), fill.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+    line.wait_event("LOG_FULL")
+    wait_for(lambda: line.rtpu_status().unlogged > 0, "lost records")
+    line.wait_cycles("b", 50)
+    fill.unlink()
+    line.wait_event("LOG_AGAIN")
+    line.wait_cycles("b", 50)
+    assert line.status("b").tid == before.tid
+    log = end(line, path)
+    first = Log(path).parts[0]
+    assert not first.complete
+    assert first.damaged == 0
+    assert first.count > 0
+    assert sum(part.complete for part in log.parts) == 1

@@ -1,0 +1,325 @@
+"""Logs on disk: what is written is read, whatever is cut off, merged or of others."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from pbonet.config.model import Variable
+from pbonet.errors import LogError, UnknownTaskError
+from pbonet.log import (
+    Attached,
+    Log,
+    LogWriter,
+    RunAbout,
+    Step,
+    TaskAbout,
+    files_of,
+    is_complete,
+    last_run,
+    text,
+)
+from pbonet.log.rewrite import merge, recover
+from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.svar.layout import group_of
+
+VARIABLES = [
+    Variable(name="FLAG", type="bool", nelem=3, desc="truths"),
+    Variable(name="Q^", type="double", nelem=2, units="rad/s", desc="speed"),
+    Variable(name="COUNT", type="short"),
+    Variable(name="RAW", type="struct[5]"),
+    Variable(name="W", type="float", nelem=3, units="N"),
+]
+PLAIN = [Variable(name="Y", type="double", nelem=6, units="m", desc="place")]
+
+
+def about(task="pid", outvar=VARIABLES, **more) -> TaskAbout:
+    named = {"domain": "d", "rtpu": "arm0", "subsystem": "arm", "module": "m"}
+    return TaskAbout(
+        **(named | {"pid": 1, "freq": 100.0, "rmod": "", "rmod_name": "pid.rmod"}),
+        task=task,
+        outvar=list(outvar),
+        **more,
+    )
+
+
+def run(name="r1", **more) -> RunAbout:
+    return RunAbout(run=name, job="j", subsystem="arm", domain="d", rtpu="arm0", **more)
+
+
+def record(data=b"", pairs=(), inputs=b"", **head) -> bytes:
+    """Return a record as a ring has it."""
+    row = np.zeros(1, HEAD_DTYPE)
+    for name, value in head.items():
+        row[name] = value
+    body = row.tobytes() + data + np.array(pairs, np.uint64).tobytes() + inputs
+    size = RECORD.size + len(body)
+    parts = RECORD.pack(size, len(pairs) // 2, len(data), len(inputs))
+    return parts + body
+
+
+def group(variables, pick) -> tuple[bytes, dict[str, np.ndarray]]:
+    """Return random values, and the group that they make in a table."""
+    layout = group_of(variables, range(len(variables)))
+    data, values = bytearray(layout.bytes), {}
+    for variable, at in zip(variables, layout.at, strict=True):
+        dtype = np.dtype(variable.dtype)
+        raw = pick.randbytes(dtype.itemsize * variable.nelem)
+        raw = bytes(b & 1 for b in raw) if dtype.kind == "b" else raw
+        data[at : at + len(raw)] = raw
+        values[variable.name] = np.frombuffer(raw, dtype)
+    return bytes(data), values
+
+
+def cycles(count, variables=PLAIN, seed=1, since=0) -> bytes:
+    pick, parts = random.Random(seed), []
+    for n in range(since, since + count):
+        data, _ = group(variables, pick)
+        at = 10_000 * n
+        parts.append(record(data, cycle=n + 1, release_ns=at, start_ns=at, end_ns=at))
+    return b"".join(parts)
+
+
+def written(path, tasks=("pid",), count=500, name="r1", flush=None, **more) -> Path:
+    """Write a log with so many cycles of each task."""
+    writer = LogWriter(path, run(name, **more), [Attached("a.sbs", b"SUBSYSTEM a")])
+    for seed, task in enumerate(tasks):
+        number = writer.add_task(about(task, PLAIN))
+        for first in range(0, count, 100):
+            writer.add(number, cycles(min(100, count - first), seed=seed, since=first))
+            if flush:
+                writer.flush()
+    writer.add_event({"time": 5, "severity": 30, "code": "WARNING", "text": "odd"})
+    writer.close()
+    return path
+
+
+def test_values_of_every_type_come_back(tmp_path) -> None:
+    pick = random.Random(7)
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    number = writer.add_task(about())
+    rows = []
+    for n in range(50):
+        data, values = group(VARIABLES, pick)
+        rows.append(values)
+        head = {"cycle": n + 1, "release_ns": n, "cpu_ns": 3 * n, "flags": n % 3}
+        pairs, inputs = (7, n, 8, n) if n % 2 else (), b"in" * (n % 5)
+        assert writer.add(number, record(data, pairs, inputs, **head)) == 1
+    step = record(b'{"what":"on"}', kind=Step.DID, release_ns=9)
+    assert writer.add(number, step + record(b"abc", kind=Step.ON_IN)) == 2
+    writer.close()
+    log = Log(tmp_path)
+    arrays = log.arrays("pid")
+    for name in ("FLAG", "Q^", "COUNT", "RAW", "W"):
+        wanted = np.array([row[name] for row in rows])
+        assert arrays[name].dtype == wanted.dtype
+        assert arrays[name].tobytes() == wanted.tobytes()
+    assert arrays["cpu_ns"].tolist() == [3 * n for n in range(50)]
+    (life,) = log.lives("pid")
+    assert len(life.records) == 52
+    assert [life.schema.group(one) for one in life.commits] == [
+        b"".join(
+            row[v.name].tobytes() + bytes(-row[v.name].nbytes % 8) for v in VARIABLES
+        )
+        for row in rows
+    ]
+    assert life.schema.rest(life.commits[3]) == (
+        np.array([7, 3, 8, 3], np.uint64).tobytes(),
+        b"ininin",
+    )
+
+
+def test_channels_say_units_and_descriptions(tmp_path) -> None:
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    writer.add(writer.add_task(about()), record(group(VARIABLES, random.Random(1))[0]))
+    writer.close()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    channel = next(c for c in summary.channels.values() if c.topic == "arm/pid")
+    assert json.loads(channel.metadata["fields"])["q_x5e"] == {
+        "variable": "Q^",
+        "units": "rad/s",
+        "description": "speed",
+        "type": "double",
+    }
+    schema = summary.schemas[channel.schema_id].data.decode()
+    lines = [line.split("  #")[0] for line in schema.splitlines()]
+    assert lines[11:] == [
+        *("bool[3] flag", "float64[2] q_x5e", "int16 count", "uint8[5] raw"),
+        *("float32[3] w", "uint8[] consumed", "uint8[] inputs"),
+    ]
+
+
+def test_a_log_cut_anywhere_opens_up_to_its_last_whole_chunk(tmp_path) -> None:
+    whole = written(tmp_path / "run.mcap", count=3000, flush=True)
+    data = whole.read_bytes()
+    full = Log(whole).parts[0]
+    ends = [one.at + one.size for one in full.content.records if one.opcode == 6]
+    first = ends[0] - full.content.records[2].size
+    pick, cut = random.Random(200), tmp_path / "cut.mcap"
+    counts = set()
+    for _ in range(200):
+        at = pick.randrange(first, len(data))
+        cut.write_bytes(data[:at])
+        log = Log(cut)
+        (part,) = log.parts
+        assert not part.complete
+        assert part.damaged == 0
+        chunks = sum(end <= at for end in ends)
+        assert part.chunks == chunks
+        if chunks:
+            kept = log.arrays("pid")
+            expected = min(3000, 100 * chunks)
+            assert kept["cycle"].tolist() == list(range(1, expected + 1))
+        counts.add(chunks)
+    assert len(counts) > 20, "the places were all alike"
+
+
+def test_what_was_cut_is_recovered_for_everybody(tmp_path) -> None:
+    whole = written(tmp_path / "run.mcap", count=2000, flush=True)
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    assert not is_complete(cut)
+    count = recover(cut, out)
+    assert is_complete(out)
+    before, after = Log(cut), Log(out)
+    assert count == before.parts[0].count > 0
+    assert after.about == before.about
+    assert after.attached == before.attached
+    assert np.array_equal(after.arrays("pid")["Y"], before.arrays("pid")["Y"])
+    with out.open("rb") as file:
+        assert sum(1 for _ in make_reader(file).iter_messages()) == count
+    with pytest.raises(LogError, match="the log cannot be written") as caught:
+        recover(cut, out)
+    assert caught.value.got == "File exists"
+
+
+def test_a_damaged_chunk_is_left_out_and_counted(tmp_path) -> None:
+    path = written(tmp_path / "run.mcap", count=500, flush=True)
+    chunk = [one for one in Log(path).parts[0].content.records if one.opcode == 6][2]
+    data = bytearray(path.read_bytes())
+    data[chunk.at + chunk.size - 9] ^= 0xFF
+    path.write_bytes(data)
+    log = Log(path)
+    assert log.parts[0].damaged == 1
+    numbers = log.arrays("pid")["cycle"].tolist()
+    assert numbers == [*range(1, 201), *range(301, 501)]
+    assert text.info(log)["files"][0]["damaged"] == 1
+
+
+def test_logs_of_one_run_are_read_as_one_and_merged_by_time(tmp_path) -> None:
+    (tmp_path / "r").mkdir()
+    written(tmp_path / "r" / "a0.mcap", ["a"])
+    written(tmp_path / "r" / "a1.mcap", ["b", "c"])
+    both = Log(tmp_path / "r")
+    assert both.tasks == ["a", "b", "c"]
+    count = merge([tmp_path / "r"], tmp_path / "one.mcap")
+    one = Log(tmp_path / "one.mcap")
+    assert count == one.parts[0].count == 3 * 500 + 2
+    assert len(one.events()) == 2
+    for task in both.tasks:
+        assert np.array_equal(one.arrays(task)["Y"], both.arrays(task)["Y"])
+    with (tmp_path / "one.mcap").open("rb") as file:
+        times = [m.log_time for _, _, m in make_reader(file).iter_messages()]
+    assert times == sorted(times)
+
+
+def test_two_runs_in_one_folder_are_told(tmp_path) -> None:
+    written(tmp_path / "run.mcap", name="monday")
+    written(tmp_path / "run-2.mcap", name="tuesday")
+    with pytest.raises(LogError, match="several runs") as caught:
+        Log(tmp_path)
+    assert caught.value.got == "monday, tuesday"
+    assert Log(tmp_path / "run-2.mcap").about["run"] == "tuesday"
+
+
+def test_a_newer_log_says_which_pbonet_is_needed(tmp_path) -> None:
+    path = written(tmp_path / "run.mcap", format=2, pbonet="9.1")
+    with pytest.raises(LogError, match="written by a newer pbonet") as caught:
+        Log(path)
+    assert caught.value.got == "format 2, pbonet 9.1"
+    with path.open("rb") as file:
+        assert make_reader(file).get_summary() is not None
+
+
+def test_what_is_no_log(tmp_path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"something else")
+    (tmp_path / "b.mcap").touch()
+    for path, got in (
+        (tmp_path / "a.mcap", "14 bytes of something else"),
+        (tmp_path / "b.mcap", "an empty file"),
+        (tmp_path / "none.mcap", "No such file or directory"),
+    ):
+        with pytest.raises(LogError) as caught:
+            Log(path)
+        assert caught.value.got == got
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match="the folder has no log"):
+        files_of(tmp_path / "empty")
+    with pytest.raises(LogError, match="no run was recorded here"):
+        last_run(tmp_path / "empty")
+
+
+def test_a_task_that_is_not_there_offers_the_nearest(tmp_path) -> None:
+    log = Log(written(tmp_path / "run.mcap"))
+    with pytest.raises(UnknownTaskError, match="the log has no task pit") as caught:
+        log.arrays("pit")
+    assert caught.value.remedy == "did you mean pid?"
+
+
+def test_what_fits_no_ring_is_counted(tmp_path) -> None:
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    number = writer.add_task(about("pid", PLAIN))
+    writer.add(number, record(bytes(48), cycle=1) + record(bytes(48), cycle=9, lost=7))
+    writer.close()
+    assert Log(tmp_path).lost() == {"pid": 7}
+
+
+def test_a_hidden_variable_is_not_in_the_file(tmp_path) -> None:
+    secret = bytes(range(200, 216))
+    variables = [Variable(name="A", type="double", nelem=2), *PLAIN]
+    writer = LogWriter(tmp_path / "run.mcap", run())
+    number = writer.add_task(about("pid", variables, hidden=["A"]))
+    writer.add(number, record(secret + np.arange(6.0).tobytes(), cycle=1))
+    writer.close()
+    log = Log(tmp_path)
+    assert log.variables("pid") == ["Y"]
+    assert log.arrays("pid")["Y"].tolist() == [[0, 1, 2, 3, 4, 5]]
+    assert secret not in log.lives("pid")[0].commits[0]
+
+
+def test_values_go_out_as_csv_and_arrays(tmp_path) -> None:
+    log = Log(written(tmp_path / "run.mcap", count=20))
+    table = text.columns(log, "pid", ["Y", "cpu_ns"])
+    out = io.StringIO()
+    text.write_csv(table, out)
+    rows = list(csv.reader(io.StringIO(out.getvalue())))
+    assert rows[0] == ["time", "cycle", *(f"Y[{i}]" for i in range(6)), "cpu_ns"]
+    back = np.array([row[2:8] for row in rows[1:]], float)
+    assert np.array_equal(back, log.arrays("pid")["Y"], equal_nan=True)
+    text.write_npz(table, tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz") as archive:
+        assert archive["cycle"].tolist() == list(range(1, 21))
+    with pytest.raises(LogError, match="pid has no Z on record"):
+        text.columns(log, "pid", ["Z"])
+
+
+def test_runs_are_compared_by_variable(tmp_path) -> None:
+    one = Log(written(tmp_path / "a.mcap", count=30))
+    same = Log(written(tmp_path / "b.mcap", count=30, name="r2"))
+    assert [row["first"] for row in text.diff(one, same)] == [None]
+    writer = LogWriter(tmp_path / "c.mcap", run("r3"))
+    number = writer.add_task(about("pid", PLAIN))
+    writer.add(number, cycles(12, seed=0) + cycles(18, seed=5, since=12))
+    writer.close()
+    (row,) = text.diff(one, Log(tmp_path / "c.mcap"))
+    assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 12)
+    assert "12" in text.diff_text([row])

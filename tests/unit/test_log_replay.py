@@ -1,0 +1,431 @@
+"""A task's code is run again on what its journal and its cycles left.
+
+The table, the local table, the ring, the executor and the recorder are those of a task;
+only the native loop around the cycles is done here in Python.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pbonet.config import parse_rmod
+from pbonet.config.library import Library
+from pbonet.config.model import Limit, Variable
+from pbonet.errors import LogError, UnknownTaskError
+from pbonet.log import Did, Log, LogWriter, RunAbout
+from pbonet.log.groups import pack
+from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.node import journal, wire
+from pbonet.node._ring import Ring
+from pbonet.node.executor import Executor
+from pbonet.node.taskparams import set_param
+from pbonet.node.taskports import local_table
+from pbonet.pbo import Counted, TaskContext, bind, decode_params
+from pbonet.svar import Table
+from pbonet.testing import DivergedError, replay, verify
+
+CODE = '''
+from typing import Annotated as A
+
+from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
+
+
+class Gain(Params):
+    """How much is added."""
+
+    gain: A[float, param("1", "of the input")] = 1.0
+
+
+class Adds(PortBasedObject[Gain]):
+    """Adds its input up, with the time and its own age."""
+
+    n: A[int, InConst("N", "1", "size")]
+    z: A[Vector, InVar("Z", "n", "none", "input")]
+    y: A[Vector, OutVar("Y", "n", "none", "sum")]
+
+    def init(self) -> None:
+        self.age = 0.1
+
+    def on(self) -> None:
+        self.age += self.task.now * 1e-9
+
+    def cycle(self, dt: float) -> None:
+        self.age += dt / 3.0
+        self.y += self.params.gain * self.z * dt + self.age + self.task.now * 1e-12
+
+    def off(self) -> None:
+        self.y[0] = self.task.cyclecount
+'''
+RMOD = (
+    "MODULE adds\nDESC d\nSVARALIAS Z={z}\nSVARALIAS Y={y}\nINCONST N\nOUTCONST none\n"
+    "INVAR Z\nOUTVAR Y\nTASKTYPE periodic\nFREQ 100\nLOCAL\ngain 0.75\nEOF\n"
+)
+VARIABLES = (
+    Variable(name="N", type="int", init=(2,)),
+    Variable(name="X", type="double", nelem=2, init=(1.0, 2.0)),
+    Variable(name="Y0", type="double", nelem=2),
+    Variable(
+        name="Y1", type="double", nelem=2, limit=Limit.CLIP, min=(0, 0), max=(9, 9)
+    ),
+)
+PERIOD = 10_000_000
+
+
+class Time:
+    """Stands for the slot's time; every look at it is another instant."""
+
+    def __init__(self):
+        self.now, self.cycles, self.clock = 0, 0, 1_000_000_000
+
+    def tick(self):
+        self.clock += 12_345
+        self.now = self.clock
+        return self.now
+
+    @contextlib.contextmanager
+    def held(self):
+        yield self.tick()
+
+
+class Task:
+    """A task whose cycles are done here, and recorded as the native loop does it."""
+
+    def __init__(self, table, library, task, z, y):
+        self.task, self.time = task, Time()
+        rmod = parse_rmod(RMOD.format(z=z, y=y), f"{task}.rmod")
+        loaded = library.load_rmod(rmod)
+        self.info, self.local = loaded.info, local_table(table, task, rmod)
+        spec = wire.TaskSpec(
+            domain="d",
+            rtpu="arm0",
+            subsystem="arm",
+            task=task,
+            core=0,
+            slot=0,
+            table="t",
+            layout="",
+            rmod=RMOD.format(z=z, y=y),
+            rmod_name=f"{task}.rmod",
+            freq=100.0,
+            ring=f"d.arm.{task}",
+            libraries=tuple(map(str, library.folders)),
+            forker=1,
+        )
+        self.about = journal.about(spec, rmod, self.info, library, table)
+        self.ring = Ring.create(spec.ring)
+        self.journal = journal.Journal(self.local, self.ring, self.about, self.time)
+        self.source = Counted(lambda: self.time.now)
+        context = TaskContext(task, freq=100.0, source=self.source)
+        arrays = {
+            port.attr: self.local.array(rmod.svar_name(port.name))
+            for port in self.info.ports
+        }
+        params = decode_params(loaded.cls, rmod.settings, where="")
+        instance = bind(loaded.cls, params, arrays, context)
+        self.executor = Executor(instance, self.journal)
+        self.records, self.seen = [], ()
+        self.do(Did("spawn"), self.executor.spawn)
+
+    def do(self, did, call, *args):
+        with self.journal.doing(did):
+            call(*args)
+        self.records.append(self.ring.take())
+
+    def signal(self, name):
+        if name == "on":
+            self.seen = ()
+        self.do(Did(name), self.executor.signal, name)
+
+    def set(self, value):
+        did = Did("set", name="gain", arg=value)
+        self.do(did, set_param, self.executor, self.info, "gain", value)
+
+    def cycle(self, *, lost=0):
+        self.time.clock += PERIOD
+        release = self.time.clock
+        self.local.copy_in()
+        pairs = self.local.consumed
+        # Register 0 is the keeper's: what it holds is on nobody's record.
+        keeps = tuple(pair for pair in pairs if pair[0] == 0) or ("new",)
+        inputs = b""
+        if keeps != self.seen:
+            inputs, self.seen = pack(self.about.invar, self.local.array), keeps
+        self.source.release = release
+        self.executor.instance.cycle(PERIOD * 1e-9)
+        self.source.release = None
+        self.source.cyclecount += 1
+        self.local.commit(release, 1)
+        self.time.cycles += 1
+        head = np.zeros(1, HEAD_DTYPE)
+        head["cycle"], head["dt_ns"], head["lost"] = self.time.cycles, PERIOD, lost
+        for name in ("release_ns", "start_ns", "end_ns"):
+            head[name] = release
+        head["register"], head["number"] = self.local.out_uid, self.local.out_number
+        data = pack(self.about.outvar, self.local.array)
+        body = head.tobytes() + data + np.array(pairs, np.uint64).tobytes() + inputs
+        sizes = (RECORD.size + len(body), len(pairs), len(data), len(inputs))
+        self.records.append(RECORD.pack(*sizes) + body)
+
+
+class Shop:
+    """Two tasks in a line, X to a to Y0 to b to Y1, and their log."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.code = folder / "adds.py"
+        self.code.write_text(CODE)
+        self.table = Table.create("t", VARIABLES)
+        library = Library([folder])
+        self.a = Task(self.table, library, "a", "X", "Y0")
+        self.b = Task(self.table, library, "b", "Y0", "Y1")
+        self.on()
+
+    def on(self):
+        self.a.signal("on")
+        self.b.signal("on")
+
+    def cycles(self, count):
+        for _ in range(count):
+            self.a.cycle()
+            self.b.cycle()
+
+    def log(self, *, hidden=(), without=""):
+        """Write what there is; return the log."""
+        about = RunAbout(run="r", job="j", subsystem="arm", domain="d", rtpu="arm0")
+        path = self.folder / "run.mcap"
+        writer = LogWriter(path, about)
+        for task in (self.a, self.b):
+            task.about.hidden = list(hidden) if task is self.a else []
+            if task.task != without:
+                writer.add(writer.add_task(task.about), b"".join(task.records))
+        from pbonet.log import Attached
+
+        writer.attach(Attached(str(self.code), self.code.read_bytes()))
+        writer.close()
+        return path
+
+    def close(self):
+        for task in (self.a, self.b):
+            task.local.close()
+            task.ring.destroy()
+        self.table.destroy()
+
+
+@pytest.fixture
+def shop(tmp_path):
+    shop = Shop(tmp_path)
+    yield shop
+    shop.close()
+
+
+def test_all_that_tasks_do_gives_the_same_again(shop) -> None:
+    shop.cycles(5)
+    shop.table.write("X", [0.25, -3.0])
+    shop.cycles(5)
+    shop.a.set("2.5")
+    shop.cycles(5)
+    shop.a.signal("off")
+    shop.b.cycle()
+    shop.a.signal("reinit")
+    shop.a.signal("on")
+    shop.cycles(5)
+    for task in (shop.b, shop.a):
+        task.signal("off")
+        task.signal("kill")
+    path = shop.log()
+    verdicts = {one.task: one for one in verify(path)}
+    assert str(verdicts["a"]).startswith("a: 20 cycles identical")
+    assert str(verdicts["b"]).startswith("b: 21 cycles identical")
+    assert all(one.good and not one.changed for one in verdicts.values())
+    assert verdicts["a"].seconds == pytest.approx(0.2)
+    assert replay(path, "b").cycles == 21
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("dt / 3.0", "dt / 3.5", "cycle 1: Y0[0] is "),
+        ("= 0.1", "= 0.2", "cycle 1: Y0[0] is "),
+        ("self.y[0] = self.task.cyclecount", "pass", "off, behind cycle 4: Y0[0] is "),
+        (
+            "self.y += self",
+            "raise OSError\n        self",
+            "it raised OSError",
+        ),
+    ],
+)
+def test_the_first_divergence_is_named(shop, old, new, where) -> None:
+    shop.cycles(4)
+    shop.a.signal("off")
+    path = shop.log()
+    shop.code.write_text(CODE.replace(old, new))
+    with pytest.raises(DivergedError) as caught:
+        replay(path, "a")
+    assert where in str(caught.value)
+    number = next(i for i, line in enumerate(CODE.splitlines(), 1) if old in line)
+    assert f"adds.py has changed: {shop.a.about.code[0].sha256[:12]} to " in str(
+        caught.value
+    )
+    assert f", lines {number}" in str(caught.value)
+
+
+def test_one_other_bit_is_a_divergence_unless_told(shop) -> None:
+    shop.cycles(3)
+    path = shop.log()
+    shop.code.write_text(CODE.replace("dt / 3.0", "dt / 3.0000000000001"))
+    (one,) = verify(path, ["a"])
+    assert one.divergence is not None
+    assert one.divergence.variable == "Y0"
+    assert one.divergence.recorded != one.divergence.computed
+    assert verify(path, ["a"], rtol=1e-9)[0].good
+
+
+def test_lost_records_end_what_can_be_verified(shop) -> None:
+    shop.cycles(3)
+    shop.a.cycle(lost=2)
+    path = shop.log()
+    (one,) = verify(path, ["a"])
+    assert (one.cycles, one.recorded, one.divergence) == (3, 4, None)
+    assert one.gaps == ["2 records were lost behind cycle 3"]
+    with pytest.raises(DivergedError, match="3 of 4 cycles identical"):
+        replay(path, "a")
+
+
+def test_inputs_of_a_task_that_is_not_on_record(shop) -> None:
+    shop.cycles(3)
+    (one,) = verify(shop.log(without="a"), ["b"])
+    assert one.divergence is None
+    assert "is not on record" in one.gaps[0]
+
+
+def test_inputs_that_are_hidden(shop) -> None:
+    shop.cycles(3)
+    a, b = verify(shop.log(hidden=["Y0"]))
+    assert a.good, "what is not recorded is not compared"
+    assert b.gaps[0].endswith("Y0 is not recorded")
+
+
+def test_a_cycle_that_failed_ends_it(shop) -> None:
+    shop.cycles(3)
+    shop.a.do(Did("fault", name="cycle", arg="it hurts"), lambda: None)
+    (one,) = verify(shop.log(), ["a"])
+    assert one.gaps == ["cycle behind cycle 3: it hurts"]
+    assert one.good, "the failed one is no recorded cycle"
+
+
+def test_a_log_without_the_task_or_its_cycles(shop) -> None:
+    path = shop.log()
+    with pytest.raises(UnknownTaskError):
+        replay(path, "c")
+    with pytest.raises(LogError, match="the log has no cycle of a"):
+        replay(path, "a")
+
+
+def test_the_fixture_looks_beside_the_test(shop, tmp_path) -> None:
+    shop.cycles(2)
+    shop.log()
+    (tmp_path / "conftest.py").write_text(
+        'pytest_plugins = ["pbonet.testing.fixtures"]\n'
+    )
+    (tmp_path / "test_it.py").write_text(
+        "def test_it(replayed):\n    assert replayed('run.mcap', 'b').cycles == 2\n"
+    )
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        [*command, "test_it.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout
+    assert "1 passed" in done.stdout
+
+
+def test_the_recorder_writes_what_is_in_the_rings(shop, tmp_path) -> None:
+    from pbonet.node.recorder import Recorder
+
+    said = []
+    wanted = wire.Recording(
+        domain="d",
+        rtpu="arm0",
+        subsystem="arm",
+        core=0,
+        folder=str(tmp_path / "runs" / "r"),
+        file="run",
+        run="r",
+        job="j",
+        mode="outputs",
+        files={"a.job": "JOB a"},
+    )
+    import msgspec
+
+    ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
+    other = Ring.create("d.arm.d", 1 << 12, b"not ours")
+    for n in range(3):
+        ring.put(bytes(16), cycle=n + 1, now_ns=n)
+    recorder = Recorder(wanted, said.append)
+    recorder.turn()
+    while ring.put(bytes(16), cycle=9):
+        pass
+    recorder.turn()
+    ring.put(bytes(16), cycle=10)
+    ring.destroy()
+    recorder.end()
+    other.destroy()
+    log = Log(tmp_path / "runs" / "r")
+    cycles = log.arrays("a")["cycle"].tolist()
+    assert cycles[:4] == [1, 2, 3, 9]
+    assert cycles[-1] == 10
+    assert log.parts[0].complete
+    assert set(log.attached) == {"a.job", "a.rmod", str(shop.code)}
+    codes = [one.code for one in said if isinstance(one, wire.Note)]
+    assert codes == ["RING_FULL"]
+    assert log.lost() == {"a": 1}
+    path = str(tmp_path / "runs" / "r" / "run.mcap")
+    states = [one for one in said if isinstance(one, wire.Recorder)]
+    assert [(one.path, one.lost) for one in states] == [(path, 0), (path, 1)]
+
+
+def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> None:
+    from pbonet.node import recorder as node
+
+    blocked = tmp_path / "runs"
+    blocked.write_text("a file where a folder should be")
+    said = []
+    wanted = wire.Recording(
+        domain="d",
+        rtpu="arm0",
+        subsystem="arm",
+        core=0,
+        folder=str(blocked / "r"),
+        file="run",
+        run="r",
+        job="j",
+        mode="outputs",
+    )
+    import msgspec
+
+    ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
+    one = node.Recorder(wanted, said.append)
+    ring.put(bytes(16), cycle=1)
+    one.turn()
+    assert [note.code for note in said if isinstance(note, wire.Note)] == ["LOG_FULL"]
+    assert said[-1] == wire.Recorder(subsystem="arm", path="", lost=1)
+    blocked.unlink()
+    deadline = time.monotonic() + 10.0
+    while not Path(blocked, "r", "run.mcap").exists() and time.monotonic() < deadline:
+        one.turn()
+        time.sleep(0.05)
+    ring.put(bytes(16), cycle=2)
+    one.end()
+    ring.destroy()
+    assert "LOG_AGAIN" in [note.code for note in said if isinstance(note, wire.Note)]
+    assert Log(blocked / "r").arrays("a")["cycle"].tolist() == [2]
