@@ -49,6 +49,7 @@ GUARDED = (
     | m.CloseTable
     | m.Release
     | m.Flag
+    | m.Record
 )
 
 
@@ -425,6 +426,9 @@ class FakeAgent:
         if request.changes:
             self.standing = [] if request.told is None else [request.told]
         return self.standing
+
+    def do_record(self, _: m.Record) -> m.Recorded:
+        return m.Recorded(path="", machine="fake")
 
     def do_events(self, _: m.Events) -> list[m.Event]:
         return []
