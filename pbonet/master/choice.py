@@ -88,7 +88,7 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
         """Tell whether an event is wanted."""
         return (
             event.severity >= self.least
-            and self.code in {None, event.code, str(event.errnum or "")}
+            and self.code in {None, event.code, str(event.errnum)}
             and self.task in {None, event.task}
             and event.wall >= self.after
         )

@@ -1,0 +1,113 @@
+"""What a task tells of errors on its way to an event: number, line, and counts."""
+
+from __future__ import annotations
+
+import socket
+from collections import Counter
+
+import msgspec
+import pytest
+
+from pbonet.errors import MethodError, Severity
+from pbonet.master import render
+from pbonet.master.choice import Choice
+from pbonet.node import wire
+from pbonet.node.events import EventLog
+from pbonet.node.tasks import crash_place
+from pbonet.node.tasktalk import Voice
+from pbonet.pbo import Notice, State
+
+PLACE = "/lib/arm.py:31 in cycle"
+HANDLED = Notice(0, "too hot: jump", 7, 5, 0, handled=True, place=PLACE)
+
+
+@pytest.fixture
+def ends():
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    far.settimeout(0)
+    with near, far:
+        yield Voice(near), far
+
+
+def heard(far):
+    """Return the messages that wait."""
+    decoder = msgspec.msgpack.Decoder(wire.FromTask)
+    found = []
+    while True:
+        try:
+            found.append(decoder.decode(far.recv(2 * wire.LARGEST_PACKET)))
+        except BlockingIOError:
+            return found
+
+
+def test_what_a_handler_put_right_is_a_warning_with_number_and_line(ends):
+    voice, far = ends
+    voice.put(HANDLED)
+    (told,) = heard(far)
+    assert (told.code, told.severity) == ("HANDLED", Severity.WARNING)
+    assert (told.text, told.cycle) == ("too hot: jump", 5)
+    assert (told.errnum, told.place, told.state) == (7, PLACE, "")
+
+
+def test_an_error_is_told_with_number_and_line(ends):
+    voice, far = ends
+    error = MethodError("too hot", where="servo.cycle")
+    error.number, error.place = 7, PLACE
+    voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
+    voice.notice(Severity.INFO, "STATE", "off: OFF")
+    told, other = heard(far)
+    assert (told.errnum, told.place) == (7, PLACE)
+    assert (other.errnum, other.place) == (0, "")
+
+
+@pytest.mark.parametrize("last", ["notice", "answer"])
+def test_in_a_flood_every_notice_is_told_or_counted(ends, last):
+    voice, far = ends
+    for _ in range(3000):
+        voice.put(HANDLED)
+    first = heard(far)
+    assert 0 < len(first) < 3000
+    if last == "notice":
+        voice.put(HANDLED)
+    else:
+        voice.say(wire.Done(n=1, state=State.OFF))
+    (end,) = heard(far)
+    assert len(first) + end.lost["HANDLED"] == 3000
+    voice.say(wire.Done(n=2, state=State.OFF))
+    assert heard(far)[0].lost == {}
+
+
+def test_counts_that_come_with_a_message_are_added():
+    events = EventLog("arm0")
+    events.add(Severity.WARNING, "HANDLED", "x", subsystem="s", task="t")
+    events.count("HANDLED", 40, subsystem="s", task="t")
+    assert Counter(events.counts("s")["t"]) == {"HANDLED": 41}
+
+
+def event(**more):
+    given = {"errnum": 7, "place": PLACE, "cycle": 5, "task": "servo", **more}
+    return EventLog("arm0").add(Severity.ERROR, "METHOD", "too hot", **given)
+
+
+def test_debug_shows_the_line():
+    assert render.event(event()).endswith(
+        "ERROR   arm0/servo METHOD cycle=5 errnum=7 too hot"
+    )
+    assert render.event(event(), debug=True).endswith(f"too hot ({PLACE})")
+    assert render.event(event(place=""), debug=True).endswith("too hot")
+
+
+def test_events_are_chosen_by_the_module_s_number():
+    assert Choice.of({"code": "7"})(event())
+    assert Choice.of({"code": "METHOD"})(event())
+    assert not Choice.of({"code": "8"})(event())
+
+
+def test_the_line_of_a_crash():
+    trace = (
+        "Fatal Python error: Segmentation fault\n\nCurrent thread 0x1 (most recent "
+        'call first):\n  File "/lib/arm.py", line 31 in cycle\n  File "/x.py", line 2'
+        " in live"
+    )
+    assert crash_place(trace) == PLACE
+    assert crash_place("killed") == ""
