@@ -78,11 +78,14 @@ def _two_givers(variable: str, tasks: list[Task]) -> Problem:
     names = [task.name for task in tasks]
     return Problem(
         code=Code.TWO_CONSTANTS,
-        what=f"{_list(names)} both produce the constant {variable}",
+        severity=Severity.WARN,
+        what=f"{_list(names)} both produce the constant {variable}; they must give it "
+        "the same value, for the table refuses another one",
         where=tasks[-1].place("OUTCONST"),
-        expected="one task that produces a constant",
+        expected="one value of a constant",
         got=", ".join(task.place("OUTCONST") for task in tasks),
-        remedy="kill one of them, or give its constant another name by SVARALIAS",
+        remedy="where values differ, kill one of them, or give its constant another "
+        "name by SVARALIAS",
         tasks=tuple(names),
         ports=tuple(task.port("OUTCONST", variable) for task in tasks),
         variables=(variable,),

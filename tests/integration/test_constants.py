@@ -289,10 +289,18 @@ def test_who_cannot_take_a_value_is_named_and_the_others_have_it(held):
     assert held.control("weigh", "clear").state == "OFF"
 
 
-def test_a_second_producer_is_refused_before_it_is_made(held):
-    with pytest.raises(VerificationError, match="both produce the constant MASS"):
+def test_a_second_producer_of_another_value_is_refused_at_once(held):
+    with pytest.raises(MethodError, match="gives the constant MASS another value"):
         held.spawn("drill")
     assert "drill" not in held.picture
+    wait_torque(held, 10.0)
+
+
+def test_producers_of_equal_constants_take_each_others_place(held, files):
+    (files / "twin.rmod").write_text((files / "grip.rmod").read_text())
+    held.spawn("twin")  # the same mass and length
+    held.control("grip", "kill")
+    assert held.control("twin", "reinit").state == "OFF"
     wait_torque(held, 10.0)
 
 

@@ -173,10 +173,12 @@ def test_a_constant_of_the_table_is_told() -> None:
 def test_two_producers_of_a_constant_even_when_off() -> None:
     tasks = (task("puma", outconst="DH"), task("scara", outconst="DH"))
     (problem,) = verify.check(configuration(*tasks, on=set()))
+    assert problem.severity is verify.Severity.WARN
     assert verify.as_text(problem) == (
-        "scara.rmod: puma and scara both produce the constant DH (expected one task "
-        "that produces a constant, got puma.rmod, scara.rmod); kill one of them, or "
-        "give its constant another name by SVARALIAS"
+        "scara.rmod: puma and scara both produce the constant DH; they must give it "
+        "the same value, for the table refuses another one (expected one value of a "
+        "constant, got puma.rmod, scara.rmod); where values differ, kill one of them, "
+        "or give its constant another name by SVARALIAS"
     )
 
 
