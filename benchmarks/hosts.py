@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib
 import json
 import os
 import signal
@@ -34,6 +33,7 @@ import zenoh
 
 from pbonet.config.model import AgentConfig
 from pbonet.svar import Table
+from pbonet.testing.lan import Lan, missing
 from pbonet.xm import keys, session
 from pbonet.xm import messages as m
 from pbonet.xm.rpc import Client
@@ -57,6 +57,7 @@ sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
 WRITER = """
 import os, sys, time
 from pbonet.svar import Table
+from pbonet.testing.lan import Lan, missing
 count, rate, seconds = int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])
 table = Table.attach(sys.argv[1])
 tasks = [table.local(f"w{i}", os.getpid(), outvar=[f"V{i}"]) for i in range(count)]
@@ -348,12 +349,9 @@ def cpu(pair: Pair, seconds: float) -> dict[str, Any]:
 
 def loss(times: int) -> dict[str, Any]:
     """Measure how soon a loss is seen, and how soon all is well again."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hosts"))
-    hosts: Any = importlib.import_module("lan")
-
-    if reason := hosts.missing():
+    if reason := missing():
         return {"skipped": reason}
-    lan = hosts.Lan()
+    lan = Lan()
     found: dict[str, list[float]] = {"agent killed": [], "taken over": [],
                                      "cable pulled": [], "plugged in": []}  # fmt: skip
     ways = [lan[name].command() for name in ("a", "b")]
