@@ -331,7 +331,7 @@ class Simulation:
         loaded = self._library.load_rmod(rmod)
         check_ports(rmod, loaded.info)
         params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
-        copies = MemoryCopies(self.table, rmod)
+        copies = MemoryCopies(self.table, rmod, member.name)
         source = Counted(lambda: self.now_ns)
         outbox = BoundedOutbox()
         context = TaskContext(

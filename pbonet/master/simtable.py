@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pbonet.config.model import Limit
+from pbonet.errors import SvarOwnerError
 from pbonet.svar import Flags
 from pbonet.svar.guards import limits_of
 from pbonet.svar.layout import group_of, values_of
 from pbonet.xm.values import VarValue, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -39,6 +40,32 @@ class MemoryTable:
         self.causes: set[str] = set()
         self.written: dict[str, int] = {}
         """When each variable was written last, in virtual nanoseconds."""
+        self._givers: dict[str, dict[str, Values]] = {}
+
+    def give(self, task: str, constants: Mapping[str, Values]) -> None:
+        """Take note of the constants of a task.
+
+        Raises:
+            SvarOwnerError: Another task gives one of them another value.
+        """
+        for name, value in constants.items():
+            for owner, given in self._givers.get(name, {}).items():
+                if owner != task and not np.array_equal(given, value):
+                    raise SvarOwnerError(
+                        f"{task} gives the constant {name} another value than its "
+                        "owner",
+                        expected="one value of a constant",
+                        got=f"owner {owner}",
+                        remedy=f"kill {owner} first, or give {task} an alias for "
+                        f"{name}",
+                    )
+        for name, value in constants.items():
+            self._givers.setdefault(name, {})[task] = value.copy()
+
+    def forget(self, task: str) -> None:
+        """Let go of the constants of a task that is no more."""
+        for givers in self._givers.values():
+            givers.pop(task, None)
 
     def stale(self, name: str, now_ns: int) -> bool:
         """Tell whether a variable is older than its MAXAGE, or was never written."""
@@ -102,9 +129,11 @@ class MemoryCopies:
     Args:
         table: The global one; it has the variables behind all ports.
         rmod: Names the task's ports.
+        task: Its name.
     """
 
-    def __init__(self, table: MemoryTable, rmod: Rmod) -> None:
+    def __init__(self, table: MemoryTable, rmod: Rmod, task: str) -> None:
+        self._task = task
         self.blamed = ("", 0)
         self.committed = False
         """Whether a commit has succeeded since this was set to False."""
@@ -142,7 +171,13 @@ class MemoryCopies:
         return _in(self._in_consts)
 
     def copy_out_consts(self, now_ns: int = 0) -> int:
-        """Copy the out-consts out."""
+        """Copy the out-consts out.
+
+        Raises:
+            SvarOwnerError: Another task gives one of them another value.
+        """
+        pairs = self._out_consts.pairs
+        self._table.give(self._task, {one.variable.name: one.local for one in pairs})
         return self._out(self._out_consts, now_ns)
 
     def copy_in(self) -> int:

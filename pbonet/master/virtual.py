@@ -225,6 +225,7 @@ class VirtualRtpus(Simulation):
             self._spawn(member)
         except BaseException:
             self._tasks.pop(member.name, None)
+            self.table.forget(member.name)
             raise
         self._rank()
         self._spawns += 1
@@ -243,6 +244,7 @@ class VirtualRtpus(Simulation):
         finally:
             if task.executor.state is State.NOT_CREATED:
                 self._tasks.pop(name, None)
+                self.table.forget(name)
         return self._one(task)
 
     def _reconfig(self, _rtpu: str, request: m.Reconfig) -> m.Reconfigured:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 CODE = re.compile(r"[A-Z][A-Z_]+")
-TELLING = {"add", "notice", "Notice", "Note"}
+TELLING = {"add", "notice", "Notice", "Note", "_say"}
 
 
 def told():
