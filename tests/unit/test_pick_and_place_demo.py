@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from pbonet.errors import ConditionError, SvarOwnerError
+from pbonet.errors import ConditionError, MethodError
 from pbonet.master.checking import check_file
 from pbonet.testing import Bench
 
@@ -87,7 +87,7 @@ def test_no_job_is_entered_without_a_tool(demo: ModuleType) -> None:
 def test_two_tools_at_once_are_refused(demo: ModuleType) -> None:
     with demo.open_cell(sim=True) as cell:
         cell.spawn("short_fingers")
-        with pytest.raises(SvarOwnerError, match="TOOL_LENGTH") as caught:
+        with pytest.raises(MethodError, match="TOOL_LENGTH") as caught:
             cell.spawn("long_fingers")
         assert caught.value.remedy.startswith("kill short_fingers first")
         cell.kill("short_fingers")
