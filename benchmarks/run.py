@@ -25,6 +25,7 @@ RUNS = {
     "costs": "costs",
     "aperiodic": "aperiodic",
     "steering": "steering",
+    "unreachable": "unreachable",
     "swap": "swap",
     "transfer": "transfer",
     "simulate": "simulate",

@@ -71,10 +71,16 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _tell(error: PbonetError) -> None:
-    """Show an error: as data with ``--json``, with its stack with ``--debug``."""
+    """Show an error: as data with ``--json``, with its stack with ``--debug``.
+
+    Warnings that came before it are its notes.
+    """
+    warnings: list[str] = getattr(error, "__notes__", [])
     if options.chosen.json:
-        print(json.dumps({"error": error.to_wire()}))
+        print(json.dumps({"error": error.to_wire(), "warnings": warnings}))
     else:
+        for warning in warnings:
+            sys.stderr.write(f"WARNING> {warning}\n")
         sys.stderr.write(f"pbonet: {error}\n")
     if options.chosen.debug:
         sys.stderr.write(f"{error.debug.rstrip()}\n" if error.debug else "")

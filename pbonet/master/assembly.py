@@ -182,4 +182,7 @@ def go_on(stopped: threading.Event) -> None:
         StateError: One did.
     """
     if stopped.is_set():
-        raise StateError("the start was given up because a stop came in between")
+        raise StateError(
+            "the start was given up because a stop came in between",
+            remedy="start it again when nobody stops it; what was begun was undone",
+        )

@@ -17,8 +17,8 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.master import modules, profiling
+from pbonet.master.changing import Opened
 from pbonet.master.profile import Baselines, Profile, columns
-from pbonet.master.signalling import Opened
 from pbonet.master.words import check_time, names_of
 from pbonet.svar import MARK
 from pbonet.xm import messages as m
@@ -104,6 +104,7 @@ class Calls(Opened, Protocol):
                 "a text goes to one task" if text else "no task is named",
                 expected=f"{signal} TASK text=..." if text else f"{signal} TASK ...",
                 got=f"{len(tasks)} tasks",
+                remedy=f"give '{signal}' once for each task",
             )
         return self.reconfig([(name, signal) for name in tasks])
 
@@ -152,7 +153,11 @@ class Calls(Opened, Protocol):
         if not isinstance(task, str):
             return found
         if not found:
-            raise StateError("the task went away while it was looked for", where=task)
+            raise StateError(
+                "the task went away while it was looked for",
+                where=task,
+                remedy="'status' shows which tasks there are",
+            )
         return found[0]
 
     def status_set(self, field: str | Sequence[str] = ()) -> tuple[str, ...]:

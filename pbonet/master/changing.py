@@ -1,13 +1,16 @@
-"""What every command that changes a subsystem stands in."""
+"""What the parts of `Subsystem` have of each other, and what changes stand in."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import threading
 
+    from pbonet.master.clock import Clock
     from pbonet.master.crew import Crew
+    from pbonet.master.files import Files
+    from pbonet.master.fleet import Fleet
 
 
 class Changing:
@@ -41,3 +44,30 @@ class Changing:
 
     def __exit__(self, *_: object) -> None:
         self._busy.release()
+
+
+class Opened(Protocol):
+    """An open subsystem, as the parts that `Subsystem` is made of see it."""
+
+    files: Files
+    clock: Clock
+    stopped: threading.Event
+
+    @property
+    def name(self) -> str:
+        """The subsystem's name."""
+        ...
+
+    @property
+    def crew(self) -> Crew:
+        """Its tasks."""
+        ...
+
+    @property
+    def fleet(self) -> Fleet:
+        """Its RTPUs."""
+        ...
+
+    def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
+        """Return what a command that changes it stands in."""
+        ...

@@ -57,6 +57,7 @@ def since(word: int | str) -> tuple[int, float]:
             "this says not since when",
             expected="the number of an event, or a time such as 90s, 5m, 2h or 1d",
             got=text[:40],
+            remedy="such as --since 5m; 'events' shows the numbers",
         )
     return 0, time.time() - float(found[1]) * _UNITS[found[2]]
 

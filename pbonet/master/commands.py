@@ -104,6 +104,8 @@ class Command(Struct, frozen=True):
     args: tuple[Arg, ...] = ()
     changes: bool = False
     """It needs a master that holds the claim."""
+    judged: bool = False
+    """It is verified against all tasks, and refused if it would be illegal."""
     scope: Scope = Scope.EVERYWHERE
 
     @property
@@ -191,6 +193,7 @@ COMMANDS: Final = (
         actions.freq,
         (_TASK, Arg("hz", Kind.NUMBER, "new, Hz", Use.MAYBE)),
         changes=True,
+        judged=True,
     ),
     Command(
         "get",
@@ -238,6 +241,7 @@ COMMANDS: Final = (
         actions.signal("on"),
         (_TASKS, _TEXT),
         changes=True,
+        judged=True,
     ),
     Command(
         "profile",
@@ -264,6 +268,7 @@ COMMANDS: Final = (
         actions.reconfig,
         (Arg("item", Kind.ITEM, "such as pid:off", Use.SOME),),
         changes=True,
+        judged=True,
     ),
     Command(
         "reinit",
@@ -313,6 +318,7 @@ COMMANDS: Final = (
             Arg("hz", Kind.NUMBER, "frequency in place of the RMOD's", Use.MAYBE),
         ),
         changes=True,
+        judged=True,
     ),
     Command(
         "start",
@@ -320,6 +326,7 @@ COMMANDS: Final = (
         actions.start,
         (Arg("job", Kind.JOB, "the job", Use.MAYBE), _WAIT),
         changes=True,
+        judged=True,
     ),
     Command(
         "status",
@@ -349,6 +356,7 @@ COMMANDS: Final = (
             _DRY,
         ),
         changes=True,
+        judged=True,
     ),
     Command(
         "switch",
@@ -356,6 +364,7 @@ COMMANDS: Final = (
         actions.switch,
         (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY, _WAIT),
         changes=True,
+        judged=True,
     ),
     Command(
         "wait",

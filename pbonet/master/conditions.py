@@ -213,4 +213,7 @@ def in_time(
                     error.expected = f"them to hold within {seconds:g} s"
                 raise
         if clock.wait(min(LOOK_TIME, left), stopped):
-            raise StateError("a stop came while conditions were waited for")
+            raise StateError(
+                "a stop came while conditions were waited for",
+                remedy="start it again when nobody stops it",
+            )

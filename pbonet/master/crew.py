@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from pbonet import verify
 from pbonet.config import info_of, parse_rmod
-from pbonet.errors import NoAnswerError, PbonetError, StateError, UnreachableError
+from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
 from pbonet.master import modules
-from pbonet.master.failures import stuck
+from pbonet.master.failures import already, stuck
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
 from pbonet.pbo import State
@@ -49,13 +49,6 @@ SIGNALS = {
 UNFED = "equation 2: an input of a task that is ON has no writer"
 """The cause under which a master raises the illegal-configuration flag (3.10)."""
 
-_ANEW = {
-    State.OFF: "'on {0}' turns it on, 'kill {0}' removes it",
-    State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
-    State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
-}
-"""What to do about a task that is there already."""
-
 log = logging.getLogger("pbonet.master")
 
 
@@ -84,19 +77,26 @@ class Crew:
 
     # -- the picture ------------------------------------------------------------------
 
-    def take(self, *, take_over: bool) -> None:
+    def take(self, *, take_over: bool, partly: bool) -> None:
         """Claim the RTPUs, open the table, and take in the tasks that stand there.
 
         The table is opened on its keeper first; the others attach or mirror it.
+
+        Args:
+            take_over: Replace a master that lives.
+            partly: Be content with the RTPUs that answer, and tell of the others.
 
         Raises:
             ClaimError: An RTPU belongs to another subsystem or another master.
             SvarError: The table cannot be opened; the claims were given back.
             SeveralError: Several RTPUs cannot be had.
         """
-        claims = self.fleet.claim(take_over=take_over)
+        claims, errors = self.fleet.claim(take_over=take_over, partly=partly)
+        self.tell(map(str, errors))
         try:
             for rtpu in self.fleet.keeper_first:
+                if rtpu not in claims:
+                    continue
                 request = m.OpenTable(
                     svar=self.files.table_text,
                     svar_name=self.files.table.file,
@@ -229,12 +229,7 @@ class Crew:
         """
         old = self.picture.get(member.name)
         if old is not None:
-            raise StateError(
-                f"there is a task {old.name} already",
-                where=f"{old.rtpu}/{old.name}",
-                got=f"state {old.state}",
-                remedy=_ANEW[old.state].format(old.name),
-            )
+            raise already(old)
 
     def judge(self, change: verify.Change) -> None:
         """Refuse a change that would be illegal; tell what else is to be said of it.

@@ -61,6 +61,13 @@ class Call(Struct, frozen=True):
             return bool(self.given.get("value"))
         return self.command.changes and not self.given.get("dry_run")
 
+    @property
+    def judged(self) -> bool:
+        """Whether a judgement on all tasks decides, so that every RTPU must answer."""
+        if self.command.name == "reconfig":
+            return any(signal == "on" for _, signal in self.given["item"])
+        return self.command.judged
+
 
 class Desk:
     """The state of one interface.
@@ -174,7 +181,9 @@ class Desk:
             )
         if call.changes and self.subsystem.watch:
             raise ClaimError(
-                f"{command.name} changes the subsystem, which is open for watching only"
+                f"{command.name} changes it, and it is open for watching only",
+                where=self.subsystem.name,
+                remedy="give it at the prompt of 'pbonet sbs', or as a verb",
             )
         try:
             with collected() as warnings:
@@ -204,7 +213,9 @@ def split_name(words: list[str]) -> tuple[Command, list[str]]:
         NodeError: There is no such command.
     """
     if len(words[0]) > _LONGEST:
-        raise NodeError(f"there is no command of {len(words[0])} characters")
+        raise NodeError(
+            f"there is no command of {len(words[0])} characters", remedy="see 'help'"
+        )
     both = " ".join(words[:2])
     if both in BY_NAME:
         return BY_NAME[both], words[2:]
@@ -339,4 +350,8 @@ def _number(command: Command, arg: Arg, word: str) -> float | int:
 
 
 def _usage(command: Command, what: str) -> StateError:
-    return StateError(f"{command.name}: {what}", expected=command.usage)
+    return StateError(
+        f"{command.name}: {what}",
+        expected=command.usage,
+        remedy=f"'help {command.name}' explains it",
+    )

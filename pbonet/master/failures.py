@@ -1,15 +1,24 @@
-"""What is raised when a list of signals, or a stop, was carried out in part."""
+"""What is raised when a change was carried out in part, or a task stands already."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PbonetError, ReconfigError, SeveralError
+from pbonet.errors import PbonetError, ReconfigError, SeveralError, StateError
+from pbonet.pbo import State
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pbonet.master.picture import Member
     from pbonet.xm import messages as m
+
+_ANEW = {
+    State.OFF: "'on {0}' turns it on, 'kill {0}' removes it",
+    State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
+    State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
+}
+"""What to do about a task that is there already."""
 
 
 def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
@@ -25,6 +34,7 @@ def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
     raise SeveralError(
         f"{count} did not confirm the stop; on the others was turned off: {done}",
         errors,
+        remedy="see to the others by hand, and stop again when they answer",
     )
 
 
@@ -61,3 +71,13 @@ def stuck(
     stuck.done = done
     stuck.rest = tuple(items[done:])
     return stuck
+
+
+def already(task: Member) -> StateError:
+    """Return the error for a task that is to be spawned, and is there."""
+    return StateError(
+        f"there is a task {task.name} already",
+        where=f"{task.rtpu}/{task.name}",
+        got=f"state {task.state}",
+        remedy=_ANEW[task.state].format(task.name),
+    )

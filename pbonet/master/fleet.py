@@ -19,8 +19,10 @@ import zenoh
 
 from pbonet.errors import (
     ClaimError,
+    NoAnswerError,
     NodeError,
     PbonetError,
+    UnreachableError,
     did_you_mean,
 )
 from pbonet.xm import keys, rpc
@@ -98,13 +100,23 @@ class Fleet:
             )
         return self.entries[rtpu]
 
-    def claim(self, *, take_over: bool = False) -> dict[str, m.Claimed]:
+    def claim(
+        self, *, take_over: bool = False, partly: bool = False
+    ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
         """Reserve every RTPU; on failure none stays reserved by this call.
+
+        Args:
+            take_over: Replace a master that lives.
+            partly: Be content with those that answer.
+
+        Returns:
+            The claims, and the errors of the RTPUs that do not answer.
 
         Raises:
             SeveralError: Several RTPUs cannot be had; of one, its own error.
             ClaimError: An RTPU belongs to another subsystem or another master.
             UnreachableError: An agent is not there.
+            NoAnswerError: One is there, and does not answer.
         """
         self._declare()
         claims: dict[str, m.Request] = {
@@ -121,14 +133,17 @@ class Fleet:
         }
         results, errors = self.client.call_all(claims, m.Claimed)
         self.epochs = {name: claimed.epoch for name, claimed in results.items()}
-        if errors:
+        unheard = [
+            one for one in errors if isinstance(one, (UnreachableError, NoAnswerError))
+        ]
+        if errors and not (partly and results and len(unheard) == len(errors)):
             self.give_back(results)
             rpc.raise_all(
                 f"{len(errors)} of {len(claims)} RTPUs of the subsystem "
                 f"{self.sbs.subsystem} cannot be had",
                 errors,
             )
-        return results
+        return results, errors
 
     def call(
         self,

@@ -32,12 +32,11 @@ from pbonet.errors import (
     PbonetError,
     ProtocolError,
     StateError,
-    UnreachableError,
 )
 from pbonet.master import render
 from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, Reply, convert
-from pbonet.xm import codec, keys
+from pbonet.xm import codec, keys, rpc
 from pbonet.xm import messages as m
 from pbonet.xm.rundir import check_name
 
@@ -151,9 +150,7 @@ class Port:
                 session.liveliness().declare_token(self._key),
             ]
         except zenoh.ZError as error:
-            raise UnreachableError(
-                "the connection to the agents is closed", got=str(error)
-            ) from None
+            raise rpc.no_session(error) from None
         for thread in self._threads:
             thread.start()
 
@@ -230,7 +227,10 @@ class Port:
         except Exception as error:  # the port outlives any command
             log.exception("the command %s failed inside pbonet", order.command)
             return codec.failure(
-                NodeError(f"it failed inside pbonet: {type(error).__name__}: {error}"),
+                NodeError(
+                    f"it failed inside pbonet: {type(error).__name__}: {error}",
+                    remedy="see the output of the master's program, and report it",
+                ),
                 order.id,
             )
         if reply is None:
@@ -306,6 +306,7 @@ class Port:
                 "quit gives control back, and this client has none",
                 where=f"port {self.name}",
                 got=client or "no client name",
+                remedy="who has not taken control need not give it back: just end",
             )
 
     def _give_back(self, client: str, reason: str) -> None:
@@ -337,6 +338,7 @@ def _decode(data: bytes) -> Order:
             "the message is too long",
             expected=f"at most {codec.Codec.MAX_BYTES} bytes",
             got=f"{len(data)} bytes",
+            remedy="send a shorter command",
         )
     try:
         order = msgspec.msgpack.decode(data, type=Order)
@@ -351,13 +353,18 @@ def _decode(data: bytes) -> Order:
             "the message is of another protocol version",
             expected=f"version {m.VERSION}",
             got=f"version {order.v}",
+            remedy="run the same pbonet version on both sides",
         )
     if not order.command and not order.line.strip():
-        raise ProtocolError("the message has neither a command nor a line")
+        raise ProtocolError(
+            "the message has neither a command nor a line",
+            remedy="give 'command' with its 'args', or a 'line'; see docs/commands.md",
+        )
     if order.client and not _CLIENT.fullmatch(order.client):
         raise ProtocolError(
             "this is no name for a client",
             expected="1 to 64 letters, digits, '_', '-' and '.'",
             got=repr(order.client[:40]),
+            remedy="choose another name",
         )
     return order

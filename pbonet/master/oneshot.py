@@ -32,7 +32,7 @@ from pbonet.master.files import Files
 from pbonet.master.fleet import client_name
 from pbonet.master.network import Order
 from pbonet.master.subsystem import Subsystem
-from pbonet.xm import codec, keys, rpc, session
+from pbonet.xm import codec, keys, rpc, rundir, session
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -68,10 +68,7 @@ def run(
     """
     wanted = find(command)
     call = Call(wanted, convert(wanted, args))
-    if call.changes and not place.take_over:
-        reply = _ask_master(path, command, args, place)
-        if reply is not None:
-            return reply
+    opening: list[str] = []
     subsystem = Subsystem(
         path,
         domain=place.domain,
@@ -80,17 +77,25 @@ def run(
         kind=command.replace(" ", "-"),
         watch=not call.changes,
         take_over=place.take_over,
+        partly=not call.judged,
+        warned=opening.append,
     )
-    opening: list[str] = []
-    subsystem.warned = opening.append
-    subsystem.open()
+    opened = session.client(place.domain, connect=place.connect)
+    if call.changes and not place.take_over:
+        reply = _ask_master(opened, place, subsystem.files, command, args)
+        if reply is not None:
+            return reply
     try:
+        subsystem.open(opened)
         reply = Desk(subsystem).perform(call)
+    except PbonetError as error:
+        for warning in dict.fromkeys(opening):
+            error.add_note(warning)
+        raise
     finally:
         subsystem.detach()
-    return Reply(
-        command=reply.command, data=reply.data, warnings=[*opening, *reply.warnings]
-    )
+    warnings = list(dict.fromkeys([*opening, *reply.warnings]))
+    return Reply(command=reply.command, data=reply.data, warnings=warnings)
 
 
 def _must_be_known(client: rpc.Client, rtpus: Sequence[str], name: str) -> None:
@@ -110,24 +115,30 @@ def _must_be_known(client: rpc.Client, rtpus: Sequence[str], name: str) -> None:
 
 
 def _ask_master(
-    path: str | Path, command: str, args: Mapping[str, object], place: Place
+    opened: zenoh.Session,
+    place: Place,
+    files: Files,
+    command: str,
+    args: Mapping[str, object],
 ) -> Reply | None:
-    """Have a living master carry it out; None when none serves the subsystem's port."""
-    files = Files(path, Library(place.libraries))
+    """Have a living master carry it out; None when none serves the subsystem's port.
+
+    The session is closed but when there is none.
+    """
     name = files.sbs.subsystem
     if files.job is not None and args.get("job", "") is None:
-        args = {**args, "job": str(Path(path).resolve())}  # the master has its own
-    client = rpc.Client(
-        session.client(place.domain, connect=place.connect),
-        place.domain,
-        client_name(command.replace(" ", "-")),
-    )
+        # The master has a job of its own.
+        args = {**args, "job": str(Path(files.job.file).resolve())}
+    client = rpc.Client(opened, place.domain, client_name(command.replace(" ", "-")))
     try:
         if not client.tokens(keys.network(place.domain, name)):
             return None
-        return ask(client, name, command, args)
-    finally:
+        reply = ask(client, name, command, args)
+    except BaseException:
         client.close()
+        raise
+    client.close()
+    return reply
 
 
 def ask(
@@ -153,11 +164,17 @@ def ask(
         for reply in client.session.get(key, payload=payload, timeout=_FORWARD_TIME):
             if reply.ok is None:
                 raise NoAnswerError(
-                    f"the master did not answer within {_FORWARD_TIME:g} s", where=key
+                    f"the master did not answer within {_FORWARD_TIME:g} s",
+                    where=key,
+                    remedy="see the master's output; 'pbonet stop' needs no master",
                 )
             return _reply(codec.Codec().answer(reply.ok.payload.to_bytes()))
         if not client.tokens(key) or time.monotonic() > deadline:
-            raise UnreachableError("the master has gone", where=key)
+            raise UnreachableError(
+                "the master has gone",
+                where=key,
+                remedy="give the command again: it needs no other master then",
+            )
         time.sleep(_PAUSE)  # its port was opened a moment ago
 
 
@@ -210,7 +227,8 @@ def stop(
         session.client(domain, connect=connect), domain, client_name("stop")
     )
     try:
-        rtpus = client.rtpus()
+        # An agent of this machine that is not heard must be said not to have stopped.
+        rtpus = sorted({*client.rtpus(), *rundir.live_agents(domain)})
         requests: dict[str, m.Request] = {
             rtpu: m.Stop(subsystem=name or "", timeout=timeout) for rtpu in rtpus
         }
@@ -221,9 +239,7 @@ def stop(
         if name is not None and nothing:
             _must_be_known(client, rtpus, name)
     except zenoh.ZError as error:
-        raise UnreachableError(
-            "the connection to the agents is closed", got=str(error)
-        ) from None
+        raise rpc.no_session(error) from None
     finally:
         client.close()
     stopped = m.Stopped(

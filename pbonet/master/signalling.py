@@ -15,6 +15,7 @@ from msgspec import Struct
 
 from pbonet.errors import NoAnswerError, StateError, did_you_mean
 from pbonet.master import choice
+from pbonet.master.changing import Opened
 from pbonet.master.choice import Choice
 from pbonet.master.words import check_time, names_of
 from pbonet.pbo import PREDEFINED
@@ -24,9 +25,6 @@ from pbonet.xm import messages as m
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Sequence
 
-    from pbonet.master.clock import Clock
-    from pbonet.master.crew import Crew
-    from pbonet.master.fleet import Fleet
 
 LOOK_TIME = 0.5
 """Seconds after which a wait looks at the counts though no event has come."""
@@ -98,28 +96,6 @@ class Inbox:
             taken = {}
         self._taken[key] = (status.tid or tid, taken)
         return taken
-
-
-class Opened(Protocol):
-    """What an open subsystem has."""
-
-    stopped: Event
-    clock: Clock
-
-    @property
-    def name(self) -> str:
-        """The subsystem's name."""
-        ...
-
-    @property
-    def crew(self) -> Crew:
-        """Its tasks."""
-        ...
-
-    @property
-    def fleet(self) -> Fleet:
-        """Its RTPUs."""
-        ...
 
 
 class Signalled(Opened, Protocol):
@@ -265,6 +241,7 @@ class Signalled(Opened, Protocol):
             raise StateError(
                 "the subsystem was stopped while a signal was waited for",
                 where=self.name,
+                remedy="start it, then wait again",
             )
 
     def _must_be_known(

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
+    import zenoh
+
     from pbonet.config.model import SbsFile
     from pbonet.master.clock import Clock
     from pbonet.master.picture import Picture
@@ -70,6 +72,7 @@ class Subsystem(Switching, Calls, Signalled):
         embed: Start agents for RTPUs that nobody runs; they end with the subsystem.
         virtual: Run in virtual time, in this process, without agents and devices: time
             passes where the program waits.
+        partly: Be content with the RTPUs that answer; of the others it is warned.
         warned: Called with each warning, one sentence, unless a `Desk` collects it.
         record: ``off``, ``outputs`` or ``all``; None for what the job says, or outputs.
 
@@ -89,10 +92,11 @@ class Subsystem(Switching, Calls, Signalled):
         take_over: bool = False,
         embed: bool = False,
         virtual: bool = False,
+        partly: bool = False,
         warned: Callable[[str], None] = log_warning,
         record: str | None = None,
     ) -> None:
-        self.files = Files(path, Library(libraries))
+        self.files: Files = Files(path, Library(libraries))
         self.domain = domain
         self.warned = warned
         self.stopped = threading.Event()
@@ -115,6 +119,7 @@ class Subsystem(Switching, Calls, Signalled):
         self._connect = connect
         self._kind = kind
         self._take_over = take_over
+        self._partly = partly
         self.inbox = Inbox()
         self._crew: Crew | None = None
         self._busy = threading.RLock()
@@ -172,8 +177,11 @@ class Subsystem(Switching, Calls, Signalled):
         """Its tasks as they stood at the last look."""
         return self.crew.picture
 
-    def open(self) -> Self:
+    def open(self, opened: zenoh.Session | None = None) -> Self:
         """Connect, claim the RTPUs, open the table, and learn what stands already.
+
+        Args:
+            opened: A session to go through, which is ours from now on; None opens one.
 
         Raises:
             UnreachableError: No agent, or not every agent, can be reached.
@@ -185,13 +193,13 @@ class Subsystem(Switching, Calls, Signalled):
             rtpus = [entry.name for entry in self.files.sbs.rtpus]
             self._agents.start(self._agents.missing(rtpus))
         try:
-            self._crew = self._open(self._client())
+            self._crew = self._open(self._client(opened))
         except BaseException:
             self._end_agents()
             raise
         return self
 
-    def _client(self) -> rpc.Client:
+    def _client(self, opened: zenoh.Session | None) -> rpc.Client:
         """Return who asks the RTPUs."""
         name = client_name(self._kind)
 
@@ -200,7 +208,7 @@ class Subsystem(Switching, Calls, Signalled):
 
         if self.simulation is not None:
             return VirtualClient(self.simulation, self.domain, name, warned=warned)
-        opened = session.client(self.domain, connect=self._connect)
+        opened = opened or session.client(self.domain, connect=self._connect)
         return rpc.Client(opened, self.domain, name, warned=warned)
 
     def _open(self, client: rpc.Client) -> Crew:
@@ -208,7 +216,7 @@ class Subsystem(Switching, Calls, Signalled):
         crew = Crew(self.files, fleet, self._warn, self.logbook)
         try:
             if not self.watch:
-                crew.take(take_over=self._take_over)
+                crew.take(take_over=self._take_over, partly=self._partly)
             for rtpu in crew.refresh(strict=False):
                 self.inbox.begin(rtpu.tasks)
         except BaseException:

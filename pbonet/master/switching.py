@@ -8,13 +8,14 @@ end those are killed that nobody wants any more.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
 from pbonet import verify
 from pbonet.errors import StateError, VerificationError
 from pbonet.master import assembly, constants
+from pbonet.master.changing import Opened
 from pbonet.master.conditions import Gate, in_time
 from pbonet.master.words import check_signal
 from pbonet.pbo import State
@@ -25,10 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.config.model import JobFile
-    from pbonet.master.changing import Changing
-    from pbonet.master.clock import Clock
     from pbonet.master.crew import Crew
-    from pbonet.master.files import Files
     from pbonet.master.picture import Member
 
 _RATE = 1e-6
@@ -52,17 +50,8 @@ class Transition(Struct, kw_only=True):
     """Where the tasks concerned stand behind it; empty while nothing was done."""
 
 
-class Switching:
+class Switching(Opened, Protocol):
     """The part of `Subsystem` that goes from one configuration to another."""
-
-    files: Files
-    stopped: threading.Event
-    clock: Clock
-
-    def _changing(
-        self, *, strict: bool = True, claimed: bool = True
-    ) -> Changing:  # pragma: no cover - `Subsystem` has it
-        raise NotImplementedError
 
     def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
         """Send an ordered list of signals; it is judged by its end (section 4.4.4).
@@ -339,6 +328,8 @@ def _names(given: str | Sequence[str]) -> list[str]:
     names = [given] if isinstance(given, str) else list(given)
     if not names:
         raise VerificationError(
-            "no task is named", expected="the tasks that leave and those that come"
+            "no task is named",
+            expected="the tasks that leave and those that come",
+            remedy="name them, such as swap('old', 'new')",
         )
     return [name.removesuffix(".rmod") for name in dict.fromkeys(names)]

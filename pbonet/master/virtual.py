@@ -207,7 +207,11 @@ class VirtualRtpus(Simulation):
 
     def _spawned(self, rtpu: str, request: m.Spawn) -> m.TaskStatus:
         if request.task in self._tasks:
-            raise StateError(f"there is a task {request.task} already", where=rtpu)
+            raise StateError(
+                f"there is a task {request.task} already",
+                where=rtpu,
+                remedy=f"'kill {request.task}' removes it",
+            )
         record = parse_rmod(request.rmod, request.rmod_name)
         loaded = self._library.load_rmod(record)
         must_be_simulated(

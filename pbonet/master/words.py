@@ -86,6 +86,7 @@ def check_time(seconds: float | None) -> None:
             "this is no time limit",
             expected=f"0 to {threading.TIMEOUT_MAX:g} s",
             got=f"{seconds:g} s",
+            remedy="give one within these; none at all waits for ever",
         )
 
 

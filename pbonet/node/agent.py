@@ -25,6 +25,7 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
+from pbonet.svar import survive_cuts
 from pbonet.xm import dialling, keys, rundir, session
 from pbonet.xm.messages import AgentInfo, LinkReport
 
@@ -129,6 +130,7 @@ class Agent:
             DuplicateNameError: Another agent of the domain has the name.
             PbonetError: Something that is needed cannot be had.
         """
+        survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
         self._lock = rundir.NameLock(self.places.lock, text, patience=LOCK_TIME)
         try:

@@ -144,12 +144,14 @@ class Claims:
                     where=self._rtpu,
                     expected="one of " + " ".join(known),
                     got=repr(got),
+                    remedy="mend its line in the .sbs file",
                 )
         if not request.subsystem or not request.client:
             raise ClaimError(
                 "a claim needs the names of the subsystem and of its master",
                 where=self._rtpu,
                 got=f"subsystem {request.subsystem!r}, client {request.client!r}",
+                remedy="fill in both, as docs/protocol.md says",
             )
         if not 0 < request.minfreq < request.maxfreq < float("inf"):
             raise ClaimError(
@@ -157,6 +159,7 @@ class Claims:
                 where=self._rtpu,
                 expected="0 < minfreq < maxfreq, in Hz",
                 got=f"{request.minfreq:g} to {request.maxfreq:g}",
+                remedy="mend MINFREQ and MAXFREQ in the .sbs file",
             )
 
     def _check_take_over(
@@ -206,4 +209,5 @@ class Claims:
                     where=self._rtpu,
                     expected=f"SCHEDULER {other.scheduler}, as {other.subsystem} has",
                     got=f"SCHEDULER {request.scheduler}",
+                    remedy="give both the same SCHEDULER, or one of them another RTPU",
                 )

@@ -50,6 +50,7 @@ def event_of(signal: str, where: str) -> lifecycle.Event:
         f"there is no signal {signal!r}",
         where=where,
         expected=" or ".join(lifecycle.FROM_OUTSIDE),
+        remedy="send one of these",
     )
 
 

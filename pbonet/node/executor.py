@@ -287,6 +287,7 @@ class Executor:
                 "a timing failure is one of a task that is ON",
                 where=task.name,
                 got=f"state {self.state}",
+                remedy="turn it on first",
             )
         if "timing_failure" not in cls.__interface__.methods:
             task.warn(f"timing failure, {kind}: {kind.meaning}")

@@ -57,7 +57,10 @@ def contained(error: BaseException) -> Raised:
     """
     if isinstance(error, Exception | TaskFailure):
         return error
-    wrapped = MethodError(f"{type(error).__name__}: {error}")
+    wrapped = MethodError(
+        f"{type(error).__name__}: {error}",
+        remedy="raise an exception of the module's own; do not end the process",
+    )
     wrapped.__traceback__ = error.__traceback__
     return wrapped
 
@@ -106,6 +109,7 @@ def recovery(answer: object) -> Recovery:
         "timing_failure gave an answer that it cannot give",
         expected=f"None or {' or '.join(f'Recovery.{one.name}' for one in Recovery)}",
         got=repr(answer),
+        remedy="mend what it returns; no return at all means CONTINUE",
     )
 
 
@@ -118,6 +122,7 @@ def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
         f"{step} gave an answer that it cannot give",
         expected=" or ".join(words),
         got=got,
+        remedy="mend what it returns",
     )
 
 

@@ -45,7 +45,7 @@ class Flags:
             outputs: Variables that nobody writes now; the entry goes when all of them
                 are written again.
         """
-        opened = self._tables.get(subsystem)
+        opened = self._tables.sound(subsystem)
         if opened is None:
             return
         if outputs:
@@ -62,7 +62,7 @@ class Flags:
         """Withdraw an entry; harmless when there is none."""
         self._outputs.pop((subsystem, name), None)
         self._refused.pop((subsystem, name), None)
-        opened = self._tables.get(subsystem)
+        opened = self._tables.sound(subsystem)
         if opened is not None:
             with contextlib.suppress(SvarError):
                 opened.table.clear_illegal(self._raiser(name))
@@ -72,7 +72,7 @@ class Flags:
         for (subsystem, name), cause in list(self._refused.items()):
             self.up(subsystem, name, cause)
         for (subsystem, name), outputs in list(self._outputs.items()):
-            opened = self._tables.get(subsystem)
+            opened = self._tables.sound(subsystem)
             if opened is None:
                 del self._outputs[subsystem, name]
             elif all(opened.table.info(output).owner for output in outputs):

@@ -156,7 +156,11 @@ def receive_with_fds(sock: socket.socket) -> tuple[bytes, list[int]]:
         if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
             fds.frombytes(payload[: len(payload) - len(payload) % fds.itemsize])
     if data and len(fds) != FDS:
-        raise NodeError("a request to fork came without its files", got=f"{len(fds)}")
+        raise NodeError(
+            "a request to fork came without its files",
+            got=f"{len(fds)}",
+            remedy="report it, please: a fault within pbonet",
+        )
     return data, list(fds)
 
 

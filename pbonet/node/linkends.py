@@ -165,7 +165,11 @@ class Receiver:
         if packet.text != self._text:
             self._learn(packet.text)
         if len(packet.data) != self._raw.nbytes:
-            raise ProtocolError("the record is cut short", where=self._name)
+            raise ProtocolError(
+                "the record is cut short",
+                where=self._name,
+                remedy="run the same pbonet version on every machine",
+            )
         self._fill(packet.data)
         written = written_ns(now, packet.stamp_ns, packet.age_ns, self._offset())
         self._end.put(packet.number, packet.source, written, packet.stamp_ns)

@@ -47,7 +47,11 @@ def unpack(message: bytes) -> Packet:
         ProtocolError: It is malformed, or of another version.
     """
     if len(message) < _HEAD.size or message[: len(MAGIC)] != MAGIC:
-        raise ProtocolError("this is no record of a link", got=f"{len(message)} bytes")
+        raise ProtocolError(
+            "this is no record of a link",
+            got=f"{len(message)} bytes",
+            remedy="run the same pbonet version on every machine",
+        )
     _, version, length, number, source, stamp_ns, age_ns = _HEAD.unpack_from(message)
     if version != VERSION:
         raise ProtocolError(

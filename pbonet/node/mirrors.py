@@ -331,8 +331,12 @@ class Mirrors:
             carried = self._carried.get(subsystem)
             if carried is None:
                 done()
-            else:
+                return
+            try:
                 carried.spread(done)
+            except Exception:
+                done()  # who waits for it goes on; what is wrong it finds itself
+                raise
 
         self.do(spread)
 

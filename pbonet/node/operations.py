@@ -413,4 +413,5 @@ def _check_timeout(timeout: float) -> None:
             "this is no time limit",
             expected=f"0 to {LONGEST:g} s",
             got=f"{timeout:g}",
+            remedy="give one within these",
         )

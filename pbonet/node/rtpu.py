@@ -20,6 +20,7 @@ import msgspec
 
 from pbonet import tbuf
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
+from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, rundir, sweep
 
 from . import control, leftovers, orphans, runtime, wire
@@ -235,6 +236,7 @@ def main(argv: list[str]) -> int:
     """Run the RTPU process that the first argument describes, as JSON."""
     config = msgspec.json.decode(argv[0], type=wire.RtpuConfig)
     faulthandler.enable()
+    survive_cuts()
     runtime.set_title("pbonet-rtpu")
     try:
         return asyncio.run(run(config))

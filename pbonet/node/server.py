@@ -146,7 +146,10 @@ class Server:
             waiting = list(self._pending.values())
             self._pending.clear()
         for query, request_id, _ in waiting:
-            error = NodeError(f"the request was not carried out to its end: {reason}")
+            error = NodeError(
+                f"the request was not carried out to its end: {reason}",
+                remedy="'status' shows what was done; then give it again",
+            )
             self._reply(query, self._codec.pack(codec.failure(error, request_id)))
 
     def _arrive(self, query: zenoh.Query) -> None:

@@ -181,7 +181,10 @@ class Spawner:
     async def _ask(self, kind: str, title: str, fds: list[int]) -> int:
         control = self._control
         if control is None:
-            raise NodeError("the fork server has ended")
+            raise NodeError(
+                "the fork server has ended",
+                remedy="spawn it again: another fork server is started then",
+            )
         self._count += 1
         n = self._count
         answer: asyncio.Future[int] = asyncio.get_running_loop().create_future()
@@ -192,7 +195,9 @@ class Spawner:
             return await asyncio.wait_for(answer, FORK_TIME)
         except (OSError, TimeoutError) as error:
             raise NodeError(
-                "the fork server does not fork", got=str(error) or "no answer"
+                "the fork server does not fork",
+                got=str(error) or "no answer",
+                remedy="spawn it again: another fork server is started then",
             ) from None
         finally:
             self._waiting.pop(n, None)
@@ -221,7 +226,11 @@ class Spawner:
             return
         if message.error:
             answer.set_exception(
-                NodeError("the system gives no process", got=message.error)
+                NodeError(
+                    "the system gives no process",
+                    got=message.error,
+                    remedy="look at 'ulimit -u' and at the free memory",
+                )
             )
         else:
             answer.set_result(message.pid)
@@ -239,7 +248,12 @@ class Spawner:
             control.close()
         for answer in self._waiting.values():
             if not answer.done():
-                answer.set_exception(NodeError("the fork server has ended"))
+                answer.set_exception(
+                    NodeError(
+                        "the fork server has ended",
+                        remedy="spawn it again: another fork server is started then",
+                    )
+                )
         orphans = list(self._children.values())
         self._children.clear()
         for child in orphans:

@@ -116,6 +116,7 @@ def check_freq(rmod: Rmod, freq: float | None) -> float:
             where=rmod.name,
             expected=f"above 0 and at most {FASTEST:g} Hz",
             got=f"{wanted:g} Hz",
+            remedy="mend FREQ in the .rmod file, or name a frequency within this",
         )
     return wanted
 
@@ -132,6 +133,7 @@ def check_rank(crit: int | None, priority: int, name: str) -> None:
             where=name,
             expected=f"1 to {HIGHEST_CRIT}",
             got=str(crit),
+            remedy="name one within this, or leave it to the scheduler",
         )
     if not 0 <= priority <= HIGHEST_PRIORITY:
         raise ParameterError(
@@ -139,6 +141,7 @@ def check_rank(crit: int | None, priority: int, name: str) -> None:
             where=name,
             expected=f"0 to {HIGHEST_PRIORITY}",
             got=str(priority),
+            remedy="name one within this, or leave it to the data flow",
         )
 
 

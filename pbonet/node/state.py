@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import time
 from typing import TYPE_CHECKING
 
@@ -325,7 +326,7 @@ class Rtpu:
 
     def _reap(self, task: Task) -> None:
         """Free what a dead task held in shared memory."""
-        opened = self.tables.get(task.facts.subsystem)
+        opened = self.tables.sound(task.facts.subsystem)
         try:
             if opened is not None:
                 opened.table.reap(task.name)
@@ -338,11 +339,15 @@ class Rtpu:
     def _died(self, task: Task, code: int, slot: SlotStatus) -> None:
         """Report a task that ended unasked, and remember its last status."""
         text = f"the task ended by itself: {describe_end(code)}"
+        cut = self.tables.cut(task.facts.subsystem)
+        if cut and code == -signal.SIGBUS:
+            text = f"the task ended with its table: {cut}"
         if slot.hangs:
             text = (
                 "the task ended itself: timing_failure() did not return, not even when "
                 "it was aborted"
             )
+        task.ending = text
         last = task.last_status or self.status_of(task)
         last.error, last.tid = text, 0
         last.signals["ERROR"] += 1
@@ -393,11 +398,11 @@ class Rtpu:
                 self.core.status(),
                 [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
             )
-            for subsystem in self.tables.vanished():
+            for subsystem, cut in self.tables.harmed():
                 self.events.add(
                     Severity.ERROR,
-                    "TABLE_REMOVED",
-                    "the table's file was removed while in use; tasks that run go on",
+                    "TABLE_TRUNCATED" if cut else "TABLE_REMOVED",
+                    cut or "the table's file was removed; tasks that run go on",
                     subsystem=subsystem,
                 )
             if led and not self.dispatcher.running:

@@ -95,7 +95,12 @@ class RtpuLink:
             self._start()
             self._sock = self._connect()
             if self._sock is None:
-                raise NodeError("the RTPU process does not answer", where=self._log())
+                raise NodeError(
+                    "the RTPU process does not answer",
+                    where=self._config.name,
+                    remedy="start the agent again; --debug shows what it wrote",
+                    debug=self._log(),
+                )
         else:
             cleaned = []
         info = self._attach(self._sock)
@@ -202,7 +207,10 @@ class RtpuLink:
             )
         info = self._decoder.decode(data)
         if not isinstance(info, wire.RtpuInfo):
-            raise ProtocolError("the RTPU process does not say who it is")
+            raise ProtocolError(
+                "the RTPU process does not say who it is",
+                remedy="end it, and start the agent again",
+            )
         for what, got, wanted in (
             ("version", info.version, pbonet.__version__),
             ("core", info.core, self._config.core),
@@ -269,6 +277,7 @@ class RtpuLink:
                 "the RTPU process did not start",
                 got=f"exit code {code}",
                 debug=self._log(),
+                remedy="--debug shows what it wrote",
             )
 
     def _log(self) -> str:

@@ -17,6 +17,7 @@ from msgspec import Struct
 
 from pbonet.config import parse_svar
 from pbonet.errors import (
+    SvarDamagedError,
     SvarError,
     SvarExistsError,
     SvarLayoutError,
@@ -45,7 +46,7 @@ class Opened(Struct):
     file: SvarFile
     keep: bool
     missed: bool = False
-    """True once its file was found to be gone."""
+    """True once its file was found to be gone or truncated."""
 
 
 class Tables:
@@ -77,11 +78,16 @@ class Tables:
         """Return the subsystem's table if it is open."""
         return self._open.get(subsystem)
 
+    def sound(self, subsystem: str) -> Opened | None:
+        """Return the subsystem's table if it is open, and its file whole."""
+        return None if self.cut(subsystem) else self._open.get(subsystem)
+
     def need(self, subsystem: str) -> Opened:
         """Return the subsystem's table.
 
         Raises:
             SvarMissingError: It is not open.
+            SvarDamagedError: Its file was truncated.
         """
         opened = self._open.get(subsystem)
         if opened is None:
@@ -89,6 +95,7 @@ class Tables:
                 f"the table of subsystem {subsystem!r} is not open here",
                 remedy="the master opens it when it starts the subsystem",
             )
+        opened.table.must_be_whole()
         return opened
 
     def need_file(self, subsystem: str) -> Opened:
@@ -96,6 +103,7 @@ class Tables:
 
         Raises:
             SvarMissingError: It is not open, or its file was removed.
+            SvarDamagedError: Its file was truncated.
         """
         opened = self.need(subsystem)
         if not opened.table.path.exists():
@@ -151,14 +159,31 @@ class Tables:
         self._open.clear()
         self._changed()
 
-    def vanished(self) -> list[str]:
-        """Return the subsystems whose table's file has gone since the last call."""
-        found: list[str] = []
+    def harmed(self) -> list[tuple[str, str]]:
+        """Return the subsystems whose table's file was harmed since the last call.
+
+        Returns:
+            Each with how it was truncated; with no text where it was removed.
+        """
+        found: list[tuple[str, str]] = []
         for subsystem, opened in self._open.items():
-            if not opened.missed and not opened.table.path.exists():
+            if opened.missed:
+                continue
+            cut = self.cut(subsystem)
+            if cut or not opened.table.path.exists():
                 opened.missed = True
-                found.append(subsystem)
+                found.append((subsystem, cut))
         return found
+
+    def cut(self, subsystem: str) -> str:
+        """Return how a subsystem's table was truncated; empty when it was not."""
+        opened = self._open.get(subsystem)
+        if opened is not None:
+            try:
+                opened.table.must_be_whole()
+            except SvarDamagedError as error:
+                return str(error)
+        return ""
 
     def causes(self, subsystem: str) -> list[str]:
         """Return why the illegal-configuration flag is up; empty while it is down."""
@@ -177,6 +202,7 @@ class Tables:
 
         Raises:
             UnknownVariableError: The table has no variable of that name.
+            SvarDamagedError: Its file was truncated.
         """
         table = self.need(subsystem).table
         wanted = list(names or table.names())
@@ -185,7 +211,9 @@ class Tables:
             if flags & Flags.COPY_LOST:
                 return [_value(table, name) for name in wanted]
             whole = not flags & Flags.COPY_TORN
-            return [_of_cut(table, local, name, whole=whole) for name in wanted]
+            values = [_of_cut(table, local, name, whole=whole) for name in wanted]
+        table.must_be_whole()  # else zeros were read for values
+        return values
 
     def write(self, subsystem: str, name: str, values: Sequence[float]) -> VarValue:
         """Set a variable that no task writes.

@@ -101,6 +101,8 @@ class Task:
         self.warnings = 0
         self.warning = ""
         self.error = ""
+        self.ending = ""
+        """How its process ended, once that is known."""
         self.last_status: TaskStatus | None = None
         """Its status as it ended."""
         self.stopping = False
@@ -198,12 +200,16 @@ class Task:
                 where=self.name,
                 expected=f"at most {wire.LARGEST_PACKET} bytes",
                 got=f"{len(data)} bytes",
+                remedy="give a shorter text or value",
             )
         try:
             self.child.sock.send(data)
         except OSError as error:
             raise TaskDiedError(
-                "the task takes no messages", where=self.name, got=str(error)
+                "the task takes no messages",
+                where=self.name,
+                got=str(error),
+                remedy="'status' shows how it stands; kill it and spawn it again",
             ) from None
         self._wake()
 
@@ -300,7 +306,7 @@ class Task:
     def death(self, code: int) -> TaskDiedError:
         """Return the error that says how the task ended."""
         return TaskDiedError(
-            f"the task ended by itself: {describe_end(code)}",
+            self.ending or f"the task ended by itself: {describe_end(code)}",
             where=self.name,
             remedy="spawn it again when the cause is gone",
             debug=self.child.crash_text(),

@@ -86,6 +86,7 @@ class Voice:
                 "the task's answer is too long",
                 expected=f"at most {wire.LARGEST_PACKET} bytes",
                 got=f"{len(data)} bytes",
+                remedy="let its parameters and its errors' texts be shorter",
             )
             data = wire.encode(
                 wire.Done(n=done.n, state=done.state, error=error.to_wire())

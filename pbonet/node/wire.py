@@ -362,5 +362,6 @@ def _checked(length: int) -> int:
             "a frame between agent and RTPU process is impossibly long",
             expected=f"at most {LARGEST_FRAME} bytes",
             got=f"{length} bytes",
+            remedy="run the same pbonet version in both; end the older",
         )
     return length

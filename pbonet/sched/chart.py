@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from html import escape
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import escape
 
 from msgspec import Struct
 
@@ -147,6 +148,7 @@ def _scale(begin: int, unit: int, count: int, width: int) -> Iterator[str]:
 
 # -- SVG ------------------------------------------------------------------------------
 
+_text = partial(escape, quote=False)
 _LEFT, _TOP, _ROW, _BAR = 72.0, 28.0, 34.0, 16.0
 
 
@@ -185,16 +187,16 @@ def as_svg(
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" '
         f'height="{height:g}" viewBox="0 0 {width} {height:g}" '
         'font-family="sans-serif" font-size="11">',
-        f"<title>{escape(title or 'schedule')}</title>",
+        f"<title>{_text(title or 'schedule')}</title>",
         f'<rect width="{width}" height="{height:g}" fill="#ffffff"/>',
-        f'<text x="{_LEFT:g}" y="16" font-size="12">{escape(title)}</text>',
+        f'<text x="{_LEFT:g}" y="16" font-size="12">{_text(title)}</text>',
     ]
     parts += _bars(outcome.segments, rows, begin, end, scale)
     for name, place in rows.items():
         base = _TOP + _ROW * place + _BAR + 6
         parts.append(
             f'<text x="{_LEFT - 8:g}" y="{base - 4:.1f}" text-anchor="end">'
-            f"{escape(name)}</text>"
+            f"{_text(name)}</text>"
             f'<line x1="{_LEFT:g}" x2="{width - 16}" y1="{base:.1f}" y2="{base:.1f}" '
             'stroke="#444444" stroke-width="0.7"/>'
         )

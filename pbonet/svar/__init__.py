@@ -2,6 +2,7 @@
 
 from .codes import Flags
 from .local import LocalTable
+from .native import survive_cuts
 from .outbox import MARK
 from .records import Cause, Counts, Register, VarInfo
 from .table import SPARE, Table
@@ -16,4 +17,5 @@ __all__ = [
     "Register",
     "Table",
     "VarInfo",
+    "survive_cuts",
 ]

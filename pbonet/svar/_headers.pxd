@@ -114,3 +114,8 @@ cdef extern from "local.h" nogil:
     int pb_commit(pb_local *l, pb_outputs *o, int64_t now_ns, uint64_t cycle)
     int pb_commit_one(pb_local *l, pb_outputs *o, uint32_t i, int64_t now_ns, uint64_t cycle)
     int pb_read_one(pb_local *l, uint32_t v, uint64_t at)
+
+cdef extern from "survive.h" nogil:
+    void pb_region_add(const void *base, size_t bytes)
+    void pb_region_remove(const void *base)
+    int pb_survive()

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
-# distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h
+# distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h
 """Thin skin over the C headers: buffers in, numbers out; the errors are made in Python."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
@@ -20,6 +20,11 @@ STATIC_BYTES = sizeof(pb_static)
 
 def now_ns() -> int:
     return pb_now()
+
+
+def survive_cuts() -> bool:
+    """Let this process live on when a table's file is cut short under it."""
+    return pb_survive() == 0
 
 
 def process_start(unsigned long long pid) -> int:
@@ -74,10 +79,12 @@ cdef class Arena:
             raise MemoryError("the table cannot be mapped")
         self.base = base
         self.bytes = size
+        pb_region_add(base, size)
         self.fd = fd  # ours from here on: its lock says that somebody uses the file
 
     def __dealloc__(self):
         if self.base != NULL:
+            pb_region_remove(self.base)
             munmap(self.base, self.bytes)
             close(self.fd)
 
@@ -98,6 +105,10 @@ cdef class Arena:
     @property
     def fileno(self) -> int:
         return self.fd
+
+    @property
+    def size(self) -> int:
+        return self.bytes
 
     @property
     def version(self) -> int:

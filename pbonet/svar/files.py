@@ -166,6 +166,24 @@ def check_mode(path: Path, fd: int, mode: int) -> None:
         )
 
 
+def must_be_whole(path: Path, fd: int, size: int) -> None:
+    """Refuse a file that somebody has cut short since it was mapped.
+
+    Raises:
+        SvarDamagedError: Bytes that are mapped are not there any more.
+    """
+    left = os.fstat(fd).st_size
+    if left < size:
+        raise SvarDamagedError(
+            "the table's file was truncated while it was in use",
+            where=str(path),
+            expected=f"{size} bytes",
+            got=f"{left} bytes",
+            remedy="its tasks die of it: stop the subsystem, which removes the file, "
+            "and start it again; find out who writes to shared memory files",
+        )
+
+
 def _check_owner(path: Path, status: os.stat_result) -> None:
     if not stat.S_ISREG(status.st_mode):
         raise SvarAccessError(
@@ -173,6 +191,7 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
             where=str(path),
             expected="a regular file",
             got=stat.filemode(status.st_mode),
+            remedy="remove it; the subsystem makes its own",
         )
     if status.st_uid != os.geteuid():
         raise SvarAccessError(
@@ -236,6 +255,34 @@ def _no_room(path: Path, size: int, error: OSError) -> SvarFullError:
         expected=f"{size} free bytes" if size else "",
         got=os.strerror(error.errno or 0),
         remedy=f"look at `df {path.parent}` and remove what crashes left there",
+    )
+
+
+def other_layout(where: str, wanted: str, got: str) -> SvarLayoutError:
+    """Return the error for a table that does not mean what was asked for."""
+    return SvarLayoutError(
+        "a table of this name stands with another layout",
+        where=where,
+        expected=f"layout {wanted}",
+        got=f"layout {got}",
+        remedy="stop the subsystem that uses it, or give this one another name",
+    )
+
+
+def no_lock(path: Path, error: int) -> SvarError:
+    """Return the error for a machine whose C library has no lock for tables."""
+    return SvarError(
+        "the lock of the table cannot be made",
+        where=str(path),
+        got=os.strerror(error),
+        remedy="a C library with robust mutexes between processes is needed",
+    )
+
+
+def closed(name: str) -> SvarError:
+    """Return the error for a table that was let go."""
+    return SvarError(
+        "the table was closed", where=name, remedy="open it again with Table.attach"
     )
 
 

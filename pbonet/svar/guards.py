@@ -122,6 +122,7 @@ def typed(
             where=where,
             expected=f"{expected} {unit}",
             got=f"{len(values)} {unit}",
+            remedy="give a value for each element",
         )
     if isinstance(values, bytes):
         result: NDArray[Any] = np.frombuffer(values, dtype)
@@ -147,4 +148,5 @@ def _check_range(where: str, variable: Variable, values: NDArray[Any]) -> None:
                 where=where,
                 expected=f"{low.tolist()} to {high.tolist()} {variable.units}",
                 got=f"{values.tolist()}",
+                remedy="give one within them, or change them in the .svar file",
             )

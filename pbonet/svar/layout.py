@@ -66,6 +66,7 @@ def values_of(
             if dtype.kind == "V"
             else f"at most {variable.nelem} values",
             got=f"{len(values)} values",
+            remedy="mend it, or NELEM and TYPE, in the .svar file",
         )
     lossy = "a value that the type cannot hold exactly"
     try:
@@ -78,6 +79,7 @@ def values_of(
             f"{where} of {variable.name} does not fit",
             expected=f"values of type {variable.type}",
             got=lossy,
+            remedy="mend it, or NELEM and TYPE, in the .svar file",
         )
     return filled
 
@@ -95,14 +97,19 @@ def check_variables(variables: Sequence[Variable]) -> None:
                 f"the name {variable.name!r} is of the wrong length",
                 expected=f"1 to {NAME_LENGTH} characters",
                 got=f"{len(variable.name)}",
+                remedy="rename it in the .svar file",
             )
         if variable.name in seen:
-            raise SvarLayoutError(f"the variable {variable.name} is there twice")
+            raise SvarLayoutError(
+                f"the variable {variable.name} is there twice",
+                remedy="rename one of them in the .svar file",
+            )
         if variable.nelem < 1:
             raise SvarLayoutError(
                 f"the variable {variable.name} has no elements",
                 expected="NELEM of at least 1",
                 got=f"{variable.nelem}",
+                remedy="mend NELEM in the .svar file",
             )
         seen.add(variable.name)
 

@@ -72,6 +72,7 @@ class LocalTable(Closing, native.LocalTable):
                 f"there is no process {pid} that could write",
                 where=f"{table}/{task}",
                 expected="the process of the task",
+                remedy="give the number of a process that runs, such as os.getpid()",
             )
         groups = (
             layout.group_of(variables, outvar),

@@ -21,6 +21,7 @@ if TYPE_CHECKING or os.environ.get("PBONET_PURE") != "1":
         LocalTable,
         now_ns,
         process_start,
+        survive_cuts,
     )
 else:
     from .pure import (
@@ -33,6 +34,7 @@ else:
         LocalTable,
         now_ns,
         process_start,
+        survive_cuts,
     )
 
     warnings.warn(
@@ -52,4 +54,5 @@ __all__ = [
     "LocalTable",
     "now_ns",
     "process_start",
+    "survive_cuts",
 ]

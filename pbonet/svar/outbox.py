@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pbonet.errors import SvarDamagedError
+
 from . import layout
 from .native import now_ns
 from .packets import Group, News
@@ -107,6 +109,10 @@ class Outbox:
 
     def look(self, epochs: Epochs) -> bool:
         """Take in who owns what now; return whether that has changed."""
+        try:
+            self._table.must_be_whole()
+        except SvarDamagedError:  # the RTPU process tells of it
+            return False
         generation = self._table.generation
         if generation == self._generation and not self._keep_changed():
             return False

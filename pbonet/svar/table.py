@@ -11,7 +11,6 @@ import numpy as np
 from pbonet.errors import (
     SvarError,
     SvarFullError,
-    SvarLayoutError,
     SvarOwnerError,
     UnknownVariableError,
     did_you_mean,
@@ -101,11 +100,7 @@ class Table(Closing):
             raise
         if error := arena.format(plan, values):
             fresh.unlink(missing_ok=True)
-            raise SvarError(
-                "the lock of the table cannot be made",
-                where=str(path),
-                got=os.strerror(error),
-            )
+            raise files.no_lock(path, error)
         files.publish(fresh, path)
         files.verify(path, arena, plan.size)
         return cls(name, path, arena)
@@ -136,13 +131,7 @@ class Table(Closing):
             raise files.damaged(path, Verdict.DAMAGED) from None
         table.check_moving_part()
         if layout is not None and table.layout != layout:
-            raise SvarLayoutError(
-                "a table of this name stands with another layout",
-                where=str(path),
-                expected=f"layout {layout}",
-                got=f"layout {table.layout}",
-                remedy="stop the subsystem that uses it, or give this one another name",
-            )
+            raise files.other_layout(str(path), layout, table.layout)
         return table
 
     def check_moving_part(self) -> None:
@@ -339,8 +328,10 @@ class Table(Closing):
 
         Raises:
             SvarOwnerError: The process still runs.
+            SvarDamagedError: The file was truncated.
         """
         arena = self._open()
+        self.must_be_whole()
         held = [r for r in self.registers() if owner in {r.owner, r.task} and r.held]
         before = [arena.look(i, _room(v)) for i, v in enumerate(self._variables)]
         gone: set[int] = set()
@@ -424,6 +415,15 @@ class Table(Closing):
             )
         return code
 
+    def must_be_whole(self) -> None:
+        """Refuse a table whose file somebody has truncated; see `survive_cuts`.
+
+        Raises:
+            SvarDamagedError: Bytes that are mapped are not there any more.
+        """
+        arena = self._open()
+        files.must_be_whole(self.path, arena.fileno, arena.size)
+
     def close(self) -> None:
         """Let go of the table (svarDetach); local tables made from it go on working."""
         self._arena = None
@@ -438,7 +438,7 @@ class Table(Closing):
 
     def _open(self) -> Arena:
         if self._arena is None:
-            raise SvarError("the table was closed", where=self.name)
+            raise files.closed(self.name)
         return self._arena
 
     def _number(self, which: str | int) -> int:
@@ -451,6 +451,7 @@ class Table(Closing):
             where=self.name,
             expected=f"0 to {len(self._variables) - 1}",
             got=f"{which}",
+            remedy="index(NAME) tells the index of a variable",
         )
 
     def _look(

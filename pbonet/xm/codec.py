@@ -62,7 +62,9 @@ class Codec:
             return self._answer.decode(data)
         except msgspec.MsgspecError as error:
             raise ProtocolError(
-                "the answer is not understood", got=str(error)
+                "the answer is not understood",
+                got=str(error),
+                remedy="run the same pbonet version on every machine",
             ) from None
 
     def _check(self, data: bytes) -> None:
@@ -71,11 +73,16 @@ class Codec:
                 "the message is too long",
                 expected=f"at most {self.MAX_BYTES} bytes",
                 got=f"{len(data)} bytes",
+                remedy="send it in parts, or send less",
             )
         try:
             version = self._version.decode(data).v
         except msgspec.MsgspecError as error:
-            raise ProtocolError("the message is not msgpack", got=str(error)) from None
+            raise ProtocolError(
+                "the message is not msgpack",
+                got=str(error),
+                remedy="send a msgpack map, as docs/protocol.md says",
+            ) from None
         if version != VERSION:
             raise ProtocolError(
                 "the message is of another protocol version",

@@ -112,6 +112,7 @@ def parse_at(text: str, place: str) -> Name:
             expected="RTPU:RESOURCE, or RESOURCE alone for the task's own RTPU, of "
             "letters, digits, and _ - . behind the first",
             got=repr(text[:100]),
+            remedy="rename it",
         )
     return Name(_home.domain, rtpu, resource)
 

@@ -4,8 +4,9 @@ A zenoh query that nobody answers, because nobody is there, because the server d
 the query in its hands, or because access control dropped it, ends without a reply and
 without an error. This layer says which it was: it looks at the liveliness tokens, asks
 again under the same request id (an agent executes an id once), and gives up within the
-time limit of the request. A request that may take long is watched: an agent that stops
-answering is found out after two seconds, not at the end of the long limit.
+time limit of the request. A request that takes long is watched: an agent that is there
+proves it by answering a greeting meanwhile, and one that does not is given up after
+little more than a second, not at the end of the long limit.
 
 Stands for the message queues between the master task and the SBS servers of Stewart
 1994, section 4.5.
@@ -35,9 +36,9 @@ from pbonet.errors import (
     UnreachableError,
     did_you_mean,
 )
-from pbonet.xm import keys, roles
+from pbonet.xm import keys, roles, rundir
 from pbonet.xm.codec import Codec
-from pbonet.xm.messages import Answer, Hello, Request
+from pbonet.xm.messages import Answer, Hello, Request, Stop
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -47,10 +48,20 @@ T = TypeVar("T")
 ANSWER_TIME: Final = 2.0
 """Seconds in which an agent answers whatever happens, or is not there."""
 
+ASK_TIME: Final = 0.5
+"""Seconds without an answer after which an agent is asked for a sign of life."""
+PROOF_TIME: Final = 0.6
+"""Seconds in which one that lives gives it."""
+_SLICE: Final = 0.05
+"""A proof is waited for in slices of this many seconds. If the whole machine stands
+still, for us as for the agent, that is one slice, and not the agent's silence."""
+_SILENCE_TIME: Final = 1.0
+"""Seconds for which an agent that gave no sign of life is not asked again; a stop is
+always sent."""
 _ALONE_TIME: Final = 1.2
 """When nobody at all can be reached, the agent through which we reach the others has
 gone; in this time zenoh finds the next."""
-_PROBE_TIME: Final = 1.0
+_TOKEN_TIME: Final = 1.0
 _DIGITS: Final = "0123456789"
 _RETRY_PAUSE: Final = 0.05
 _TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
@@ -111,16 +122,18 @@ class Client:
         self._codec = Codec()
         self._run = secrets.token_hex(4)
         self._count = itertools.count(1)
+        self._silent: dict[str, float] = {}
+        """When an RTPU's agent gave no sign of life."""
 
     def tokens(self, key: str) -> list[str]:
         """Return the keys of the liveliness tokens that match `key`, sorted."""
         try:
             replies = self.session.liveliness().get(
-                key, zenoh.handlers.FifoChannel(_TOKENS), timeout=_PROBE_TIME
+                key, zenoh.handlers.FifoChannel(_TOKENS), timeout=_TOKEN_TIME
             )
             found = {str(reply.ok.key_expr) for reply in replies if reply.ok}
         except zenoh.ZError as error:
-            raise _no_session(error) from None
+            raise no_session(error) from None
         return sorted(found)
 
     def rtpus(self) -> list[str]:
@@ -142,7 +155,8 @@ class Client:
             request: What is asked; its id and client are filled in here.
             result: The type of the result; `NoneType` when nothing comes back.
             timeout: Seconds the operation itself may take. The answer may come half a
-                second later; a silent agent is given up after `ANSWER_TIME`.
+                second later; an agent that gives no sign of life is given up after
+                `ASK_TIME` and `PROOF_TIME`.
 
         Raises:
             UnreachableError: No agent of that name is there.
@@ -206,7 +220,7 @@ class Client:
         try:
             token: Declared = self.session.liveliness().declare_token(key)
         except zenoh.ZError as error:
-            raise _no_session(error) from None
+            raise no_session(error) from None
         return token
 
     def hear(self, key: str, told: Callable[[], None]) -> Declared:
@@ -230,6 +244,9 @@ class Client:
 
     def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
         """Return the agent's answer, asking again while it is there and silent."""
+        silent = time.monotonic() - self._silent.get(rtpu, -_SILENCE_TIME)
+        if silent < _SILENCE_TIME and not isinstance(request, Stop):
+            raise _no_sign(rtpu)
         payload = self._codec.pack(request)
         leaf, greeted = roles.leaf(request), False
         end = time.monotonic() + timeout + 0.5
@@ -265,28 +282,29 @@ class Client:
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
         except zenoh.ZError as error:
-            raise _no_session(error) from None
+            raise no_session(error) from None
         return waiter
 
     def _watch(self, rtpu: str, waiter: _Waiter, end: float) -> None:
         """Wait for the end of a query; ask a slow agent whether it is still there."""
-        while not waiter.done.wait(_PROBE_TIME):
-            left = end - time.monotonic()
-            if left <= 0:
+        while not waiter.done.wait(ASK_TIME):
+            if time.monotonic() >= end:
                 return
-            if left > _PROBE_TIME and not self._hello(rtpu):
-                if waiter.done.is_set():
-                    return
+            if not self._hello(rtpu, waiter):
                 self._must_be_there(rtpu)
-                raise _no_answer(rtpu, ANSWER_TIME)
+                self._silent[rtpu] = time.monotonic()
+                raise _no_sign(rtpu)
 
-    def _hello(self, rtpu: str) -> bool:
-        """Tell whether the agent answers the simplest request."""
+    def _hello(self, rtpu: str, other: _Waiter | None = None) -> bool:
+        """Tell whether the agent answers the simplest request, or the other one."""
         hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
         payload = self._codec.pack(hello)
-        waiter = self._get(rtpu, roles.leaf(hello), payload, _PROBE_TIME)
-        waiter.done.wait(2 * _PROBE_TIME)
-        return waiter.reply is not None and waiter.reply.ok is not None
+        waiter = self._get(rtpu, roles.leaf(hello), payload, ANSWER_TIME)
+        for _ in range(round(PROOF_TIME / _SLICE)):
+            if waiter.done.wait(_SLICE) or (other and other.done.is_set()):
+                break
+        answered = waiter.reply is not None and waiter.reply.ok is not None
+        return answered or (other is not None and other.done.is_set())
 
     def _must_be_there(self, rtpu: str) -> None:
         names = self.rtpus()
@@ -301,6 +319,7 @@ class Client:
                 where=rtpu,
                 expected=request.id,
                 got=answer.id or "no id",
+                remedy="run the same pbonet version on every machine",
             )
         return answer
 
@@ -315,6 +334,9 @@ def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None
 
 def unreachable(rtpu: str, domain: str, names: list[str]) -> UnreachableError:
     """Return the error for an RTPU that is not among `names`."""
+    pid = rundir.agent_processes(domain).get(rtpu, 0)
+    if pid:
+        return _cut_off(rtpu, pid)
     there = ", ".join(names) or "none"
     stem = rtpu.rstrip(_DIGITS)  # arm1 is no misspelt arm0
     hint = did_you_mean(rtpu, [n for n in names if n.rstrip(_DIGITS) != stem])
@@ -348,7 +370,30 @@ def _no_access(rtpu: str) -> AccessError:
     )
 
 
-def _no_session(error: zenoh.ZError) -> UnreachableError:
+def _no_sign(rtpu: str) -> NoAnswerError:
+    return NoAnswerError(
+        "the agent is there and gives no sign of life",
+        where=rtpu,
+        expected=f"one within {ASK_TIME + PROOF_TIME:g} s",
+        remedy="see its output; if it hangs, end it with 'kill -9' and start it "
+        "again: its tasks go on meanwhile, for its grace",
+    )
+
+
+def _cut_off(rtpu: str, pid: int) -> UnreachableError:
+    """Return the error for an agent whose process is on this machine, but not heard."""
+    stopped = rundir.is_stopped(pid)
+    return UnreachableError(
+        "the agent cannot be reached, though its process is there",
+        where=rtpu,
+        got=f"process {pid}" + (", which is stopped" if stopped else ""),
+        remedy=(f"'kill -CONT {pid}' lets it go on; else " if stopped else "")
+        + f"end it with 'kill -9 {pid}' and start it again",
+    )
+
+
+def no_session(error: zenoh.ZError) -> UnreachableError:
+    """Return the error for a session that is closed."""
     return UnreachableError(
         "the connection to the agents is closed", got=str(error), remedy="open it again"
     )

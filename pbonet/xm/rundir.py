@@ -26,6 +26,7 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
 """Bytes that Linux takes for the path of a Unix socket."""
 _LOOK = 0.01
+_HOLDER = re.compile(r"process (\d+)")
 _FLOCK = struct.Struct("hhqqi4x")
 
 
@@ -40,6 +41,7 @@ def check_name(what: str, name: str) -> str:
             f"this is no name for {what}",
             expected="1 to 31 letters, digits, '_', '-' and '.', no '-' or '.' first",
             got=repr(name[:40]),
+            remedy="choose another name",
         )
     return name
 
@@ -207,9 +209,34 @@ def _whole(kind: int) -> bytes:
 
 def live_agents(domain: str) -> list[str]:
     """Return the names of the agents of `domain` that live on this machine, sorted."""
+    return sorted(agent_processes(domain))
+
+
+def agent_processes(domain: str) -> dict[str, int]:
+    """Return the agents of `domain` that live on this machine, and their processes.
+
+    The process of an agent that does not say its own is 0.
+    """
     here = folder() / check_name("a domain", domain)
-    names = (path.stem for path in here.glob("*.agent"))
-    return sorted(name for name in names if is_held(here / f"{name}.agent"))
+    return {path.stem: _holder(path) for path in here.glob("*.agent") if is_held(path)}
+
+
+def is_stopped(pid: int) -> bool:
+    """Tell whether a process lives and is held: by SIGSTOP, a terminal, a debugger."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] in {"T", "t"}
+
+
+def _holder(path: Path) -> int:
+    """Return the process that a lock's holder says it is, or 0."""
+    try:
+        found = _HOLDER.search(path.read_text(encoding="utf-8", errors="replace"))
+    except OSError:
+        return 0
+    return int(found[1]) if found else 0
 
 
 def machine() -> str:

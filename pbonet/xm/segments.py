@@ -192,7 +192,9 @@ class Segment:
 
     def _bytes(self) -> memoryview:
         if self._map is None:
-            raise XmError("the segment is closed", where=self.name)
+            raise XmError(
+                "the segment is closed", where=self.name, remedy="attach to it again"
+            )
         return memoryview(self._map)
 
     def _verify(self) -> None:
@@ -220,6 +222,7 @@ class Segment:
             "too many processes are attached",
             where=self.name,
             expected=f"at most {MEMBERS}",
+            remedy="close it in processes that are done with it",
         )
 
     def _is_taken(self, member: int) -> bool:

@@ -41,6 +41,8 @@ RETRY_MS = 400
 """Longest pause between attempts to reach an agent that is away."""
 SCOUTING_PORT = 17000
 """The first of the thousand ports on which domains look for their agents."""
+OPEN_TIME = 1.1
+"""Seconds in which a client goes on trying when nobody answers."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
     " Were both sides' keys made by one authority, and is the address among the agent's"
@@ -167,7 +169,7 @@ def client(
     domain: str = "default",
     *,
     connect: Sequence[str] = (),
-    timeout: float = 2.0,
+    timeout: float = OPEN_TIME,
     local: bool = True,
     key_folder: Path | None = None,
 ) -> zenoh.Session:
@@ -185,9 +187,19 @@ def client(
         NodeError: An endpoint is malformed, or does not fit the keys.
         ConfigFileError: The key folder cannot be used.
     """
+    running, stopped = _local_agents(domain) if local else ([], {})
+    if stopped and not (connect or running):
+        raise UnreachableError(
+            f"every agent of domain {domain} on this machine is stopped",
+            where=str(rundir.folder() / domain),
+            got=", ".join(f"{name}: process {pid}" for name, pid in stopped.items()),
+            remedy=f"'kill -CONT {' '.join(map(str, stopped.values()))}' lets them "
+            "go on",
+        )
     key_folder = key_folder or credentials.named()
     endpoints = [check_endpoint(one, key_folder=key_folder) for one in connect]
-    endpoints += local_endpoints(domain) if local else []
+    # Who is stopped comes last: it would keep us waiting for half a second.
+    endpoints += [rundir.Places(domain, name).endpoint for name in (*running, *stopped)]
     if not endpoints:
         raise UnreachableError(
             f"no agent of domain {domain} runs on this machine",
@@ -201,12 +213,14 @@ def client(
         connect={"endpoints": endpoints, "timeout_ms": 0, "exit_on_failure": True},
         key_folder=key_folder,
     )
-    deadline = time.monotonic() + timeout
+    begin = time.monotonic()
     while True:
+        tried = time.monotonic()
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            if time.monotonic() < deadline:
+            now = time.monotonic()
+            if now - begin + (now - tried) < timeout:  # the next try may last as long
                 time.sleep(_OPEN_PAUSE)
                 continue
             raise UnreachableError(
@@ -218,9 +232,13 @@ def client(
             ) from None
 
 
-def local_endpoints(domain: str) -> list[str]:
-    """Return the sockets of the agents of `domain` that live on this machine."""
-    return [rundir.Places(domain, name).endpoint for name in rundir.live_agents(domain)]
+def _local_agents(domain: str) -> tuple[list[str], dict[str, int]]:
+    """Return the agents of this machine: those that run, and those that are stopped."""
+    processes = rundir.agent_processes(domain)
+    stopped = {
+        name: pid for name, pid in sorted(processes.items()) if rundir.is_stopped(pid)
+    }
+    return sorted(processes.keys() - stopped), stopped
 
 
 def alive(session: zenoh.Session, key: str, timeout: float = 1.0) -> list[str]:

@@ -140,7 +140,7 @@ def test_answers_that_cannot_be_given_are_errors():
         make(on=lambda _: Answer.CONTINUE).on()
     assert str(caught.value) == (
         "scale.on: on gave an answer that it cannot give "
-        "(expected None or Answer.OFF, got Answer.CONTINUE)"
+        "(expected None or Answer.OFF, got Answer.CONTINUE); mend what it returns"
     )
     with pytest.raises(MethodError, match=r"expected None or Answer.OFF, got True"):
         make(on=lambda _: True).on()

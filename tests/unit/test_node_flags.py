@@ -25,6 +25,12 @@ class Opened:
         self.table = table
 
 
+class Tables(dict):
+    """The open tables; their files are whole."""
+
+    sound = dict.get
+
+
 @pytest.fixture
 def table(monkeypatch, tmp_path):
     monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
@@ -34,7 +40,7 @@ def table(monkeypatch, tmp_path):
 
 
 def flags(table):
-    return Flags("arm0", {"arm": Opened(table)})
+    return Flags("arm0", Tables(arm=Opened(table)))
 
 
 def test_an_entry_stands_until_it_is_withdrawn(table):

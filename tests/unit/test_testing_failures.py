@@ -260,7 +260,7 @@ def test_another_answer_is_an_error(answer):
     assert str(caught.value) == (
         "search.timing_failure: timing_failure gave an answer that it cannot give "
         "(expected None or Recovery.CONTINUE or Recovery.ABORT or Recovery.SKIP, got "
-        f"{answer!r})"
+        f"{answer!r}); mend what it returns; no return at all means CONTINUE"
     )
 
 
@@ -270,7 +270,8 @@ def test_a_task_that_is_not_on_does_not_fail_in_time():
     with pytest.raises(StateError) as caught:
         bench.timing_failure(DEADLINE)
     assert str(caught.value) == (
-        "search: a timing failure is one of a task that is ON (got state OFF)"
+        "search: a timing failure is one of a task that is ON (got state OFF); "
+        "turn it on first"
     )
     with pytest.raises(StateError, match="signal abort is not valid in state OFF"):
         bench.executor.abort()

@@ -3,7 +3,7 @@
 from .arena import STATIC_BYTES, VERSION, Arena, Blueprint
 from .flag import CAUSES, CAUSES_EACH
 from .local import LocalTable
-from .process import now_ns, process_start
+from .process import now_ns, process_start, survive_cuts
 
 __all__ = [
     "CAUSES",
@@ -15,4 +15,5 @@ __all__ = [
     "LocalTable",
     "now_ns",
     "process_start",
+    "survive_cuts",
 ]

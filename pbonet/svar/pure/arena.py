@@ -102,7 +102,7 @@ class Arena(Flag):
 
     def __init__(self, fd: int, size: int, machine: bytes) -> None:
         self.map = memoryview(mmap.mmap(fd, size))
-        self.fileno, self.bytes, self.machine = fd, size, machine
+        self.fileno, self.size, self.machine = fd, size, machine
 
     def __del__(self) -> None:
         if hasattr(self, "fileno"):
@@ -140,15 +140,15 @@ class Arena(Flag):
 
     def verify(self) -> int:
         """Judge the file (keeper.h)."""
-        if self.bytes < STATIC_BYTES or bytes(self.map[:8]) != _MAGIC:
+        if self.size < STATIC_BYTES or bytes(self.map[:8]) != _MAGIC:
             return Verdict.NO_TABLE
         fields = _STATIC.unpack_from(self.map)
         self.version = fields[1]
         if fields[1:3] != (VERSION, _ABI):
             return Verdict.OTHER_VERSION
-        if fields[5] != self.bytes:
-            return Verdict.CUT_SHORT if fields[5] > self.bytes else Verdict.DAMAGED
-        if not STATIC_BYTES <= fields[11] <= self.bytes:
+        if fields[5] != self.size:
+            return Verdict.CUT_SHORT if fields[5] > self.size else Verdict.DAMAGED
+        if not STATIC_BYTES <= fields[11] <= self.size:
             return Verdict.DAMAGED
         self._read_places()
         return Verdict.SOUND if self._checksum() == fields[6] else Verdict.DAMAGED
@@ -280,7 +280,7 @@ class Arena(Flag):
             if start >= at + size:
                 break
             at = max(at, end)
-        return at if at + size <= self.bytes else 0
+        return at if at + size <= self.size else 0
 
     def _may(self, r: int, v: int, value: bytes, *, constants: bool) -> str:
         """Return whether a variable is taken, shared or refused."""
