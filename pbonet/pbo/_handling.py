@@ -156,7 +156,7 @@ def place_of(error: BaseException) -> str:
     trace = error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
-        own = not file.startswith(_RUNTIME)
+        own = not file.startswith(_RUNTIME) and not file.endswith(".pyx")
         if own and folder in {None, Path(file).parent}:
             folder = Path(file).parent
             found = line_of(trace.tb_frame, trace.tb_lineno)

@@ -53,7 +53,7 @@ def test_by_default_the_task_is_in_error_with_number_line_and_cycle(arm):
     arm.on("a")
     event = arm.wait_event("METHOD", "a")
     assert event.severity == Severity.ERROR
-    assert event.text == "a.cycle: DeviceError: no encoder: ERROR"
+    assert event.text == "a.cycle: no encoder: ERROR"
     assert place(event) == ("handles.py", "cycle")
     assert arm.status("a").state == "ERROR"
     arm.wait_cycles("good", 10)

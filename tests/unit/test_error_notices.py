@@ -15,7 +15,7 @@ from pbonet.node import wire
 from pbonet.node.events import EventLog
 from pbonet.node.tasks import crash_place
 from pbonet.node.tasktalk import Voice
-from pbonet.pbo import Notice, State
+from pbonet.pbo import Notice, State, place_of
 
 PLACE = "/lib/arm.py:31 in cycle"
 HANDLED = Notice(0, "too hot: jump", 7, 5, 0, handled=True, place=PLACE)
@@ -101,6 +101,18 @@ def test_events_are_chosen_by_the_module_s_number():
     assert Choice.of({"code": "7"})(event())
     assert Choice.of({"code": "METHOD"})(event())
     assert not Choice.of({"code": "8"})(event())
+
+
+def test_the_line_is_the_module_s_not_the_native_loop_s():
+    """In a task the outermost frame is one of Cython, with a path of its own."""
+    loop = compile("cycle()", "pbonet/node/_rt.pyx", "exec")
+    law = compile("def cycle():\n    return 1 / 0", "/lib/arm.py", "exec")
+    names = {}
+    exec(law, names)  # noqa: S102 - the only way to a file of that name
+    with pytest.raises(ZeroDivisionError) as caught:
+        exec(loop, names)  # noqa: S102
+    error = caught.value.with_traceback(caught.tb.tb_next)  # without this test's line
+    assert place_of(error) == "/lib/arm.py:2 in cycle"
 
 
 def test_the_line_of_a_crash():
