@@ -55,7 +55,7 @@ def test_it_runs_in_virtual_time_and_is_drawn(desk):
     *_, verdict = desk.call(check).splitlines()
     assert verdict == "swing.job: job swing of 3 tasks: legal"
     assert "10 s of virtual time are over" in desk.call(run)
-    recording = Log(last_run(desk.cwd / "runs"))
+    recording = Log(last_run(desk.env["PBONET_RUNS"]))
     time, angle = recording.series("Q_MEZ")
     _, reference = recording.series("Q_REF")
     assert len(angle) == 5000
