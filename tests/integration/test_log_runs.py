@@ -18,6 +18,7 @@ from nodekit import Master
 from watching import processes_of, wait_for
 
 from pbonet.errors import LogError, ModuleLoadError
+from pbonet.errors import PbonetError
 from pbonet.log import Log, is_complete
 from pbonet.testing import DivergedError, replay, verify
 from pbonet.xm import messages as m
@@ -232,9 +233,18 @@ def test_what_cannot_be_recorded_is_refused(line):
     assert line.ask(m.Record(mode="off"), m.Recorded).path == ""
 
 
+def is_logged(path, task):
+    """Tell whether a whole chunk with cycles of the task is in the file."""
+    try:
+        return bool(cycles_of(*Log(path).lives(task)))
+    except PbonetError:  # nothing of it yet
+        return False
+
+
 def test_a_killed_recorder_is_felt_by_nobody(line, nodes):
     path = begin(line)
     before = line.wait_cycles("b", 50)
+    wait_for(lambda: is_logged(path, "b"), "cycles on the disk")
     os.kill(recorder(nodes), signal.SIGKILL)
     line.wait_event("RECORDER_DIED")
     wait_for(lambda: line.rtpu_status().log.endswith("run-2.mcap"), "another log")

@@ -201,7 +201,7 @@ class TestDeadline:
 
 
 def test_stopped_processes_do_not_catch_up(arm, nodes):
-    """SIGSTOP for a while, as a suspended machine: counted, and no burst behind it."""
+    """SIGSTOP for 2 s, as a suspended machine: counted, and no burst behind it."""
     arm.spawn("t", "counts", out="Y0", freq=100.0)
     arm.on("t")
     tid = arm.wait_cycles("t", 5).tid
@@ -212,12 +212,12 @@ def test_stopped_processes_do_not_catch_up(arm, nodes):
     try:
         wait_for(lambda: _stopped(tid) and _stopped(rtpu), "both to stand still")
         now = _rt.monotonic_ns()
-        wait_for(lambda: _rt.monotonic_ns() - now > 300_000_000, "a while")
+        wait_for(lambda: _rt.monotonic_ns() - now > 2_000_000_000, "two seconds")
     finally:
         os.kill(tid, signal.SIGCONT)
         os.kill(rtpu, signal.SIGCONT)
     after = arm.wait_cycles("t", before.cycle + 10)
-    assert after.miss - before.miss >= 25
+    assert after.miss - before.miss >= 190
     periods = (after.now - before.now) * 1e-9 * 100.0
     assert after.cycle - before.cycle + after.miss - before.miss <= periods + 2
     assert arm.wait_event("CORE_STALLED").severity == Severity.WARNING

@@ -113,7 +113,7 @@ int main(int argc, char **argv)
         require(rt_alloc(table, member, "rtpu", "task") == i, "alloc");
         rt_configure(table, i, &s);
         rings[i] = calloc(1, sizeof(struct ring) + 65536 + 64);
-        ring_init(rings[i], 65536);
+        ring_init(rings[i], 65536, 0);
     }
     require(!rt_start(&loop), "start");
     for (intptr_t i = 0; i < TASKS; i++)
