@@ -17,8 +17,7 @@ from mcap.reader import make_reader
 from nodekit import Master
 from watching import processes_of, wait_for
 
-from pbonet.errors import LogError, ModuleLoadError
-from pbonet.errors import PbonetError
+from pbonet.errors import LogError, ModuleLoadError, PbonetError
 from pbonet.log import Log, is_complete
 from pbonet.testing import DivergedError, replay, verify
 from pbonet.xm import messages as m
