@@ -14,6 +14,7 @@ import msgspec
 from pbonet.errors import PbonetError
 from pbonet.master import render
 from pbonet.master.choice import Choice, since
+from pbonet.master.run import Interrupts
 from pbonet.master.subsystem import Subsystem
 from pbonet.xm import messages as m
 
@@ -126,7 +127,9 @@ def follow(
         kind="events",
         watch=True,
     )
-    with subsystem, subsystem.news() as news:
+    # A KeyboardInterrupt may be swallowed where Python ignores what a callback raises.
+    interrupts = Interrupts(once=True)
+    with subsystem, subsystem.news() as news, interrupts.caught():
         follower = Follower(subsystem, wanted)
         last = given.get("last")
         first, _ = since(given.get("since") or 0)
@@ -134,11 +137,12 @@ def follow(
         count = _LAST if last is None else last
         _show(events[max(0, len(events) - count) :], as_data=as_data, debug=debug)
         told: dict[str, str] = {}
-        while True:
+        while not interrupts.wished.is_set():
             news.wait(LOOK_TIME)
             news.clear()
             _show(follower.take(), as_data=as_data, debug=debug)
             told = _complain(told, follower)
+    raise KeyboardInterrupt
 
 
 def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
