@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
+from pbonet.svar.closing import Closing
 from pbonet.xm import files
 
 from . import layout, places
 from ._tbuf import READER, WRITER, End, In, Out
 
 if TYPE_CHECKING:
-    from types import TracebackType
     from typing import Any
 
     from numpy.typing import DTypeLike, NDArray
 
 
-class _Attached(End):
+class _Attached(Closing, End):
     """What both ends have in common."""
 
     name: str
@@ -32,17 +32,6 @@ class _Attached(End):
         files.unlink_same(Path(self.path), self.fileno)
         self.mark_destroyed()
         self.unmap()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.name}, record {self.number}>"

@@ -23,12 +23,11 @@ from pbonet.errors import (
     XmFullError,
     XmLayoutError,
 )
+from pbonet.svar.closing import Closing
 
 from . import files, names
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from numpy.typing import DTypeLike, NDArray
 
     from .names import Name
@@ -48,7 +47,7 @@ _ELSEWHERE = (
 )
 
 
-class Segment:
+class Segment(Closing):
     """A segment, attached (``shmCreate``, ``shmAttach``).
 
     Attributes:
@@ -175,17 +174,6 @@ class Segment:
             files.unlink_same(self._path, self._fd)
             struct.pack_into("I", self._bytes(), _DESTROYED, 1)
             self._let_go()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"<Segment {self.name}, {self.size} bytes>"
