@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adding import ADDS
 from mcap.reader import make_reader
 from nodekit import Master
 from watching import processes_of, wait_for
@@ -22,35 +23,6 @@ from pbonet.log import Log, is_complete
 from pbonet.testing import DivergedError, replay, verify
 from pbonet.xm import messages as m
 
-ADDS = '''
-from typing import Annotated as A
-
-from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
-
-
-class Gain(Params):
-    """How much is added."""
-
-    gain: A[float, param("1", "of the input")] = 1.0
-
-
-class Adds(PortBasedObject[Gain]):
-    """Adds its input up, with the time and its own age."""
-
-    n: A[int, InConst("N", "1", "size")]
-    z: A[Vector, InVar("Z", "n", "none", "input")]
-    y: A[Vector, OutVar("Y", "n", "none", "sum")]
-
-    def init(self) -> None:
-        self.age = 0.1
-
-    def on(self) -> None:
-        self.age += self.task.now * 1e-9
-
-    def cycle(self, dt: float) -> None:
-        self.age += dt / 3.0
-        self.y += self.params.gain * self.z * dt + self.age + self.task.now * 1e-12
-'''
 TEXT = """MODULE adds
 DESC adds
 SVARALIAS Z={z}

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from adding import ADDS
 
 from pbonet.config import parse_rmod
 from pbonet.config.library import Library
@@ -31,38 +32,6 @@ from pbonet.pbo import Counted, TaskContext, bind, decode_params
 from pbonet.svar import Table
 from pbonet.testing import DivergedError, replay, verify
 
-CODE = '''
-from typing import Annotated as A
-
-from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
-
-
-class Gain(Params):
-    """How much is added."""
-
-    gain: A[float, param("1", "of the input")] = 1.0
-
-
-class Adds(PortBasedObject[Gain]):
-    """Adds its input up, with the time and its own age."""
-
-    n: A[int, InConst("N", "1", "size")]
-    z: A[Vector, InVar("Z", "n", "none", "input")]
-    y: A[Vector, OutVar("Y", "n", "none", "sum")]
-
-    def init(self) -> None:
-        self.age = 0.1
-
-    def on(self) -> None:
-        self.age += self.task.now * 1e-9
-
-    def cycle(self, dt: float) -> None:
-        self.age += dt / 3.0
-        self.y += self.params.gain * self.z * dt + self.age + self.task.now * 1e-12
-
-    def off(self) -> None:
-        self.y[0] = self.task.cyclecount
-'''
 RMOD = (
     "MODULE adds\nDESC d\nSVARALIAS Z={z}\nSVARALIAS Y={y}\nINCONST N\nOUTCONST none\n"
     "INVAR Z\nOUTVAR Y\nTASKTYPE periodic\nFREQ 100\nLOCAL\ngain 0.75\nEOF\n"
@@ -180,7 +149,7 @@ class Shop:
     def __init__(self, folder):
         self.folder = folder
         self.code = folder / "adds.py"
-        self.code.write_text(CODE)
+        self.code.write_text(ADDS)
         self.table = Table.create("t", VARIABLES)
         library = Library([folder])
         self.a = Task(self.table, library, "a", "X", "Y0")
@@ -265,11 +234,11 @@ def test_the_first_divergence_is_named(shop, old, new, where) -> None:
     shop.cycles(4)
     shop.a.signal("off")
     path = shop.log()
-    shop.code.write_text(CODE.replace(old, new))
+    shop.code.write_text(ADDS.replace(old, new))
     with pytest.raises(DivergedError) as caught:
         replay(path, "a")
     assert where in str(caught.value)
-    number = next(i for i, line in enumerate(CODE.splitlines(), 1) if old in line)
+    number = next(i for i, line in enumerate(ADDS.splitlines(), 1) if old in line)
     assert f"adds.py has changed: {shop.a.about.code[0].sha256[:12]} to " in str(
         caught.value
     )
@@ -279,7 +248,7 @@ def test_the_first_divergence_is_named(shop, old, new, where) -> None:
 def test_one_other_bit_is_a_divergence_unless_told(shop) -> None:
     shop.cycles(3)
     path = shop.log()
-    shop.code.write_text(CODE.replace("dt / 3.0", "dt / 3.0000000000001"))
+    shop.code.write_text(ADDS.replace("dt / 3.0", "dt / 3.0000000000001"))
     (one,) = verify(path, ["a"])
     assert one.divergence is not None
     assert one.divergence.variable == "Y0"
