@@ -12,8 +12,10 @@ whole in a file that was cut.
 
 from .cycles import COLUMNS, STABLE, Cycles
 from .fields import field_name, variable_name
-from .reader import Log, Message, Part, files_of, last_run
+from .part import Part
+from .reader import Life, Log, Message, files_of, last_run
 from .records import Attached, CodeFile, Did, RunAbout, Step, TaskAbout
+from .rows import Rows
 from .scan import is_complete
 from .writer import LogWriter
 
@@ -24,10 +26,12 @@ __all__ = [
     "CodeFile",
     "Cycles",
     "Did",
+    "Life",
     "Log",
     "LogWriter",
     "Message",
     "Part",
+    "Rows",
     "RunAbout",
     "Step",
     "TaskAbout",

@@ -12,9 +12,9 @@ import numpy as np
 
 from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 
-from . import scan
 from .cycles import COLUMNS, Cycles
-from .records import FORMAT, METADATA, Attached, RunAbout, Step, TaskAbout
+from .part import Part
+from .records import Attached, Step, TaskAbout
 from .schema import HEAD, TaskSchema, head
 
 if TYPE_CHECKING:
@@ -22,29 +22,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .scan import Content
+    from .rows import Rows
 
 _ABOUT: Final = msgspec.json.Decoder(TaskAbout)
-
-
-class Schema(NamedTuple):
-    """What the messages of a channel look like."""
-
-    name: str
-    encoding: str
-    data: bytes
-
-
-_NONE: Final = Schema("", "", b"")
-
-
-class Channel(NamedTuple):
-    """One channel of a file."""
-
-    topic: str
-    encoding: str
-    schema: Schema
-    metadata: dict[str, str]
 
 
 class Message(NamedTuple):
@@ -55,101 +35,44 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Part:
-    """One file of a run.
+class Life:
+    """One spawn of a task in one file; its messages are read when they are asked for.
 
     Args:
-        path: The file.
-
-    Raises:
-        LogError: It is none, or of a newer version.
+        about: What it was.
+        part: The file.
+        keys: Its channels of cycles and of steps there.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.messages: dict[int, list[tuple[int, int, bytes]]] = {}
-        """Time, place among all, and data, by channel in the order of the file."""
-        self.count = 0
-        self.attached: dict[str, Attached] = {}
-        self.damaged = 0
-        """Chunks that could not be unpacked."""
-        self.chunks = 0
-        self.metadata: dict[str, dict[str, str]] = {}
-        self._schemas: dict[int, Schema] = {}
-        with scan.open_log(path) as file:
-            self.size = file.seek(0, 2)
-            self.content: Content = scan.scan(file, str(path))
-            self.about = self._read_about(file)
-            self._read(file)
+    def __init__(self, about: TaskAbout, part: Part, keys: tuple[int, ...]) -> None:
+        self.about = about
+        self.part = part
+        self.schema = TaskSchema(about)
+        self._keys = keys
 
     @property
-    def complete(self) -> bool:
-        """Whether the file was finished."""
-        return self.content.complete
+    def commits(self) -> Rows:
+        """Messages of cycles, claims and other commits."""
+        return self.part.rows(self._keys[0])
 
-    def _read_about(self, file: Any) -> RunAbout | None:  # noqa: ANN401 - a file
-        for found in self.content.records:
-            if found.opcode == scan.METADATA:
-                name, values = _metadata(_content(file, found))
-                self.metadata[name] = values
-        known = self.metadata.get(METADATA)
-        return None if known is None else _run_about(known, self.path)
+    @property
+    def steps(self) -> list[bytes]:
+        """Messages of what else it did."""
+        return [one for key in self._keys[1:] for one in self.part.rows(key).all()]
 
-    def _read(self, file: Any) -> None:  # noqa: ANN401 - a file
-        for found in self.content.records:
-            if found.opcode == scan.CHUNK:
-                chunk = scan.unpacked(_content(file, found))
-                self.chunks += 1
-                if chunk is None:
-                    self.damaged += 1
-                else:
-                    self._take(chunk)
-            elif found.opcode in {scan.SCHEMA, scan.CHANNEL}:  # of no message, perhaps
-                self._define(found.opcode, memoryview(_content(file, found)), 0)
-            elif found.opcode == scan.ATTACHMENT:
-                one = _attachment(_content(file, found))
-                self.attached[one.name] = one
+    @property
+    def records(self) -> list[bytes]:
+        """All of them, in the order in which they were made."""
+        self.part.load(self._keys)
+        each = [self.part.rows(key) for key in self._keys]
+        places = np.concatenate([rows.places for rows in each])
+        messages = [one for rows in each for one in rows.all()]
+        return [messages[i] for i in np.argsort(places)]
 
-    def _take(self, chunk: memoryview) -> None:
-        messages, first = self.messages, scan.MESSAGE_HEAD
-        for opcode, at, size in scan.inside(chunk):
-            if opcode == scan.MESSAGE:
-                channel, log_ns, _ = scan.message(chunk, at)
-                data = bytes(chunk[at + first : at + size])
-                messages.setdefault(channel, []).append((log_ns, self.count, data))
-                self.count += 1
-            elif opcode in {scan.SCHEMA, scan.CHANNEL}:
-                self._define(opcode, chunk, at)
-
-    def _define(self, opcode: int, chunk: memoryview, at: int) -> None:
-        """Take note of a schema or a channel."""
-        number = int.from_bytes(chunk[at : at + 2], "little")
-        if opcode == scan.SCHEMA:
-            (name, encoding), at = _texts(chunk, at + 2, 2)
-            size = int.from_bytes(chunk[at : at + 4], "little")
-            data = bytes(chunk[at + 4 : at + 4 + size])
-            self._schemas[number] = Schema(name, encoding, data)
-            return
-        schema = int.from_bytes(chunk[at + 2 : at + 4], "little")
-        (topic, encoding), at = _texts(chunk, at + 4, 2)
-        self.channels[number] = Channel(
-            topic, encoding, self._schemas.get(schema, _NONE), _map(chunk, at)
-        )
-
-
-class Life(NamedTuple):
-    """One spawn of a task in one file."""
-
-    about: TaskAbout
-    schema: TaskSchema
-    commits: list[bytes]
-    """Messages of cycles, claims and other commits."""
-    steps: list[bytes]
-    """Messages of what else it did."""
-    records: list[bytes]
-    """All of them, in the order in which they were made."""
-    part: Part
+    @property
+    def epoch_ns(self) -> int:
+        """What is added to CLOCK_MONOTONIC to get nanoseconds since 1970."""
+        return self.part.about.epoch_ns if self.part.about else 0
 
 
 class Log(Cycles):
@@ -252,27 +175,47 @@ class Log(Cycles):
             found = part.attached | found
         return found
 
-    def messages(self, encoding: str = "") -> Iterator[Message]:
-        """Yield all messages by time, those of one encoding if told."""
-        rows = [
-            (time_ns, number, at, channel.topic, data)
-            for number, part in enumerate(self.parts)
-            for key, channel in part.channels.items()
-            if encoding in {"", channel.encoding}
-            for time_ns, at, data in part.messages.get(key, [])
-        ]
-        rows.sort(key=lambda row: row[:3])
-        for time_ns, _, _, topic, data in rows:
+    def load(self) -> None:
+        """Read all messages in one go, where most of them are wanted."""
+        for part in self.parts:
+            part.load()
+
+    def messages(self, encoding: str, ending: str = "") -> Iterator[Message]:
+        """Yield the messages of an encoding by time; of topics that end so, if told."""
+        found: list[tuple[int, int, int, str, bytes]] = []
+        for number, part in enumerate(self.parts):
+            for key, channel in part.channels.items():
+                if channel.encoding == encoding and channel.topic.endswith(ending):
+                    rows = part.rows(key)
+                    found += [
+                        (time_ns, number, at, channel.topic, data)
+                        for time_ns, at, data in zip(
+                            rows.times.tolist(),
+                            rows.places.tolist(),
+                            rows.all(),
+                            strict=True,
+                        )
+                    ]
+        found.sort(key=lambda row: row[:3])
+        for time_ns, _, _, topic, data in found:
             yield Message(topic, time_ns, data)
 
     def events(self) -> list[dict[str, Any]]:
         """Return the events, by time."""
         found = [
-            msgspec.json.decode(one.data)
-            for one in self.messages("json")
-            if one.topic.endswith("/events")
+            msgspec.json.decode(one.data) for one in self.messages("json", "/events")
         ]
         return [cast("dict[str, Any]", one["event"]) for one in found]
+
+    @property
+    def begin_time_ns(self) -> int:
+        """When the first commit of any task was made, in nanoseconds since 1970."""
+        times = [
+            int(head(one.commits[0])["end_ns"]) + one.epoch_ns
+            for one in self._lives
+            if one.commits
+        ]
+        return min(times, default=0)
 
     def lost(self) -> dict[str, int]:
         """Return how many records of each task did not fit its ring."""
@@ -332,11 +275,11 @@ def _lives(part: Part) -> list[Life]:
     """Return the tasks of one file, spawn by spawn."""
     found: list[Life] = []
     steps = {
-        int(one.metadata.get("of", 0)): part.messages.get(key, [])
+        int(one.metadata.get("of", 0)): key
         for key, one in part.channels.items()
         if one.topic.endswith("/steps")
     }
-    for key, channel in part.channels.items():
+    for key, channel in sorted(part.channels.items()):
         text = channel.metadata.get("about")
         if channel.encoding != "cdr" or text is None:
             continue
@@ -344,72 +287,6 @@ def _lives(part: Part) -> list[Life]:
             about = _ABOUT.decode(text)
         except msgspec.MsgspecError:
             continue
-        rows, others = part.messages.get(key, []), steps.get(key, [])
-        ordered = sorted((*rows, *others), key=lambda row: row[1])
-        found.append(
-            Life(
-                about=about,
-                schema=TaskSchema(about),
-                commits=[row[2] for row in rows],
-                steps=[row[2] for row in others],
-                records=[row[2] for row in ordered],
-                part=part,
-            )
-        )
+        keys = (key, steps[key]) if key in steps else (key,)
+        found.append(Life(about, part, keys))
     return found
-
-
-def _run_about(values: dict[str, str], path: Path) -> RunAbout:
-    """Return which run a file is of.
-
-    Raises:
-        LogError: It was written by a newer pbonet.
-    """
-    version = values.get("format", str(FORMAT))
-    if version.isdecimal() and int(version) > FORMAT:
-        raise LogError(
-            "the log was written by a newer pbonet",
-            where=str(path),
-            expected=f"format {FORMAT} or older",
-            got=f"format {version}, pbonet {values.get('pbonet', '?')}",
-            remedy="install that version; other tools read the file as it is",
-        )
-    return msgspec.convert(values, RunAbout, strict=False)
-
-
-def _content(file: Any, found: scan.Found) -> bytes:  # noqa: ANN401 - a file
-    file.seek(found.at)
-    return cast("bytes", file.read(found.size))
-
-
-def _texts(data: memoryview, at: int, count: int) -> tuple[list[str], int]:
-    """Return so many texts with their lengths before them, and what follows."""
-    texts: list[str] = []
-    for _ in range(count):
-        size = int.from_bytes(data[at : at + 4], "little")
-        texts.append(bytes(data[at + 4 : at + 4 + size]).decode(errors="replace"))
-        at += 4 + size
-    return texts, at
-
-
-def _map(data: memoryview, at: int) -> dict[str, str]:
-    end = at + 4 + int.from_bytes(data[at : at + 4], "little")
-    at += 4
-    found: dict[str, str] = {}
-    while at < end:
-        (key, value), at = _texts(data, at, 2)
-        found[key] = value
-    return found
-
-
-def _metadata(content: bytes) -> tuple[str, dict[str, str]]:
-    data = memoryview(content)
-    (name,), at = _texts(data, 0, 1)
-    return name, _map(data, at)
-
-
-def _attachment(content: bytes) -> Attached:
-    data = memoryview(content)
-    (name, kind), at = _texts(data, 16, 2)
-    size = int.from_bytes(data[at : at + 8], "little")
-    return Attached(name, bytes(data[at + 8 : at + 8 + size]), kind)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 from pbonet.errors import LogError
 
-from .reader import Part, files_of
+from .part import Part
+from .reader import files_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from .reader import Channel, Schema
+    from .part import Channel, Schema
 
 
 def merge(paths: Sequence[Path], out: Path) -> int:
@@ -108,10 +109,16 @@ def _messages(
     time never goes back.
     """
     number, part = numbered
+    part.load()
     rows = [
         (at, time_ns, key, data)
-        for key, messages in part.messages.items()
-        for time_ns, at, data in messages
+        for key in part.channels
+        for at, time_ns, data in zip(
+            part.rows(key).places.tolist(),
+            part.rows(key).times.tolist(),
+            part.rows(key).all(),
+            strict=True,
+        )
     ]
     rows.sort(key=lambda row: row[0])
     latest: dict[int, int] = {}

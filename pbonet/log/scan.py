@@ -1,4 +1,4 @@
-"""Which records an MCAP file holds whole, found without its summary.
+"""Which records an MCAP file holds: by its summary, or one by one without it.
 
 A file that was cut anywhere, or is still being written, ends at its last whole record.
 """
@@ -17,11 +17,16 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
 MAGIC: Final = bytes((137, 77, 67, 65, 80, 48, 13, 10))
-SCHEMA, CHANNEL, MESSAGE, CHUNK = 3, 4, 5, 6
-ATTACHMENT, METADATA, DATA_END, FOOTER = 9, 12, 15, 2
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 2, 3, 4, 5, 6, 7
+CHUNK_INDEX, ATTACHMENT, ATTACHMENT_INDEX, STATISTICS = 8, 9, 10, 11
+METADATA, METADATA_INDEX = 12, 13
 _HEAD: Final = struct.Struct("<BQ")
+HEAD: Final = _HEAD.size
+"""Bytes before the content of a record."""
+MESSAGE_HEAD: Final = struct.calcsize("<HIQQ")
+"""Bytes before the data of a message, in its content."""
 _CHUNK: Final = struct.Struct("<QQQII")
-_MESSAGE: Final = struct.Struct("<HIQQ")
+_FOOTER: Final = struct.Struct("<QQI")
 _LARGEST: Final = 1 << 31
 
 
@@ -43,8 +48,55 @@ class Content(NamedTuple):
     """Whether the file was finished."""
 
 
+def summary(file: BinaryIO, where: str) -> memoryview | None:
+    """Return the records at the end of a finished file, which say where the rest is.
+
+    Returns:
+        None for a file that was cut, or has no such records.
+
+    Raises:
+        LogError: It is no MCAP file.
+    """
+    size = _size(file, where)
+    last = HEAD + _FOOTER.size + len(MAGIC)
+    if size < len(MAGIC) + last or not _ends_well(file, size):
+        return None
+    file.seek(size - last)
+    opcode, _ = _HEAD.unpack(file.read(HEAD))
+    start, _, crc = _FOOTER.unpack(file.read(_FOOTER.size))
+    if opcode != FOOTER or not len(MAGIC) <= start < size - last:
+        return None
+    file.seek(start)
+    data = file.read(size - last - start + HEAD + _FOOTER.size - 4)
+    if crc and zlib.crc32(data) != crc:
+        return None
+    return memoryview(data)[: size - last - start]
+
+
 def scan(file: BinaryIO, where: str) -> Content:
     """Return the whole records of a file.
+
+    Raises:
+        LogError: It is no MCAP file.
+    """
+    size = _size(file, where)
+    at, found = len(MAGIC), list[Found]()
+    while True:
+        file.seek(at)
+        head = file.read(_HEAD.size)
+        if len(head) < _HEAD.size:
+            return Content(found, at, complete=False)
+        opcode, length = _HEAD.unpack(head)
+        if length > _LARGEST or at + _HEAD.size + length > size or not opcode:
+            return Content(found, at, complete=False)
+        found.append(Found(opcode, at + _HEAD.size, length))
+        at += _HEAD.size + length
+        if opcode == FOOTER:
+            return Content(found, at, complete=_ends_well(file, size))
+
+
+def _size(file: BinaryIO, where: str) -> int:
+    """Return the size of a file that begins as it should.
 
     Raises:
         LogError: It is no MCAP file.
@@ -59,19 +111,7 @@ def scan(file: BinaryIO, where: str) -> Content:
             got=f"{size} bytes of something else" if size else "an empty file",
             remedy="name a run.mcap, or the folder of a run",
         )
-    at, found = len(MAGIC), list[Found]()
-    while True:
-        file.seek(at)
-        head = file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            return Content(found, at, complete=False)
-        opcode, length = _HEAD.unpack(head)
-        if length > _LARGEST or at + _HEAD.size + length > size or not opcode:
-            return Content(found, at, complete=False)
-        found.append(Found(opcode, at + _HEAD.size, length))
-        at += _HEAD.size + length
-        if opcode == FOOTER:
-            return Content(found, at, complete=_ends_well(file, size))
+    return size
 
 
 def _ends_well(file: BinaryIO, size: int) -> bool:
@@ -112,13 +152,9 @@ def inside(chunk: memoryview) -> Iterator[Found]:
         at += length
 
 
-def message(data: memoryview, at: int) -> tuple[int, int, int]:
-    """Return channel, log time and publish time of a message."""
-    channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, at)
-    return channel, log_ns, publish_ns
-
-
-MESSAGE_HEAD: Final = _MESSAGE.size
+def message(content: memoryview) -> int:
+    """Return the channel of a message."""
+    return int.from_bytes(content[:2], "little")
 
 
 def is_complete(path: Path) -> bool:

@@ -19,13 +19,12 @@ from pbonet.svar.layout import group_of
 from .fields import field_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
 
     from .records import TaskAbout
+    from .rows import Rows
 
 CDR: Final = bytes((0, 1, 0, 0))
 """Little endian."""
@@ -171,10 +170,9 @@ class TaskSchema:
         """Return the pairs and the inputs of a message, as bytes."""
         return _sequences(message, self.prefix)
 
-    def arrays(self, messages: Sequence[bytes]) -> dict[str, NDArray[Any]]:
+    def arrays(self, messages: Rows) -> dict[str, NDArray[Any]]:
         """Return the columns of `HEAD` and the variables, one row a message."""
-        joined = b"".join([message[: self.prefix] for message in messages])
-        rows = np.frombuffer(joined, np.uint8).reshape(len(messages), self.prefix)
+        rows = messages.firsts(self.prefix)
         found = heads(rows)
         for variable, _, at in self._fields:
             first = len(CDR) + at

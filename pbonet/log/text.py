@@ -26,13 +26,8 @@ JsonObject = dict[str, Any]
 
 def info(log: Log) -> JsonObject:
     """Return what a log holds: files, duration, and each task's figures."""
-    spans = [
-        (times[0][0], times[-1][0])
-        for part in log.parts
-        for times in part.messages.values()
-        if times
-    ]
-    ends = [end for span in spans for end in span]
+    log.load()
+    ends = [end for part in log.parts for end in part.span_ns or ()]
     seconds = (max(ends) - min(ends)) / 1e9 if ends else 0.0
     lost = log.lost()
     events = log.events()

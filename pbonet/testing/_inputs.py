@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.log import Log, TaskAbout
-    from pbonet.log.reader import Life
+    from pbonet.log import Life, Log, TaskAbout
 
 _KEY: Final = struct.Struct("<QQ")
 _KEY_AT: Final = len(CDR) + int(HEAD_DTYPE.fields["register"][1])  # type: ignore[index]

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
-    from pbonet.log.reader import Life
+    from pbonet.log import Life
 
 _HEAD: Final = struct.Struct("<QqqqqQQQQII")
 _DID: Final = msgspec.json.Decoder(Did)

@@ -1,0 +1,114 @@
+"""The messages of one channel as numpy sees them: no object for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, overload
+
+import numpy as np
+
+from . import scan
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_TIME: Final = scan.HEAD + 6
+"""Where a message's time stands in its record."""
+
+
+def gathered(
+    data: bytes | memoryview, places: NDArray[np.int64], dtype: str
+) -> NDArray[Any]:
+    """Return the numbers that stand at some places of a text."""
+    kind = np.dtype(dtype)
+    at = places[:, None] + np.arange(kind.itemsize)
+    found: NDArray[Any] = np.frombuffer(data, np.uint8)[at].view(kind).reshape(-1)
+    return found
+
+
+class Rows(Sequence[bytes]):
+    """Messages, in the order of the file.
+
+    Args:
+        data: All of them, one behind the other.
+        sizes: Of each.
+        times: Nanoseconds since 1970, of each.
+        places: Where each stands among all messages of the file.
+    """
+
+    def __init__(
+        self,
+        data: bytes,
+        sizes: NDArray[np.int64],
+        times: NDArray[np.int64],
+        places: NDArray[np.int64],
+    ) -> None:
+        self.data = data
+        self.sizes = sizes
+        self._starts = np.cumsum(sizes) - sizes
+        self.times = times
+        self.places = places
+
+    @classmethod
+    def of(cls, chunk: memoryview, places: NDArray[np.int64], base: int) -> Rows:
+        """Return the messages that begin at these places of a chunk.
+
+        Args:
+            chunk: Unpacked.
+            places: In order.
+            base: Where it begins among the chunks of the file.
+        """
+        head = scan.HEAD + scan.MESSAGE_HEAD
+        sizes = gathered(chunk, places + 1, "<u8").astype(np.int64)
+        sizes -= scan.MESSAGE_HEAD
+        begins = places + head
+        if len(sizes) and (sizes == sizes[0]).all():
+            at = begins[:, None] + np.arange(int(sizes[0]))
+            data = np.frombuffer(chunk, np.uint8)[at].tobytes()
+        else:
+            ends = (begins + sizes).tolist()
+            pairs = zip(begins.tolist(), ends, strict=True)
+            data = b"".join([chunk[begin:end] for begin, end in pairs])
+        times = gathered(chunk, places + _TIME, "<u8").astype(np.int64)
+        return cls(data, sizes, times, places + base)
+
+    @classmethod
+    def joined(cls, each: Sequence[Rows]) -> Rows:
+        """Return all messages of several parts of a file, which come in order."""
+        none = np.zeros(0, np.int64)
+        return cls(
+            b"".join([one.data for one in each]),
+            np.concatenate([none, *(one.sizes for one in each)]),
+            np.concatenate([none, *(one.times for one in each)]),
+            np.concatenate([none, *(one.places for one in each)]),
+        )
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.sizes)
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[bytes]: ...
+    def __getitem__(self, index: int | slice) -> bytes | list[bytes]:
+        """Return one message."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        begin = int(self._starts[index])
+        return self.data[begin : begin + int(self.sizes[index])]
+
+    def all(self) -> list[bytes]:
+        """Return the messages, each as an object."""
+        data, begins = self.data, self._starts.tolist()
+        ends = (self._starts + self.sizes).tolist()
+        return [data[a:b] for a, b in zip(begins, ends, strict=True)]
+
+    def firsts(self, size: int) -> NDArray[np.uint8]:
+        """Return the first bytes of each message, one row a message."""
+        data = np.frombuffer(self.data, np.uint8)
+        if len(self) and (self.sizes == self.sizes[0]).all():
+            return data.reshape(len(self), -1)[:, :size]
+        text, begins = self.data, self._starts.tolist()
+        parts = b"".join([text[begin : begin + size] for begin in begins])
+        return np.frombuffer(parts, np.uint8).reshape(len(self), size)
