@@ -4,9 +4,10 @@
   outputs, in turns without a ring, with one, and with the inputs of every cycle.
 * CPU time of the recorder for 20 tasks of 1 kHz with six numbers each, fed through
   their rings at that rate, and bytes on disk per sample: random walks, two reads each.
+* Time to open a log of a size, to read one of its 20 tasks, and to open it cut short.
 * The PUMA example is run for some seconds and verified, task by task.
 
-    python -m benchmarks.record [--seconds 2] [--blocks 5] [--core 1] [--json FILE]
+    python -m benchmarks.record [--seconds 2] [--blocks 5] [--core 1] [--megabytes 1000]
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ import numpy as np
 
 from benchmarks import rtbench
 from pbonet.config.model import Variable
-from pbonet.log import Log, TaskAbout, last_run
+from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run
+from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.node import _rt, wire
 from pbonet.testing import verify
 
@@ -112,18 +114,7 @@ def recorder(core: int, seconds: float) -> dict[str, float]:
         names = [f"bench.rec.t{k}" for k in range(TASKS)]
         rings: list[_rt.Ring] = []
         for k, name in enumerate(names):
-            about = TaskAbout(
-                domain="bench",
-                rtpu="r0",
-                subsystem="rec",
-                task=f"t{k}",
-                module="m",
-                pid=1,
-                freq=1000.0,
-                rmod="",
-                rmod_name=f"t{k}.rmod",
-                outvar=out,
-            )
+            about = _about(f"t{k}", out)
             rings.append(_rt.Ring.create(name, about=msgspec.json.encode(about)))
         wanted = wire.Recording(
             domain="bench",
@@ -153,9 +144,7 @@ def recorder(core: int, seconds: float) -> dict[str, float]:
         process.communicate()
         for ring in rings:
             ring.destroy()
-        begun = time.perf_counter()
         log = Log(path)
-        opened = time.perf_counter() - begun
         kept = sum(len(log.arrays(task)["cycle"]) for task in log.tasks)
         return {
             "samples": samples,
@@ -164,8 +153,69 @@ def recorder(core: int, seconds: float) -> dict[str, float]:
             "share of a core": spent / (seconds * 1e9),
             "CPU us a sample": spent / samples * 1e-3,
             "bytes a sample": path.stat().st_size / samples,
-            "ms to open a MB": opened * 1e3 / (path.stat().st_size / 1e6),
         }
+
+
+def opening(megabytes: float) -> dict[str, float]:
+    """Return what it takes to read a log of that size, finished and cut short."""
+    out = [Variable(name="Y", type="double", nelem=6, units="rad")]
+    with tempfile.TemporaryDirectory() as folder:
+        path, cut = Path(folder, "run.mcap"), Path(folder, "cut.mcap")
+        writer = LogWriter(path, _RUN)
+        numbers = [writer.add_task(_about(f"t{k}", out)) for k in range(TASKS)]
+        data = [_records(k, 1000) for k in range(TASKS)]
+        messages, stop = 0, megabytes * 1e6
+        while writer.size < stop:
+            for number, records in zip(numbers, data, strict=True):
+                messages += writer.add(number, records)
+        writer.close()
+        size = path.stat().st_size
+        with path.open("rb") as whole, cut.open("wb") as part:
+            while (rest := int(size * 0.99) - part.tell()) > 0:
+                part.write(whole.read(min(rest, 1 << 20)))
+        found = {"MB": size / 1e6, "messages": float(messages)}
+        begun = time.perf_counter()
+        log = Log(path)
+        found["s to open it"] = time.perf_counter() - begun
+        cycles = len(log.arrays("t7")["cycle"])
+        found["s to one task's arrays"] = time.perf_counter() - begun
+        found["cycles of it"] = cycles
+        begun = time.perf_counter()
+        Log(cut)
+        found["s to open it cut"] = time.perf_counter() - begun
+        return found
+
+
+_RUN = RunAbout(run="bench", job="bench", subsystem="rec", domain="bench", rtpu="r0")
+
+
+def _records(seed: int, count: int) -> bytes:
+    """Return records as a ring has them, of random walks."""
+    walks = np.random.default_rng(seed).normal(size=(count, 6)).cumsum(axis=0)
+    heads = np.zeros(count, HEAD_DTYPE)
+    heads["release_ns"] = heads["end_ns"] = np.arange(count) * PERIOD
+    heads["cycle"] = np.arange(count) + 1
+    size = RECORD.size + HEAD_DTYPE.itemsize + walks[0].nbytes
+    head = RECORD.pack(size, 0, walks[0].nbytes, 0)
+    return b"".join([
+        head + one.tobytes() + walk.tobytes()
+        for one, walk in zip(heads, walks, strict=True)
+    ])
+
+
+def _about(task: str, out: list[Variable]) -> TaskAbout:
+    return TaskAbout(
+        domain="bench",
+        rtpu="r0",
+        subsystem="rec",
+        task=task,
+        module="m",
+        pid=1,
+        freq=1000.0,
+        rmod="",
+        rmod_name=f"{task}.rmod",
+        outvar=out,
+    )
 
 
 def verified(seconds: float) -> list[dict[str, Any]]:
@@ -196,6 +246,7 @@ def main() -> None:
     words.add_argument("--seconds", type=float, default=2.0)
     words.add_argument("--blocks", type=int, default=5)
     words.add_argument("--core", type=int, default=max(os.sched_getaffinity(0)))
+    words.add_argument("--megabytes", type=float, default=1000.0)
     words.add_argument("--json", type=Path)
     told = words.parse_args()
     print(rtbench.machine())
@@ -207,16 +258,20 @@ def main() -> None:
         pairs = zip(found[way], found["no ring"], strict=True)
         added = [one - none for one, none in pairs]
         print(f"{way:12} adds {statistics.median(added):.2f}")
-    took = recorder(told.core, 5.0 * told.seconds)
+    took = {"recorder": recorder(told.core, 5.0 * told.seconds)}
     print(f"\nrecorder, {TASKS} tasks of 1 kHz and 6 numbers")
-    for name, value in took.items():
+    for name, value in took["recorder"].items():
         print(f"{name:18} {value:12.4g}")
+    took["opening"] = opening(told.megabytes)
+    print("\nreading a log")
+    for name, value in took["opening"].items():
+        print(f"{name:22} {value:12.4g}")
     rows = verified(5.0)
     print("\nverified:")
     for row in rows:
         print("  ".join(f"{k} {v:.4g}" if k != "task" else v for k, v in row.items()))
     if told.json:
-        data = {"cycle": found, "recorder": took, "verify": rows}
+        data = {"cycle": found, **took, "verify": rows}
         told.json.write_text(json.dumps(data), encoding="utf-8")
 
 

@@ -57,7 +57,7 @@ QUICK = {
     "signals": "--rounds 3",
     "combine": "--blocks 1 --seconds 1",
     "hosts": "--seconds 1 --times 1",
-    "record": "--blocks 1 --seconds 0.5",
+    "record": "--blocks 1 --seconds 0.5 --megabytes 20",
 }
 """Arguments behind those, which take their place, for a quick run."""
 MISSED = 3
