@@ -47,8 +47,13 @@ check: setup  ## Lint, types, layers
 	$(BIN)/mypy
 	$(BIN)/pyright
 
+# Two at a time where nothing runs in real time; the rest has the machine to itself.
+BESIDE := tests/deploy tests/unit tests/property tests/typing tests/native
+ALONE := tests/integration tests/hosts
+
 test: setup  ## Run every test
-	$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n 2 --dist worksteal $(BESIDE); beside=$$?; \
+	$(BIN)/python -m pytest $(ALONE) && exit $$beside
 
 bench: setup  ## Measure all that docs/benchmarks publishes (BENCH=--quick: as little as works)
 	$(BIN)/python -m benchmarks.run $(BENCH)

@@ -18,7 +18,7 @@ import pytest
 
 from pbonet.config.model import Variable
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 HEADERS = ROOT / "pbonet" / "svar"
 NATIVE = ROOT / "tests" / "native"
 WRITERS, VARS = 2, 7
