@@ -107,6 +107,7 @@ class Agent:
         self._ears: Ears | None = None
         self._links: Links | None = None
         self._link: RtpuLink | None = None
+        self._about: AgentInfo | None = None
         self._over = threading.Event()
         self._asked = False
         self._stopping = False
@@ -154,6 +155,7 @@ class Agent:
         self._refuse_duplicate()
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
+        self._about = self._describe()
         self._recorders.update(info.recordings)
         self._server = Server(self._session, self.config.domain, self.name, self)
         self._server.start()
@@ -332,6 +334,19 @@ class Agent:
         """Return who this is and what it can do."""
         link = self._link
         info = link.info if link is not None else None
+        if self._about is None or info is None:
+            return self._describe()
+        return msgspec.structs.replace(
+            self._about,
+            rtpu_pid=info.pid,
+            backend=info.backend,
+            limits=info.limits,
+            claims=info.claims,
+            now_ns=time.monotonic_ns(),
+        )
+
+    def _describe(self) -> AgentInfo:
+        """Return what does not change about this agent while its session stands."""
         return AgentInfo(
             name=self.name,
             domain=self.config.domain,
@@ -340,12 +355,10 @@ class Agent:
             core=self._rtpu_config.core,
             cores=os.cpu_count() or 1,
             pid=os.getpid(),
-            rtpu_pid=info.pid if info else 0,
-            backend=info.backend if info else "",
-            limits=info.limits if info else [],
+            rtpu_pid=0,
+            backend="",
             version=pbonet.__version__,
             python=platform.python_version(),
-            claims=info.claims if info else {},
             libraries=list(self._rtpu_config.libraries),
             zid=str(self._session.info.zid()) if self._session is not None else "",
             dials=self._dials,

@@ -240,7 +240,9 @@ class Server:
     def _reply(self, query: zenoh.Query, data: bytes) -> None:
         """Answer on our own key, and let go of the query: a kept one times out."""
         asked = query.key_expr
-        own = next((key for key in self._keys if asked.includes(key)), self._keys[0])
+        own = str(asked)
+        if own not in self._keys:  # it has wildcards
+            own = next(filter(asked.includes, self._keys), self._keys[0])
         try:
             with query:
                 query.reply(own, data)  # pyright: ignore[reportUnknownMemberType]
