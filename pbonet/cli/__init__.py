@@ -29,7 +29,7 @@ VERBS = (
     *("status", "profile", "adopt", "simulate"),
     *("display", "write", "get", "set", "freq", "module"),
     *("events", "sigwait", "sigmask"),
-    *("log", "replay"),
+    *("log", "replay", "view"),
 )
 """The verbs in the order of the help; each stands in a file of its name."""
 

@@ -60,21 +60,27 @@ def cat(
     npz: A[
         Path | None, typer.Option(help="Write arrays for numpy.", metavar="FILE.npz")
     ] = None,
+    parquet: A[
+        Path | None,
+        typer.Option(help="Write a table, with units.", metavar="FILE.parquet"),
+    ] = None,
     json_: options.Json = False,
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Give a task's values, one row a cycle, as CSV, JSON or for numpy."""
+    """Give a task's values, one row a cycle, as CSV, JSON, Parquet or for numpy."""
     import sys
 
-    from pbonet.log import Log, text
+    from pbonet.log import Log, export, text
 
-    table = text.columns(Log(file), task, variables or ())
+    log = Log(file)
+    table = text.columns(log, task, variables or ())
     if npz is not None:
-        text.write_npz(table, npz)
-    elif json_:
-        text.write_json(table, sys.stdout)
-    else:
-        text.write_csv(table, sys.stdout)
+        export.write_npz(table, npz)
+    if parquet is not None:
+        export.write_parquet(table, parquet, log, task)
+    if npz is None and parquet is None:
+        write = export.write_json if json_ else export.write_csv
+        write(table, sys.stdout)
 
 
 @command.command("events")

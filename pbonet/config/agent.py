@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 MAX_GRACE = 3600.0
 """Longest grace in seconds."""
+MAX_LIMIT = 1e9
+"""Greatest limit of logs, in their unit."""
 
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 _MOST_CORES = 4096
@@ -162,6 +164,15 @@ def _check(config: AgentConfig, text: str, file: str) -> None:
             remedy="cores count from 0; see lscpu",
         )
     _check_events(config, text, file)
+    for key in ("log_mb", "log_minutes", "runs_mb"):
+        if not 0.0 <= getattr(config, key) <= MAX_LIMIT:
+            raise fault(
+                f"{key} is out of bounds",
+                _place(text, file, key),
+                expected=f"0 to {MAX_LIMIT:g}; 0 for no limit",
+                got=f"{getattr(config, key):g}",
+                remedy="correct the value",
+            )
     if not 0.0 <= config.grace <= MAX_GRACE:
         raise fault(
             "grace is out of bounds",

@@ -5,6 +5,7 @@ The thesis says what a job is and leaves its syntax open; this one is pbonet's o
 
 from __future__ import annotations
 
+from math import inf
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 GRAMMAR = Grammar("JOB DESC SBS PRE* POST* TASK+ RECORD* [OFF]")
 MODES = ("off", "outputs", "all")
 """How a task can be recorded."""
+LAST = "last"
+"""Only the last seconds, once something goes wrong."""
 _FREQ_WORDS = 2
 
 
@@ -150,18 +153,35 @@ def _rtpu(word: Word) -> str:
 
 
 def _record(line: Line) -> RecordLine:
-    """Return what ``RECORD off|outputs|all [task or variable]...`` says."""
+    """Return what ``RECORD off|outputs|all [task or variable]...`` or ``last`` says."""
     mode = line.words[0].text if line.words else ""
-    if mode not in MODES:
+    if mode not in {*MODES, LAST}:
         raise fault(
             "RECORD is malformed",
             line.words[0].place if line.words else line.place,
-            expected="RECORD off|outputs|all [task or variable]...",
+            expected="RECORD off|outputs|all [task or variable]..., or last SECONDS",
             got=quote(mode) if mode else "nothing",
             remedy=did_you_mean(mode, MODES) or "say how to record first",
         )
     names = tuple(word.text for word in line.words[1:])
+    if mode == LAST and not (len(names) == 1 and last_seconds(names[0])):
+        raise fault(
+            "RECORD last is malformed",
+            line.words[-1].place,
+            expected="RECORD last SECONDS",
+            got=quote(" ".join(names)) if names else "no seconds",
+            remedy="write for example RECORD last 60",
+        )
     return RecordLine(mode, names, line.place)
+
+
+def last_seconds(text: str) -> float:
+    """Return what stands behind ``last``; 0 when it is no number of seconds."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        return 0.0
+    return seconds if 0.0 < seconds < inf else 0.0
 
 
 def _off(block: Block, tasks: dict[str, JobTask]) -> tuple[str, ...]:

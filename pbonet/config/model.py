@@ -216,7 +216,7 @@ class RecordLine(Struct, frozen=True):
     """A RECORD line: how tasks or variables are recorded, or everything."""
 
     mode: str
-    """``off``, ``outputs`` or ``all``."""
+    """``off``, ``outputs`` or ``all``; ``last`` with seconds as its name."""
     names: tuple[str, ...] = ()
     """Tasks and variables; none for all tasks that no line names."""
     place: Place | None = None
@@ -265,5 +265,11 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """True lets the agents of the domain on one network find each other."""
     runs: str | None = None
     """Folder of the logs; ``runs`` in the working directory by default."""
+    log_mb: float = 1000.0
+    """A log that has grown so far goes on in another file; 0: never."""
+    log_minutes: float = 0.0
+    """The same by time."""
+    runs_mb: float = 0.0
+    """What all logs in that folder may take; the oldest ones go. 0: no limit."""
     events: dict[str, str] = {}
     """Queues of the RTPU, and the keys whose messages go into them."""

@@ -13,7 +13,7 @@ whole in a file that was cut.
 from .cycles import COLUMNS, STABLE, Cycles
 from .fields import field_name, variable_name
 from .part import Part
-from .reader import Life, Log, Message, files_of, last_run
+from .reader import Life, Log, Message, files_of, last_run, log_name
 from .records import Attached, CodeFile, Did, RunAbout, Step, TaskAbout
 from .rows import Rows
 from .scan import is_complete
@@ -39,5 +39,6 @@ __all__ = [
     "files_of",
     "is_complete",
     "last_run",
+    "log_name",
     "variable_name",
 ]

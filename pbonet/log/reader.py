@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -15,6 +14,7 @@ from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 from .cycles import COLUMNS, Cycles
 from .part import Part
 from .records import Attached, Step, TaskAbout
+from .rows import Rows
 from .schema import HEAD, TaskSchema, head
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from .rows import Rows
 
 _ABOUT: Final = msgspec.json.Decoder(TaskAbout)
 
@@ -36,11 +35,11 @@ class Message(NamedTuple):
 
 
 class Life:
-    """One spawn of a task in one file; its messages are read when they are asked for.
+    """One spawn of a task; its messages are read when they are asked for.
 
     Args:
         about: What it was.
-        part: The file.
+        part: The file in which it begins.
         keys: Its channels of cycles and of steps there.
     """
 
@@ -48,26 +47,38 @@ class Life:
         self.about = about
         self.part = part
         self.schema = TaskSchema(about)
-        self._keys = keys
+        self._pieces = [(part, keys)]
+
+    def go_on(self, part: Part, keys: tuple[int, ...]) -> None:
+        """Add what stands of it in the file behind."""
+        self._pieces.append((part, keys))
 
     @property
     def commits(self) -> Rows:
         """Messages of cycles, claims and other commits."""
-        return self.part.rows(self._keys[0])
+        return Rows.joined([part.rows(keys[0]) for part, keys in self._pieces])
 
     @property
     def steps(self) -> list[bytes]:
         """Messages of what else it did."""
-        return [one for key in self._keys[1:] for one in self.part.rows(key).all()]
+        return [
+            one
+            for part, keys in self._pieces
+            for key in keys[1:]
+            for one in part.rows(key).all()
+        ]
 
     @property
     def records(self) -> list[bytes]:
         """All of them, in the order in which they were made."""
-        self.part.load(self._keys)
-        each = [self.part.rows(key) for key in self._keys]
-        places = np.concatenate([rows.places for rows in each])
-        messages = [one for rows in each for one in rows.all()]
-        return [messages[i] for i in np.argsort(places)]
+        found: list[bytes] = []
+        for part, keys in self._pieces:
+            part.load(keys)
+            each = [part.rows(key) for key in keys]
+            places = np.concatenate([rows.places for rows in each])
+            messages = [one for rows in each for one in rows.all()]
+            found += [messages[i] for i in np.argsort(places)]
+        return found
 
     @property
     def epoch_ns(self) -> int:
@@ -88,7 +99,7 @@ class Log(Cycles):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.parts = [Part(one) for one in files_of(self.path)]
+        self.parts = sorted(map(Part, files_of(self.path)), key=_place)
         runs = {part.about.run for part in self.parts if part.about}
         if len(runs) > 1:
             raise LogError(
@@ -98,7 +109,7 @@ class Log(Cycles):
                 got=", ".join(sorted(runs)),
                 remedy="name one of the files",
             )
-        self._lives = list(itertools.chain.from_iterable(map(_lives, self.parts)))
+        self._lives = _lives(self.parts)
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         first = next((part.about for part in self.parts if part.about), None)
         self.about = msgspec.to_builtins(first) if first is not None else {}
@@ -271,9 +282,51 @@ def last_run(folder: str | Path = "") -> Path:
     return runs[-1]
 
 
-def _lives(part: Part) -> list[Life]:
-    """Return the tasks of one file, spawn by spawn."""
+def log_name(file: str, part: int) -> str:
+    """Return the name of a recording's first file, second file, and so on."""
+    return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
+
+
+def _place(part: Part) -> tuple[str, int, str]:
+    """Return where a file comes among those of its run."""
+    if part.about is None:
+        return "", 0, part.path.name
+    return part.about.rtpu, part.about.part, part.path.name
+
+
+def _lives(parts: list[Part]) -> list[Life]:
+    """Return the tasks of all files, spawn by spawn."""
     found: list[Life] = []
+    before: list[tuple[Part, Life]] = []
+    for part in parts:
+        here: list[tuple[Part, Life]] = []
+        for about, keys in _tasks(part):
+            life = next(
+                (one for last, one in before if _follows(part, last, about, one)), None
+            )
+            if life is None:
+                life = Life(about, part, keys)
+                found.append(life)
+            else:
+                life.go_on(part, keys)
+            here.append((part, life))
+        before = here
+    return found
+
+
+def _follows(part: Part, last: Part, about: TaskAbout, life: Life) -> bool:
+    """Tell whether a task of a file is one of the file before it."""
+    if part.about is None or last.about is None or not part.about.goes_on:
+        return False
+    next_one = (part.about.rtpu, part.about.part) == (
+        last.about.rtpu,
+        last.about.part + 1,
+    )
+    return next_one and last.complete and life.about == about
+
+
+def _tasks(part: Part) -> Iterator[tuple[TaskAbout, tuple[int, ...]]]:
+    """Yield the tasks of one file, spawn by spawn, with their channels."""
     steps = {
         int(one.metadata.get("of", 0)): key
         for key, one in part.channels.items()
@@ -287,6 +340,4 @@ def _lives(part: Part) -> list[Life]:
             about = _ABOUT.decode(text)
         except msgspec.MsgspecError:
             continue
-        keys = (key, steps[key]) if key in steps else (key,)
-        found.append(Life(about, part, keys))
-    return found
+        yield about, ((key, steps[key]) if key in steps else (key,))

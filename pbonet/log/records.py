@@ -111,6 +111,8 @@ class RunAbout(Struct, kw_only=True):
     """What is added to CLOCK_MONOTONIC to get the times of messages."""
     part: int = 1
     """2, 3, ... after a recorder was lost or a file was full."""
+    goes_on: bool = False
+    """Nothing is missing between the file before it and this one."""
     format: int = FORMAT
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 
 from pbonet.errors import LogError
@@ -14,7 +12,6 @@ from .scan import is_complete
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -143,49 +140,6 @@ def columns(log: Cycles, task: str, names: Sequence[str] = ()) -> JsonObject:
         else:
             found |= {f"{name}[{i}]": values[:, i] for i in range(values.shape[1])}
     return found
-
-
-def write_csv(table: JsonObject, file: TextIO) -> None:
-    """Write columns as CSV, numbers so that they read back the same."""
-    writer = csv.writer(file)
-    writer.writerow(table)
-    writer.writerows(zip(*(_texts(values) for values in table.values()), strict=True))
-
-
-def write_json(table: JsonObject, file: TextIO) -> None:
-    """Write columns as one JSON object of lists; what is no number there is null."""
-    data = {name: _plain(values) for name, values in table.items()}
-    file.write(msgspec.json.encode(data).decode() + "\n")
-
-
-def _plain(values: NDArray[Any]) -> list[Any]:
-    if values.dtype.kind == "V":
-        return [bytes(value).hex() for value in values]
-    return list(values.tolist())
-
-
-def _texts(values: NDArray[Any]) -> Iterable[str]:
-    if values.dtype.kind == "V":
-        return [bytes(value).hex() for value in values]
-    return [repr(value) for value in values.tolist()]
-
-
-def write_npz(table: JsonObject, path: Path) -> None:
-    """Write columns as arrays in one ``.npz`` file.
-
-    Raises:
-        LogError: It cannot be written.
-    """
-    try:
-        with path.open("wb") as file:
-            np.savez_compressed(file, **table)
-    except OSError as error:
-        raise LogError(
-            "the file cannot be written",
-            where=str(path),
-            got=error.strerror or str(error),
-            remedy="choose another file",
-        ) from None
 
 
 def diff(one: Cycles, other: Cycles, tasks: Sequence[str] = ()) -> list[JsonObject]:

@@ -15,6 +15,7 @@ import msgspec
 
 from pbonet.errors import LogError
 
+from .events import LOG_SCHEMA, log_message
 from .records import METADATA, Attached, RunAbout, Step, TaskAbout
 from .schema import StepSchema, TaskSchema, record_size, times
 
@@ -23,28 +24,6 @@ if TYPE_CHECKING:
 
 CHUNK: Final = 256 << 10
 """Bytes of messages in a chunk, before it is compressed."""
-_LOG_SCHEMA: Final = {
-    "type": "object",
-    "title": "foxglove.Log",
-    "properties": {
-        "timestamp": {
-            "type": "object",
-            "title": "time",
-            "properties": {
-                "sec": {"type": "integer", "minimum": 0},
-                "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999},
-            },
-        },
-        "level": {"type": "integer"},
-        "message": {"type": "string"},
-        "name": {"type": "string"},
-        "file": {"type": "string"},
-        "line": {"type": "integer"},
-        "event": {"type": "object"},
-    },
-}
-_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2))
-"""Severities of events, and the levels of a log that they are for a viewer."""
 
 
 class _Whole:
@@ -204,20 +183,8 @@ class LogWriter:
             OSError: No room is left.
         """
         time_ns = int(event["time"]) + self.about.epoch_ns
-        severity = int(event["severity"])
-        level = next((level for least, level in _LEVELS if severity >= least), 1)
-        sec, nsec = divmod(time_ns, 10**9)
-        task = event.get("task") or event.get("rtpu", "")
-        data = {
-            "timestamp": {"sec": sec, "nsec": nsec},
-            "level": level,
-            "message": f"{event['code']}: {event['text']}",
-            "name": f"{self.about.subsystem}/{task}",
-            "file": "",
-            "line": 0,
-            "event": event,
-        }
-        channel = self._channel("events", "foxglove.Log", _LOG_SCHEMA)
+        data = log_message(event, time_ns, self.about.subsystem)
+        channel = self._channel("events", "foxglove.Log", LOG_SCHEMA)
         self._put(channel, time_ns, msgspec.json.encode(data), time_ns)
 
     def add_status(self, now_ns: int, status: dict[str, Any]) -> None:

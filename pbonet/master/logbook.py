@@ -10,10 +10,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pbonet.config.job import MODES
+from pbonet.config.job import LAST, MODES, last_seconds
 from pbonet.config.reader import load
 from pbonet.errors import ConfigError, LogError, PbonetError, did_you_mean
-from pbonet.log import Log, is_complete
+from pbonet.log import Log, is_complete, log_name
 from pbonet.xm import messages as m
 from pbonet.xm import rpc, rundir
 
@@ -34,28 +34,33 @@ class Logbook:
     """Has runs of a subsystem recorded.
 
     Args:
-        mode: ``off``, ``outputs`` or ``all``; None for what the job says.
+        mode: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
+            says.
 
     Raises:
         LogError: There is no such mode.
 
     Attributes:
         mode: Of tasks that are not named.
+        last: Seconds that are kept until something goes wrong; 0: all is written.
         paths: The log of each RTPU, on its machine, once the run has begun.
         run: The run's name; empty before it has begun.
     """
 
     def __init__(self, mode: str | None = None) -> None:
-        if mode is not None and mode not in MODES:
+        first, _, rest = (mode or "").partition(" ")
+        self._told_last = last_seconds(rest) if first == LAST else 0.0
+        if mode is not None and mode not in MODES and not self._told_last:
             raise LogError(
                 "this is no way to record",
-                expected=" or ".join(MODES),
+                expected=f"{' or '.join(MODES)} or {LAST} SECONDS",
                 got=mode,
                 remedy=did_you_mean(mode, MODES) or "say one of them",
             )
-        self._told = mode
+        self._told = mode if mode in MODES else None
+        self.last = self._told_last
         self._job: JobFile | None = None
-        self.mode = mode or DEFAULT
+        self.mode = self._told or DEFAULT
         self._tasks: dict[str, str] = {}
         self._hidden: list[str] = []
         self.run = ""
@@ -70,8 +75,11 @@ class Logbook:
         self._job, self._tasks, self._hidden = job, {}, []
         tasks = {task.rmod for task in job.tasks}
         variables = {variable.name for variable in files.table.variables}
-        default = DEFAULT
+        default, self.last = DEFAULT, self._told_last
         for line in job.record:
+            if line.mode == LAST:
+                self.last = self._told_last or last_seconds(line.names[0])
+                continue
             if not line.names:
                 default = line.mode
             for name in line.names:
@@ -92,7 +100,7 @@ class Logbook:
                     )
         self.mode = self._told or default
         if self._told is not None:
-            self._tasks = {}
+            self._tasks, self.last = {}, 0.0
 
     def begin(self, fleet: Fleet, files: Files, warned: Callable[[str], None]) -> None:
         """Have the agents record from now on, unless they do already."""
@@ -114,6 +122,7 @@ class Logbook:
                 tasks=self._tasks,
                 hidden=self._hidden,
                 files=texts,
+                last=self.last,
             )
 
         self.paths, errors = fleet.each(request, m.Recorded)
@@ -148,10 +157,15 @@ class Logbook:
             LogError: A log cannot be read.
         """
         deadline = time.monotonic() + FINISH_TIME
-        while not all(map(is_complete, self.here)) and time.monotonic() < deadline:
+        while not all(map(self._is_done, self.here)) and time.monotonic() < deadline:
             time.sleep(0.02)
-        there = [path for path in self.here if path.exists()]
+        there = [path for path in self.here if _newest(path).exists()]
         return Log(there[0].parent) if there else None
+
+    def _is_done(self, path: Path) -> bool:
+        """Tell whether a recording is written whole, or need not be there."""
+        newest = _newest(path)
+        return is_complete(newest) or bool(self.last and not newest.exists())
 
     @property
     def here(self) -> list[Path]:
@@ -172,3 +186,13 @@ class Logbook:
             except PbonetError:
                 continue  # it was read when the subsystem was opened
         return found
+
+
+def _newest(path: Path) -> Path:
+    """Return the last file of a recording whose first one is that."""
+    numbers = [
+        int(number)
+        for one in path.parent.glob(f"{path.stem}-*.mcap")
+        if (number := one.stem.removeprefix(f"{path.stem}-")).isdecimal()
+    ]
+    return path.with_name(log_name(path.stem, max(numbers, default=1)))

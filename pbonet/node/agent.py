@@ -95,7 +95,8 @@ class Agent:
             backend=backend,
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
-        self._recorders = Recorders(self._note)
+        limits = wire.LogLimits(config.log_mb, config.log_minutes, config.runs_mb)
+        self._recorders = Recorders(self._note, limits)
         self._lock: rundir.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []

@@ -10,26 +10,22 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import platform
 import select
 import signal
-import socket
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
-import numpy as np
 
-import pbonet
-from pbonet.errors import LogError, NodeError, PbonetError, Severity
-from pbonet.log import Attached, LogWriter, RunAbout, TaskAbout
-from pbonet.xm import rundir
+from pbonet.errors import NodeError, PbonetError, Severity
+from pbonet.log import Attached, LogWriter, TaskAbout
 from pbonet.xm.messages import Event
 
 from . import _rt, runtime, wire
-from ._ring import Ring, parse
+from ._ring import Ring
+from .logfiles import LogFiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,8 +37,6 @@ FLUSH: Final = 0.5
 STATUS: Final = 1.0
 HANDOVER: Final = 3.0
 """Seconds for which another recorder, whose agent is gone, may hold a ring."""
-RETRY: Final = 2.0
-"""Seconds until a new file is tried when one could not grow."""
 
 
 class Followed:
@@ -56,6 +50,8 @@ class Followed:
     def __init__(self, ring: Ring, about: TaskAbout) -> None:
         self.ring = ring
         self.about = about
+        self.writer: LogWriter | None = None
+        """Whose file says what the task is, under this number."""
         self.number = 0
         self.lost = 0
 
@@ -75,17 +71,14 @@ class Recorder:
     ) -> None:
         self._wanted = wanted
         self._tell = tell
-        self._writer: LogWriter | None = None
-        self._part = 0
+        self._files = LogFiles(wanted, self._say, self._enter_all)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
         self._refused: dict[tuple[str, int], float] = {}
-        self._unwritten = 0
         self._unfit = 0
-        self._retry = self._flush = self._status = 0.0
+        self._flush = self._status = 0.0
         self._told: tuple[str, int] | None = None
         self._core: _rt.CoreTable | None = None
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._events = msgspec.msgpack.Decoder(Event)
 
     # -- rings -------------------------------------------------------------------------
@@ -93,9 +86,7 @@ class Recorder:
     def turn(self) -> None:
         """Do what there is to do."""
         now = time.monotonic()
-        if self._writer is None and now >= self._retry:
-            self._retry = now + RETRY
-            self._open()
+        self._files.turn()
         self._look()
         for key, followed in list(self._rings.items()):
             try:
@@ -106,20 +97,19 @@ class Recorder:
                 self._rings.pop(key).ring.close()
         if now >= self._status:
             self._status = now + STATUS
-            self._write(self._write_status)
+            self._put_status()
         if now >= self._flush:
             self._flush = now + FLUSH
-            self._write(lambda writer: writer.flush())
+            self._files.write(lambda writer: writer.flush())
         self._report()
 
     def end(self) -> None:
         """Take what is left, and finish the log."""
         self.turn()
-        self._write(self._write_status)
+        self._put_status()
         for followed in self._rings.values():
             followed.ring.close()
-        self._write(lambda writer: writer.close())
-        self._writer = None
+        self._files.close()
 
     def _look(self) -> None:
         """Follow rings that are new, and let go of those that were removed."""
@@ -184,21 +174,14 @@ class Recorder:
         names = {variable.name for variable in about.outvar}
         about.hidden = [name for name in self._wanted.hidden if name in names]
         followed = self._rings[key] = Followed(ring, about)
-        self._write(lambda writer: self._enter(writer, followed))
+        self._files.write(lambda writer: _enter(writer, followed))
         self._record(followed, first)
 
-    @staticmethod
-    def _enter(writer: LogWriter, followed: Followed) -> None:
-        """Make the channels of a task, and attach its code."""
-        about = followed.about
-        followed.number = writer.add_task(about)
-        rmod = Path(about.rmod_name).name
-        writer.attach(Attached(rmod, about.rmod.encode()))
-        for code in followed.about.code:
-            with contextlib.suppress(OSError):
-                data = Path(code.path).read_bytes()
-                if hashlib.sha256(data).hexdigest() == code.sha256:
-                    writer.attach(Attached(code.path, data, "text/x-python"))
+    def _enter_all(self, writer: LogWriter) -> None:
+        """Say in a file that begins what is known so far."""
+        for followed in self._rings.values():
+            _enter(writer, followed)
+            followed.ring.want()
 
     def _take(self, followed: Followed) -> None:
         if text := followed.ring.take():
@@ -211,92 +194,8 @@ class Recorder:
             self._say(Severity.WARNING, "RING_FULL", text_)
 
     def _record(self, followed: Followed, text: bytes) -> None:
-        writer = self._writer
-        try:
-            if writer is not None:
-                writer.add(followed.number, text)
-                return
-        except OSError as error:
-            self._full(error)
-        self._unwritten += len(parse(text))
-
-    # -- the file ----------------------------------------------------------------------
-
-    def _open(self) -> None:
-        """Begin a file, and say in it what is known so far."""
-        self._part += 1
-        try:
-            self._writer = self._make()
-            for followed in self._rings.values():
-                self._enter(self._writer, followed)
-                followed.ring.want()
-        except (OSError, LogError) as error:
-            self._part -= 1
-            self._full(error)
-            return
-        if self._unwritten:
-            text = f"{self._unwritten} records were lost before {self._writer.path}"
-            self._say(Severity.WARNING, "LOG_AGAIN", text)
-
-    def _make(self) -> LogWriter:
-        wanted = self._wanted
-        folder = Path(wanted.folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        number = 1
-        while (path := folder / _numbered(wanted.file, number)).exists():
-            number += 1
-        texts = sorted(wanted.files.items())
-        attached = [Attached(name, text.encode()) for name, text in texts]
-        return LogWriter(path, self._about(number), attached)
-
-    def _about(self, part: int) -> RunAbout:
-        wanted = self._wanted
-        digest = hashlib.sha256()
-        for name, text in sorted(wanted.files.items()):
-            digest.update(f"{name}\0{len(text)}\0{text}".encode())
-        return RunAbout(
-            run=wanted.run,
-            job=wanted.job,
-            subsystem=wanted.subsystem,
-            domain=wanted.domain,
-            rtpu=wanted.rtpu,
-            host=socket.gethostname(),
-            machine=rundir.machine(),
-            pbonet=pbonet.__version__,
-            python=platform.python_version(),
-            numpy=np.__version__,
-            kernel=platform.release(),
-            config_hash=digest.hexdigest(),
-            begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            epoch_ns=self._epoch_ns,
-            part=part,
-        )
-
-    def _write(self, do: Callable[[LogWriter], None]) -> None:
-        writer = self._writer
-        if writer is None:
-            return
-        try:
-            do(writer)
-        except OSError as error:
-            self._full(error)
-
-    def _full(self, error: OSError | LogError) -> None:
-        """Go on without a file; another one is tried from time to time."""
-        writer, self._writer = self._writer, None
-        self._retry = time.monotonic() + RETRY
-        if writer is not None:
-            with contextlib.suppress(OSError):
-                writer.close()
-        if writer is not None or self._told is None:
-            where = writer.path if writer is not None else self._wanted.folder
-            why = error.strerror if isinstance(error, OSError) else str(error)
-            self._say(
-                Severity.ERROR,
-                "LOG_FULL",
-                f"{where} cannot grow: {why}; tasks go on, their records are lost "
-                f"until a new file can be made",
-            )
+        if text:
+            self._files.put(lambda writer: _add(writer, followed, text), text)
 
     # -- what else is written ----------------------------------------------------------
 
@@ -305,10 +204,13 @@ class Recorder:
         event = self._events.decode(data)
         if event.subsystem in {"", self._wanted.subsystem}:
             plain = msgspec.to_builtins(event)
-            self._write(lambda writer: writer.add_event(plain))
+            self._files.put(lambda writer: writer.add_event(plain))
+            if event.severity >= Severity.ERROR:
+                self._files.went_wrong()
 
-    def _write_status(self, writer: LogWriter) -> None:
-        writer.add_status(time.monotonic_ns(), self._slots())
+    def _put_status(self) -> None:
+        now, status = time.monotonic_ns(), self._slots()
+        self._files.put(lambda writer: writer.add_status(now, status))
 
     def _slots(self) -> dict[str, object]:
         """Return the counts of every task, from shared memory."""
@@ -340,8 +242,9 @@ class Recorder:
 
     def _report(self) -> None:
         """Tell the agent which file is written, when that has changed."""
-        path = str(self._writer.path) if self._writer else ""
-        lost = self._unwritten + self._unfit
+        writer = self._files.writer
+        path = str(writer.path) if writer else ""
+        lost = self._files.unwritten + self._unfit
         if (path, lost) != self._told:
             self._told = (path, lost)
             subsystem = self._wanted.subsystem
@@ -351,8 +254,24 @@ class Recorder:
         self._tell(wire.Note(int(severity), code, text))
 
 
-def _numbered(file: str, number: int) -> str:
-    return f"{file}.mcap" if number == 1 else f"{file}-{number}.mcap"
+def _enter(writer: LogWriter, followed: Followed) -> None:
+    """Make the channels of a task, and attach its code."""
+    about = followed.about
+    followed.writer, followed.number = writer, writer.add_task(about)
+    rmod = Path(about.rmod_name).name
+    writer.attach(Attached(rmod, about.rmod.encode()))
+    for code in followed.about.code:
+        with contextlib.suppress(OSError):
+            data = Path(code.path).read_bytes()
+            if hashlib.sha256(data).hexdigest() == code.sha256:
+                writer.attach(Attached(code.path, data, "text/x-python"))
+
+
+def _add(writer: LogWriter, followed: Followed, text: bytes) -> None:
+    """Write what a ring gave."""
+    if followed.writer is not writer:  # it was gone when the file began
+        _enter(writer, followed)
+    writer.add(followed.number, text)
 
 
 class Pipe:

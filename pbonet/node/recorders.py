@@ -152,16 +152,23 @@ class Recorders:
 
     Args:
         tell: Hands a message to the RTPU process.
+        limits: Of the logs on this machine.
     """
 
-    def __init__(self, tell: Tell) -> None:
+    def __init__(self, tell: Tell, limits: wire.LogLimits) -> None:
         self._tell = tell
+        self._limits = limits
         self._children: dict[str, _Child] = {}
         self._ended: list[_Child] = []
         self._guard = threading.Lock()
 
     def update(self, wanted: Mapping[str, wire.Recording]) -> None:
         """Start and end recorders, so that these are recorded and no others."""
+        limits = self._limits
+        wanted = {
+            name: msgspec.structs.replace(one, limits=limits)
+            for name, one in wanted.items()
+        }
         with self._guard:
             for subsystem, child in list(self._children.items()):
                 if wanted.get(subsystem) != child.wanted:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from .state import Rtpu
 
 MODES = ("off", "outputs", "all")
+LONGEST = 3600.0
+"""Most seconds that are kept in memory."""
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,120}")
 
 
@@ -49,6 +51,7 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
         tasks=request.tasks,
         hidden=request.hidden,
         files=request.files,
+        last=request.last,
     )
     rtpu.tell_claims()
     path = str(folder / f"{request.file}.mcap")
@@ -71,6 +74,13 @@ def _check(request: Record) -> None:
                 got=mode[:40],
                 remedy="correct it",
             )
+    if not 0.0 <= request.last <= LONGEST:
+        raise LogError(
+            "so many seconds cannot be kept",
+            expected=f"0 to {LONGEST:g}",
+            got=f"{request.last:g}",
+            remedy="record everything where more is wanted",
+        )
     if request.mode == "off" and not request.tasks:
         return
     for name in (request.run, request.file):

@@ -109,6 +109,15 @@ FromAgent = Attach | Forward | Note | Shutdown | Arrived | Recorder
 # -- agent to recorder, and back ------------------------------------------------------
 
 
+class LogLimits(Struct, frozen=True):
+    """How long an agent's logs may become; 0: as long as they like."""
+
+    log_mb: float = 0.0
+    log_minutes: float = 0.0
+    runs_mb: float = 0.0
+    """Of all logs in the folder of the runs."""
+
+
 class Recording(Struct, kw_only=True):
     """What is to be recorded; in a memory file of the recorder."""
 
@@ -129,6 +138,9 @@ class Recording(Struct, kw_only=True):
     """Variables that are not recorded."""
     files: dict[str, str] = {}
     """Configuration files: text by name."""
+    last: float = 0.0
+    """Only the last seconds, once something goes wrong; 0: everything."""
+    limits: LogLimits = LogLimits()
 
 
 class Happened(Struct, tag="happened"):

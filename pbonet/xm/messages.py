@@ -277,6 +277,9 @@ class Record(Request, tag="record"):
     """Variables that are not recorded."""
     files: dict[str, str] = {}
     """Configuration files to attach: text by name."""
+    last: float = 0.0
+    """Keep so many seconds in memory, and write them when an error comes; 0: write
+    everything."""
 
 
 class Events(Request, tag="events"):

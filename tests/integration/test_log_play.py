@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 from adding import ADDS
+from logkit import spawn
 from nodekit import svar
 from watching import wait_for
 
@@ -20,11 +21,6 @@ from pbonet.log.groups import pack
 from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.svar import Table
 
-TEXT = (
-    "MODULE adds\nDESC adds\nSVARALIAS Z={z}\nSVARALIAS Y={y}\nINCONST N\n"
-    "OUTCONST none\nINVAR Z\nOUTVAR Y\nTASKTYPE periodic\nFREQ 250\nLOCAL\n"
-    "gain 0.75\nEOF\n"
-)
 VARIABLES = {v.name: v for v in parse_svar(svar(), "t.svar").variables}
 COUNT = 50
 PERIOD = 2_000_000
@@ -66,7 +62,7 @@ def line(nodes):
     nodes.write_module("adds", ADDS)
     nodes.agent_process("arm0")
     master = nodes.master("arm0", "arm")
-    master.spawn("b", "adds", text=TEXT.format(z="Y0", y="Y1"))
+    spawn(master, "b", "Y0", "Y1")
     master.on("b")
     return master
 
@@ -125,7 +121,7 @@ def test_a_part_is_played_over_and_over_until_an_interrupt(line, nodes, log) -> 
 
 
 def spawn_and_turn_on(line):
-    line.spawn("a", "adds", text=TEXT.format(z="X", y="Y0"))
+    spawn(line, "a", "X", "Y0")
     line.on("a")
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from pyarrow import parquet
 
 from pbonet.config.model import Variable
 from pbonet.errors import LogError, UnknownTaskError
@@ -21,6 +22,7 @@ from pbonet.log import (
     RunAbout,
     Step,
     TaskAbout,
+    export,
     files_of,
     is_complete,
     last_run,
@@ -308,14 +310,23 @@ def test_values_go_out_as_csv_and_arrays(tmp_path) -> None:
     log = Log(written(tmp_path / "run.mcap", count=20))
     table = text.columns(log, "pid", ["Y", "cpu_ns"])
     out = io.StringIO()
-    text.write_csv(table, out)
+    export.write_csv(table, out)
     rows = list(csv.reader(io.StringIO(out.getvalue())))
     assert rows[0] == ["time", "cycle", *(f"Y[{i}]" for i in range(6)), "cpu_ns"]
     back = np.array([row[2:8] for row in rows[1:]], float)
     assert np.array_equal(back, log.arrays("pid")["Y"], equal_nan=True)
-    text.write_npz(table, tmp_path / "out.npz")
+    export.write_npz(table, tmp_path / "out.npz")
     with np.load(tmp_path / "out.npz") as archive:
         assert archive["cycle"].tolist() == list(range(1, 21))
+    export.write_parquet(table, tmp_path / "out.parquet", log, "pid")
+    read = parquet.read_table(tmp_path / "out.parquet")
+    assert read.column_names == rows[0]
+    stack = np.stack([read[f"Y[{i}]"].to_numpy() for i in range(6)], axis=1)
+    assert np.array_equal(stack, log.arrays("pid")["Y"], equal_nan=True)
+    units = [read.schema.field(name).metadata[b"units"] for name in ("time", "Y[2]")]
+    assert units == [b"s", b"m"]
+    with pytest.raises(LogError, match="the file cannot be written"):
+        export.write_parquet(table, tmp_path / "no" / "out.parquet", log, "pid")
     with pytest.raises(LogError, match="pid has no Z on record"):
         text.columns(log, "pid", ["Z"])
 

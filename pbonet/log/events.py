@@ -1,0 +1,50 @@
+"""Events as messages that viewers list among logs."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+LOG_SCHEMA: Final = {
+    "type": "object",
+    "title": "foxglove.Log",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {
+                "sec": {"type": "integer", "minimum": 0},
+                "nsec": {"type": "integer", "minimum": 0, "maximum": 999999999},
+            },
+        },
+        "level": {"type": "integer"},
+        "message": {"type": "string"},
+        "name": {"type": "string"},
+        "file": {"type": "string"},
+        "line": {"type": "integer"},
+        "event": {"type": "object"},
+    },
+}
+_LEVELS: Final = ((50, 5), (40, 4), (30, 3), (20, 2))
+"""Severities of events, and the levels of a log that they are for a viewer."""
+
+
+def log_message(event: dict[str, Any], time_ns: int, subsystem: str) -> dict[str, Any]:
+    """Return an event as `LOG_SCHEMA` has it.
+
+    Args:
+        event: Its fields.
+        time_ns: When it was, since 1970.
+        subsystem: Of which one.
+    """
+    severity = int(event["severity"])
+    sec, nsec = divmod(time_ns, 10**9)
+    task = event.get("task") or event.get("rtpu", "")
+    return {
+        "timestamp": {"sec": sec, "nsec": nsec},
+        "level": next((level for least, level in _LEVELS if severity >= least), 1),
+        "message": f"{event['code']}: {event['text']}",
+        "name": f"{subsystem}/{task}",
+        "file": "",
+        "line": 0,
+        "event": event,
+    }

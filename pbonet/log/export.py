@@ -1,0 +1,107 @@
+"""Columns of a log as files for other programs: CSV, JSON, numpy, Parquet."""
+
+from __future__ import annotations
+
+import csv
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, TextIO
+
+import msgspec
+import numpy as np
+
+from pbonet.errors import LogError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from .reader import Log
+
+    Table = Mapping[str, NDArray[Any]]
+
+
+def write_csv(table: Table, file: TextIO) -> None:
+    """Write columns as CSV, numbers so that they read back the same."""
+    writer = csv.writer(file)
+    writer.writerow(table)
+    writer.writerows(zip(*(_texts(values) for values in table.values()), strict=True))
+
+
+def write_json(table: Table, file: TextIO) -> None:
+    """Write columns as one JSON object of lists; what is no number there is null."""
+    data = {name: _plain(values) for name, values in table.items()}
+    file.write(msgspec.json.encode(data).decode() + "\n")
+
+
+def write_npz(table: Table, path: Path) -> None:
+    """Write columns as arrays in one ``.npz`` file.
+
+    Raises:
+        LogError: It cannot be written.
+    """
+    arrays: dict[str, Any] = dict(table)
+    try:
+        with path.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise _unwritten(path, error) from None
+
+
+def write_parquet(table: Table, path: Path, log: Log, task: str) -> None:
+    """Write columns as a Parquet file, with the units of each.
+
+    Args:
+        table: The columns.
+        path: The file.
+        log: The run, for what is known about it.
+        task: The task.
+
+    Raises:
+        LogError: It cannot be written, or pyarrow is not there.
+    """
+    try:
+        pa: Any = import_module("pyarrow")  # without types
+        parquet: Any = import_module("pyarrow.parquet")
+    except ImportError:
+        raise LogError(
+            "there is nothing to write Parquet with",
+            expected="pyarrow",
+            remedy='pip install "pbonet[parquet]", or choose --npz',
+        ) from None
+    units = {"time": "s"} | {v.name: v.units for v in log.task_about(task).outvar}
+    columns: dict[str, Any] = {}
+    fields: list[Any] = []
+    for name, values in table.items():
+        column = pa.array(_plain(values) if values.dtype.kind == "V" else values)
+        unit = units.get(name.partition("[")[0], "")
+        fields.append(pa.field(name, column.type, metadata={"units": unit}))
+        columns[name] = column
+    about = {"task": task, "run": str(log.about.get("run", ""))}
+    schema = pa.schema(fields, metadata=about)
+    try:
+        parquet.write_table(pa.table(columns, schema=schema), path)
+    except OSError as error:
+        raise _unwritten(path, error) from None
+
+
+def _unwritten(path: Path, error: OSError) -> LogError:
+    return LogError(
+        "the file cannot be written",
+        where=str(path),
+        got=error.strerror or str(error),
+        remedy="choose another file",
+    )
+
+
+def _plain(values: NDArray[Any]) -> list[Any]:
+    if values.dtype.kind == "V":
+        return [bytes(value).hex() for value in values]
+    return list(values.tolist())
+
+
+def _texts(values: NDArray[Any]) -> Iterable[str]:
+    if values.dtype.kind == "V":
+        return [bytes(value).hex() for value in values]
+    return [repr(value) for value in values.tolist()]
