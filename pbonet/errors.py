@@ -34,6 +34,7 @@ from a task to the master without losing anything.
     │   ├── XmFullError (OSError)          no room in shared memory, or in the line
     │   ├── XmQueueFullError               no room in the queue
     │   ├── XmTakenError                   the link has its one writer, or reader
+    │   ├── XmLapsedError                  another machine's, and the way to it was lost
     │   └── XmTooLongError (ValueError)    longer than the queue or the buffer
     ├── ModuleLoadError (ImportError)      module code is missing or does not load
     ├── TaskError
@@ -312,6 +313,12 @@ class XmTakenError(XmError):
     """The link has its one writer, or its one reader, already."""
 
     code = "XM_TAKEN"
+
+
+class XmLapsedError(XmError):
+    """The way to a resource of another machine was lost, and what was held with it."""
+
+    code = "XM_LAPSED"
 
 
 class XmTooLongError(XmError, ValueError):

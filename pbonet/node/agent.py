@@ -32,6 +32,7 @@ from pbonet.xm.messages import AgentInfo, LinkReport
 from . import leftovers, service, wire
 from .ears import Ears
 from .links import Links
+from .mail import Mail
 from .mirrors import Mirrors
 from .recorders import Recorders
 from .server import Server
@@ -107,6 +108,7 @@ class Agent:
         self._token: zenoh.LivelinessToken | None = None
         self._ears: Ears | None = None
         self._links: Links | None = None
+        self._mail: Mail | None = None
         self._link: RtpuLink | None = None
         self._about: AgentInfo | None = None
         self._over = threading.Event()
@@ -158,7 +160,10 @@ class Agent:
         info = self._link.open()
         self._about = self._describe()
         self._recorders.update(info.recordings)
-        self._server = Server(self._session, self.config.domain, self.name, self)
+        self._mail = Mail(self._session, self.places)
+        self._server = Server(
+            self._session, self.config.domain, self.name, self, self._mail
+        )
         self._server.start()
         self._refuse_duplicate()
         self._twins = Twins(
@@ -230,6 +235,8 @@ class Agent:
             self._stopping = True
             link, self._link = self._link, None
         self._over.set()
+        if self._mail is not None:
+            self._mail.end_waits()
         return link
 
     def _met_twin(self, other: AgentInfo) -> None:
@@ -259,21 +266,12 @@ class Agent:
             link.send(message)
 
     def _leave(self) -> None:
-        if self._links is not None:
-            self._links.stop()
-            self._links = None
-        if self._ears is not None:
-            self._ears.stop()
-            self._ears = None
-        if self._mirrors is not None:
-            self._mirrors.stop()
-            self._mirrors = None
-        if self._ways is not None:
-            self._ways.stop()
-            self._ways = None
-        if self._twins is not None:
-            self._twins.stop()
-            self._twins = None
+        network = self._mail, self._links, self._ears, self._mirrors, self._ways
+        for part in (*network, self._twins):
+            if part is not None:
+                part.stop()
+        self._mail = self._links = self._ears = None
+        self._mirrors = self._ways = self._twins = None
         if self._restarter is not None:
             self._restarter.join()
         if self._server is not None:

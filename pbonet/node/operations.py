@@ -104,7 +104,7 @@ class Operations:
             if self._answers[key].done():
                 del self._answers[key]
 
-    async def _carry_out(self, request: m.AnyRequest, masters: Masters) -> bytes:
+    async def _carry_out(self, request: m.Request, masters: Masters) -> bytes:
         try:
             if isinstance(request, m.Claim):
                 result, warnings = self._claim_knowing(request, masters)
@@ -122,7 +122,7 @@ class Operations:
             )
         return data
 
-    def _fault(self, request: m.AnyRequest, error: Exception) -> PbonetError:
+    def _fault(self, request: m.Request, error: Exception) -> PbonetError:
         """Return what to answer to a failure that no error of ours describes."""
         if isinstance(error, OSError) and error.errno == _DISK_FULL:
             return SvarFullError(
@@ -143,7 +143,7 @@ class Operations:
             debug=traceback.format_exc(),
         )
 
-    def _check(self, request: m.AnyRequest) -> None:
+    def _check(self, request: m.Request) -> None:
         """Refuse what needs a claim and has none, and what comes during a stop."""
         if isinstance(request, m.Spawn | m.Control | m.Reconfig):
             _check_timeout(request.timeout)

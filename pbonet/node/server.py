@@ -22,11 +22,13 @@ import zenoh
 from pbonet.errors import NodeError, PbonetError, ProtocolError
 from pbonet.xm import codec, keys, roles, session
 from pbonet.xm import messages as m
+from pbonet.xm.resources import XmRequest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.xm.messages import AgentInfo, LinkReport
+    from pbonet.xm.resources import AnyXmRequest
 
 log = logging.getLogger("pbonet.node")
 
@@ -72,6 +74,13 @@ class Node(Protocol):
         ...
 
 
+class Mail(Protocol):
+    """Who carries out what is asked of semaphores and queues."""
+
+    def take(self, request: AnyXmRequest, reply: Callable[[bytes], None]) -> None:
+        """Carry a request out and have its answer sent; comes back at once."""
+
+
 class Server:
     """Answers the requests for one RTPU.
 
@@ -80,14 +89,15 @@ class Server:
         domain: The agent's domain.
         name: The RTPU's name.
         node: Who carries requests out.
+        mail: Who carries out those about semaphores and queues.
     """
 
     def __init__(
-        self, session: zenoh.Session, domain: str, name: str, node: Node
+        self, session: zenoh.Session, domain: str, name: str, node: Node, mail: Mail
     ) -> None:
         self._session = session
         self._domain = domain
-        self._node = node
+        self._node, self._mail = node, mail
         self._keys = [keys.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
@@ -188,6 +198,9 @@ class Server:
                 return
             if isinstance(request, m.Links):
                 self._pool.submit(self._measure, query, request.id)
+                return
+            if isinstance(request, XmRequest):
+                self._mail.take(request, partial(self._reply, query))
                 return
             if len(self._pending) >= PENDING:
                 raise ProtocolError(

@@ -6,18 +6,23 @@ own, and everything over zenoh is opened there: importing this loads no network.
 """
 
 from ._ipc import Full, Policy, Queue, Semaphore, Taken
+from .carriers import alive
 from .files import sweep
+from .mailboxes import Mailbox, interrupt
 from .names import live_on
 from .open import queue, segment, semaphore
 from .segments import Segment
 
 __all__ = [
     "Full",
+    "Mailbox",
     "Policy",
     "Queue",
     "Segment",
     "Semaphore",
     "Taken",
+    "alive",
+    "interrupt",
     "live_on",
     "queue",
     "segment",

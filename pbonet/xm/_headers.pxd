@@ -19,7 +19,7 @@ cdef extern from "mail.h" nogil:
     struct xm_queue:
         xm_object o
         uint32_t policy, heads, blocks, block, n_heads, n_blocks, queued
-        uint64_t dropped
+        uint64_t seq, dropped
     struct xm_letter:
         uint32_t head, size
         int32_t priority

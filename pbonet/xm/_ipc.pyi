@@ -3,14 +3,18 @@
 Times are absolute, in nanoseconds of CLOCK_MONOTONIC (`time.monotonic_ns`, or
 ``self.task.now`` in a module): None waits for ever, what is over does not wait. A wait
 runs the Python handlers of signals that arrive; one that raises ends the wait, and
-nothing is taken. Every wait looks for the dead each `PATROL_NS`, so what somebody who
+nothing is taken. `still` is asked every `PATROL_NS`, and ends the wait with `XmError`
+when it says False. Every wait looks for the dead each `PATROL_NS`, so what somebody who
 is killed leaves behind is found within that time.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 from types import TracebackType
 
 from _typeshed import ReadableBuffer, WriteableBuffer
+
+from .names import Name
 
 PATROL_NS: int
 """How often a sleeper looks around, nanoseconds."""
@@ -44,10 +48,12 @@ class Full(IntEnum):
 class Shared:
     """What semaphores and queues have in common."""
 
-    name: str
-    """``RTPU:RESOURCE``."""
-    path: str
-    """The file in shared memory."""
+    @property
+    def name(self) -> str:
+        """``RTPU:RESOURCE``."""
+    @property
+    def path(self) -> str:
+        """The file in shared memory; empty when it is another machine's."""
     @property
     def waiting(self) -> int:
         """How many threads stand in its line."""
@@ -71,7 +77,7 @@ class Semaphore(Shared):
 
     @staticmethod
     def create(
-        name: str,
+        name: str | Name,
         *,
         initial: int = 1,
         maximum: int | None = None,
@@ -87,17 +93,17 @@ class Semaphore(Shared):
 
         Raises:
             XmExistsError: One of that name is in use.
-            UnreachableError: The RTPU is not on this machine.
+            UnreachableError: The RTPU is on no machine that can be reached.
             XmError: Its file cannot be made.
             ValueError: `initial` or `maximum` is out of bounds.
         """
     @staticmethod
-    def attach(name: str) -> Semaphore:
+    def attach(name: str | Name) -> Semaphore:
         """Use a semaphore that stands.
 
         Raises:
             XmMissingError: There is none of that name.
-            UnreachableError: The RTPU is not on this machine.
+            UnreachableError: The RTPU is on no machine that can be reached.
             XmError: Its file is not ours, damaged, or of another version.
         """
     @property
@@ -110,13 +116,20 @@ class Semaphore(Shared):
     @property
     def holder(self) -> int | None:
         """The process that holds a binary semaphore; it may have died with it."""
-    def p(self, until_ns: int | None = None, *, priority: int | None = None) -> Taken:
+    def p(
+        self,
+        until_ns: int | None = None,
+        *,
+        priority: int | None = None,
+        still: Callable[[], bool] | None = None,
+    ) -> Taken:
         """Take one, in the line of those who wait if there is none.
 
         Args:
             until_ns: When to give up.
             priority: Higher is served first, equals as they came; the task's
                 criticality unless told otherwise.
+            still: See above.
 
         Raises:
             XmDestroyedError: Somebody destroyed it.
@@ -142,11 +155,12 @@ class Queue(Shared):
     else.
     """
 
-    last_priority: int
-    """Priority of the message received last through this handle."""
+    @property
+    def last_priority(self) -> int:
+        """Priority of the message received last through this handle."""
     @staticmethod
     def create(
-        name: str,
+        name: str | Name,
         *,
         policy: Policy = ...,
         messages: int = 64,
@@ -164,17 +178,17 @@ class Queue(Shared):
 
         Raises:
             XmExistsError: One of that name is in use.
-            UnreachableError: The RTPU is not on this machine.
+            UnreachableError: The RTPU is on no machine that can be reached.
             XmError: Its file cannot be made.
             ValueError: A size is out of bounds.
         """
     @staticmethod
-    def attach(name: str) -> Queue:
+    def attach(name: str | Name) -> Queue:
         """Use a queue that stands.
 
         Raises:
             XmMissingError: There is none of that name.
-            UnreachableError: The RTPU is not on this machine.
+            UnreachableError: The RTPU is on no machine that can be reached.
             XmError: Its file is not ours, damaged, or of another version.
         """
     def __len__(self) -> int:
@@ -191,6 +205,9 @@ class Queue(Shared):
     def free(self) -> tuple[int, int]:
         """Free headers and blocks."""
     @property
+    def sent(self) -> int:
+        """Messages that were put in since it was made."""
+    @property
     def dropped(self) -> int:
         """Messages dropped since it was made, because there was no room."""
     def send(
@@ -201,6 +218,7 @@ class Queue(Shared):
         full: Full = ...,
         until_ns: int | None = 0,
         wait_priority: int | None = None,
+        still: Callable[[], bool] | None = None,
     ) -> bool:
         """Put a message in; True when it is in.
 
@@ -210,6 +228,7 @@ class Queue(Shared):
             full: What becomes of it when there is no room, at `until_ns` at the latest.
             until_ns: How long to wait for room; not at all unless told so.
             wait_priority: Of that wait; the task's criticality unless told otherwise.
+            still: See above.
 
         Raises:
             XmQueueFullError: There is no room, and `full` says REFUSE.
@@ -230,7 +249,33 @@ class Queue(Shared):
             XmDestroyedError: Somebody destroyed the queue.
             XmFullError: Too many wait or are attached.
         """
-    def wait(self, until_ns: int | None = None, *, priority: int | None = None) -> bool:
+    def letter(
+        self,
+        until_ns: int | None = None,
+        *,
+        priority: int | None = None,
+        most: int = ...,
+        still: Callable[[], bool] | None = None,
+    ) -> tuple[bytes, int] | None:
+        """Take the first message with its priority; else as `receive`.
+
+        Args:
+            until_ns: When to give up.
+            priority: As for `receive`.
+            most: Bytes at most; a longer message stays in the queue.
+            still: See above.
+
+        Raises:
+            XmTooLongError: It is longer than `most`.
+            XmDestroyedError: Somebody destroyed the queue.
+        """
+    def wait(
+        self,
+        until_ns: int | None = None,
+        *,
+        priority: int | None = None,
+        still: Callable[[], bool] | None = None,
+    ) -> bool:
         """Wait for a message and leave it in the queue; False when the time is over.
 
         For a module's `sync`: whatever ends it, no message is lost. `cycle` takes it

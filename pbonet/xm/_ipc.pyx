@@ -63,7 +63,7 @@ cdef class Shared:
     cdef void *at
     cdef size_t bytes
     cdef int fd
-    cdef int waits              # threads that wait in it
+    cdef int waits              # threads in it without the interpreter's lock
     cdef uint32_t me
     cdef long forks             # at which `me` became a member; -1: never
     cdef readonly str name, path
@@ -129,7 +129,7 @@ cdef class Shared:
     cdef void look_around(self) noexcept nogil:
         pass
 
-    cdef int sleep(self, int slot, int64_t until) except -1:
+    cdef int sleep(self, int slot, int64_t until, object still) except -1:
         """Wait until called (1) or until the time is over (0); signals are handled."""
         cdef xm_object *o = <xm_object *>self.at
         cdef int code
@@ -145,6 +145,9 @@ cdef class Shared:
             if code == 0 or code == XM_TIMED_OUT:
                 return code == 0
             PyErr_CheckSignals()
+            if still is not None and not still():
+                raise XmError("the wait was given up", where=self.name,
+                              remedy="wait again")
 
     @property
     def waiting(self) -> int:
@@ -181,8 +184,9 @@ cdef class Shared:
         self.drop()
 
     cdef drop(self):
-        with contextlib.suppress(Exception):
-            self.close()
+        if self.at is not NULL:
+            with contextlib.suppress(Exception):
+                Shared.close(self)
         self.unmap()
 
 
@@ -202,14 +206,17 @@ cdef class Semaphore(Shared):
     cdef xm_sem *s
 
     @staticmethod
-    def create(str name, *, initial=1, maximum=None, binary=False):
+    def create(name, *, initial=1, maximum=None, binary=False):
         highest = 1 if binary else 0x7fffffff if maximum is None else maximum
         if binary and maximum not in (None, 1):
             raise ValueError(f"the maximum of a binary semaphore is 1, not {maximum}")
         if not 1 <= highest <= 0x7fffffff or not 0 <= initial <= highest:
             raise ValueError(f"initial {initial} and maximum {highest} are not "
                              "0 <= initial <= maximum < 2**31")
-        found = names.resolve(name)
+        found, here = names.find(name)
+        if not here:
+            from pbonet.xm import far
+            return far.FarSemaphore.create_there(found, initial, highest, binary)
         path = found.path("sem")
         fd, fresh = files.make(path, sizeof(xm_sem))
         cdef Semaphore self = Semaphore.__new__(Semaphore)
@@ -226,8 +233,11 @@ cdef class Semaphore(Shared):
         return self
 
     @staticmethod
-    def attach(str name):
-        found = names.resolve(name)
+    def attach(name):
+        found, here = names.find(name)
+        if not here:
+            from pbonet.xm import far
+            return far.FarSemaphore.attach_there(found)
         fd, size = files.open_file(found, "sem")
         cdef Semaphore self = Semaphore.__new__(Semaphore)
         self.name = str(found)
@@ -268,11 +278,11 @@ cdef class Semaphore(Shared):
         self.open()
         return xm_sem_holder_pid(self.s) or None
 
-    def p(self, until_ns=None, *, priority=None):
+    def p(self, until_ns=None, *, priority=None, still=None):
         self.open()
         cdef int code = xm_sem_take(self.s, self.me, False)
         if code == XM_EMPTY:
-            code = self.wait(_limit(until_ns), _priority(priority))
+            code = self.wait(_limit(until_ns), _priority(priority), still)
         return _TAKEN if code == 0 else _DIED if code == XM_DIED else _TIMED_OUT
 
     def try_p(self):
@@ -286,7 +296,7 @@ cdef class Semaphore(Shared):
         self.open()
         return xm_sem_give(self.s) == 0
 
-    cdef int wait(self, int64_t until, int32_t priority) except? -100:
+    cdef int wait(self, int64_t until, int32_t priority, object still) except? -100:
         """Take through the line; 0, XM_DIED or XM_EMPTY."""
         cdef int slot, code = xm_sem_begin(self.s, self.me, priority, True, &slot)
         if code == XM_STUCK or code == XM_CROWDED:
@@ -296,7 +306,7 @@ cdef class Semaphore(Shared):
         self.waits += 1
         try:
             while code == XM_AGAIN:
-                if not self.sleep(slot, until):
+                if not self.sleep(slot, until, still):
                     xm_sem_leave(self.s, slot)
                     return XM_EMPTY
                 code = xm_sem_called(self.s, self.me, slot)

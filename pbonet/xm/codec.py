@@ -9,6 +9,7 @@ from msgspec import Struct
 
 from pbonet.errors import PbonetError, ProtocolError
 from pbonet.xm.messages import VERSION, Answer, AnyRequest, Event, Request
+from pbonet.xm.resources import AnyXmRequest
 
 
 class _Version(Struct):
@@ -26,8 +27,8 @@ class Codec:
     def __init__(self) -> None:
         self._encoder = msgspec.msgpack.Encoder()
         self._version = msgspec.msgpack.Decoder(_Version)
-        self._request: msgspec.msgpack.Decoder[AnyRequest] = msgspec.msgpack.Decoder(
-            AnyRequest
+        self._request: msgspec.msgpack.Decoder[AnyRequest | AnyXmRequest] = (
+            msgspec.msgpack.Decoder(AnyRequest | AnyXmRequest)
         )
         self._answer = msgspec.msgpack.Decoder(Answer)
 
@@ -35,7 +36,7 @@ class Codec:
         """Return the message as msgpack bytes."""
         return self._encoder.encode(message)
 
-    def request(self, data: bytes) -> AnyRequest:
+    def request(self, data: bytes) -> AnyRequest | AnyXmRequest:
         """Return the request in `data`.
 
         Raises:

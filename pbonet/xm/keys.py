@@ -68,6 +68,11 @@ def last(key: str) -> str:
     return key.rsplit("/", 1)[-1]
 
 
+def customer(domain: str, client: str) -> str:
+    """Return the liveliness key of who uses resources of other machines, or of all."""
+    return f"{ROOT}/{domain}/xm/client/{client}"
+
+
 def clock(domain: str, name: str) -> str:
     """Return the key on which an agent tells its machine's time."""
     return rtpu(domain, name, "clock")

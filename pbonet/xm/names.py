@@ -35,7 +35,7 @@ class Home(NamedTuple):
 
 
 class Name(NamedTuple):
-    """A resource's name, resolved: it is on this machine."""
+    """A resource's name in its parts."""
 
     domain: str
     rtpu: str
@@ -89,6 +89,25 @@ def folder() -> Path:
     return Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108 - its place
 
 
+def find(text: str | Name) -> tuple[Name, bool]:
+    """Return the parts of a name, and whether its RTPU is on this machine.
+
+    What is in parts already is of this machine.
+
+    Raises:
+        XmNameError: It is no name.
+    """
+    if isinstance(text, Name):
+        return text, True
+    name = parse(text)
+    return name, is_here(name)
+
+
+def is_here(name: Name) -> bool:
+    """Tell whether a name's RTPU is on this machine."""
+    return name.rtpu in {_home.rtpu, NOWHERE} or name.rtpu in rtpus(name.domain)
+
+
 def parse(text: str) -> Name:
     """Return the parts of a name, wherever its RTPU is.
 
@@ -117,8 +136,8 @@ def parse_at(text: str, place: str) -> Name:
     return Name(_home.domain, rtpu, resource)
 
 
-def resolve(text: str, *, remedy: str = "") -> Name:
-    """Return the name of a resource of this machine.
+def resolve(text: str, *, remedy: str) -> Name:
+    """Return the name of a resource that can be on this machine only.
 
     Args:
         text: The name.
@@ -129,17 +148,14 @@ def resolve(text: str, *, remedy: str = "") -> Name:
         UnreachableError: Its RTPU is on another machine, or nowhere.
     """
     name = parse(text)
-    if name.rtpu in {_home.rtpu, NOWHERE} or name.rtpu in rtpus(name.domain):
+    if is_here(name):
         return name
     raise UnreachableError(
         f"RTPU {name.rtpu} is not on this machine",
         where=str(name),
         expected="an RTPU that runs here, in domain " + name.domain,
         got=f"{', '.join(sorted(rtpus(name.domain))) or 'none'}",
-        remedy=did_you_mean(name.rtpu, rtpus(name.domain))
-        or remedy
-        or "start its agent here; semaphores and queues of other machines cannot be "
-        "used yet",
+        remedy=did_you_mean(name.rtpu, rtpus(name.domain)) or remedy,
     )
 
 

@@ -34,7 +34,7 @@ def semaphore(
 
     Raises:
         XmNameError: It is no name.
-        UnreachableError: The RTPU is not on this machine.
+        UnreachableError: The RTPU is on no machine that can be reached.
         XmMissingError: There is none, and no `initial` was given.
         XmLayoutError: It stands with another maximum, or is not what `binary` says.
         XmError: Its file cannot be used.
@@ -69,7 +69,7 @@ def queue(
 
     Raises:
         XmNameError: It is no name.
-        UnreachableError: The RTPU is not on this machine.
+        UnreachableError: The RTPU is on no machine that can be reached.
         XmLayoutError: It stands with another setting than one given here.
         XmError: Its file cannot be used.
     """

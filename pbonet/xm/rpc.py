@@ -182,6 +182,17 @@ class Client:
                 remedy="run the same pbonet version on every machine",
             ) from None
 
+    def tell(self, rtpu: str, request: Request) -> None:
+        """Send a request and wait for nothing.
+
+        Raises:
+            UnreachableError: The connection to the agents is closed.
+        """
+        request.id = f"{self._run}-{next(self._count)}"
+        request.client = request.client or self.name
+        payload = self._codec.pack(request)
+        self._get(rtpu, roles.leaf(request), payload, ANSWER_TIME)
+
     def call_all(
         self,
         requests: Mapping[str, Request],

@@ -3,7 +3,8 @@
 ``$PBONET_RUN_DIR``, else ``$XDG_RUNTIME_DIR/pbonet``, else ``/tmp/pbonet-<uid>``. It
 is the user's own and nobody else may enter it. Under it stands one folder per domain,
 and in that, per RTPU: ``NAME.sock`` (the agent's zenoh endpoint), ``NAME.ctl`` (the
-RTPU process's own socket), ``NAME.agent`` and ``NAME.rtpu`` (locked while they live),
+RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use what
+other machines have), ``NAME.agent`` and ``NAME.rtpu`` (locked while they live),
 ``NAME.state`` (what has to be cleaned away should the RTPU process be killed) and
 ``NAME.log`` (what the RTPU process wrote to its standard error).
 
@@ -93,11 +94,12 @@ class Places:
         self.folder.mkdir(mode=0o700, exist_ok=True)
         self.sock = self.folder / f"{name}.sock"
         self.ctl = self.folder / f"{name}.ctl"
+        self.post = self.folder / f"{name}.post"
         self.lock = self.folder / f"{name}.agent"
         self.ctl_lock = self.folder / f"{name}.rtpu"
         self.state = self.folder / f"{name}.state"
         self.log = self.folder / f"{name}.log"
-        for path in (self.sock, self.ctl):
+        for path in (self.sock, self.ctl, self.post):
             _check_length(path)
 
     @property
@@ -106,9 +108,9 @@ class Places:
         return f"unixsock-stream/{self.sock}"
 
     @property
-    def agents_files(self) -> tuple[Path, Path]:
-        """What zenoh makes for the agent's endpoint."""
-        return self.sock, self.sock.with_suffix(".sock.lock")
+    def agents_files(self) -> tuple[Path, Path, Path]:
+        """The agent's sockets, with what zenoh makes for one."""
+        return self.sock, self.sock.with_suffix(".sock.lock"), self.post
 
     def remove(self, *paths: Path) -> None:
         """Remove some of the files; a missing one is no fault."""

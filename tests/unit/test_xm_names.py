@@ -16,11 +16,13 @@ def home(monkeypatch, tmp_path):
 
 
 def test_a_name_alone_belongs_to_the_processs_own_rtpu() -> None:
-    assert names.resolve("events") == ("default", "local", "events")
+    assert names.find("events") == (("default", "local", "events"), True)
     xm.live_on("arm0", domain="lab")
-    assert str(names.resolve("events")) == "arm0:events"
-    assert names.resolve("events") == names.resolve("arm0:events")
-    assert names.resolve("events").path("queue").name.endswith(".lab:arm0:events.queue")
+    name, here = names.find("events")
+    assert (str(name), here) == ("arm0:events", True)
+    assert names.find("events") == names.find("arm0:events")
+    assert name.path("queue").name.endswith(".lab:arm0:events.queue")
+    assert names.find("arm1:events") == (("lab", "arm1", "events"), False)
 
 
 @pytest.mark.parametrize(
@@ -32,13 +34,20 @@ def test_what_is_no_name_is_refused(name) -> None:
     assert isinstance(error.value, ValueError)
 
 
-def test_a_name_of_another_machine_says_so() -> None:
+def test_another_machine_that_no_agent_leads_to_says_what_to_do() -> None:
     with pytest.raises(UnreachableError) as error:
         xm.semaphore("arm1:grip", initial=1)
+    assert "no agent of domain default runs on this machine" in str(error.value)
+    assert str(error.value).endswith("; a program says so in PBONET_CONNECT")
+
+
+def test_memory_of_another_machine_says_what_to_use() -> None:
+    with pytest.raises(UnreachableError) as error:
+        xm.segment("arm1:map", 100)
     assert str(error.value) == (
-        "arm1:grip: RTPU arm1 is not on this machine (expected an RTPU that runs here, "
-        "in domain default, got none); start its agent here; semaphores and queues of "
-        "other machines cannot be used yet"
+        "arm1:map: RTPU arm1 is not on this machine (expected an RTPU that runs here, "
+        "in domain default, got none); memory is shared within a machine only; to "
+        "another one use a link (pbonet.tbuf), or a variable of the table"
     )
 
 
@@ -46,7 +55,7 @@ def test_an_rtpu_that_runs_here_is_found() -> None:
     lock = rundir.NameLock(rundir.Places("default", "arm1").ctl_lock)
     try:
         with pytest.raises(UnreachableError, match=r"got arm1\); did you mean arm1\?"):
-            xm.semaphore("amr1:grip", initial=1)
+            xm.segment("amr1:map", 100)
         grip = xm.semaphore("arm1:grip", initial=1)
         assert grip.name == "arm1:grip"
         grip.destroy()

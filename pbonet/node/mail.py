@@ -1,0 +1,43 @@
+"""What an agent does for express mail: its RTPU's server, and its tasks' letters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .office import Office
+from .relay import Relay
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import zenoh
+
+    from pbonet.xm import rundir
+    from pbonet.xm.resources import AnyXmRequest
+
+
+class Mail:
+    """Both halves.
+
+    Args:
+        session: The agent's.
+        places: The agent's files.
+    """
+
+    def __init__(self, session: zenoh.Session, places: rundir.Places) -> None:
+        domain, name = places.domain, places.name
+        self._office = Office(session, domain, name)
+        self._relay = Relay(session, domain, name, places.post)
+
+    def take(self, request: AnyXmRequest, reply: Callable[[bytes], None]) -> None:
+        """Carry a request out and have its answer sent; comes back at once."""
+        self._office.take(request, reply)
+
+    def end_waits(self) -> None:
+        """Let go of all resources, which can then be removed."""
+        self._office.stop()
+
+    def stop(self) -> None:
+        """End for good."""
+        self._office.stop()
+        self._relay.stop()

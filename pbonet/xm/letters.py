@@ -1,0 +1,53 @@
+"""What travels between a task and its agent when it uses what other machines have."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import PbonetError, ProtocolError
+
+if TYPE_CHECKING:
+    from .messages import Answer
+
+T = TypeVar("T")
+
+
+class Letter(Struct, array_like=True):
+    """A request that the agent is to pass on; answered with a packed `Answer`."""
+
+    client: str
+    rtpu: str
+    """Empty: asks for the names of the RTPUs that are there, if it waits."""
+    timeout: float
+    data: bytes
+    """The packed request."""
+    wait: bool = True
+    """Whether an answer is wanted."""
+
+
+def read_names(data: bytes) -> list[str]:
+    """Return the names of RTPUs."""
+    return msgspec.msgpack.decode(data, type=list[str])
+
+
+def read_result(rtpu: str, answer: Answer, result: type[T]) -> T:
+    """Return the result in an answer.
+
+    Raises:
+        PbonetError: The agent refused.
+        ProtocolError: It is not what was asked for.
+    """
+    if not answer.ok:
+        raise PbonetError.from_wire(answer.error or {})
+    try:
+        return msgspec.convert(answer.result, result)
+    except msgspec.ValidationError as error:
+        raise ProtocolError(
+            "the result is not what the operation gives",
+            where=rtpu,
+            got=str(error),
+            remedy="run the same pbonet version on every machine",
+        ) from None

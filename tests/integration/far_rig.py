@@ -1,0 +1,103 @@
+"""Programs on two machines that do what a test says, one line at a time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+
+from tbuf_rig import Machine, Pair
+from watching import wait_for
+
+PROGRAM = """
+import json, sys, time
+from pbonet import xm
+
+settings = json.loads(sys.argv[1])
+if settings["home"]:
+    xm.live_on(settings["home"], domain=settings["domain"])
+space = {"xm": xm, "now": time.monotonic_ns, "s": 1_000_000_000}
+print("ready", flush=True)
+for line in sys.stdin:
+    code = json.loads(line)
+    try:
+        try:
+            found = eval(code, space)
+        except SyntaxError:
+            found = exec(code, space)
+        answer = {"got": found if isinstance(found, (list, dict)) else repr(found)}
+    except Exception as error:
+        answer = {"error": type(error).__name__, "text": str(error)}
+    print(json.dumps(answer), flush=True)
+"""
+
+
+class RefusedError(Exception):
+    """What a program's line raised."""
+
+    def __init__(self, answer: dict) -> None:
+        super().__init__(answer["text"])
+        self.kind = answer["error"]
+
+
+class Hand:
+    """A program on a machine.
+
+    Args:
+        machine: Where it runs.
+        home: The RTPU that it is at home on; the machine's, or "" for none.
+        env: More of its environment.
+    """
+
+    def __init__(self, machine: Machine, home: str | None = None, **env: str) -> None:
+        where = machine.name if home is None else home
+        text = json.dumps({"home": where, "domain": machine.domain})
+        self.process = subprocess.Popen(
+            [*machine.prefix, sys.executable, "-c", PROGRAM, text],
+            env=machine.env | {"PBONET_DOMAIN": machine.domain} | env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        machine.programs.append(self)
+        assert self.process.stdout.readline() == "ready\n"
+
+    def begin(self, code: str) -> None:
+        """Have it do something; `end` returns what came of it."""
+        self.process.stdin.write(json.dumps(code) + "\n")
+        self.process.stdin.flush()
+
+    def end(self):
+        answer = json.loads(self.process.stdout.readline())
+        if "error" in answer:
+            raise RefusedError(answer)
+        return answer["got"]
+
+    def do(self, code: str):
+        """Have it do something, and return that as text (or list, or map)."""
+        self.begin(code)
+        return self.end()
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait(10)
+        for pipe in (self.process.stdin, self.process.stdout):
+            with contextlib.suppress(OSError):
+                pipe.close()
+
+    def wait(self, code: str, wanted: str, limit: float = 15.0) -> None:
+        """Wait until something is so."""
+        wait_for(lambda: self.do(code) == wanted, f"{code} to be {wanted}", limit)
+
+
+class Cell(Pair):
+    """Two machines, vision0 and arm0 that dials it, and programs on them."""
+
+    def hand(self, machine: Machine, **more: str) -> Hand:
+        return Hand(machine, **more)
+
+
+def traffic(hand: Hand) -> bool:
+    """Tell whether a program has loaded the network."""
+    return hand.do("'zenoh' in __import__('sys').modules") == "True"
