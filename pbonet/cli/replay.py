@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 from typing import Annotated as A
 
 import typer
 
 from pbonet.cli import options
-
-if TYPE_CHECKING:
-    from pbonet.testing import Verdict
 
 
 def command(
@@ -19,8 +15,15 @@ def command(
     run: A[Path, typer.Argument(help="A log, or a run's folder.", metavar="RUN")],
     tasks: A[list[str] | None, typer.Argument(help="Which; all.")] = None,
     verify: A[
-        bool, typer.Option("--verify", help="Compare what their code gives now.")
+        bool,
+        typer.Option(
+            "--verify", help="Each by itself, on recorded inputs, to the first other."
+        ),
     ] = False,
+    out: A[
+        Path | None,
+        typer.Option("--out", "-o", help="Without --verify: write what they give now."),
+    ] = None,
     rtol: A[
         float, typer.Option(help="How far floats may be off, relative.", min=0.0)
     ] = 0.0,
@@ -49,31 +52,36 @@ def command(
     library: options.Library = None,
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Run the code of recorded tasks again, or play what they wrote to others."""
+    """Run the code of recorded tasks again together, each by itself, or play them."""
     import msgspec
 
+    from pbonet import testing
     from pbonet.errors import StateError
     from pbonet.master import player
-    from pbonet.testing import verify as run_again
 
-    if verify == (play is not None) or (tasks and not verify):
+    if play is not None and (verify or tasks or out):
         raise StateError(
-            "it was not said what is to be done with the log",
-            expected="either --verify or --play",
-            got="both" if verify else "neither",
-            remedy=f"pbonet replay {run} --verify",
+            "--play goes with a rate and a part of the run, and with nothing else",
+            expected="pbonet replay RUN --play TASK,...",
+            remedy=f"pbonet replay {run} --play {play}",
         )
-    results: list[player.Played] | list[Verdict]
+    libraries = library or ()
+    result: object
+    status = 0
     if play is not None:
         span = player.Span(rate=rate, start=start, end=end, loop=loop)
         names = [task.strip() for task in play.split(",")]
-        results = player.play(run, names, span, domain=domain, subsystem=subsystem)
-        status = 0
+        result = player.play(run, names, span, domain=domain, subsystem=subsystem)
+    elif verify:
+        result = testing.verify(run, tasks or (), libraries=libraries, rtol=rtol)
+        status = int(any(one.divergence is not None for one in result))
     else:
-        results = run_again(run, tasks or (), libraries=library or (), rtol=rtol)
-        status = int(any(one.divergence is not None for one in results))
+        result = testing.rerun(
+            run, tasks or (), libraries=libraries, rtol=rtol, out=out
+        )
+        status = int(any(one.divergence is not None for one in result.tasks))
     if json_:
-        print(msgspec.json.encode(results).decode())
+        print(msgspec.json.encode(result).decode())
     else:
-        print("\n".join(map(str, results)))
+        print("\n".join(map(str, result if isinstance(result, list) else [result])))
     raise typer.Exit(status)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
@@ -53,7 +54,7 @@ class Life:
         """Add what stands of it in the file behind."""
         self._pieces.append((part, keys))
 
-    @property
+    @cached_property
     def commits(self) -> Rows:
         """Messages of cycles, claims and other commits."""
         return Rows.joined([part.rows(keys[0]) for part, keys in self._pieces])
@@ -68,7 +69,7 @@ class Life:
             for one in part.rows(key).all()
         ]
 
-    @property
+    @cached_property
     def records(self) -> list[bytes]:
         """All of them, in the order in which they were made."""
         found: list[bytes] = []
@@ -118,6 +119,10 @@ class Log(Cycles):
     def tasks(self) -> list[str]:
         """The names of the tasks."""
         return list(dict.fromkeys(life.about.task for life in self._lives))
+
+    def all_lives(self) -> list[Life]:
+        """Return each spawn of every task."""
+        return list(self._lives)
 
     def lives(self, task: str) -> list[Life]:
         """Return each spawn of a task, by file, in order.

@@ -21,6 +21,7 @@ from ._clock import FakeClock
 from ._replay import DivergedError, replay, verify
 from ._table import BenchTable, PortValues
 from ._verdict import Changed, Divergence, Verdict
+from ._whole import Replayed, rerun
 
 __all__ = [
     "Bench",
@@ -30,7 +31,9 @@ __all__ = [
     "Divergence",
     "FakeClock",
     "PortValues",
+    "Replayed",
     "Verdict",
     "replay",
+    "rerun",
     "verify",
 ]

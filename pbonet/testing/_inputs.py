@@ -8,12 +8,11 @@ the record itself.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pbonet.log.groups import unpack
-from pbonet.log.schema import CDR, HEAD_DTYPE
 from pbonet.svar.layout import group_of
 
 if TYPE_CHECKING:
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
 
     from pbonet.log import Life, Log, TaskAbout
 
-_KEY: Final = struct.Struct("<QQ")
-_KEY_AT: Final = len(CDR) + int(HEAD_DTYPE.fields["register"][1])  # type: ignore[index]
 Key = tuple[int, int]
 """Register and number of a commit."""
 
@@ -46,19 +43,29 @@ class Commits:
         machine: Only what was recorded there counts: tables of others have their own.
     """
 
-    def __init__(self, log: Log, machine: str) -> None:
-        self._found: dict[Key, tuple[Life, bytes]] = {}
-        for task in log.tasks:
-            for life in log.lives(task):
-                if life.part.about is None or life.part.about.machine != machine:
-                    continue
-                for message in life.commits:
-                    key = _KEY.unpack_from(message, _KEY_AT)
-                    self._found[key] = (life, message)
+    fresh = False
+    """Whether commits may be other ones than were recorded."""
 
-    def find(self, key: Key) -> tuple[Life, bytes] | None:
-        """Return whose commit it is, and its message; None when it is not recorded."""
-        return self._found.get(key)
+    def __init__(self, log: Log, machine: str) -> None:
+        self._found: dict[Key, tuple[Life, int]] = {}
+        for life in log.all_lives():
+            if life.part.about is None or life.part.about.machine != machine:
+                continue
+            head = life.schema.arrays(life.commits)
+            keys = zip(head["register"].tolist(), head["number"].tolist(), strict=True)
+            self._found |= {key: (life, row) for row, key in enumerate(keys)}
+
+    def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
+        """Return whose commit it is, its group, and whether that has every variable.
+
+        Returns:
+            None when it is not recorded.
+        """
+        found = self._found.get(key)
+        if found is None:
+            return None
+        life, row = found
+        return life, life.schema.group(life.commits[row]), not life.about.hidden
 
 
 class Inputs:
@@ -97,6 +104,9 @@ class Inputs:
         if stored:
             unpack(self._about.invar, stored, self._array)
             self._read = dict(zip(pairs[::2], pairs[1::2], strict=True))
+            if self._commits.fresh:
+                for register, number in self._read.items():
+                    self._apply(register, number)
             return ""
         for register, number in zip(pairs[::2], pairs[1::2], strict=True):
             if self._read.get(register) != number:
@@ -109,13 +119,12 @@ class Inputs:
         found = self._commits.find((register, number))
         if found is None:
             return f"commit {number} of register {register} is not on record"
-        life, message = found
+        life, group, whole = found
         key = id(life)
         if key not in self._pieces:
             self._learn(key, life)
-        if key in self._hidden:
+        if key in self._hidden and not whole:
             return f"{self._hidden[key]} is not recorded"
-        group = life.schema.group(message)
         for to, at, size in self._pieces[key]:
             to[:] = group[at : at + size]
         return ""

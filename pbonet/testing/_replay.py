@@ -1,340 +1,31 @@
 """A log as a test: the code of a task is run again on what was recorded.
 
-The instance, its executor and the order of methods are those of a task; the copies
-bring what was recorded and compare what the module made of it.
+`verify` takes each task by itself: it reads what was recorded, and stops at the first
+value that differs. `_whole` runs tasks together, which read what the others make now.
 """
 
 from __future__ import annotations
 
-import struct
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
-import msgspec
-import numpy as np
-
-from pbonet.config import parse_rmod
-from pbonet.config.library import Library
-from pbonet.config.model import Limit
-from pbonet.errors import LogError, PbonetError, SvarOwnerError
+from pbonet.errors import LogError
 from pbonet.io import no_devices
-from pbonet.log import STABLE, Did, Log, Step
-from pbonet.log.groups import size, unpack
-from pbonet.log.schema import CDR, HEAD_DTYPE, StepSchema
-from pbonet.node.executor import Executor
-from pbonet.node.failures import RAISED
-from pbonet.node.taskparams import set_param
-from pbonet.node.taskports import check_ports
-from pbonet.pbo import Counted, TaskContext, bind, decode_params
+from pbonet.log import Log
 
-from ._inputs import Commits, Inputs
-from ._verdict import Divergence, Verdict, changed
+from ._inputs import Commits
+from ._run import Run, cycles_of, not_again
+from ._verdict import Verdict, changed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from pbonet.config.model import Variable
     from pbonet.log import Life
-
-_HEAD: Final = struct.Struct("<QqqqqQQQQII")
-_DID: Final = msgspec.json.Decoder(Did)
-_END: Final = frozenset({"abort", "fault"})
-"""Behind these the module's state is not known: what failed is not on record."""
 
 
 class DivergedError(AssertionError):
     """The code gave something else than was recorded, or could not be run again."""
-
-
-class _Stop(Exception):  # noqa: N818 - ends a verification
-    """Nothing behind this can be compared."""
-
-
-class _Copies:
-    """Copies between a log and the arrays of a module.
-
-    Args:
-        run: Whose.
-    """
-
-    blamed = ("", 0)
-
-    def __init__(self, run: _Run) -> None:
-        self._run = run
-
-    def check_claim(self) -> None:
-        if self._run.refused("check_claim"):
-            raise SvarOwnerError("refused, as it was recorded")
-
-    def copy_in_consts(self) -> int:
-        return self._in(Step.CONSTS_IN, self._run.about.inconst)
-
-    def copy_in_on(self) -> int:
-        about = self._run.about
-        return self._in(Step.ON_IN, [*about.invar, *about.outvar])
-
-    def copy_in(self) -> int:
-        return self._in(Step.VARS_IN, self._run.about.invar)
-
-    def copy_out_consts(self, now_ns: int = 0) -> int:  # noqa: ARG002 - as a table has it
-        run = self._run
-        return self._out(Step.CONSTS_OUT, run.about.outconst, run.consts)
-
-    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
-        return self._out(Step.CLAIM, self._run.about.outvar, self._run.group)
-
-    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
-        return self._out(Step.COMMIT, self._run.about.outvar, self._run.group)
-
-    def release(self) -> None:
-        """Nothing is owned here."""
-
-    def _in(self, step: Step, variables: Sequence[Variable]) -> int:
-        if flags := self._run.refused(step.name):
-            return flags
-        unpack(variables, self._run.next(step), self._run.arrays.__getitem__)
-        return 0
-
-    def _out(
-        self, step: Step, variables: Sequence[Variable], made: NDArray[np.uint8]
-    ) -> int:
-        if flags := self._run.refused(step.name):
-            return flags
-        self._run.limit(variables)
-        self._run.compare(variables, self._run.next(step), made.tobytes())
-        return 0
-
-
-class _Run:
-    """One life of a task, run again.
-
-    Args:
-        life: What was recorded of it.
-        commits: Of the whole run.
-        libraries: Folders of modules, before those of the recording.
-        verdict: What comes of it.
-        rtol: How far a float may be off, relative; 0: identical to the bit.
-    """
-
-    def __init__(
-        self,
-        life: Life,
-        commits: Commits,
-        libraries: Sequence[str | Path],
-        verdict: Verdict,
-        rtol: float,
-    ) -> None:
-        self.about = life.about
-        self._schema = life.schema
-        self._records = life.records
-        self._at = 0
-        self._verdict = verdict
-        self._rtol = rtol
-        self._lost = self._cycle = self._now = 0
-        self._where = "init"
-        self._stable = False
-        self._lay_out()
-        self._inputs = Inputs(self.about, self.arrays.__getitem__, commits)
-        self._limited = [v for v in self.about.outvar if v.limit is Limit.CLIP]
-        self._make(libraries)
-
-    def _lay_out(self) -> None:
-        """Make the arrays; each group in one piece, as in a local table."""
-        about = self.about
-        self.arrays: dict[str, NDArray[Any]] = {}
-        self.group = np.zeros(size(about.outvar), np.uint8)
-        self.consts = np.zeros(size(about.outconst), np.uint8)
-        rest = [*about.invar, *about.inconst]
-        self._rest = np.zeros(size(rest), np.uint8)
-        for variables, memory in (
-            (about.outvar, self.group),
-            (about.outconst, self.consts),
-            (rest, self._rest),
-        ):
-            at = 0
-            for variable in variables:
-                count = np.dtype(variable.dtype).itemsize * variable.nelem
-                view = memory[at : at + count].view(np.dtype(variable.dtype))
-                self.arrays.setdefault(variable.name, view)
-                at += size([variable])
-
-    def _make(self, libraries: Sequence[str | Path]) -> None:
-        about = self.about
-        rmod = parse_rmod(about.rmod, about.rmod_name)
-        folders = [*libraries, *about.libraries]
-        loaded = Library(folders).load_rmod(rmod)
-        check_ports(rmod, loaded.info)
-        params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
-        self._source = Counted(lambda: self._now)
-        self._context = TaskContext(
-            about.task,
-            rmod=rmod.name,
-            freq=about.freq,
-            source=self._source,
-            handler=rmod.handler,
-        )
-        arrays = {
-            port.attr: self.arrays[rmod.svar_name(port.name)]
-            for port in loaded.info.ports
-        }
-        self._info = loaded.info
-        self._instance = bind(loaded.cls, params, arrays, self._context)
-        illegal = (lambda: self._stable) if rmod.critical else None
-        self._executor = Executor(self._instance, _Copies(self), illegal=illegal)
-
-    # -- going through the records -----------------------------------------------------
-
-    def go(self) -> None:
-        """Run it all again; what comes of it is in the verdict."""
-        try:
-            while self._at < len(self._records):
-                self._step()
-        except _Stop as stop:
-            if self._verdict.divergence is None:
-                self._verdict.gaps.append(str(stop))
-
-    def _step(self) -> None:
-        message = self._records[self._at]
-        head = _HEAD.unpack_from(message, len(CDR))
-        if head[8] != self._lost:
-            count, self._lost = head[8] - self._lost, head[8]
-            raise _Stop(f"{count} records were lost behind cycle {self._cycle}")
-        if head[10] == Step.CYCLE:
-            self._at += 1
-            self._run_cycle(message, head)
-        elif head[10] == Step.DID:
-            self._at += 1
-            self._now = head[1]
-            self._obey(_DID.decode(StepSchema.data(message)))
-        else:
-            self._diverged(f"the module did not get to {Step(head[10]).name}")
-
-    def _run_cycle(self, message: bytes, head: tuple[int, ...]) -> None:
-        number, release, _, _, dt, _, _, _, _, flags, _ = head
-        self._cycle, self._where = number, "cycle"
-        if why := self._inputs.bring(*self._schema.rest(message)):
-            raise _Stop(f"cycle {number}: {why}")
-        self._source.release = release
-        instance = self._instance
-        try:
-            (instance.stable if flags & STABLE else instance.cycle)(dt * 1e-9)
-        except RAISED as error:
-            self._diverged(f"it raised {type(error).__name__}: {error}")
-        finally:
-            self._source.release = None
-        self._source.cyclecount += 1
-        if self._limited:
-            self.limit(self._limited)
-        self.compare(
-            self.about.outvar, self._schema.group(message), self.group.tobytes()
-        )
-        self._verdict.cycles += 1
-        self._verdict.seconds += dt * 1e-9
-
-    def _obey(self, did: Did) -> None:
-        """Do what the task did between two cycles."""
-        self._where = did.what
-        if did.what in _END:
-            what = did.arg or "a timing failure ended it"
-            raise _Stop(f"{did.name or 'cycle'} behind cycle {self._cycle}: {what}")
-        executor = self._executor
-        try:
-            if did.what == "spawn":
-                executor.spawn()
-            elif did.what == "set":
-                set_param(executor, self._info, did.name, did.arg)
-            elif did.what == "freq":
-                self._context.freq = did.hz
-            elif did.what != "refused":
-                executor.signal(did.what, did.arg, handover=did.handover)
-        except PbonetError as error:
-            # As it may have been in the task; what was recorded behind it will tell.
-            self._failed = error
-
-    def refused(self, what: str) -> int:
-        """Return the flags of a copy that was refused in the recording; else 0."""
-        if self._at < len(self._records):
-            message = self._records[self._at]
-            if _HEAD.unpack_from(message, len(CDR))[10] == Step.DID:
-                did = _DID.decode(StepSchema.data(message))
-                if (did.what, did.name) == ("refused", what):
-                    self._at += 1
-                    return int(did.arg or 1)
-        return 0
-
-    def next(self, step: Step) -> bytes:
-        """Return the data of the next record, which must be of this kind."""
-        if self._at >= len(self._records):
-            raise _Stop(f"the log ends amid {self._where} behind cycle {self._cycle}")
-        message = self._records[self._at]
-        head = _HEAD.unpack_from(message, len(CDR))
-        kind, self._now = Step(head[10]), head[1]
-        if kind is not step:
-            self._diverged(f"it came to {step.name}, recorded is {kind.name}")
-        self._at += 1
-        if kind in {Step.CLAIM, Step.COMMIT}:
-            return self._schema.group(message)
-        return StepSchema.data(message)
-
-    # -- comparing ---------------------------------------------------------------------
-
-    def limit(self, variables: Sequence[Variable]) -> None:
-        """Bring what a module wrote within limits, as a commit does."""
-        for variable in variables:
-            if variable.limit is Limit.CLIP:
-                array = self.arrays[variable.name]
-                low, high = (
-                    None if one is None else np.array(one, array.dtype)
-                    for one in (variable.min, variable.max)
-                )
-                np.clip(array, low, high, out=array)
-
-    def compare(
-        self, variables: Sequence[Variable], recorded: bytes, made: bytes
-    ) -> None:
-        """Go on if both are the same."""
-        if recorded == made:
-            return
-        at = 0
-        for variable in variables:
-            dtype = np.dtype(variable.dtype)
-            then = np.frombuffer(recorded, dtype, variable.nelem, at)
-            now = np.frombuffer(made, dtype, variable.nelem, at)
-            at += size([variable])
-            if variable.name in self.about.hidden:
-                continue
-            other = np.flatnonzero(~_alike(then, now, self._rtol))
-            if len(other):
-                element = int(other[0])
-                self._verdict.divergence = Divergence(
-                    cycle=self._cycle,
-                    where=self._where,
-                    variable=variable.name,
-                    element=element,
-                    recorded=then[element].item(),
-                    computed=now[element].item(),
-                )
-                raise _Stop
-
-    def _diverged(self, reason: str) -> None:
-        self._verdict.divergence = Divergence(
-            cycle=self._cycle, where=self._where, reason=reason
-        )
-        raise _Stop
-
-
-def _alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
-    """Tell for each element whether it is the same, NaN and signs of 0 included."""
-    bits = np.dtype(f"V{then.dtype.itemsize}")
-    same = np.array(
-        [a == b for a, b in zip(then.view(bits), now.view(bits), strict=True)], bool
-    )
-    if rtol and then.dtype.kind == "f":
-        same |= np.isclose(then, now, rtol=rtol, atol=0.0, equal_nan=True)
-    return same
 
 
 def verify(
@@ -363,7 +54,7 @@ def verify(
     for task in tasks or log.tasks:
         verdict = Verdict(task=task, changed=changed(log, log.task_about(task)))
         for life in log.lives(task):
-            cycles = _cycles(life)
+            cycles = cycles_of(life)
             verdict.recorded += cycles
             machine = life.part.about.machine if life.part.about else ""
             if machine not in commits:
@@ -381,33 +72,13 @@ def _again(
     verdict: Verdict,
     rtol: float,
 ) -> None:
-    if not life.about.rmod:
-        verdict.gaps.append("it is of a simulation, or its RMOD is not on record")
-        return
-    if not _from_birth(life):
-        verdict.gaps.append(
-            f"{life.part.path.name} begins amid the task's life: what its module held "
-            "then is not on record"
-        )
+    if why := not_again(life):
+        verdict.gaps.append(why)
         return
     begun = time.perf_counter()
     with no_devices("this is a replay"):
-        _Run(life, commits, libraries, verdict, rtol).go()
+        Run(life, commits, libraries, verdict, rtol).go()
     verdict.took += time.perf_counter() - begun
-
-
-def _from_birth(life: Life) -> bool:
-    if not life.records:
-        return False
-    first = life.records[0]
-    if _HEAD.unpack_from(first, len(CDR))[10] != Step.DID:
-        return False
-    return _DID.decode(StepSchema.data(first)).what == "spawn"
-
-
-def _cycles(life: Life) -> int:
-    kind = len(CDR) + HEAD_DTYPE.itemsize - 4
-    return sum(message[kind] == Step.CYCLE for message in life.commits)
 
 
 def replay(

@@ -6,185 +6,20 @@ only the native loop around the cycles is done here in Python.
 
 from __future__ import annotations
 
-import contextlib
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from adding import ADDS
+from logshop import Shop
 
-from pbonet.config import parse_rmod
-from pbonet.config.library import Library
-from pbonet.config.model import Limit, Variable
 from pbonet.errors import LogError, UnknownTaskError
-from pbonet.log import Did, Log, LogWriter, RunAbout
-from pbonet.log.groups import pack
-from pbonet.log.schema import HEAD_DTYPE, RECORD
-from pbonet.node import journal, wire
+from pbonet.log import Did, Log
+from pbonet.node import wire
 from pbonet.node._ring import Ring
-from pbonet.node.executor import Executor
-from pbonet.node.taskparams import set_param
-from pbonet.node.taskports import local_table
-from pbonet.pbo import Counted, TaskContext, bind, decode_params
-from pbonet.svar import Table
 from pbonet.testing import DivergedError, replay, verify
-
-RMOD = (
-    "MODULE adds\nDESC d\nSVARALIAS Z={z}\nSVARALIAS Y={y}\nINCONST N\nOUTCONST none\n"
-    "INVAR Z\nOUTVAR Y\nTASKTYPE periodic\nFREQ 100\nLOCAL\ngain 0.75\nEOF\n"
-)
-VARIABLES = (
-    Variable(name="N", type="int", init=(2,)),
-    Variable(name="X", type="double", nelem=2, init=(1.0, 2.0)),
-    Variable(name="Y0", type="double", nelem=2),
-    Variable(
-        name="Y1", type="double", nelem=2, limit=Limit.CLIP, min=(0, 0), max=(9, 9)
-    ),
-)
-PERIOD = 10_000_000
-
-
-class Time:
-    """Stands for the slot's time; every look at it is another instant."""
-
-    def __init__(self):
-        self.now, self.cycles, self.clock = 0, 0, 1_000_000_000
-
-    def tick(self):
-        self.clock += 12_345
-        self.now = self.clock
-        return self.now
-
-    @contextlib.contextmanager
-    def held(self):
-        yield self.tick()
-
-
-class Task:
-    """A task whose cycles are done here, and recorded as the native loop does it."""
-
-    def __init__(self, table, library, task, z, y):
-        self.task, self.time = task, Time()
-        rmod = parse_rmod(RMOD.format(z=z, y=y), f"{task}.rmod")
-        loaded = library.load_rmod(rmod)
-        self.info, self.local = loaded.info, local_table(table, task, rmod)
-        spec = wire.TaskSpec(
-            domain="d",
-            rtpu="arm0",
-            subsystem="arm",
-            task=task,
-            core=0,
-            slot=0,
-            table="t",
-            layout="",
-            rmod=RMOD.format(z=z, y=y),
-            rmod_name=f"{task}.rmod",
-            freq=100.0,
-            ring=f"d.arm.{task}",
-            libraries=tuple(map(str, library.folders)),
-            forker=1,
-        )
-        self.about = journal.about(spec, rmod, self.info, library, table)
-        self.ring = Ring.create(spec.ring)
-        self.journal = journal.Journal(self.local, self.ring, self.about, self.time)
-        self.source = Counted(lambda: self.time.now)
-        context = TaskContext(task, freq=100.0, source=self.source)
-        arrays = {
-            port.attr: self.local.array(rmod.svar_name(port.name))
-            for port in self.info.ports
-        }
-        params = decode_params(loaded.cls, rmod.settings, where="")
-        instance = bind(loaded.cls, params, arrays, context)
-        self.executor = Executor(instance, self.journal)
-        self.records, self.seen = [], ()
-        self.do(Did("spawn"), self.executor.spawn)
-
-    def do(self, did, call, *args):
-        with self.journal.doing(did):
-            call(*args)
-        self.records.append(self.ring.take())
-
-    def signal(self, name):
-        if name == "on":
-            self.seen = ()
-        self.do(Did(name), self.executor.signal, name)
-
-    def set(self, value):
-        did = Did("set", name="gain", arg=value)
-        self.do(did, set_param, self.executor, self.info, "gain", value)
-
-    def cycle(self, *, lost=0):
-        self.time.clock += PERIOD
-        release = self.time.clock
-        self.local.copy_in()
-        pairs = self.local.consumed
-        # Register 0 is the keeper's: what it holds is on nobody's record.
-        keeps = tuple(pair for pair in pairs if pair[0] == 0) or ("new",)
-        inputs = b""
-        if keeps != self.seen:
-            inputs, self.seen = pack(self.about.invar, self.local.array), keeps
-        self.source.release = release
-        self.executor.instance.cycle(PERIOD * 1e-9)
-        self.source.release = None
-        self.source.cyclecount += 1
-        self.local.commit(release, 1)
-        self.time.cycles += 1
-        head = np.zeros(1, HEAD_DTYPE)
-        head["cycle"], head["dt_ns"], head["lost"] = self.time.cycles, PERIOD, lost
-        for name in ("release_ns", "start_ns", "end_ns"):
-            head[name] = release
-        head["register"], head["number"] = self.local.out_uid, self.local.out_number
-        data = pack(self.about.outvar, self.local.array)
-        body = head.tobytes() + data + np.array(pairs, np.uint64).tobytes() + inputs
-        sizes = (RECORD.size + len(body), len(pairs), len(data), len(inputs))
-        self.records.append(RECORD.pack(*sizes) + body)
-
-
-class Shop:
-    """Two tasks in a line, X to a to Y0 to b to Y1, and their log."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        self.code = folder / "adds.py"
-        self.code.write_text(ADDS)
-        self.table = Table.create("t", VARIABLES)
-        library = Library([folder])
-        self.a = Task(self.table, library, "a", "X", "Y0")
-        self.b = Task(self.table, library, "b", "Y0", "Y1")
-        self.on()
-
-    def on(self):
-        self.a.signal("on")
-        self.b.signal("on")
-
-    def cycles(self, count):
-        for _ in range(count):
-            self.a.cycle()
-            self.b.cycle()
-
-    def log(self, *, hidden=(), without=""):
-        """Write what there is; return the log."""
-        about = RunAbout(run="r", job="j", subsystem="arm", domain="d", rtpu="arm0")
-        path = self.folder / "run.mcap"
-        writer = LogWriter(path, about)
-        for task in (self.a, self.b):
-            task.about.hidden = list(hidden) if task is self.a else []
-            if task.task != without:
-                writer.add(writer.add_task(task.about), b"".join(task.records))
-        from pbonet.log import Attached
-
-        writer.attach(Attached(str(self.code), self.code.read_bytes()))
-        writer.close()
-        return path
-
-    def close(self):
-        for task in (self.a, self.b):
-            task.local.close()
-            task.ring.destroy()
-        self.table.destroy()
 
 
 @pytest.fixture

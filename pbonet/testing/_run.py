@@ -1,0 +1,383 @@
+"""The code of one task, run again record by record.
+
+The instance, its executor and the order of methods are those of a task; the copies
+bring what was recorded, and hand on what the module made of it.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+import numpy as np
+
+from pbonet.config import parse_rmod
+from pbonet.config.library import Library
+from pbonet.config.model import Limit
+from pbonet.errors import PbonetError, SvarOwnerError
+from pbonet.log import STABLE, Did, Step
+from pbonet.log.groups import size, unpack
+from pbonet.log.schema import CDR, StepSchema
+from pbonet.node.executor import Executor
+from pbonet.node.failures import RAISED
+from pbonet.node.taskparams import set_param
+from pbonet.node.taskports import check_ports
+from pbonet.pbo import Counted, TaskContext, bind, decode_params
+
+from ._inputs import Commits, Inputs, Key
+from ._verdict import Divergence, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from pbonet.config.model import Variable
+    from pbonet.log import Life
+
+_HEAD: Final = struct.Struct("<QqqqqQQQQII")
+_DID: Final = msgspec.json.Decoder(Did)
+_END: Final = frozenset({"abort", "fault"})
+"""Behind these the module's state is not known: what failed is not on record."""
+
+
+class Stop(Exception):  # noqa: N818 - ends a verification
+    """Nothing behind this can be compared."""
+
+
+class _Copies:
+    """Copies between a log and the arrays of a module.
+
+    Args:
+        run: Whose.
+    """
+
+    blamed = ("", 0)
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+
+    def check_claim(self) -> None:
+        if self._run.refused("check_claim"):
+            raise SvarOwnerError("refused, as it was recorded")
+
+    def copy_in_consts(self) -> int:
+        return self._in(Step.CONSTS_IN, self._run.about.inconst)
+
+    def copy_in_on(self) -> int:
+        about = self._run.about
+        return self._in(Step.ON_IN, [*about.invar, *about.outvar])
+
+    def copy_in(self) -> int:
+        return self._in(Step.VARS_IN, self._run.about.invar)
+
+    def copy_out_consts(self, now_ns: int = 0) -> int:  # noqa: ARG002 - as a table has it
+        run = self._run
+        return self._out(Step.CONSTS_OUT, run.about.outconst, run.consts)
+
+    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
+        return self._out(Step.CLAIM, self._run.about.outvar, self._run.group)
+
+    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
+        return self._out(Step.COMMIT, self._run.about.outvar, self._run.group)
+
+    def release(self) -> None:
+        """Nothing is owned here."""
+
+    def _in(self, step: Step, variables: Sequence[Variable]) -> int:
+        if flags := self._run.refused(step.name):
+            return flags
+        data = self._run.arrived(variables, self._run.next(step))
+        unpack(variables, data, self._run.arrays.__getitem__)
+        return 0
+
+    def _out(
+        self, step: Step, variables: Sequence[Variable], made: NDArray[np.uint8]
+    ) -> int:
+        if flags := self._run.refused(step.name):
+            return flags
+        self._run.limit(variables)
+        self._run.compare(variables, self._run.next(step), made.tobytes())
+        return 0
+
+
+class Run:
+    """One life of a task, run again.
+
+    Args:
+        life: What was recorded of it.
+        commits: Of the whole run.
+        libraries: Folders of modules, before those of the recording.
+        verdict: What comes of it.
+        rtol: How far a float may be off, relative; 0: identical to the bit.
+    """
+
+    def __init__(
+        self,
+        life: Life,
+        commits: Commits,
+        libraries: Sequence[str | Path],
+        verdict: Verdict,
+        rtol: float,
+    ) -> None:
+        self.about = life.about
+        self._schema = life.schema
+        self._records = life.records
+        self._at = 0
+        self._verdict = verdict
+        self._rtol = rtol
+        self._lost = self._cycle = self._now = 0
+        self._key: Key = (0, 0)
+        """The commit that is being compared; of constants, (0, 0)."""
+        self._where = "init"
+        self._stable = False
+        self._lay_out()
+        self._inputs = Inputs(self.about, self.arrays.__getitem__, commits)
+        self._limited = [v for v in self.about.outvar if v.limit is Limit.CLIP]
+        self._make(libraries)
+
+    def _lay_out(self) -> None:
+        """Make the arrays; each group in one piece, as in a local table."""
+        about = self.about
+        self.arrays: dict[str, NDArray[Any]] = {}
+        self.group = np.zeros(size(about.outvar), np.uint8)
+        self.consts = np.zeros(size(about.outconst), np.uint8)
+        rest = [*about.invar, *about.inconst]
+        self._rest = np.zeros(size(rest), np.uint8)
+        for variables, memory in (
+            (about.outvar, self.group),
+            (about.outconst, self.consts),
+            (rest, self._rest),
+        ):
+            at = 0
+            for variable in variables:
+                count = np.dtype(variable.dtype).itemsize * variable.nelem
+                view = memory[at : at + count].view(np.dtype(variable.dtype))
+                self.arrays.setdefault(variable.name, view)
+                at += size([variable])
+
+    def _make(self, libraries: Sequence[str | Path]) -> None:
+        about = self.about
+        rmod = parse_rmod(about.rmod, about.rmod_name)
+        folders = [*libraries, *about.libraries]
+        loaded = Library(folders).load_rmod(rmod)
+        check_ports(rmod, loaded.info)
+        params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
+        self._source = Counted(lambda: self._now)
+        self._context = TaskContext(
+            about.task,
+            rmod=rmod.name,
+            freq=about.freq,
+            source=self._source,
+            handler=rmod.handler,
+        )
+        arrays = {
+            port.attr: self.arrays[rmod.svar_name(port.name)]
+            for port in loaded.info.ports
+        }
+        self._info = loaded.info
+        self._instance = bind(loaded.cls, params, arrays, self._context)
+        illegal = (lambda: self._stable) if rmod.critical else None
+        self._executor = Executor(self._instance, _Copies(self), illegal=illegal)
+
+    # -- going through the records -----------------------------------------------------
+
+    def go(self) -> None:
+        """Run it all again; what comes of it is in the verdict."""
+        try:
+            while self._at < len(self._records):
+                self.step()
+        except Stop as stop:
+            if self._verdict.divergence is None:
+                self._verdict.gaps.append(str(stop))
+
+    def step(self) -> None:
+        """Run what belongs to the next record.
+
+        Raises:
+            Stop: Nothing behind it can be run again.
+        """
+        message = self._records[self._at]
+        head = _HEAD.unpack_from(message, len(CDR))
+        if head[8] != self._lost:
+            count, self._lost = head[8] - self._lost, head[8]
+            raise Stop(f"{count} records were lost behind cycle {self._cycle}")
+        if head[10] == Step.CYCLE:
+            self._at += 1
+            self._run_cycle(message, head)
+        elif head[10] == Step.DID:
+            self._at += 1
+            self._now = head[1]
+            self._obey(_DID.decode(StepSchema.data(message)))
+        else:
+            self._diverged(f"the module did not get to {Step(head[10]).name}")
+
+    def _run_cycle(self, message: bytes, head: tuple[int, ...]) -> None:
+        number, release, _, _, dt, _, register, commit, _, flags, _ = head
+        self._cycle, self._where, self._key = number, "cycle", (register, commit)
+        if why := self._inputs.bring(*self._schema.rest(message)):
+            raise Stop(f"cycle {number}: {why}")
+        self._source.release = release
+        instance = self._instance
+        try:
+            (instance.stable if flags & STABLE else instance.cycle)(dt * 1e-9)
+        except RAISED as error:
+            self._diverged(f"it raised {type(error).__name__}: {error}")
+        finally:
+            self._source.release = None
+        self._source.cyclecount += 1
+        if self._limited:
+            self.limit(self._limited)
+        recorded, made = self._schema.group(message), self.group.tobytes()
+        self._verdict.cycles += self.compare(self.about.outvar, recorded, made)
+        self._verdict.seconds += dt * 1e-9
+
+    def _obey(self, did: Did) -> None:
+        """Do what the task did between two cycles."""
+        self._where = did.what
+        if did.what in _END:
+            what = did.arg or "a timing failure ended it"
+            raise Stop(f"{did.name or 'cycle'} behind cycle {self._cycle}: {what}")
+        executor = self._executor
+        try:
+            if did.what == "spawn":
+                executor.spawn()
+            elif did.what == "set":
+                set_param(executor, self._info, did.name, did.arg)
+            elif did.what == "freq":
+                self._context.freq = did.hz
+            elif did.what != "refused":
+                executor.signal(did.what, did.arg, handover=did.handover)
+        except PbonetError as error:
+            # As it may have been in the task; what was recorded behind it will tell.
+            self._failed = error
+
+    def refused(self, what: str) -> int:
+        """Return the flags of a copy that was refused in the recording; else 0."""
+        if self._at < len(self._records):
+            message = self._records[self._at]
+            if _HEAD.unpack_from(message, len(CDR))[10] == Step.DID:
+                did = _DID.decode(StepSchema.data(message))
+                if (did.what, did.name) == ("refused", what):
+                    self._at += 1
+                    return int(did.arg or 1)
+        return 0
+
+    def next(self, step: Step) -> bytes:
+        """Return the data of the next record, which must be of this kind."""
+        if self._at >= len(self._records):
+            raise Stop(f"the log ends amid {self._where} behind cycle {self._cycle}")
+        message = self._records[self._at]
+        head = _HEAD.unpack_from(message, len(CDR))
+        kind, self._now = Step(head[10]), head[1]
+        if kind is not step:
+            self._diverged(f"it came to {step.name}, recorded is {kind.name}")
+        self._at += 1
+        if kind in {Step.CLAIM, Step.COMMIT}:
+            self._key = (head[6], head[7])
+            return self._schema.group(message)
+        self._key = (0, 0)
+        return StepSchema.data(message)
+
+    def arrived(self, _variables: Sequence[Variable], data: bytes) -> bytes:
+        """Return what a copy in brings, where this was recorded."""
+        return data
+
+    # -- comparing ---------------------------------------------------------------------
+
+    def limit(self, variables: Sequence[Variable]) -> None:
+        """Bring what a module wrote within limits, as a commit does."""
+        for variable in variables:
+            if variable.limit is Limit.CLIP:
+                array = self.arrays[variable.name]
+                low, high = (
+                    None if one is None else np.array(one, array.dtype)
+                    for one in (variable.min, variable.max)
+                )
+                np.clip(array, low, high, out=array)
+
+    def compare(
+        self, variables: Sequence[Variable], recorded: bytes, made: bytes
+    ) -> bool:
+        """Go on if both are the same.
+
+        Raises:
+            Stop: They are not.
+        """
+        found = self.differ(variables, recorded, made)
+        if found is not None:
+            self._verdict.divergence = found
+            raise Stop
+        return True
+
+    def differ(
+        self, variables: Sequence[Variable], recorded: bytes, made: bytes
+    ) -> Divergence | None:
+        """Return the first place where what was made is not what was recorded."""
+        if recorded == made:
+            return None
+        at = 0
+        for variable in variables:
+            dtype = np.dtype(variable.dtype)
+            then = np.frombuffer(recorded, dtype, variable.nelem, at)
+            now = np.frombuffer(made, dtype, variable.nelem, at)
+            at += size([variable])
+            if variable.name in self.about.hidden:
+                continue
+            other = np.flatnonzero(~_alike(then, now, self._rtol))
+            if len(other):
+                element = int(other[0])
+                return Divergence(
+                    cycle=self._cycle,
+                    where=self._where,
+                    variable=variable.name,
+                    element=element,
+                    recorded=then[element].item(),
+                    computed=now[element].item(),
+                )
+        return None
+
+    def _diverged(self, reason: str) -> None:
+        self._verdict.divergence = Divergence(
+            cycle=self._cycle, where=self._where, reason=reason
+        )
+        raise Stop
+
+
+def _alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
+    """Tell for each element whether it is the same, NaN and signs of 0 included."""
+    bits = np.dtype(f"V{then.dtype.itemsize}")
+    same = np.array(
+        [a == b for a, b in zip(then.view(bits), now.view(bits), strict=True)], bool
+    )
+    if rtol and then.dtype.kind == "f":
+        same |= np.isclose(then, now, rtol=rtol, atol=0.0, equal_nan=True)
+    return same
+
+
+def not_again(life: Life) -> str:
+    """Return why a task cannot be run again; empty: it can."""
+    if not life.about.rmod:
+        return "it is of a simulation, or its RMOD is not on record"
+    if not _from_birth(life):
+        return (
+            f"{life.part.path.name} begins amid the task's life: what its module held "
+            "then is not on record"
+        )
+    return ""
+
+
+def _from_birth(life: Life) -> bool:
+    if not life.records:
+        return False
+    first = life.records[0]
+    if _HEAD.unpack_from(first, len(CDR))[10] != Step.DID:
+        return False
+    return _DID.decode(StepSchema.data(first)).what == "spawn"
+
+
+def cycles_of(life: Life) -> int:
+    """Return how many cycles of a task are on record."""
+    return int((life.schema.arrays(life.commits)["kind"] == Step.CYCLE).sum())

@@ -1,0 +1,304 @@
+"""A whole configuration, run again in the time of its record.
+
+Every task's code runs on what the other tasks make now, in the order and with the time
+steps that were recorded: what read a certain commit then reads the one in its place.
+What came from outside is taken from the record: initial values, what an operator set,
+signals, parameters, and the commits of tasks that are not run again.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from pbonet.io import no_devices
+from pbonet.log import Log, LogWriter, RunAbout
+from pbonet.log.groups import size
+from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
+
+from ._inputs import Commits
+from ._run import Run, Stop, cycles_of, not_again
+from ._verdict import Divergence, Verdict, changed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pbonet.config.model import Variable
+    from pbonet.log import Life
+
+    from ._inputs import Key
+
+_HEAD_END = len(CDR) + HEAD_DTYPE.itemsize
+
+
+class Replayed(Struct, kw_only=True):
+    """What came of a whole configuration."""
+
+    tasks: list[Verdict]
+    """Of each; ``cycles`` are all that gave the same, behind a divergence too."""
+    first: str = ""
+    """The task that was the first to give something else."""
+    seconds: float = 0.0
+    """From the first to the last record."""
+    took: float = 0.0
+
+    @property
+    def good(self) -> bool:
+        """Whether every recorded cycle of every task gave the same."""
+        return all(one.good for one in self.tasks)
+
+    def __str__(self) -> str:
+        """Return it in a few lines."""
+        speed = f", {self.seconds / self.took:.0f} x real time" if self.took else ""
+        what = "identical" if self.good else "not all identical"
+        lines = [f"{len(self.tasks)} tasks together: {what}{speed}"]
+        if self.first:
+            lines.append(f"the first to differ is {self.first}")
+        return "\n".join([*lines, *map(str, self.tasks)])
+
+
+class _Made(Commits):
+    """The commits of a run: as they are made now, else as they were recorded.
+
+    Args:
+        log: The run.
+        machine: Whose table.
+    """
+
+    fresh = True
+
+    def __init__(self, log: Log, machine: str) -> None:
+        super().__init__(log, machine)
+        self.made: dict[Key, bytes] = {}
+        self.parts: dict[int, _Part] = {}
+        """By the identity of their life."""
+        self.consts: dict[str, _Part] = {}
+        """Who has given a constant last."""
+
+    def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
+        """Return a commit, once the task whose it is has come so far."""
+        found = self._found.get(key)
+        if found is None:
+            return None
+        life = found[0]
+        part = self.parts.get(id(life))
+        if part is not None:
+            part.advance_to(key)
+        group = self.made.get(key)
+        if group is None:
+            return super().find(key)
+        return life, group, True
+
+
+class _Part(Run):
+    """One life of a task among the others.
+
+    Args:
+        life: What was recorded of it.
+        made: The commits of all.
+        libraries: Folders of modules, before those of the recording.
+        verdict: What comes of it.
+        rtol: How far a float may be off.
+    """
+
+    def __init__(
+        self,
+        life: Life,
+        made: _Made,
+        libraries: Sequence[str | Path],
+        verdict: Verdict,
+        rtol: float,
+    ) -> None:
+        super().__init__(life, made, libraries, verdict, rtol)
+        self._made = made
+        self._busy = False
+        self.stopped = False
+        self.diverged_ns = 0
+        """When its first other value was made then; 0: none was."""
+        self._epoch_ns = life.epoch_ns
+        rows = [head(one) for one in self._records]
+        self._ends = [int(row["end_ns"]) + self._epoch_ns for row in rows]
+        self._places = {
+            (int(row["register"]), int(row["number"])): place
+            for place, row in enumerate(rows)
+            if row["register"]
+        }
+        self._last: dict[str, tuple[bytes, bytes]] = {}
+        """Variables and constants as it gave them last: recorded, and made."""
+        made.parts[id(life)] = self
+
+    @property
+    def due_ns(self) -> int | None:
+        """When its next record was made; None at the end."""
+        if self.stopped or self._at >= len(self._records):
+            return None
+        return self._ends[self._at]
+
+    def advance(self) -> None:
+        """Run what belongs to the next record."""
+        self._busy = True
+        try:
+            self.step()
+        except Stop as stop:
+            self.stopped = True
+            if str(stop):
+                self._verdict.gaps.append(str(stop))
+        finally:
+            self._busy = False
+
+    def advance_to(self, key: Key) -> None:
+        """Run until a commit is made, unless that is under way."""
+        place = self._places.get(key, -1)
+        while self._at <= place and not (self._busy or self.stopped):
+            self.advance()
+
+    def given(self, name: str) -> tuple[bytes, bytes] | None:
+        """Return a variable as this task gave it last: recorded, and made."""
+        return self._last.get(name)
+
+    def compare(
+        self, variables: Sequence[Variable], recorded: bytes, made: bytes
+    ) -> bool:
+        """Take note of what was made, and go on with it."""
+        if self._key != (0, 0):
+            self._made.made[self._key] = made
+        at = 0
+        for variable in variables:
+            end = at + size([variable])
+            self._last[variable.name] = recorded[at:end], made[at:end]
+            self._made.consts[variable.name] = self
+            at = end
+        found = self.differ(variables, recorded, made)
+        if found is None:
+            return True
+        if self._verdict.divergence is None:
+            self._verdict.divergence = found
+            self.diverged_ns = self._ends[min(self._at, len(self._ends)) - 1]
+        return False
+
+    def arrived(self, variables: Sequence[Variable], data: bytes) -> bytes:
+        """Return recorded values with those in place that are made now."""
+        parts: list[bytes] = []
+        at = 0
+        for variable in variables:
+            end = at + size([variable])
+            value = data[at:end]
+            by = self._made.consts.get(variable.name)
+            last = by.given(variable.name) if by is not None else None
+            # What stood there then came from that task if it is what it had given.
+            same = last is not None and last[0] == value
+            parts.append(last[1] if last is not None and same else value)
+            at = end
+        return b"".join(parts)
+
+
+def rerun(
+    path: str | Path | Log,
+    tasks: Sequence[str] = (),
+    *,
+    libraries: Sequence[str | Path] = (),
+    rtol: float = 0.0,
+    out: Path | None = None,
+) -> Replayed:
+    """Run the code of several tasks again together, in the time of their record.
+
+    Args:
+        path: The log, the folder of a run, or a `Log`.
+        tasks: Which; none for all. Of the others the record stands.
+        libraries: Folders of modules that come before those of the recording.
+        rtol: How far floats may be off, relative; 0: identical to the bit.
+        out: A log to be written, of what the tasks gave now.
+
+    Raises:
+        LogError: There is no log there, or `out` cannot be written.
+        UnknownTaskError: The log has no such task.
+        PbonetError: A module does not load, or does not fit its RMOD.
+    """
+    log = path if isinstance(path, Log) else Log(path)
+    log.load()
+    names = list(tasks or log.tasks)
+    verdicts = {
+        task: Verdict(task=task, changed=changed(log, log.task_about(task)))
+        for task in names
+    }
+    made: dict[str, _Made] = {}
+    parts: list[_Part] = []
+    begun = time.perf_counter()
+    with no_devices("this is a replay"):
+        for task in names:
+            for life in log.lives(task):
+                verdicts[task].recorded += cycles_of(life)
+                machine = life.part.about.machine if life.part.about else ""
+                if machine not in made:
+                    made[machine] = _Made(log, machine)
+                if why := not_again(life):
+                    verdicts[task].gaps.append(why)
+                    continue
+                one = made[machine]
+                parts.append(_Part(life, one, libraries, verdicts[task], rtol))
+        _go(parts)
+    found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
+    _sum_up(found, parts)
+    if out is not None:
+        _write(log, {k: v for one in made.values() for k, v in one.made.items()}, out)
+    return found
+
+
+def _go(parts: list[_Part]) -> None:
+    """Run all records in the order in which they were made."""
+    waiting = [(due, n) for n, part in enumerate(parts) if (due := part.due_ns)]
+    heapq.heapify(waiting)
+    while waiting:
+        due, number = heapq.heappop(waiting)
+        part = parts[number]
+        if part.due_ns == due:  # else somebody has needed it before
+            part.advance()
+        if (following := part.due_ns) is not None:
+            heapq.heappush(waiting, (following, number))
+
+
+def _sum_up(found: Replayed, parts: list[_Part]) -> None:
+    first = [(one.diverged_ns, one.about.task) for one in parts if one.diverged_ns]
+    stopped = [one.divergence for one in found.tasks if one.divergence]
+    found.first = min(first)[1] if first else ""
+    if not first and stopped:
+        found.first = next(one.task for one in found.tasks if one.divergence)
+    found.seconds = max((one.seconds for one in found.tasks), default=0.0)
+
+
+def _write(log: Log, made: dict[Key, bytes], out: Path) -> None:
+    """Write a log of what was made, beside what was recorded of the others."""
+    about = log.parts[0].about or RunAbout(
+        run="", job="", subsystem="", domain="", rtpu=""
+    )
+    writer = LogWriter(out, msgspec.structs.replace(about, run=f"{about.run}-replay"))
+    for file in log.attached.values():
+        writer.attach(file)
+    for life in log.all_lives():
+        shown = msgspec.structs.replace(life.about, hidden=[])
+        number = writer.add_task(shown)
+        writer.add(number, b"".join(_records(life, made)))
+    writer.close()
+
+
+def _records(life: Life, made: dict[Key, bytes]) -> list[bytes]:
+    parts: list[bytes] = []
+    for message in life.commits:
+        row = np.frombuffer(message, HEAD_DTYPE, 1, len(CDR))[0]
+        key = (int(row["register"]), int(row["number"]))
+        data = made.get(key)
+        if data is None:
+            data = life.schema.group(message)
+        text = message[len(CDR) : _HEAD_END]
+        parts += [RECORD.pack(RECORD.size + len(text) + len(data), 0, len(data), 0)]
+        parts += [text, data]
+    return parts
+
+
+__all__ = ["Divergence", "Replayed", "rerun"]

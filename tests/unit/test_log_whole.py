@@ -1,0 +1,104 @@
+"""Tasks are run again together: what one makes otherwise, the others read."""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+from adding import ADDS
+from logshop import Shop
+
+from pbonet.errors import ModuleLoadError
+from pbonet.log import Log
+from pbonet.testing import rerun, verify
+
+OTHER = ADDS.replace("dt / 3.0", "dt / (3.5 if self.task.name == 'a' else 3.0)")
+
+
+def drive(shop):
+    """Do what a run may do."""
+    shop.cycles(5)
+    shop.table.write("X", [0.25, -3.0])
+    shop.cycles(5)
+    shop.a.set("2.5")
+    shop.cycles(5)
+    shop.a.signal("off")
+    shop.b.cycle()
+    shop.a.signal("reinit")
+    shop.a.signal("on")
+    shop.cycles(5)
+    for task in (shop.b, shop.a):
+        task.signal("off")
+        task.signal("kill")
+
+
+@pytest.fixture
+def record(tmp_path):
+    """Return what records such a run, of some code, in a folder of its own."""
+
+    def run(name, code=ADDS, do=drive, **more):
+        folder = tmp_path / name
+        folder.mkdir()
+        with contextlib.closing(Shop(folder, code)) as shop:
+            do(shop)
+            return shop.log(**more)
+
+    return run
+
+
+def test_the_same_code_gives_the_same_together(record) -> None:
+    found = rerun(record("r"))
+    assert found.good, str(found)
+    assert [one.cycles for one in found.tasks] == [20, 21]
+    assert str(found).startswith("2 tasks together: identical")
+
+
+def test_other_code_of_one_task_is_felt_by_those_that_read_it(record, tmp_path) -> None:
+    path, wanted = record("r"), Log(record("other", OTHER))
+    path.with_name("adds.py").write_text(OTHER)
+    assert verify(path, ["b"])[0].good, "by itself, b has not changed"
+    found = rerun(path, out=tmp_path / "now.mcap")
+    a, b = found.tasks
+    assert found.first == "a"
+    assert (a.divergence.cycle, a.divergence.variable) == (1, "Y0")
+    assert (b.divergence.cycle, b.divergence.variable) == (1, "Y1")
+    assert "the first to differ is a" in str(found)
+    assert rerun(path, ["b"]).good, "of a, the record stands"
+
+    # What is made now is what a run of the other code has given.
+    then, now = Log(path), Log(tmp_path / "now.mcap")
+    for task, name in (("a", "Y0"), ("b", "Y1")):
+        made = now.arrays(task)[name]
+        assert np.array_equal(made, wanted.arrays(task)[name])
+        assert not np.array_equal(made, then.arrays(task)[name])
+    assert now.about["run"] == "r-replay"
+
+
+def lose_some(shop):
+    shop.cycles(3)
+    shop.b.cycle(lost=2)
+    shop.a.cycle()
+
+
+def test_what_is_not_on_record_ends_a_task_and_not_the_others(record) -> None:
+    found = rerun(record("r", do=lose_some))
+    a, b = found.tasks
+    assert (a.cycles, a.good) == (4, True)
+    assert b.gaps == ["2 records were lost behind cycle 3"]
+    assert not found.good
+
+
+def test_a_log_without_its_attachments_is_run_all_the_same(record) -> None:
+    """The RMOD is in the channel; files are there to name lines that have changed."""
+    path = record("r", attached=False)
+    assert Log(path).attached == {}
+    code = path.with_name("adds.py")
+    code.write_text(f"{ADDS}\n")
+    for one in verify(path):
+        assert one.good
+        assert [other.lines for other in one.changed] == [[]], "which ones is unknown"
+    assert rerun(path).good
+    code.unlink()
+    with pytest.raises(ModuleLoadError):
+        rerun(path)
