@@ -223,7 +223,7 @@ def agents(
                 yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
             else:
                 yield from _agent(infos[-1], passed)
-        yield from _cores(infos, allowed)
+        yield from cores(infos, allowed)
         yield from _tbufs(client, infos)
         yield from _pairs(client, [info.name for info in infos])
     finally:
@@ -322,8 +322,9 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
         )
 
 
-def _cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Finding]:
-    """Look whether RTPUs leave a core of this machine to housekeeping."""
+def cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Finding]:
+    """Look whether RTPUs have cores of their own, and leave one to housekeeping."""
+    yield from _shared(infos)
     here = [info for info in infos if info.machine == rundir.machine()]
     used = {info.core for info in here}
     if here and not set(allowed) - used:
@@ -332,6 +333,23 @@ def _cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Fin
             "RTPUs own every core of this machine; none is left for housekeeping",
             "let RTPUs share a core (pbonet agent --core)",
         )
+
+
+def _shared(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+    """Tell RTPUs on one core: the analysis takes each for the owner of its core."""
+    owners: dict[tuple[str, int], list[m.AgentInfo]] = {}
+    for info in infos:
+        owners.setdefault((info.machine, info.core), []).append(info)
+    for (_, core), sharers in owners.items():
+        if len(sharers) > 1:
+            names = ", ".join(sorted(info.name for info in sharers))
+            yield Finding(
+                Level.WARN,
+                f"{names} share core {core} of {sharers[0].host}; "
+                "`pbonet check` judges each as the owner of a core",
+                "add their utilizations up, or give each a core of its own "
+                "(pbonet agent --core)",
+            )
 
 
 def clean() -> list[str]:

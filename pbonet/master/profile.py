@@ -229,15 +229,17 @@ def _timing_text(now: TaskStatus, before: TaskStatus | None) -> str:
     """Return the failures since an earlier look in words; empty without any."""
     since = _spawned_before(now, before)
     fields = _timing_fields(now, before)
-    parts = [f"{n} {kind}" for kind, n in _failures(now, since).items() if n]
-    servers = bool(fields["over"]) and not now.failures.get("maxexec")
-    words = (
-        ("over", "capacity used up" if servers else ""),
-        ("abort", "aborted"),
-        ("skip", "skipped"),
-        ("held", "overlong critical sections"),
-    )
-    parts += [f"{fields[key]} {text}" for key, text in words if fields[key] and text]
+    failures = _failures(now, since)
+    parts = [f"{n} {kind}" for kind, n in failures.items() if n]
+    overruns = now.overruns - (since.overruns if since else 0)
+    untold = max(0, overruns - failures.get("maxexec", 0))
+    words = {
+        "events far too early" if now.S == "Y" else "capacity used up": untold,
+        "aborted": fields["abort"],
+        "skipped": fields["skip"],
+        "overlong critical sections": fields["held"],
+    }
+    parts += [f"{count} {text}" for text, count in words.items() if count]
     if parts and now.rank != now.crit and now.state == "ON":
         parts.append(f"criticality {now.rank} now")
     return ", ".join(parts)

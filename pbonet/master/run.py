@@ -209,12 +209,12 @@ class Run:
         )
         self._logbook = subsystem.logbook
         subsystem.open()
-        self._tell_limits(subsystem)
+        infos = self._tell_limits(subsystem)
         statuses: list[RtpuStatus] = []
         begin = time.monotonic()
         try:
             self._interrupts.force = subsystem.stop
-            begin = self._start(subsystem)
+            begin = self._start(subsystem, infos)
             statuses = self._watch(subsystem, begin)
         except BaseException:
             with contextlib.suppress(PbonetError):  # the first error is the one to tell
@@ -262,8 +262,8 @@ class Run:
         for one, path in saved:
             self._view.say(f"profile of {one.rmod}, {one.cycles} cycles: {path}")
 
-    def _tell_limits(self, subsystem: Subsystem) -> None:
-        """Say what the RTPUs cannot guarantee, each thing once."""
+    def _tell_limits(self, subsystem: Subsystem) -> dict[str, m.AgentInfo]:
+        """Say what the RTPUs cannot guarantee, each thing once; return who they are."""
         infos, _ = subsystem.fleet.each(lambda _: m.Hello(), m.AgentInfo)
         lacking: dict[str, list[str]] = {}
         for rtpu, info in infos.items():
@@ -271,8 +271,24 @@ class Run:
                 lacking.setdefault(limit, []).append(rtpu)
         for limit, rtpus in lacking.items():
             self._view.say(render.warning(f"{', '.join(rtpus)}: {limit}"))
+        return infos
 
-    def _start(self, subsystem: Subsystem) -> float:
+    def _tell_loads(
+        self, reports: list[verify.RtpuReport], infos: dict[str, m.AgentInfo]
+    ) -> None:
+        """Say what is promised of each RTPU, and of those that share a core."""
+        cores: dict[tuple[str, int], list[verify.RtpuReport]] = {}
+        for one in reports:
+            self._view.say(verify.report_head(one))
+            if one.tasks and (info := infos.get(one.rtpu)):
+                cores.setdefault((info.machine, info.core), []).append(one)
+        for (_, core), sharers in cores.items():
+            if len(sharers) > 1:
+                found = verify.sharing(sharers)
+                text = found.as_text(core)
+                self._view.say(text if found.kept else render.warning(text))
+
+    def _start(self, subsystem: Subsystem, infos: dict[str, m.AgentInfo]) -> float:
         """Assemble the job; an interrupt meanwhile gives it up. Return the time."""
         done = threading.Event()
 
@@ -285,8 +301,7 @@ class Run:
         watcher = threading.Thread(target=give_up, daemon=True)
         watcher.start()
         try:
-            for one in subsystem.report():
-                self._view.say(verify.report_head(one))
+            self._tell_loads(subsystem.report(), infos)
             statuses = subsystem.start()
         finally:
             done.set()

@@ -137,6 +137,8 @@ cdef class Failures:
     @property
     def deadline(self) -> float:
         self.table.open()
+        if self.task.kind == RT_SYNCHRONOUS:
+            return (self.task.dl_ns - self.task.rel_ns) * 1e-9
         if self.task.kind != RT_PERIODIC:
             return 0.0
         return (rt_deadline_of(self.task.slot) - self.task.rel_ns) * 1e-9

@@ -69,7 +69,7 @@ cdef extern from "slot.h" nogil:
         rt_table *table
         rt_slot *slot
         int kind
-        int64_t rel_ns
+        int64_t rel_ns, dl_ns
     struct rt_cost:
         int64_t start_ns, called_ns, returned_ns, end_ns
         uint64_t cpu_ns

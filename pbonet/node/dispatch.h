@@ -10,7 +10,7 @@
 #ifndef PBONET_DISPATCH_H
 #define PBONET_DISPATCH_H
 
-#include "watch.h"
+#include "device.h"
 #include "muf.h"
 
 #include <string.h>
@@ -82,8 +82,10 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     s->dl_ns = RT_NEVER;
     s->left = s->maxc;
     s->mark = -1;
-    if (s->kind == RT_SYNCHRONOUS && s->deadline)
-        s->check_ns = now + s->deadline;
+    if (s->kind == RT_SYNCHRONOUS) {
+        s->rel_ns = now - s->period;    /* an event may come at once */
+        s->next_ns = s->deadline ? now + s->deadline : 0;
+    }
     if (s->kind == RT_DEFERRABLE)
         s->dl_ns = s->next_ns = (now / s->period + 1) * s->period;
     rt_emit(t, RT_RELEASE, i, 0, now, s->dl_ns);
@@ -192,6 +194,8 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
         rt_latch_watch(t, i, s);
     if (s->armed && rt_is_server(s))
         rt_latch_event(t, i, s);
+    else if (s->armed && s->kind == RT_SYNCHRONOUS)
+        rt_latch_device(t, i, s, now);
     if (word != s->word && s->gen)
         rt_latch_mode(t, i, s, word, now);
 }
@@ -236,8 +240,7 @@ static inline void rt_watch(struct rt_table *t, int i, struct rt_state *s, int64
     if (rt_is_server(s)) {
         rt_serve(t, i, s, now, locked);
     } else if (s->kind == RT_SYNCHRONOUS) {
-        if (s->deadline)
-            rt_listen(t, i, s, now);
+        rt_listen(t, i, s, now, locked);
     } else if (s->kind == RT_PERIODIC) {
         if (s->fresh && !s->begun)
             s->mark = s->clock;

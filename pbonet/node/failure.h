@@ -64,7 +64,7 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
             f->interrupt(signal);
     } else if (f->where != RT_OUTSIDE) {
         struct rt_grant *g = &f->task->slot->grant;
-        int forced = atomic_load(&g->forced) == f->task->seq;
+        int forced = atomic_load(&g->forced) == rt_number_of(f->task);
         if (f->handling || (f->locked && !forced))
             f->pending = 1;
         else
@@ -133,7 +133,7 @@ static inline unsigned rt_take_failures(struct rt_task *task)
     uint32_t word = atomic_exchange(&g->failed, 0);
     if (!(word & 7))
         return 0;
-    if (task->kind == RT_PERIODIC && (word & ~UINT32_C(7)) != task->seq << 3) {
+    if ((word & ~UINT32_C(7)) != rt_number_of(task) << 3) {
         rt_add(&task->slot->stats.stale_failures, 1);
         return 0;
     }

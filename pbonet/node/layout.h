@@ -27,7 +27,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 4,
+    RT_VERSION = 5,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -130,6 +130,7 @@ struct rt_state {
     uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
     int32_t rank, drop, handler;        /* rank: the criticality that it has now */
     uint32_t told, handled, wish;
+    uint32_t heard;                     /* `post.events` of a device, taken in */
     int64_t minc, maxc;
     int64_t clock, mark;                /* CPU clock: last read; where a reserve began */
     int64_t check_ns;                   /* when to look at it next; 0: not */

@@ -16,9 +16,9 @@ struct rt_looker {
 static inline int rt_busy(struct rt_slot *slot)
 {
     const struct rt_state *s = &slot->state;
-    if (!s->armed || s->kind == RT_SYNCHRONOUS)
+    if (!s->armed)
         return 0;
-    if (rt_is_server(s))
+    if (rt_is_server(s) || s->kind == RT_SYNCHRONOUS)
         return (int)(atomic_load(&slot->post.events) & 1);
     return s->ready && !(s->granted && atomic_load(&slot->post.done) == s->seq);
 }

@@ -42,7 +42,7 @@ static inline void rt_signal(struct rt_table *t, int i, int signal)
 static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
 {
     struct rt_grant *g = &t->slots[i].grant;
-    uint32_t bit = UINT32_C(1) << (e->arg & 3), grant = t->slots[i].state.seq << 3;
+    uint32_t bit = UINT32_C(1) << (e->arg & 3), grant = rt_number(&t->slots[i].state) << 3;
     uint32_t old = atomic_load(&g->failed), word;
     do {
         word = (old & ~UINT32_C(7)) == grant ? old | bit : grant | bit;

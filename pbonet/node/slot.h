@@ -71,6 +71,13 @@ static inline void rt_stats_end(struct rt_stats *s)
     atomic_store_explicit(&s->seq, s->seq + 1, memory_order_release);
 }
 
+/* The number of the cycle that runs, as failures name it. */
+static inline uint32_t rt_number_of(const struct rt_task *task)
+{
+    return task->kind == RT_SYNCHRONOUS ? atomic_load(&task->slot->post.events)
+                                        : task->seq;
+}
+
 /* Nothing is served any more; whether something was. */
 static inline int rt_end_event(struct rt_task *task)
 {
@@ -175,15 +182,18 @@ static inline void rt_hold_still(struct rt_slot *slot)
         rt_futex_wait(&slot->grant.parked, 1, 0);
 }
 
-/* Begin serving an event that came from outside; a server's capacity counts from here. */
+/* Begin serving an event that came from outside: a server's capacity and the deadline of
+ * a task with a device count from here. */
 static inline void rt_begin_event(struct rt_task *task)
 {
     struct rt_post *post = &task->slot->post;
     task->rel_ns = rt_now();
     task->dl_ns = RT_NEVER;
+    if (task->kind == RT_SYNCHRONOUS)
+        task->dl_ns = task->rel_ns + atomic_load(&task->slot->config.period_ns);
     atomic_store_explicit(&post->event_ns, task->rel_ns, memory_order_relaxed);
-    if (task->kind == RT_DEFERRABLE || task->kind == RT_SPORADIC) {
-        /* SYNC POINT: rt_latch_event loads it with acquire. */
+    if (task->kind != RT_BACKGROUND) {
+        /* SYNC POINT: rt_latch_event and rt_latch_device load it with acquire. */
         atomic_fetch_add_explicit(&post->events, 1, memory_order_release);
         rt_kick(task->table);
     }
@@ -204,12 +214,21 @@ static inline int rt_begin(struct rt_task *task)
     return atomic_load(&slot->grant.skip) != task->seq;
 }
 
-/* End it; under `park` the dispatcher wants to know at once when others wait, and of a
- * sporadic server what it has used. */
+/* Whether the dispatcher wants to know at once that an event has been served: what a
+ * sporadic server has used, and that a lowered task may wait for its device as before. */
+static inline int rt_awaited(const struct rt_task *task)
+{
+    const struct rt_slot *slot = task->slot;
+    return task->kind == RT_SPORADIC ||
+           (task->kind == RT_SYNCHRONOUS &&
+            atomic_load(&slot->grant.crit) != atomic_load(&slot->config.crit));
+}
+
+/* End it; under `park` the dispatcher wants to know at once when others wait. */
 static inline void rt_end(struct rt_task *task)
 {
     if (task->kind != RT_PERIODIC) {
-        if (rt_end_event(task) && task->kind == RT_SPORADIC)
+        if (rt_end_event(task) && rt_awaited(task))
             rt_kick(task->table);
         rt_spare(task->table, task->slot, &task->look);
         return;
@@ -254,7 +273,7 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     struct rt_stats *s = &task->slot->stats;
     uint64_t jitter = cost->called_ns > task->rel_ns
                           ? (uint64_t)(cost->called_ns - task->rel_ns) : 0;
-    int first = rt_get(&s->last_rel_ns) == 0;
+    int first = rt_get(&s->cpu_first_ns) == 0;
     rt_stats_begin(s);
     rt_add(cost->failed ? &s->failed : &s->cycles, 1);
     rt_add(&s->aborted, (uint64_t)cost->aborted);

@@ -64,12 +64,16 @@ class Timekeeper:
             for name, then, now in zip(names, before, after, strict=True)
             if now > then
         ]
-        reserve = f", reserve {slot.maxc_ns / 1e6:g} ms" if slot.maxc_ns else ""
+        times = [f"timing failures: {', '.join(news)}"]
+        if slot.cpu_max_ns:
+            longest = slot.cpu_max_ns / 1e6
+            times.append(f"the longest cycle took {longest:g} ms of CPU time")
+        if slot.maxc_ns:
+            times.append(f"reserve {slot.maxc_ns / 1e6:g} ms")
         self._events.add(
             Severity.WARNING,
             "TIMING_FAILURE",
-            f"timing failures: {', '.join(news)}; the longest cycle took "
-            f"{slot.cpu_max_ns / 1e6:g} ms of CPU time{reserve}",
+            "; ".join(times),
             subsystem=task.facts.subsystem,
             task=task.name,
             cycle=slot.cycles - slot.on_cycles,

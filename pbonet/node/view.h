@@ -249,8 +249,8 @@ static inline void rt_play(struct rt_table *t, struct rt_slot *slot,
     if (part->done)
         atomic_store(&post->done, atomic_load(&slot->grant.seq));
     if (part->event) {
-        atomic_store(&post->event_ns, part->now_ns);
-        atomic_fetch_add(&post->events, 1);
+        if (!(atomic_fetch_add(&post->events, 1) & 1))
+            atomic_store(&post->event_ns, part->now_ns);
     }
     if (part->locked >= 0)
         atomic_store(&post->locked, (uint32_t)part->locked);

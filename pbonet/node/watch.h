@@ -29,6 +29,18 @@ static inline int rt_is_server(const struct rt_state *s)
     return s->kind == RT_DEFERRABLE || s->kind == RT_SPORADIC;
 }
 
+/* Whether there is a cycle that failures can be told to. */
+static inline int rt_runs(const struct rt_state *s)
+{
+    return s->kind == RT_SYNCHRONOUS ? s->active : s->begun;
+}
+
+/* The number of that cycle: of its grant, or of what came from its device. */
+static inline uint32_t rt_number(const struct rt_state *s)
+{
+    return s->kind == RT_SYNCHRONOUS ? s->heard : s->seq;
+}
+
 /* Whether anything of the task depends on its CPU time. */
 static inline int rt_limited(const struct rt_state *s)
 {
@@ -48,7 +60,7 @@ static inline int64_t rt_due(const struct rt_state *s)
  * listed here is slept for only while a cycle or an event is under way: see looker.h. */
 static inline int64_t rt_sure(const struct rt_state *s)
 {
-    return s->kind == RT_SYNCHRONOUS ? s->check_ns : s->next_ns;
+    return s->next_ns;
 }
 
 static inline void rt_set_rank(struct rt_table *t, int i, struct rt_state *s, int32_t rank)
@@ -89,8 +101,8 @@ static inline void rt_exhaust(struct rt_table *t, int i, struct rt_state *s, int
     } else if (!s->handling) {
         rt_set_rank(t, i, s, rt_contained(s));
     }
-    if (s->kind == RT_PERIODIC)
-        rt_fail(t, i, s, RT_MAXEXEC, now, s->begun);
+    if (!rt_is_server(s))
+        rt_fail(t, i, s, RT_MAXEXEC, now, rt_runs(s));
 }
 
 /* The section has ended, or has lasted too long. */
@@ -106,7 +118,7 @@ static inline void rt_settle_debt(struct rt_table *t, int i, struct rt_state *s)
 static inline void rt_give_up(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     s->sure = 1;
-    if (s->begun) {
+    if (rt_runs(s)) {
         rt_fail(t, i, s, RT_MINEXEC, now, 1);
     } else if (s->granted) {    /* told of its release: it must not begin */
         s->skip = 1;
@@ -121,11 +133,23 @@ static inline void rt_give_up(struct rt_table *t, int i, struct rt_state *s, int
     }
 }
 
+/* A handler keeps its priority for its share of CPU time; returns when to look again. */
+static inline int64_t rt_bound_handler(struct rt_table *t, int i, struct rt_state *s,
+                                       int64_t now)
+{
+    int64_t left = RT_HANDLER_NS - (s->clock - s->handler_mark);
+    if (left > 0)
+        return rt_later(now, left);
+    s->handling = 0;
+    rt_set_rank(t, i, s, rt_contained(s));
+    return 0;
+}
+
 /* Look at the reserves of a cycle; returns when to look again. */
 static inline int64_t rt_look(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                               int locked)
 {
-    int64_t used = s->begun ? s->clock - s->mark : 0, next = 0;
+    int64_t used = rt_runs(s) ? s->clock - s->mark : 0, next = 0;
     if (s->maxc && !s->spent) {
         if (used >= s->maxc)
             rt_exhaust(t, i, s, now, locked);
@@ -136,21 +160,14 @@ static inline int64_t rt_look(struct rt_table *t, int i, struct rt_state *s, int
         if (s->locked_ns <= now) {
             s->held_off++;
             rt_settle_debt(t, i, s);
-            atomic_store(&t->slots[i].grant.forced, s->seq);
-            rt_emit(t, RT_FORCE, i, s->seq, 0, 0);
+            atomic_store(&t->slots[i].grant.forced, rt_number(s));
+            rt_emit(t, RT_FORCE, i, rt_number(s), 0, 0);
         } else {
             next = rt_sooner(next, s->locked_ns);
         }
     }
-    if (s->handling) {
-        int64_t left = RT_HANDLER_NS - (s->clock - s->handler_mark);
-        if (left <= 0) {        /* the handler has had its share at its priority */
-            s->handling = 0;
-            rt_set_rank(t, i, s, rt_contained(s));
-        } else {
-            next = rt_sooner(next, rt_later(now, left));
-        }
-    }
+    if (s->handling)
+        next = rt_sooner(next, rt_bound_handler(t, i, s, now));
     if (s->minc && !s->sure) {
         int64_t rest = s->minc - used;
         if (rest <= 0)
@@ -172,7 +189,7 @@ static inline void rt_grant_wish(struct rt_table *t, int i, struct rt_state *s,
         s->handling = 0;
         rt_set_rank(t, i, s, crit < most ? crit : most);
     }
-    if (dl_ns > 0 && s->kind == RT_PERIODIC) {
+    if (dl_ns > 0 && (s->kind == RT_PERIODIC || (s->kind == RT_SYNCHRONOUS && s->active))) {
         s->dl_ns = dl_ns;
         s->late = 0;
     }
@@ -256,21 +273,6 @@ static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64
     }
     s->check_ns = s->owed ? s->locked_ns
                   : s->active && !s->spent ? rt_later(now, s->left) : 0;
-}
-
-/* A device that should have been heard of: silence is a failure, once in each limit. */
-static inline void rt_listen(struct rt_table *t, int i, struct rt_state *s, int64_t now)
-{
-    int64_t event = atomic_load(&t->slots[i].post.event_ns);
-    if (event > s->event_ns) {
-        s->event_ns = event;
-        rt_emit(t, RT_EVENT, i, 0, event, 0);
-    }
-    if (s->event_ns + s->deadline <= now) {
-        s->event_ns = now;
-        rt_fail(t, i, s, RT_DEADLINE, now, 1);
-    }
-    s->check_ns = s->event_ns + s->deadline;
 }
 
 /* Read the task's CPU clock, and whether it is in a critical section; an input. */

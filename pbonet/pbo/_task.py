@@ -288,7 +288,7 @@ class TaskContext:
     def deadline(self) -> float:
         """The deadline of this cycle, in seconds after its release.
 
-        Set in `timing_failure` only; holds until the next release.
+        Set in `timing_failure` only; holds until the next release or event.
         """
         return self.watch.deadline
 

@@ -132,7 +132,10 @@ class Dispatcher:
             case Event.WISH:
                 watch.wish(-1 if record.arg == NO_WISH else record.arg, record.a)
             case Event.EVENT:
-                watch.event(record.a, active=bool(record.arg))
+                if state.kind == Kind.SYNCHRONOUS:
+                    watch.device(record.a, record.arg)
+                else:
+                    watch.event(record.a, active=bool(record.arg))
             case Event.UNLOCKED:
                 watch.unlocked()
             case _:
@@ -154,8 +157,9 @@ class Dispatcher:
             return
         state.ready, state.rel_ns, state.dl_ns = True, now, NEVER
         state.event_ns, state.left, state.mark = now, state.maxc, -1
-        if state.kind == Kind.SYNCHRONOUS and state.deadline:
-            state.check_ns = now + state.deadline
+        if state.kind == Kind.SYNCHRONOUS:
+            state.rel_ns = now - state.period  # an event may come at once
+            state.next_ns = now + state.deadline if state.deadline else 0
         if state.kind == Kind.DEFERRABLE:
             state.dl_ns = state.next_ns = (now // state.period + 1) * state.period
         self._decide(Event.RELEASE, slot, 0, now, state.dl_ns)

@@ -64,6 +64,8 @@ class SlotState(Struct):
     check_ns: int = 0
     active: bool = False
     """A server serves an event."""
+    heard: int = 0
+    """How often a device's task has begun and ended a cycle, as far as it was seen."""
     left: int = 0
     event_ns: int = 0
     pieces: list[list[int]] = field(default_factory=list[list[int]])

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from .events import Event
 from .records import Kind
+from .urgency import NEVER
 
 if TYPE_CHECKING:
     from .slotstate import SlotState
@@ -27,6 +28,7 @@ HANDLER_NS = 1_000_000
 PIECES = 8
 DEADLINE, MAXEXEC, MINEXEC = range(3)
 SERVERS = (Kind.DEFERRABLE, Kind.SPORADIC)
+CYCLIC = (Kind.PERIODIC, Kind.SYNCHRONOUS)
 
 
 class Decide(Protocol):
@@ -55,6 +57,11 @@ def due(state: SlotState) -> int:
     if waits and state.dl_ns < state.next_ns:
         when = sooner(when, state.dl_ns)
     return when
+
+
+def runs(state: SlotState) -> bool:
+    """Return whether there is a cycle that failures can be told to."""
+    return state.active if state.kind == Kind.SYNCHRONOUS else state.begun
 
 
 def contained(state: SlotState) -> int:
@@ -112,17 +119,48 @@ class Watch:
         if crit >= 0:
             state.handling = False
             self.set_rank(min(crit, max(state.handler, state.crit)))
-        if deadline > 0 and state.kind == Kind.PERIODIC:
+        waits = state.kind == Kind.SYNCHRONOUS and not state.active
+        if deadline > 0 and state.kind in CYCLIC and not waits:
             state.dl_ns, state.late = deadline, False
 
     def event(self, instant: int, *, active: bool) -> None:
-        """Something came from outside, or has been served."""
+        """Something came to a server, or has been served."""
         state = self.state
-        state.event_ns = instant
-        if state.kind in SERVERS:
-            state.active, state.fresh = active, True
-            if state.kind == Kind.SPORADIC:
-                state.dl_ns = instant + state.period
+        state.event_ns, state.active, state.fresh = instant, active, True
+        if state.kind == Kind.SPORADIC:
+            state.dl_ns = instant + state.period
+
+    def device(self, instant: int, heard: int) -> None:
+        """A cycle that a device has begun is there, or has ended."""
+        state = self.state
+        if instant != state.event_ns:
+            self._attend(instant)
+        state.heard, state.active, state.fresh = heard, bool(heard & 1), True
+        if not state.active:
+            if state.late and state.deadline:
+                state.next_ns = self.now + state.deadline
+            state.late = state.spent = state.handling = state.owed = False
+            self.set_rank(state.crit)
+
+    def _attend(self, instant: int) -> None:
+        """An event has come: a new cycle, with reserves of its own.
+
+        A device may come early, up to half a period; the deadline is then what it would
+        be had the event come in its time.
+        """
+        state = self.state
+        expected = state.rel_ns + state.period
+        state.event_ns, state.mark = instant, -1
+        state.late = state.sure = state.handling = state.owed = False
+        state.spent = expected - instant > state.period // 2
+        if state.spent:
+            state.overruns += 1
+        else:
+            state.rel_ns = max(instant, expected)
+        state.dl_ns = state.period + (expected if state.spent else state.rel_ns)
+        if state.deadline:
+            state.next_ns = instant + state.deadline
+        self.set_rank(contained(state))
 
     def unlocked(self) -> None:
         """The critical section has ended; what a server used in it is charged first."""
@@ -146,8 +184,7 @@ class Watch:
         if state.kind in SERVERS:
             self._serve()
         elif state.kind == Kind.SYNCHRONOUS:
-            if state.deadline:
-                self._listen()
+            self._listen()
         elif state.kind == Kind.PERIODIC:
             if state.fresh and not state.begun:
                 state.mark = state.clock
@@ -219,7 +256,7 @@ class Watch:
     def _reserves(self) -> int:
         """Look at the reserves of a cycle; return when to look again."""
         state = self.state
-        used = state.clock - state.mark if state.begun else 0
+        used = state.clock - state.mark if runs(state) else 0
         following = 0
         if state.maxc and not state.spent:
             if used >= state.maxc:
@@ -243,8 +280,8 @@ class Watch:
             state.owed, state.locked_ns = True, self.now + HOLD_OFF_NS
         elif not state.handling:
             self.set_rank(contained(state))
-        if state.kind == Kind.PERIODIC:
-            self._fail(MAXEXEC, reachable=state.begun)
+        if state.kind in CYCLIC:
+            self._fail(MAXEXEC, reachable=runs(state))
 
     def _overrule(self) -> int:
         state = self.state
@@ -252,7 +289,8 @@ class Watch:
             return state.locked_ns
         state.held_off += 1
         self.settle_debt()
-        self._decide(Event.FORCE, self.slot, state.seq)
+        periodic = state.kind == Kind.PERIODIC
+        self._decide(Event.FORCE, self.slot, state.seq if periodic else state.heard)
         return 0
 
     def _bound_handler(self) -> int:
@@ -273,13 +311,14 @@ class Watch:
         if self.now + rest <= state.dl_ns:
             return self._later(state.dl_ns - rest + 1 - self.now)
         state.sure = True
-        if not state.begun and not state.granted:
+        running = runs(state)
+        if not running and not state.granted:
             self._fail(MINEXEC, reachable=False)
             over(state)
             state.missed += 1
             self._decide(Event.MISS, self.slot, 1)
             return 0
-        if not state.begun:
+        if not running:
             state.skip = True
             self._decide(Event.SKIP, self.slot, state.seq)
         self._fail(MINEXEC, reachable=True)
@@ -345,9 +384,27 @@ class Watch:
             self.set_rank(state.crit)
 
     def _listen(self) -> None:
-        """Silence of a device is a failure, once in each limit."""
+        """Look after a task with a device; silence is a failure, once in each limit."""
+        state, look = self.state, 0
+        if state.mark < 0:
+            state.mark = state.clock
+        if state.next_ns and state.next_ns <= self.now:
+            state.next_ns = self.now + state.deadline
+            if not state.active:
+                state.dl_ns = NEVER
+                self._fail(DEADLINE, reachable=True)
+        if state.active:
+            if state.dl_ns <= self.now:
+                self._overtake()
+            look = self._reserves() if limited(state) else 0
+            look = sooner(look, state.dl_ns)
+        elif state.handling:
+            look = self._bound_handler()
+        state.check_ns = look
+
+    def _overtake(self) -> None:
+        """The cycle is past its deadline, and goes on with the next one."""
         state = self.state
-        if state.event_ns + state.deadline <= self.now:
-            state.event_ns = self.now
-            self._fail(DEADLINE, reachable=True)
-        state.check_ns = state.event_ns + state.deadline
+        state.dl_ns += ((self.now - state.dl_ns) // state.period + 1) * state.period
+        state.late = True
+        self._fail(DEADLINE, reachable=True)

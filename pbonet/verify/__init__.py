@@ -42,6 +42,7 @@ from .reports import (
     report_head,
     report_text,
 )
+from .sharing import Sharing, sharing
 from .timing import Load, criticalities, loads, traffic
 from .units import conversion, same_unit
 from .virtual import Code as ModuleCode
@@ -63,6 +64,7 @@ __all__ = [
     "RtpuReport",
     "ServerReport",
     "Severity",
+    "Sharing",
     "Source",
     "Task",
     "TaskReport",
@@ -93,6 +95,7 @@ __all__ = [
     "report_head",
     "report_text",
     "same_unit",
+    "sharing",
     "signal",
     "simulate_job",
     "spawn",

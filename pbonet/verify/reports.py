@@ -35,6 +35,7 @@ from .timing import (
     Load,
     check_loads,
     criticalities,
+    load_without_servers,
     loads,
     read_sizes,
     traffic,
@@ -104,7 +105,7 @@ class ServerReport(Struct, frozen=True, kw_only=True):
     """The largest capacity with which every task keeps its deadlines, all periods
     known; of this server alone."""
     fits: bool
-    """With all servers of the RTPU every guaranteed task stays guaranteed."""
+    """No task may miss for the servers of the RTPU that would not without them."""
 
 
 class RtpuReport(Struct, frozen=True, kw_only=True):
@@ -287,11 +288,13 @@ def _servers(
     reserved: list[Server],
     configuration: Configuration,
 ) -> list[ServerReport]:
-    kept = [task for task in asked if task.name in load.guaranteed]
+    if not reserved:
+        return []
+    alone = set(load_without_servers(configuration, load.rtpu).guaranteed)
+    kept = [task for task in asked if task.name in alone]
     used = min(1.0, analysis.utilization(kept))
     rm = scheduler is Scheduler.RM
     rule = Scheduler.RM if rm else Scheduler.MUF
-    fits = (analysis.rm_schedulable if rm else analysis.edf_schedulable)(kept, reserved)
     return [
         ServerReport(
             task=server.name,
@@ -305,7 +308,7 @@ def _servers(
                 server, asked, rm=rm, limit=configuration.limit
             )
             / 1e9,
-            fits=fits,
+            fits=alone <= set(load.guaranteed),
         )
         for server in reserved
     ]

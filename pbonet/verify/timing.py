@@ -138,6 +138,14 @@ def loads(configuration: Configuration) -> list[Load]:
     return [_load(configuration, rtpu) for rtpu in configuration.rtpus]
 
 
+def load_without_servers(configuration: Configuration, rtpu: str) -> Load:
+    """Return what is asked of an RTPU by all but its servers."""
+    here = [task for task in configuration.running if task.rtpu == rtpu]
+    others = configuration.on - {server.name for server in servers(here)}
+    entry = next(one for one in configuration.rtpus if one.name == rtpu)
+    return _load(structs.replace(configuration, on=others), entry)
+
+
 def _load(configuration: Configuration, rtpu: RtpuEntry) -> Load:
     tasks = [task for task in configuration.running if task.rtpu == rtpu.name]
     assigned = criticalities(tasks, rtpu, limit=configuration.limit)
@@ -318,12 +326,7 @@ def _too_large(
     """Return the refusal of servers for which tasks would miss that else would not."""
     there = [t for t in configuration.running if t.rtpu == load.rtpu]
     reserved = servers(there)
-    others = structs.replace(
-        configuration,
-        on=configuration.on - {server.name for server in reserved},
-        rtpus=tuple(r for r in configuration.rtpus if r.name == load.rtpu),
-    )
-    alone = _load(others, others.rtpus[0])
+    alone = load_without_servers(configuration, load.rtpu)
     fits = alone.utilization <= configuration.limit * (1 + MAX_FAULT)
     every = {*alone.critical_set, *alone.outside}
     if not reserved or not fits or set(alone.guaranteed) != every:

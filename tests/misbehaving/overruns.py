@@ -1,6 +1,7 @@
 """Takes more CPU time than it has, in every `every`th cycle, and does as it is told."""
 
 import itertools
+import os
 import time
 from typing import Annotated as A
 
@@ -24,12 +25,20 @@ class Settings(Params):
     every: A[int, param("none", "which cycles are long", ge=1)] = 5
     work: A[str, param("none", "python, numpy, sleep or locked")] = "python"
     answer: A[str, param("none", "what the handler does")] = "continue"
+    fifo: A[str, param("none", "named pipe of the device, where one times it")] = ""
 
 
 class Overruns(PortBasedObject[Settings]):
     """Counts its cycles and its failures."""
 
     y: A[Vector, OutVar("Y", "2", "none", "cycles that ended, calls of the handler")]
+
+    def init(self) -> None:
+        fifo = self.params.fifo
+        self._device = os.open(fifo, os.O_RDWR) if fifo else -1
+
+    def sync(self) -> None:
+        os.read(self._device, 1)
 
     def on(self) -> None:
         self._begun = 0

@@ -64,6 +64,24 @@ int main(void)
     tell(&task, 8, RT_MAXEXEC);
     require(interrupts == 1, "a critical section holds it off");
     require(rt_unlock(), "its end delivers it");
+    require(rt_take_failures(&task) == 1u << RT_MAXEXEC, "it is that kind");
+    rt_exit();
+
+    task.kind = RT_SYNCHRONOUS;         /* a grant for all cycles; the device numbers them */
+    rt_begin_event(&task);
+    tell(&task, 1, RT_MAXEXEC);
+    rt_end_event(&task);
+    rt_begin_event(&task);
+    require(rt_enter(RT_IN_CYCLE), "something is there to be looked at");
+    require(rt_take_failures(&task) == 0, "the cycle of another event is not told");
+    require(rt_get(&task.slot->stats.stale_failures) == 2, "but it is counted");
+    atomic_store(&task.slot->grant.forced, 1);
+    rt_lock();
+    tell(&task, 3, RT_DEADLINE);
+    require(interrupts == 1, "what overruled a section overrules none of the next cycle");
+    require(rt_unlock(), "its end delivers it");
+    require(rt_take_failures(&task) == 1u << RT_DEADLINE, "and it is this one's");
+    rt_exit();
     rt_unguard_failures(&task);
     require(!rt_enter(RT_OUTSIDE), "a process that is no task is told nothing");
     return 0;

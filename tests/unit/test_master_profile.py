@@ -232,6 +232,12 @@ def test_a_server_without_failures_tells_of_its_capacity():
     assert found.timing == "4 capacity used up"
 
 
+def test_a_device_that_is_too_fast_is_told_beside_what_failed():
+    failures = {"deadline": 0, "maxexec": 1, "minexec": 0}
+    found = profile.profile(status(overruns=3, failures=failures, rank=5, S="Y"))
+    assert found.timing == "1 maxexec, 2 events far too early"
+
+
 def test_timed_sections_have_a_mean():
     section = SectionStatus(count=4, total=0.002, min=0.0004, max=0.0006)
     found = fields(status(sections={"jacobian": section}))

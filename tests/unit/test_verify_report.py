@@ -128,6 +128,9 @@ def test_a_server_that_is_too_large_is_said_to_be() -> None:
         task("a", freq=100, maxc=0.006, critical=True, info=None),
         task("s", freq=100, capacity=0.003, tasktype=TaskType.DEFERRABLE),
     ]
+    (said,) = only(configuration(*tasks, rtpus=[rtpu()])).servers
+    assert not said.fits
+    assert said.by_equation == pytest.approx(0.4 / 2.2)  # beside what it pushes out
     refusal = (
         "s.rmod: the server s is larger than RTPU arm0 can bear: a may miss deadlines "
         "(expected at most 0.002 s, once in 0.01 s, got 0.003 s); lower CAPACITY, "
