@@ -93,6 +93,10 @@ def adopt(
     warnings: list[str] = []
     for name in wanted:
         source = files.rmod(name)
+        if source.record.capacity is not None:
+            if names:
+                warnings.append(_no_cycle(source.record))
+            continue
         info = files.library.load_rmod(source.record).info
         saved, note = store.find(source.record, host, info)
         if saved is None and not note:
@@ -106,6 +110,13 @@ def adopt(
             continue
         found.append(_write(files, source.record, saved, times, dry_run=dry_run))
     return found, warnings
+
+
+def _no_cycle(rmod: Rmod) -> str:
+    return (
+        f"{rmod.file}: not adopted: what is reserved for the server {rmod.name} is its "
+        "CAPACITY, whatever one event takes"
+    )
 
 
 def measured_times(rmod: Rmod, saved: Saved, margin: float) -> dict[str, float]:

@@ -75,6 +75,7 @@ def simulate(
     verdict = without_loads(verdict)
     verdict.check()
     told = [*parts.warnings, *map(verify.as_text, verdict.warnings)]
+    told += [_no_work(task) for task in verdict.after.running if _is_idle(task)]
     run = Timed(path, folders) if code else None
     with no_devices(REASON):
         if run is not None:
@@ -94,6 +95,17 @@ def simulate(
     return outcome, [*told, *(run.events if run else [])]
 
 
+def _is_idle(task: verify.Task) -> bool:
+    return task.rmod.tasktype is TaskType.BACKGROUND and task.worst is None
+
+
+def _no_work(task: verify.Task) -> str:
+    return (
+        f"background task {task.name} has nothing to do here: MAXC of its cycles is "
+        "not known; declare it, and it works in what the others leave"
+    )
+
+
 def without_loads(verdict: verify.Verdict) -> verify.Verdict:
     """Return a verdict that only warns of what a schedule will show."""
     problems = tuple(
@@ -108,14 +120,16 @@ def without_loads(verdict: verify.Verdict) -> verify.Verdict:
 class Timed(Simulation):
     """The modules of a job, run when the schedule says so; a `verify.ModuleCode`.
 
-    A server's cycle runs for each event that the schedule has; its `sync`, as that of a
-    synchronous task, waits for nothing here and is not called.
+    A server's cycle runs for each event that the schedule has, and that of a background
+    task for each piece of work; its `sync`, as that of a synchronous task, waits for
+    nothing here and is not called.
     """
 
     simulated: ClassVar[tuple[TaskType, ...]] = (
         *Simulation.simulated,
         TaskType.DEFERRABLE,
         TaskType.SPORADIC,
+        TaskType.BACKGROUND,
     )
 
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:

@@ -50,8 +50,8 @@ class SimTask(Struct, kw_only=True, eq=False):
 
     @property
     def period_ns(self) -> int:
-        """Nanoseconds from release to release."""
-        return round(1e9 / self.member.freq)
+        """Nanoseconds from release to release; 0 for background work."""
+        return round(1e9 / self.member.freq) if self.member.freq else 0
 
 
 class Turns:
@@ -149,7 +149,8 @@ def must_be_simulated(
     Raises:
         NodeError: It is one.
     """
-    if record.tasktype not in kinds or not freq:
+    timed = freq or record.tasktype is TaskType.BACKGROUND
+    if record.tasktype not in kinds or not timed:
         raise NodeError(
             f"a {record.tasktype} task cannot be simulated",
             where=where,

@@ -63,6 +63,9 @@ class ServerTask(Struct, frozen=True, kw_only=True):
     """Criticality without capacity; None: it waits for more."""
     priority: int = 0
     offset_ns: int = 0
+    more: Callable[[], int] | None = None
+    """CPU nanoseconds of the next piece, above 0, of work that never ends: there is one
+    from the begin on, and another whenever one is done."""
     begun: Callable[[int, int], None] | None = None
     """Called when an event's processing begins, with that instant and its arrival."""
     done: Callable[[int], None] | None = None
@@ -93,6 +96,7 @@ class Job:
         "least",
         "left",
         "limited",
+        "more",
         "name",
         "own_dl",
         "period",
@@ -120,6 +124,7 @@ class Job:
         """CPU time that the cycle under way still needs; -1 before it begins."""
         self.budget = self.full = self.least = 0
         self.cost: Callable[[], int] | None = None
+        self.more: Callable[[], int] | None = None
         self.started: Callable[[int, int], None] | None = None
         self.ended: Callable[[int], None] | None = None
         self.gone = False

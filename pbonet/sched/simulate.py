@@ -97,7 +97,9 @@ class Core:
         )  # fmt: skip
         job = Job(len(self._jobs), account, server.kind)
         job.priority, job.drop = server.priority, server.drop_crit
-        job.arrivals = iter(server.arrivals)
+        job.arrivals, job.more = iter(server.arrivals), server.more
+        if server.more is not None:
+            job.arrivals = iter([(self.now_ns, max(1, server.more()))])
         job.started, job.ended = server.begun, server.done
         self._jobs.append(job)
         if server.kind is ServerKind.POLLING:
@@ -353,6 +355,9 @@ class Core:
 
     def _served(self, job: Job) -> None:
         """An event was served to its end."""
+        if job.more is not None:
+            job.queue.append((self.now_ns, max(1, job.more())))
+            job.account.releases += 1
         if job.queue:
             if job.limited and not job.budget:
                 self._exhaust(job)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import random
 from enum import StrEnum
+from functools import partial
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from msgspec import Struct
@@ -169,7 +170,8 @@ def simulate_job(
             such tasks.
         events: Instant and CPU nanoseconds of each event, by server or background
             task. A server that is not named is asked for its whole capacity at the
-            begin of every period, a background task for nothing.
+            begin of every period; a background task with a known MAXC always has
+            another piece of work that takes as long, and one without has none.
         keep: Keep segments, for charts.
         code: Runs the tasks' own code; without it cycles only take their time.
 
@@ -275,7 +277,7 @@ class _Builder(Struct, kw_only=True):
         """Return whether a task can be simulated that the clock does not release."""
         if task.rmod.tasktype in SERVER_TYPES:
             return task.hz is not None and task.rmod.capacity is not None
-        return task.name in self.events
+        return task.name in self.events or task.worst is not None
 
     def _task(
         self, task: Task, assigned: Assigned, on: list[Core], *, rates: bool
@@ -314,13 +316,16 @@ class _Builder(Struct, kw_only=True):
     def _cost(self, task: Task) -> int | Callable[[], int]:
         if task.worst is None:
             return ns(self.assume / (task.hz or 1.0))
+        return self._known_cost(task, task.worst)
+
+    def _known_cost(self, task: Task, worst: float) -> int | Callable[[], int]:
         if self.times is Times.WORST:
-            return ns(task.worst)
+            return ns(worst)
         source = random.Random(f"{self.seed} {task.name}")  # noqa: S311
         profile = task.profile
         if profile is not None:
             return lambda: profile.draw_ns(source)
-        low, high = ns(least(task).seconds or 0.0), ns(task.worst)
+        low, high = ns(least(task).seconds or 0.0), ns(worst)
         return lambda: source.randint(min(low, high), high)
 
     def _server(
@@ -333,8 +338,11 @@ class _Builder(Struct, kw_only=True):
         else:
             period = ns(1.0 / (task.hz or 1.0))
             capacity = min(ns(task.rmod.capacity or 0.0), period)
-        arrivals = self.events.get(task.name)
-        if arrivals is None:
+        arrivals, more = self.events.get(task.name), None
+        if arrivals is None and not period and task.worst is not None:
+            cost, arrivals = self._known_cost(task, task.worst), ()
+            more = cost if callable(cost) else partial(max, 1, cost)
+        elif arrivals is None:
             arrivals = _all_of_it(period, capacity, self.until_ns)
         return ServerTask(
             name=task.name,
@@ -347,6 +355,7 @@ class _Builder(Struct, kw_only=True):
                 assigned.crit, fixed_rates=rates, server=True
             ),
             priority=self.priorities.get(task.name, 0),
+            more=more,
             begun=begun,
             done=done,
         )

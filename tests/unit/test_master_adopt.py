@@ -214,6 +214,24 @@ def test_the_verb_shows_the_change(folder, capsys):
     assert "was saved on mars" in capsys.readouterr().err
 
 
+def test_what_an_event_takes_is_no_reserve_of_a_server(folder):
+    path = write(folder, more="CAPACITY 0.001")
+    text = path.read_text().replace("periodic", "sporadic")
+    path.write_text(text)
+    write(folder, name="other")
+    save(folder)
+    save(folder, "other")
+    found, warnings = adopt.adopt(folder / "puma.sbs")
+    assert ([one.rmod for one in found], warnings) == (["other"], [])
+    found, warnings = adopt.adopt(folder / "puma.sbs", ["vel"])
+    assert found == []
+    assert warnings == [
+        f"{path}: not adopted: what is reserved for the server vel is its CAPACITY, "
+        "whatever one event takes"
+    ]
+    assert path.read_text() == text
+
+
 # -- and the analysis uses them -------------------------------------------------------
 
 

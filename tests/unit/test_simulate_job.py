@@ -9,7 +9,7 @@ import pytest
 from test_sim_rules import SINK, SOURCE, Shop
 
 from pbonet.cli import main
-from pbonet.errors import NodeError, SeveralError, VerificationError
+from pbonet.errors import SeveralError, VerificationError
 from pbonet.master import simjob
 from pbonet.verify import Times
 
@@ -224,17 +224,43 @@ def test_a_server_that_fails_serves_no_more(shop):
     assert any("three events" in text for text in told)
 
 
-def test_background_work_has_no_events_and_no_code(shop):
-    shop.module(
-        "srv",
-        SINK.replace(
-            "    def cycle", "    def sync(self):\n        pass\n\n    def cycle"
-        ),
-        *("INVAR Y", Z, "TASKTYPE background"),
-    )
+BACKGROUND = """
+class Srv(PortBasedObject):
+    "Count pieces of work, and add up the steps between them."
+    z: A[float, OutVar("Z", "1", "none", "pieces, and a hundredth of a second each")]
+
+    def sync(self):
+        raise AssertionError("not called in virtual time")
+
+    def cycle(self, dt):
+        self.z += 1.0 + dt
+"""
+
+
+def test_background_work_runs_in_what_the_others_leave(shop):
+    """The source on the same core takes 4 of every 10 ms, a piece 3 of the rest."""
+    shop.module("srv", BACKGROUND, *(Z, "TASKTYPE background", "MAXC 0.003"))
+    shop.job("source a", "srv a")
+    last, outcome, told = values(shop, 0.1, "Z")
+    done = outcome.rtpus["a"].tasks
+    assert told == []
+    assert outcome.missing == set()
+    used = done["source"].cpu_ns + done["srv"].cpu_ns
+    assert used == 100_000_000
+    assert done["srv"].cycles == done["srv"].cpu_ns // 3_000_000
+    assert int(last) == done["srv"].cycles
+
+
+def test_background_work_of_unknown_length_is_on_and_has_nothing_to_do(shop):
+    shop.module("srv", BACKGROUND, *(Z, "TASKTYPE background"))
     shop.job("source a", "srv b")
-    with pytest.raises(NodeError, match="a background task cannot be simulated"):
-        run(shop, code=True)
+    last, outcome, told = values(shop, 0.1, "Z")
+    assert last == 0.0
+    assert "srv" not in outcome.rtpus["b"].tasks
+    assert told == [
+        "background task srv has nothing to do here: MAXC of its cycles is not known; "
+        "declare it, and it works in what the others leave"
+    ]
 
 
 # -- the verb -------------------------------------------------------------------------

@@ -66,6 +66,17 @@ def test_a_polling_server_loses_what_nobody_wants() -> None:
     assert pieces(outcome) == [(10, 12, 6), (30, 33, 6), (40, 42, 6)]
 
 
+def test_work_without_end_takes_what_is_left_and_nothing_more() -> None:
+    endless = ServerTask(
+        name="s", kind=ServerKind.BACKGROUND, arrivals=(), more=lambda: 15
+    )
+    outcome = simulate([HOG], [endless], until_ns=200)
+    assert pieces(outcome) == [(60, 100, 1), (160, 200, 1)]
+    assert outcome.tasks["s"].cycles == 5
+    assert outcome.tasks["s"].releases == 6
+    assert outcome.missing == set()
+
+
 def test_background_service_waits_for_everybody() -> None:
     late = ServerTask(name="s", kind=ServerKind.BACKGROUND, arrivals=[(5, 4)])
     outcome = simulate([HOG], [late], until_ns=100)
