@@ -1,8 +1,10 @@
 """The fork server: one thread, numpy and pbonet imported, never zenoh.
 
-The RTPU process starts it by exec and asks it for children over a socket. A child comes
-up in milliseconds with everything imported, and belongs to this process: should it end,
-the kernel tells every child, and each turns itself off.
+The RTPU process begins as one thread that has imported all of this, and forks it off
+before anything else; a fork server that takes the place of a dead one is started by
+exec, for a process with threads cannot be forked. It is asked for children over a
+socket. A child comes up in milliseconds with everything imported, and belongs to this
+process: should it end, the kernel tells every child, and each turns itself off.
 """
 
 from __future__ import annotations
@@ -30,11 +32,58 @@ CRASHED = 70
 """Exit code of a child that ended on an exception nobody caught."""
 
 
+def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
+    """Fork a fork server off this process, which must have one thread.
+
+    Args:
+        core: The RTPU's core.
+        close: A file that the fork server must not keep open, or -1.
+
+    Returns:
+        Its process id and the socket to it.
+
+    Raises:
+        NodeError: The system gives no process.
+    """
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    parent = os.getpid()
+    try:
+        pid = os.fork()
+    except OSError as error:
+        near.close()
+        far.close()
+        raise NodeError(
+            "the system gives no process",
+            got=error.strerror or str(error),
+            remedy="look at 'ulimit -u' and at the free memory",
+        ) from None
+    if pid:
+        far.close()
+        return pid, near
+    code = CRASHED
+    try:
+        near.close()
+        if close >= 0:
+            os.close(close)
+        code = serve(far, parent, core)
+    except BaseException:  # noqa: BLE001 - what stands above belongs to the parent
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
 def main(argv: list[str]) -> int:
     """Serve on the socket whose number is the first argument, until it is closed."""
-    control = socket.socket(fileno=int(argv[0]))
-    parent = int(argv[1])
-    os.sched_setaffinity(0, runtime.housekeeping_cores(int(argv[2])))
+    return serve(socket.socket(fileno=int(argv[0])), int(argv[1]), int(argv[2]))
+
+
+def serve(control: socket.socket, parent: int, core: int) -> int:
+    """Be the fork server of process `parent` until the socket is closed.
+
+    Returns:
+        The exit status: 0, or 1 when the parent is gone already.
+    """
+    os.sched_setaffinity(0, runtime.housekeeping_cores(core))
     if not runtime.set_parent_death_signal(signal.SIGKILL, parent):
         return 1
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at once, as by SIGTERM

@@ -23,10 +23,11 @@ from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, rundir, sweep
 
-from . import control, leftovers, orphans, runtime, wire
+from . import control, forkserver, leftovers, orphans, runtime, wire
 from .events import EventLog
 from .inlets import Inlets
 from .operations import Operations
+from .spawner import Server
 from .state import Rtpu
 
 if TYPE_CHECKING:
@@ -176,8 +177,13 @@ class AgentLink:
             self._writer.write(wire.frame(message))
 
 
-async def run(config: wire.RtpuConfig) -> int:
-    """Be the RTPU process until there is a reason to end."""
+async def run(config: wire.RtpuConfig, forks: Server) -> int:
+    """Be the RTPU process until there is a reason to end.
+
+    Args:
+        config: What the agent told.
+        forks: The fork server that was forked off before.
+    """
     loop = asyncio.get_running_loop()
     end: asyncio.Future[str] = loop.create_future()
 
@@ -192,7 +198,7 @@ async def run(config: wire.RtpuConfig) -> int:
     lock = rundir.NameLock(places.ctl_lock, f"pid {os.getpid()}")
     try:
         leftovers.clean(places)
-        rtpu = Rtpu(config, EventLog(config.name), places)
+        rtpu = Rtpu(config, EventLog(config.name), places, forks)
         await _serve(rtpu, places, end)
     finally:
         lock.release()
@@ -235,11 +241,12 @@ def _tell_ready(fd: int, message: wire.Ready) -> None:
 def main(argv: list[str]) -> int:
     """Run the RTPU process that the first argument describes, as JSON."""
     config = msgspec.json.decode(argv[0], type=wire.RtpuConfig)
-    faulthandler.enable()
-    survive_cuts()
-    runtime.set_title("pbonet-rtpu")
     try:
-        return asyncio.run(run(config))
+        forks = Server(*forkserver.beside(config.core, close=config.ready_fd))
+        faulthandler.enable()
+        survive_cuts()
+        runtime.set_title("pbonet-rtpu")
+        return asyncio.run(run(config, forks))
     except PbonetError as error:
         _tell_ready(config.ready_fd, wire.Ready(error=error.to_wire()))
         print(error, file=sys.stderr)  # noqa: T201 - the log in the runtime folder

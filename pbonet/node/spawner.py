@@ -7,9 +7,8 @@ import contextlib
 import os
 import signal
 import socket
-import subprocess
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -82,19 +81,31 @@ def _read_all(fd: int) -> bytes:
     return os.pread(fd, os.fstat(fd).st_size, 0)
 
 
+class Server(NamedTuple):
+    """A fork server: a child of this process, and the socket to it."""
+
+    pid: int
+    control: socket.socket
+
+    def wait(self) -> int:
+        """Wait for its end, and return its exit code or minus its signal."""
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+
 class Spawner:
-    """Starts the fork server, and again when it ends; forks children through it.
+    """Holds the fork server, starts another when it ends; forks children through it.
 
     Args:
         core: The RTPU's core.
+        first: The fork server that this process forked when it began.
         died: Called with the exit code when the fork server ends unasked.
     """
 
-    def __init__(self, core: int, died: Callable[[int], None]) -> None:
+    def __init__(self, core: int, first: Server, died: Callable[[int], None]) -> None:
         self._core = core
         self._died = died
-        self._process: subprocess.Popen[bytes] | None = None
-        self._control: socket.socket | None = None
+        self._first: Server | None = first
+        self._server: Server | None = None
         self._waiting: dict[int, asyncio.Future[int]] = {}
         self._children: dict[int, Child] = {}
         self._early: dict[int, int] = {}
@@ -108,39 +119,34 @@ class Spawner:
     @property
     def pid(self) -> int:
         """The fork server's process id, 0 when there is none."""
-        return self._process.pid if self._process else 0
+        return self._server.pid if self._server else 0
 
     async def start(self) -> None:
-        """Start the fork server and wait until it can fork.
+        """Wait until the first fork server can fork, or start another one.
 
         Raises:
             NodeError: It did not come up.
         """
-        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        near.settimeout(0)
-        arguments = [str(far.fileno()), str(os.getpid()), str(self._core)]
-        self._process = subprocess.Popen(  # noqa: ASYNC220 - returns after the exec
-            [sys.executable, "-P", "-m", "pbonet.node.forkserver", *arguments],
-            env=runtime.environment(),
-            pass_fds=[far.fileno()],
-            stdin=subprocess.DEVNULL,
-        )
-        far.close()
-        self._control = near
+        server, self._first = self._first or _by_exec(self._core), None
+        server.control.settimeout(0)
         loop = asyncio.get_running_loop()
         try:
-            first = await asyncio.wait_for(loop.sock_recv(near, 65536), START_TIME)
+            answer = loop.sock_recv(server.control, 65536)
+            ready = await asyncio.wait_for(answer, START_TIME)
         except (TimeoutError, OSError):
-            first = b""
-        if not first:
-            self._process.kill()
-            code = self._process.wait()
+            ready = b""
+        if not ready:
+            os.kill(server.pid, signal.SIGKILL)
+            server.control.close()
             raise NodeError(
                 "the fork server did not start",
-                got=f"exit code {code}",
+                got=f"exit code {server.wait()}",
                 remedy="see the RTPU process's log in the runtime folder",
             )
-        self._reader = asyncio.create_task(self._read(near), name="fork server")
+        self._server = server
+        self._reader = asyncio.create_task(
+            self._read(server.control), name="fork server"
+        )
 
     async def fork(self, kind: str, title: str, spec: msgspec.Struct) -> Child:
         """Fork a child of `kind` that finds `spec` in its memory file.
@@ -149,7 +155,7 @@ class Spawner:
             NodeError: The system gives no process, or there is no fork server.
         """
         async with self._lock:
-            if self._control is None:
+            if self._server is None:
                 await self.start()
         with contextlib.ExitStack() as far_ends:
             near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -179,8 +185,8 @@ class Spawner:
         return child
 
     async def _ask(self, kind: str, title: str, fds: list[int]) -> int:
-        control = self._control
-        if control is None:
+        server = self._server
+        if server is None:
             raise NodeError(
                 "the fork server has ended",
                 remedy="spawn it again: another fork server is started then",
@@ -191,7 +197,7 @@ class Spawner:
         self._waiting[n] = answer
         request = wire.Fork(n, kind, title)
         try:
-            socket.send_fds(control, [wire.encode(request)], fds)
+            socket.send_fds(server.control, [wire.encode(request)], fds)
             return await asyncio.wait_for(answer, FORK_TIME)
         except (OSError, TimeoutError) as error:
             raise NodeError(
@@ -242,10 +248,9 @@ class Spawner:
 
     def _lost(self) -> None:
         """Handle the end of the fork server; its children end by themselves."""
-        process, control = self._process, self._control
-        self._process = self._control = None
-        if control is not None:
-            control.close()
+        server, self._server = self._server, None
+        if server is not None:
+            server.control.close()
         for answer in self._waiting.values():
             if not answer.done():
                 answer.set_exception(
@@ -258,20 +263,33 @@ class Spawner:
         self._children.clear()
         for child in orphans:
             _watch_orphan(child)
-        if process is not None:
-            self._died(process.wait())
+        if server is not None:
+            self._died(server.wait())
 
     async def close(self) -> None:
         """End the fork server; its children should have ended."""
         if self._reader is not None:
             self._reader.cancel()
             await asyncio.gather(self._reader, return_exceptions=True)
-        process, control = self._process, self._control
-        self._process = self._control = None
-        if control is not None:
-            control.close()
-        if process is not None:
-            process.wait()
+        for server in (self._first, self._server):
+            if server is not None:
+                server.control.close()
+                server.wait()
+        self._first = self._server = None
+
+
+def _by_exec(core: int) -> Server:
+    """Start a fork server in a fresh interpreter, for this process has threads now."""
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    arguments = [str(far.fileno()), str(os.getpid()), str(core)]
+    far.set_inheritable(True)
+    command = [sys.executable, "-P", "-m", "pbonet.node.forkserver", *arguments]
+    nothing = (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)
+    pid = os.posix_spawn(
+        sys.executable, command, runtime.environment(), file_actions=[nothing]
+    )
+    far.close()
+    return Server(pid, near)
 
 
 def _watch_orphan(child: Child) -> None:

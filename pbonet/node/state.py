@@ -26,7 +26,7 @@ from ._ring import Ring
 from .claims import Claims
 from .flags import Flags
 from .signalling import Signals
-from .spawner import Spawner
+from .spawner import Server, Spawner
 from .tables import Tables
 from .tasks import crash_place, describe_end
 from .tasktalk import INTERRUPT
@@ -55,10 +55,15 @@ class Rtpu:
         config: What its agent told it at its start.
         events: Where to tell what happens.
         places: Its files in the runtime folder.
+        forks: The fork server that its process began with.
     """
 
     def __init__(
-        self, config: wire.RtpuConfig, events: EventLog, places: rundir.Places
+        self,
+        config: wire.RtpuConfig,
+        events: EventLog,
+        places: rundir.Places,
+        forks: Server,
     ) -> None:
         self.config = config
         self.events = events
@@ -84,7 +89,7 @@ class Rtpu:
         self.turned_on = 0
         self.signals = Signals(events)
         self._timekeeper = Timekeeper(events)
-        self.spawner = Spawner(config.core, self._forks_died)
+        self.spawner = Spawner(config.core, forks, self._forks_died)
         self.core: _rt.CoreTable
         self.dispatcher: _rt.Dispatcher
         self.limits: list[str] = []
