@@ -253,7 +253,7 @@ def _profile_rtpus(rtpus: list[Data]) -> list[str]:
         f"{seconds(one['maxC'])}, mean {seconds(one['avgC'])}; load "
         f"{cell('minU', one['minU'])} to {cell('maxU', one['maxU'])}, mean "
         f"{cell('avgU', one['avgU'])}; tasks {one['util']:.1%}, dispatcher "
-        f"{one['dispatcher']:.1%} of the core"
+        f"{one['dispatcher']:.1%} of the core since its dispatcher began"
         for one in rtpus
     ]
 

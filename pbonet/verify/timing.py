@@ -284,7 +284,7 @@ def _overload(
     if (late or over) and (found := _too_large(load, tasks, configuration, late)):
         yield found
     elif critical and load.scheduler is not Scheduler.EDF:
-        yield _not_critical(load, configuration, critical)
+        yield _not_critical(load, configuration, critical, _raised(load, tasks, late))
     elif over and not _known_victims(load, late):
         yield _too_much(load, limit)
     elif late:
@@ -295,9 +295,23 @@ def _overload(
             where=load.rtpu,
             expected=_promise(load),
             got=_used(load),
-            remedy="lower a frequency, or move a task to another RTPU",
+            remedy=f"{_raised(load, tasks, late)}lower a frequency, or move a task to "
+            "another RTPU",
             tasks=tuple(late),
         )
+
+
+def _raised(load: Load, tasks: dict[str, Task], late: list[str]) -> str:
+    """Return the remedy where a CRIT takes from the critical set what it needs."""
+    names = [
+        name
+        for name in load.outside
+        if (tasks[name].rmod.crit or 0) >= criticality.INSIDE
+    ]
+    harmed = load.scheduler is Scheduler.MUF and {*late} & {*load.critical_set}
+    if not harmed or not names:
+        return ""
+    return f"take CRIT out of the RMOD of {' and '.join(names)}, "
 
 
 def _known_victims(load: Load, late: list[str]) -> bool:
@@ -358,7 +372,7 @@ def _largest(
 
 
 def _not_critical(
-    load: Load, configuration: Configuration, critical: list[str]
+    load: Load, configuration: Configuration, critical: list[str], hint: str
 ) -> Problem:
     """Return the refusal of CRITICAL tasks that the critical set does not hold."""
     names = " and ".join(critical)
@@ -385,7 +399,7 @@ def _not_critical(
         if load.scheduler is Scheduler.MUF
         else "CRITICAL tasks whose longest response is within their deadline",
         got=_used(load),
-        remedy=f"{remedy}, lower another task's frequency, or move one to another RTPU",
+        remedy=f"{hint}{remedy}, lower another task's frequency, or move one to another RTPU",
         tasks=tuple(critical),
     )
 

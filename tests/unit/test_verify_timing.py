@@ -357,3 +357,20 @@ def test_a_rate_that_no_rtpu_grants_is_refused() -> None:
         "a.rmod: task a is faster than an RTPU can be (expected at most 10000 Hz, got "
         "10001 Hz); lower the frequency"
     )
+
+
+def test_a_crit_that_takes_from_the_critical_set_is_named() -> None:
+    """tau1 to tau3 of Figure 6.1 take 98.3 %; tau3 would be outside by the rule."""
+    config = structs.replace(figure_6_1("MUF"), limit=0.95)
+    raised = structs.replace(
+        config,
+        tasks=tuple(
+            structs.replace(t, rmod=structs.replace(t.rmod, crit=5))
+            if t.name == "t3"
+            else t
+            for t in config.tasks
+        ),
+    )
+    hint = "; take CRIT out of the RMOD of t3, lower a frequency, or move a task"
+    assert [hint in text for text in texts(raised)] == [True]
+    assert [hint in text for text in texts(config)] == [False]
