@@ -399,7 +399,8 @@ def _not_critical(
         if load.scheduler is Scheduler.MUF
         else "CRITICAL tasks whose longest response is within their deadline",
         got=_used(load),
-        remedy=f"{hint}{remedy}, lower another task's frequency, or move one to another RTPU",
+        remedy=f"{hint}{remedy}, lower another task's frequency, or move one to "
+        "another RTPU",
         tasks=tuple(critical),
     )
 
