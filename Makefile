@@ -23,7 +23,7 @@ $(VENV)/.packages: pyproject.toml
 	$(PIP) "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
 	$(PIP) --no-build-isolation \
 	  --group test --group dev --group typing --group docs --group deploy \
-	  --editable ".[robot,devices,plot,parquet,view,keys]"
+	  --editable ".[robot,devices,plot,parquet,view,keys,files]"
 	@touch $@
 
 # The packages' step has just built the native parts; only what is newer is built again.

@@ -58,6 +58,10 @@ def command(
         Path | None,
         typer.Option(help="Folder of the logs; PBONET_RUNS or runs by default."),
     ] = None,
+    files: A[
+        Path | None,
+        typer.Option(help="Folder that others may use: pbonet://NAME/..."),
+    ] = None,
     insecure: A[
         bool, typer.Option("--insecure", help="Listen beyond this machine.")
     ] = False,
@@ -93,6 +97,7 @@ def command(
         "grace": grace,
         "keys": str(keys.absolute()) if keys else None,
         "runs": str(runs) if runs else None,
+        "files": str(files) if files else None,
         "insecure": insecure or None,
         "multicast": multicast or None,
     }

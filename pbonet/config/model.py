@@ -263,6 +263,8 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """True lets the agent listen beyond this machine without protection."""
     multicast: bool = False
     """True lets the agents of the domain on one network find each other."""
+    files: str | None = None
+    """Folder whose files others may use (``pbonet://NAME/...``); none if left out."""
     runs: str | None = None
     """Folder of the logs; ``runs`` in the working directory by default."""
     log_mb: float = 1000.0

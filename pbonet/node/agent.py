@@ -160,7 +160,7 @@ class Agent:
         info = self._link.open()
         self._about = self._describe()
         self._recorders.update(info.recordings)
-        self._mail = Mail(self._session, self.places)
+        self._mail = Mail(self._session, self.places, self.config.files)
         self._server = Server(
             self._session, self.config.domain, self.name, self, self._mail
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .filer import Filer
 from .office import Office
 from .relay import Relay
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     import zenoh
 
     from pbonet.xm import rundir
-    from pbonet.xm.resources import AnyXmRequest
+    from pbonet.xm.resources import XmRequest
 
 
 class Mail:
@@ -22,14 +23,20 @@ class Mail:
     Args:
         session: The agent's.
         places: The agent's files.
+        files: The folder of files for others, if it declares one.
+
+    Raises:
+        NodeError: That folder is not there.
     """
 
-    def __init__(self, session: zenoh.Session, places: rundir.Places) -> None:
+    def __init__(
+        self, session: zenoh.Session, places: rundir.Places, files: str | None
+    ) -> None:
         domain, name = places.domain, places.name
-        self._office = Office(session, domain, name)
+        self._office = Office(session, domain, name, Filer(files, name))
         self._relay = Relay(session, domain, name, places.post)
 
-    def take(self, request: AnyXmRequest, reply: Callable[[bytes], None]) -> None:
+    def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Carry a request out and have its answer sent; comes back at once."""
         self._office.take(request, reply)
 

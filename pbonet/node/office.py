@@ -29,14 +29,17 @@ from pbonet.errors import (
     XmFullError,
     XmLapsedError,
 )
-from pbonet.xm import codec, keys, mailboxes, names
+from pbonet.xm import codec, keys, mailboxes, names, roles
 from pbonet.xm import messages as m
 from pbonet.xm import resources as r
+from pbonet.xm.filing import FileWrite
 
 from .repeats import Repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from .filer import Filer
 
 log = logging.getLogger("pbonet.node")
 
@@ -80,10 +83,13 @@ class Office:
         session: The agent's.
         domain: Its domain.
         rtpu: Its name.
+        filer: Who reads and writes files.
     """
 
-    def __init__(self, session: zenoh.Session, domain: str, rtpu: str) -> None:
-        self._domain, self._rtpu = domain, rtpu
+    def __init__(
+        self, session: zenoh.Session, domain: str, rtpu: str, filer: Filer
+    ) -> None:
+        self._domain, self._rtpu, self._filer = domain, rtpu, filer
         self._codec = codec.Codec()
         self._repeats = Repeats()
         self._change = threading.Condition()
@@ -105,6 +111,7 @@ class Office:
             r.Look: self._look,
             r.Settle: self._settle,
             r.Interrupt: self._interrupt,
+            **filer.operations,
         }
         self._pool = ThreadPoolExecutor(WAITS + OTHERS, "pbonet office")
         self._subscriber = session.liveliness().declare_subscriber(
@@ -119,7 +126,7 @@ class Office:
             if self._over:
                 return
             self._over = True
-            clients = {held.client for held in self._held.values()}
+            clients = {held.client for held in self._held.values()} | self._clients
         self._subscriber.undeclare()  # type: ignore[no-untyped-call]
         for client in clients:
             self._lost(client)
@@ -151,6 +158,7 @@ class Office:
                 held.gone = True
         for _, held in theirs:
             self._clean(held)
+        self._filer.lost(client)
 
     def _clean(self, held: Held) -> None:
         """Let go of what a client that is gone had, once nobody works on it."""
@@ -171,18 +179,20 @@ class Office:
 
     # -- requests ----------------------------------------------------------------------
 
-    def take(self, request: r.AnyXmRequest, reply: Callable[[bytes], None]) -> None:
+    def take(self, request: r.XmRequest, reply: Callable[[bytes], None]) -> None:
         """Carry out a request and have its answer sent; comes back at once."""
         who = request.client, request.id
-        if not self._repeats.begin(who, reply):
+        once = not roles.only_looks(request)
+        if once and not self._repeats.begin(who, reply):
             return
+        answer = partial(self._repeats.end, who) if once else reply
         wait = getattr(request, "wait", 0.0) > 0.0
         try:
             self._admit(wait=wait)
         except PbonetError as error:
-            self._repeats.end(who, self._codec.pack(codec.failure(error, request.id)))
+            answer(self._codec.pack(codec.failure(error, request.id)))
             return
-        self._pool.submit(self._serve, request, wait=wait)
+        self._pool.submit(self._serve, request, answer, wait=wait)
 
     def _admit(self, *, wait: bool) -> None:
         with self._change:
@@ -198,8 +208,12 @@ class Office:
             self._queued += 1
             self._waits += wait
 
-    def _serve(self, request: r.AnyXmRequest, *, wait: bool) -> None:
+    def _serve(
+        self, request: r.XmRequest, reply: Callable[[bytes], None], *, wait: bool
+    ) -> None:
         try:
+            if isinstance(request, FileWrite) and request.offset == 0:
+                self._must_live(request.client)
             result = self._do[type(request)](request)
             answer = m.Answer(id=request.id, ok=True, result=result)
         except PbonetError as error:
@@ -212,7 +226,7 @@ class Office:
         with self._change:
             self._queued -= 1
             self._waits -= wait
-        self._repeats.end((request.client, request.id), self._codec.pack(answer))
+        reply(self._codec.pack(answer))
 
     # -- operations --------------------------------------------------------------------
 

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.xm.messages import AgentInfo, LinkReport
-    from pbonet.xm.resources import AnyXmRequest
 
 log = logging.getLogger("pbonet.node")
 
@@ -77,7 +76,7 @@ class Node(Protocol):
 class Mail(Protocol):
     """Who carries out what is asked of semaphores and queues."""
 
-    def take(self, request: AnyXmRequest, reply: Callable[[bytes], None]) -> None:
+    def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Carry a request out and have its answer sent; comes back at once."""
 
 

@@ -25,6 +25,9 @@ from . import codec, keys, names, rundir
 from .letters import Letter, read_names, read_result
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
     from .messages import Request
     from .rpc import Client, Declared
 
@@ -160,23 +163,35 @@ def _make() -> Carrier:
     home = names.home()
     if home.subsystem:
         return Post(str(rundir.Places(home.domain, home.rtpu).post), home.rtpu)
+    return client(home.domain)
+
+
+def client(
+    domain: str, *, connect: Sequence[str] = (), key_folder: Path | None = None
+) -> Carrier:
+    """Open a client of the agents, as tools do.
+
+    Args:
+        domain: Of the agents.
+        connect: Endpoints of some; those that the environment names if left out.
+        key_folder: Of whoever asks; the one that the environment names if left out.
+
+    Raises:
+        UnreachableError: No agent can be reached.
+        XmError: The process was forked from one that used the network.
+    """
+    from . import session
+    from .rpc import Client
+
     if _forked:
         raise XmError(
             "a forked process cannot use the network",
             got="a parent that had used it",
             remedy="start the process anew: multiprocessing's 'spawn', or subprocess",
         )
-    return _client(home.domain)
-
-
-def _client(domain: str) -> Carrier:
-    """Open a client of the agents, as tools do."""
-    from . import session
-    from .rpc import Client
-
-    endpoints = os.environ.get(CONNECT, "").split()
+    endpoints = list(connect) or os.environ.get(CONNECT, "").split()
     try:
-        opened = session.client(domain, connect=endpoints)
+        opened = session.client(domain, connect=endpoints, key_folder=key_folder)
     except UnreachableError as error:
         if not endpoints:
             error.remedy += f"; a program says so in {CONNECT}"

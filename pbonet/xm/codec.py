@@ -8,8 +8,11 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import PbonetError, ProtocolError
+from pbonet.xm.filing import AnyFileRequest
 from pbonet.xm.messages import VERSION, Answer, AnyRequest, Event, Request
 from pbonet.xm.resources import AnyXmRequest
+
+AnyMessage = AnyRequest | AnyXmRequest | AnyFileRequest
 
 
 class _Version(Struct):
@@ -27,8 +30,8 @@ class Codec:
     def __init__(self) -> None:
         self._encoder = msgspec.msgpack.Encoder()
         self._version = msgspec.msgpack.Decoder(_Version)
-        self._request: msgspec.msgpack.Decoder[AnyRequest | AnyXmRequest] = (
-            msgspec.msgpack.Decoder(AnyRequest | AnyXmRequest)
+        self._request: msgspec.msgpack.Decoder[AnyMessage] = msgspec.msgpack.Decoder(
+            AnyMessage
         )
         self._answer = msgspec.msgpack.Decoder(Answer)
 
@@ -36,7 +39,7 @@ class Codec:
         """Return the message as msgpack bytes."""
         return self._encoder.encode(message)
 
-    def request(self, data: bytes) -> AnyRequest | AnyXmRequest:
+    def request(self, data: bytes) -> AnyMessage:
         """Return the request in `data`.
 
         Raises:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from pbonet.errors import AccessError
 
+from . import filing
 from . import messages as m
 
 LEAVES = ("sbs", "status")
 _LOOKING = (
     *(m.Hello, m.Links, m.Get, m.Status, m.Profile, m.Display, m.Modules, m.Events),
+    *(filing.FileStat, filing.FileList, filing.FileRead),
 )
 
 
@@ -45,7 +47,7 @@ def check(request: m.Request, key: str) -> None:
             "this key takes requests that change nothing",
             where=key,
             expected="hello, links, status, profile, display, modules, events, get, "
-            "and freq, sigmask and job that only ask",
+            "files that are read, and freq, sigmask and job that only ask",
             got=type(request).__name__.lower(),
             remedy="commands go to the key that ends in sbs, with a master's keys",
         )

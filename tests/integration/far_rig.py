@@ -10,6 +10,18 @@ import sys
 from tbuf_rig import Machine, Pair
 from watching import wait_for
 
+from pbonet.xm import session
+
+
+class Site:
+    """A machine's own way into the domain, for a master there."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.domain = machine.domain
+        where = [f"tcp/127.0.0.1:{machine.port}"]
+        self.session = session.client(machine.domain, connect=where, timeout=20.0)
+
+
 PROGRAM = """
 import json, sys, time
 from pbonet import xm

@@ -110,6 +110,8 @@ class Machine:
             "PBONET_SHM_DIR": str(self.shm),
             "PBONET_RUN_DIR": str(self.run),
         }
+        self.files: Path | None = None
+        """The folder of files for others that its agent declares."""
         self.connect = tuple(f"tcp/127.0.0.1:{port}" for port in connect)
         self.programs: list[Program] = []
         self.agent: subprocess.Popen | None = None
@@ -135,6 +137,7 @@ class Machine:
             listen=listen,
             connect=self.connect,
             libraries=(str(MISBEHAVING), *map(str, libraries)),
+            files=str(self.files) if self.files else None,
         )
         text = msgspec.json.encode(config).decode()
         command = [*self.prefix, sys.executable, "-c", AGENT, text]

@@ -4,10 +4,8 @@ import os
 import signal
 
 import pytest
-from far_rig import Cell, RefusedError, traffic
+from far_rig import Cell, RefusedError, Site, traffic
 from nodekit import Master, rmod
-
-from pbonet.xm import session
 
 pytestmark = pytest.mark.timeout(120)
 TASK = """
@@ -285,15 +283,6 @@ def test_a_desk_without_real_time_takes_part(cell):
     for hand, machine in ((desk, cell.b), (here, cell.a)):
         hand.kill()
         machine.programs.remove(hand)
-
-
-class Site:
-    """The arm's own way into the domain, for a master there."""
-
-    def __init__(self, machine):
-        self.domain = machine.domain
-        where = [f"tcp/127.0.0.1:{machine.port}"]
-        self.session = session.client(machine.domain, connect=where)
 
 
 @pytest.fixture
