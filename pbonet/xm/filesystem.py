@@ -86,7 +86,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
 
     def info(self, path: str, **_: object) -> dict[str, Any]:
         """Return what stands at a path: `name`, `type`, `size`, `mtime`."""
-        path = self._strip_protocol(path)
+        path = str(self._strip_protocol(path))
         if not path:
             return {"name": "", "type": "directory", "size": 0}
         found = self.ask(path, f.FileStat(path=_split(path)[1]), f.FileSeen)
@@ -94,7 +94,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
 
     def ls(self, path: str, detail: bool = True, **_: object) -> list[Any]:  # noqa: FBT001, FBT002 - fsspec's
         """Return what a folder holds; of the root the RTPUs that are there."""
-        path = self._strip_protocol(path)
+        path = str(self._strip_protocol(path))
         if not path:
             found = [
                 {"name": name, "type": "directory", "size": 0}
@@ -123,14 +123,14 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
 
     def mkdir(self, path: str, create_parents: bool = True, **_: object) -> None:  # noqa: FBT001, FBT002 - fsspec's
         """Make a folder."""
-        path = self._strip_protocol(path)
+        path = str(self._strip_protocol(path))
         if create_parents and _split(path)[1].count("/"):
             self.makedirs(str(self._parent(path)), exist_ok=True)
         self._change(path, "mkdir")
 
     def makedirs(self, path: str, exist_ok: bool = False) -> None:  # noqa: FBT001, FBT002 - fsspec's
         """Make a folder and those above it."""
-        path = self._strip_protocol(path)
+        path = str(self._strip_protocol(path))
         parts = [part for part in _split(path)[1].split("/") if part]
         for count in range(1, len(parts) + 1):
             try:
@@ -142,13 +142,13 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
     def rm_file(self, path: str) -> None:
         """Remove a file, or an empty folder."""
         what = "rmdir" if self.isdir(path) else "remove"
-        self._change(self._strip_protocol(path), what)
+        self._change(str(self._strip_protocol(path)), what)
 
     _rm = rm_file
 
     def rmdir(self, path: str) -> None:
         """Remove an empty folder."""
-        self._change(self._strip_protocol(path), "rmdir")
+        self._change(str(self._strip_protocol(path)), "rmdir")
 
     def _change(self, path: str, what: str) -> None:
         request = f.FileChange(path=_split(path)[1], what=what)
