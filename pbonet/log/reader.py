@@ -183,7 +183,7 @@ class Log(Cycles):
                     self._arrays[task][name] = values
         return self._arrays[task]
 
-    @property
+    @cached_property
     def attached(self) -> dict[str, Attached]:
         """The files that the run carries, by name."""
         found: dict[str, Attached] = {}

@@ -113,6 +113,8 @@ class RunAbout(Struct, kw_only=True):
     """2, 3, ... after a recorder was lost or a file was full."""
     goes_on: bool = False
     """Nothing is missing between the file before it and this one."""
+    seconds: float = 0.0
+    """Virtual time that passed, in a simulation; 0: the run was in real time."""
     format: int = FORMAT
 
 

@@ -110,7 +110,7 @@ class Logbook:
         self.named(job)
         if self.mode == "off" and not set(self._tasks.values()) - {"off"}:
             return
-        texts = self._texts(files)
+        texts = self.texts(files)
         alone = len(fleet.names) == 1
 
         def request(rtpu: str) -> m.Record:
@@ -174,7 +174,7 @@ class Logbook:
         found = [one for one in self.paths.values() if one.machine == machine]
         return [Path(one.path) for one in found if one.path]
 
-    def _texts(self, files: Files) -> dict[str, str]:
+    def texts(self, files: Files) -> dict[str, str]:
         """Return the configuration files, by name."""
         found = {Path(files.table.file).name: files.table_text}
         paths = [str(files.path)]

@@ -19,11 +19,12 @@ from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.svar.layout import group_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
+    from pbonet.log import Attached
 
 
 class TaskRecord:
@@ -102,7 +103,7 @@ class TaskRecord:
             parts += [RECORD.pack(size, 0, self.size, 0), head.tobytes(), bytes(data)]
         return b"".join(parts)
 
-    def about(self, subsystem: str) -> TaskAbout:
+    def about(self, subsystem: str, libraries: Sequence[str]) -> TaskAbout:
         """Return whose cycles these are, for a log."""
         return TaskAbout(
             domain="",
@@ -114,6 +115,7 @@ class TaskRecord:
             freq=0.0,
             rmod="",
             rmod_name=f"{self.task}.rmod",
+            libraries=tuple(libraries),
             outvar=self._variables,
         )
 
@@ -152,8 +154,18 @@ class Recording(Cycles):
             record = self._tasks[name] = TaskRecord(name, variables, outputs)
         return record
 
-    def save(self, path: str | Path) -> None:
+    def save(
+        self,
+        path: str | Path,
+        attached: Iterable[Attached] = (),
+        libraries: Sequence[str] = (),
+    ) -> None:
         """Write a log that says the same, at times since 1970.
+
+        Args:
+            path: The log.
+            attached: What the run was made of.
+            libraries: Folders of its modules.
 
         Raises:
             LogError: It exists, or cannot be written.
@@ -173,12 +185,13 @@ class Recording(Cycles):
             kernel=platform.release(),
             begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             epoch_ns=time.time_ns() - self.begin_ns,
+            seconds=float(self.about.get("seconds", 0.0)),
         )
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            writer = LogWriter(path, about)
+            writer = LogWriter(path, about, attached)
             for record in self._tasks.values():
-                number = writer.add_task(record.about(subsystem))
+                number = writer.add_task(record.about(subsystem, libraries))
                 writer.add(number, record.records())
             writer.close()
         except OSError as error:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.config.library import Library
 from pbonet.errors import LogError
+from pbonet.log import Attached
 from pbonet.master.files import Files
 from pbonet.master.logbook import Logbook
 from pbonet.master.recording import Recording
@@ -40,15 +41,20 @@ def save(
     """
     book = Logbook(record)
     files = Files(path, Library(place.libraries))
-    book.of(files.read_job(), files)
+    job = files.read_job()
+    book.of(job, files)
     recording = outcome.recording
     if book.mode == "off" or not isinstance(recording, Recording):
         return
     recording.about |= {"job": outcome.job, "subsystem": files.sbs.subsystem}
     folder = Path(runs or os.environ.get("PBONET_RUNS", "runs")).absolute()
     log = folder / book.named(outcome.job) / "run.mcap"
+    texts = book.texts(files)
+    texts |= {f"{one.rmod}.rmod": files.rmod(one.rmod).text for one in job.tasks}
+    attached = [Attached(name, text.encode()) for name, text in texts.items()]
+    libraries = [str(Path(folder).absolute()) for folder in place.libraries]
     try:
-        recording.save(log)
+        recording.save(log, attached, libraries)
     except LogError as error:
         outcome.faults.append(str(error))
         return

@@ -20,8 +20,8 @@ from ._bench import Bench
 from ._clock import FakeClock
 from ._replay import DivergedError, replay, verify
 from ._table import BenchTable, PortValues
-from ._verdict import Changed, Divergence, Verdict
-from ._whole import Replayed, rerun
+from ._verdict import Changed, Divergence, Replayed, Verdict
+from ._whole import rerun
 
 __all__ = [
     "Bench",

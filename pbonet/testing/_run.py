@@ -326,7 +326,7 @@ class Run:
             at += size([variable])
             if variable.name in self.about.hidden:
                 continue
-            other = np.flatnonzero(~_alike(then, now, self._rtol))
+            other = np.flatnonzero(~alike(then, now, self._rtol))
             if len(other):
                 element = int(other[0])
                 return Divergence(
@@ -346,7 +346,7 @@ class Run:
         raise Stop
 
 
-def _alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
+def alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
     """Tell for each element whether it is the same, NaN and signs of 0 included."""
     bits = np.dtype(f"V{then.dtype.itemsize}")
     same = np.array(

@@ -98,6 +98,32 @@ class Verdict(Struct, kw_only=True):
         return "\n".join(lines)
 
 
+class Replayed(Struct, kw_only=True):
+    """What came of a whole configuration."""
+
+    tasks: list[Verdict]
+    """Of each; ``cycles`` are all that gave the same, behind a divergence too."""
+    first: str = ""
+    """The task that was the first to give something else."""
+    seconds: float = 0.0
+    """From the first to the last record."""
+    took: float = 0.0
+
+    @property
+    def good(self) -> bool:
+        """Whether every recorded cycle of every task gave the same."""
+        return all(one.good for one in self.tasks)
+
+    def __str__(self) -> str:
+        """Return it in a few lines."""
+        speed = f", {self.seconds / self.took:.0f} x real time" if self.took else ""
+        what = "identical" if self.good else "not all identical"
+        lines = [f"{len(self.tasks)} tasks together: {what}{speed}"]
+        if self.first:
+            lines.append(f"the first to differ is {self.first}")
+        return "\n".join([*lines, *map(str, self.tasks)])
+
+
 def changed(log: Log, about: TaskAbout) -> list[Changed]:
     """Return the files of a task's code that are other ones now."""
     found: list[Changed] = []

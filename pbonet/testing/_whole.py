@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
-from msgspec import Struct
 
 from pbonet.io import no_devices
 from pbonet.log import Log, LogWriter, RunAbout
@@ -23,7 +22,7 @@ from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
 
 from ._inputs import Commits
 from ._run import Run, Stop, cycles_of, not_again
-from ._verdict import Divergence, Verdict, changed
+from ._verdict import Replayed, Verdict, changed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,32 +34,6 @@ if TYPE_CHECKING:
     from ._inputs import Key
 
 _HEAD_END = len(CDR) + HEAD_DTYPE.itemsize
-
-
-class Replayed(Struct, kw_only=True):
-    """What came of a whole configuration."""
-
-    tasks: list[Verdict]
-    """Of each; ``cycles`` are all that gave the same, behind a divergence too."""
-    first: str = ""
-    """The task that was the first to give something else."""
-    seconds: float = 0.0
-    """From the first to the last record."""
-    took: float = 0.0
-
-    @property
-    def good(self) -> bool:
-        """Whether every recorded cycle of every task gave the same."""
-        return all(one.good for one in self.tasks)
-
-    def __str__(self) -> str:
-        """Return it in a few lines."""
-        speed = f", {self.seconds / self.took:.0f} x real time" if self.took else ""
-        what = "identical" if self.good else "not all identical"
-        lines = [f"{len(self.tasks)} tasks together: {what}{speed}"]
-        if self.first:
-            lines.append(f"the first to differ is {self.first}")
-        return "\n".join([*lines, *map(str, self.tasks)])
 
 
 class _Made(Commits):
@@ -208,6 +181,8 @@ def rerun(
 ) -> Replayed:
     """Run the code of several tasks again together, in the time of their record.
 
+    A simulation is simulated again, from the files that its log carries.
+
     Args:
         path: The log, the folder of a run, or a `Log`.
         tasks: Which; none for all. Of the others the record stands.
@@ -221,6 +196,10 @@ def rerun(
         PbonetError: A module does not load, or does not fit its RMOD.
     """
     log = path if isinstance(path, Log) else Log(path)
+    if log.about.get("seconds"):
+        from ._simulated import simulated
+
+        return simulated(log, tasks, libraries=libraries, rtol=rtol)
     log.load()
     names = list(tasks or log.tasks)
     verdicts = {
@@ -299,6 +278,3 @@ def _records(life: Life, made: dict[Key, bytes]) -> list[bytes]:
         parts += [RECORD.pack(RECORD.size + len(text) + len(data), 0, len(data), 0)]
         parts += [text, data]
     return parts
-
-
-__all__ = ["Divergence", "Replayed", "rerun"]

@@ -276,6 +276,9 @@ def test_a_run_is_looked_at(call, tmp_path):
     assert status == 0
     assert "not verifiable: it is of a simulation" in out
     assert call("replay", one, "--play", "jttrace", "--verify")[0] == 1
+    status, out, _ = call("replay", one)
+    assert status == 0, out
+    assert out.startswith("4 tasks together: identical")
 
 
 def test_what_is_recorded_is_said(call, tmp_path):

@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import pytest
 from adding import ADDS
 from logshop import Shop
@@ -19,6 +20,7 @@ from pbonet.errors import LogError, UnknownTaskError
 from pbonet.log import Did, Log
 from pbonet.node import wire
 from pbonet.node._ring import Ring
+from pbonet.node.recorder import Recorder
 from pbonet.testing import DivergedError, replay, verify
 
 
@@ -154,8 +156,6 @@ def test_the_fixture_looks_beside_the_test(shop, tmp_path) -> None:
 
 
 def test_the_recorder_writes_what_is_in_the_rings(shop, tmp_path) -> None:
-    from pbonet.node.recorder import Recorder
-
     said = []
     wanted = wire.Recording(
         domain="d",
@@ -169,8 +169,6 @@ def test_the_recorder_writes_what_is_in_the_rings(shop, tmp_path) -> None:
         mode="outputs",
         files={"a.job": "JOB a"},
     )
-    import msgspec
-
     ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
     other = Ring.create("d.arm.d", 1 << 12, b"not ours")
     for n in range(3):
@@ -199,8 +197,6 @@ def test_the_recorder_writes_what_is_in_the_rings(shop, tmp_path) -> None:
 
 
 def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> None:
-    from pbonet.node import recorder as node
-
     blocked = tmp_path / "runs"
     blocked.write_text("a file where a folder should be")
     said = []
@@ -215,10 +211,8 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> Non
         job="j",
         mode="outputs",
     )
-    import msgspec
-
     ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
-    one = node.Recorder(wanted, said.append)
+    one = Recorder(wanted, said.append)
     ring.put(bytes(16), cycle=1)
     one.turn()
     assert [note.code for note in said if isinstance(note, wire.Note)] == ["LOG_FULL"]
@@ -233,3 +227,41 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> Non
     ring.destroy()
     assert "LOG_AGAIN" in [note.code for note in said if isinstance(note, wire.Note)]
     assert Log(blocked / "r").arrays("a")["cycle"].tolist() == [2]
+
+
+def test_a_step_of_the_clock_does_not_reach_into_a_log(
+    shop, tmp_path, monkeypatch
+) -> None:
+    """The time of day is set back by an hour, and a file begins behind that."""
+    wanted = wire.Recording(
+        domain="d",
+        rtpu="arm0",
+        subsystem="arm",
+        core=0,
+        folder=str(tmp_path / "runs" / "r"),
+        file="run",
+        run="r",
+        job="j",
+        mode="outputs",
+        limits=wire.LogLimits(log_mb=0.001),
+    )
+    ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
+    recorder = Recorder(wanted, lambda _: None)
+    begun, day = time.monotonic_ns(), time.time_ns()
+    recorder.turn()
+    real = time.time_ns
+    for n in range(1, 4):
+        ring.put(bytes(16), cycle=n, now_ns=begun + n)
+        recorder.turn()
+        monkeypatch.setattr(time, "time_ns", lambda: real() - 3600 * 10**9)
+        monkeypatch.setattr(time, "time", lambda: real() * 1e-9 - 3600)
+    recorder.end()
+    ring.destroy()
+    log = Log(tmp_path / "runs" / "r")
+    assert len(log.parts) > 1
+    assert len({part.about.epoch_ns for part in log.parts}) == 1
+    (life,) = log.lives("a")
+    assert life.schema.arrays(life.commits)["cycle"].tolist() == [1, 2, 3]
+    times = life.commits.times - life.commits.times[0]
+    assert times.tolist() == [0, 1, 2]
+    assert abs(log.begin_time_ns - day) < 60 * 10**9, "the time at which it began"

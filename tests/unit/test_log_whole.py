@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 from adding import ADDS
-from logshop import Shop
+from logshop import RMOD, Shop
 
-from pbonet.errors import ModuleLoadError
+from pbonet.errors import LogError, ModuleLoadError
 from pbonet.log import Log
+from pbonet.master.oneshot import Place
+from pbonet.master.run import run
 from pbonet.testing import rerun, verify
 
 OTHER = ADDS.replace("dt / 3.0", "dt / (3.5 if self.task.name == 'a' else 3.0)")
@@ -102,3 +106,54 @@ def test_a_log_without_its_attachments_is_run_all_the_same(record) -> None:
     code.unlink()
     with pytest.raises(ModuleLoadError):
         rerun(path)
+
+
+SVAR = (
+    "NAME N\nTYPE int\nDESC size\nUNITS none\nNELEM 1\nINIT 2\n\n"
+    "NAME X\nTYPE double\nDESC input\nUNITS none\nNELEM 2\nINIT 1 2\n\n"
+    "NAME Y\nTYPE double\nDESC sum\nUNITS none\nNELEM 2\n\nEOF\n"
+)
+
+
+@pytest.fixture
+def simulation(tmp_path):
+    """The log of 0.2 s of a simulated job, whose files are gone; and its library."""
+    library, folder = tmp_path / "library", tmp_path / "cell" / "jobs"
+    library.mkdir()
+    folder.mkdir(parents=True)
+    (library / "adds.py").write_text(ADDS)
+    (folder / "x.job").write_text("JOB x\nDESC\nSBS ../x.sbs\nTASK a\nTASK b\nEOF\n")
+    (folder / "a.rmod").write_text(RMOD.format(z="X", y="Y"))
+    (folder / "b.rmod").write_text(RMOD.format(z="Y", y="X"))
+    text = "SUBSYSTEM x\nSVARFILE x.svar\nRTPU r\nEOF\n"
+    (tmp_path / "cell" / "x.sbs").write_text(text)
+    (tmp_path / "cell" / "x.svar").write_text(SVAR)
+    place = Place(libraries=(str(library),))
+    outcome = run(
+        folder / "x.job", place, seconds=0.2, sim=True, runs=tmp_path, quiet=True
+    )
+    shutil.rmtree(tmp_path / "cell")
+    return Path(outcome.log), library
+
+
+def test_a_simulation_is_simulated_again_from_its_log(simulation) -> None:
+    log, library = simulation
+    found = rerun(log)
+    assert found.good, str(found)
+    assert [(one.cycles, one.recorded) for one in found.tasks] == 2 * [(20, 20)]
+    assert found.seconds == 0.2
+    (library / "adds.py").write_text(ADDS.replace("dt / 3.0", "dt / 3.5"))
+    found = rerun(log)
+    assert (found.first, found.tasks[0].cycles) == ("a", 0)
+    assert "first divergence: cycle 1: Y[0] is " in str(found)
+    assert rerun(log, rtol=1.0).good
+
+
+def test_a_simulation_without_its_files_says_which_is_missing(simulation) -> None:
+    log, _ = simulation
+    of = Log(log)
+    kept = {name: one for name, one in of.attached.items() if name != "x.svar"}
+    of.attached = kept
+    with pytest.raises(LogError, match="does not carry") as caught:
+        rerun(of)
+    assert caught.value.expected == "x.svar among its attachments"

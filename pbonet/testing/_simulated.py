@@ -1,0 +1,167 @@
+"""A simulation, simulated again from the files in its log, and compared with it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pbonet.config import parse_job, parse_sbs
+from pbonet.errors import LogError
+from pbonet.log.cycles import COLUMNS
+from pbonet.master import live
+from pbonet.master.oneshot import Place
+from pbonet.master.run import simulate
+
+from ._run import alike
+from ._verdict import Divergence, Replayed, Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.log import Cycles, Log
+
+_DEEP = "a/b/c/d"
+"""A folder below which ``../`` in a job leads to folders of our own."""
+
+
+def simulated(
+    log: Log,
+    tasks: Sequence[str],
+    *,
+    libraries: Sequence[str | Path],
+    rtol: float,
+) -> Replayed:
+    """Run a recorded simulation again, and compare every cycle.
+
+    Args:
+        log: What was recorded.
+        tasks: Which are compared; none for all. All are run.
+        libraries: Folders of modules that come before those of the recording.
+        rtol: How far floats may be off, relative.
+
+    Raises:
+        LogError: A file that it was made of is not attached.
+        UnknownTaskError: The log has no such task.
+        PbonetError: The job cannot be simulated any more.
+    """
+    names = list(tasks or log.tasks)
+    told = log.task_about(names[0]).libraries if names else ()
+    place = Place(libraries=(*map(str, libraries), *told))
+    begun = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="pbonet-") as folder:
+        job = _unpack(log, Path(folder))
+        seconds = float(log.about["seconds"])
+        now = simulate(job, place, live.view(quiet=True), seconds).recording
+    assert now is not None  # noqa: S101 - a simulation has one
+    found = Replayed(
+        tasks=[_compared(log, now, task, rtol) for task in names],
+        seconds=seconds,
+        took=time.perf_counter() - begun,
+    )
+    firsts = [
+        (log.arrays(one.task)["release_ns"][one.cycles], one.task)
+        for one in found.tasks
+        if one.divergence is not None
+    ]
+    found.first = min(firsts)[1] if firsts else ""
+    return found
+
+
+def _unpack(log: Log, folder: Path) -> Path:
+    """Put the files of a run where they find each other; return its job."""
+    name = next((name for name in log.attached if name.endswith(".job")), ".job")
+    job = folder / _DEEP / name
+    text = _text(log, name)
+    _put(job, text)
+    sbs = job.parent / parse_job(text, name).sbs
+    text = _text(log, sbs.name)
+    _put(sbs, text)
+    svar = sbs.parent / parse_sbs(text, sbs.name).svarfile
+    _put(svar, _text(log, svar.name))
+    for one in log.attached.values():
+        if one.name.endswith(".rmod"):
+            _put(job.parent / one.name, one.data.decode())
+    return job
+
+
+def _put(path: Path, text: str) -> None:
+    path = Path(os.path.normpath(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def _text(log: Log, name: str) -> str:
+    """Return an attached file.
+
+    Raises:
+        LogError: It is not there.
+    """
+    if name not in log.attached:
+        raise LogError(
+            "the log does not carry what the simulation was made of",
+            where=str(log.path),
+            expected=f"{name} among its attachments",
+            got=", ".join(log.attached) or "none",
+            remedy="simulate the job again, and compare with `pbonet log diff`",
+        )
+    return log.attached[name].data.decode()
+
+
+def _compared(log: Log, now: Cycles, task: str, rtol: float) -> Verdict:
+    """Return how far a task gives the same; `cycles` are those before it does not."""
+    then = log.arrays(task)
+    made = now.arrays(task) if task in now.tasks else {}
+    verdict = Verdict(task=task, recorded=len(then["cycle"]))
+    count = min(len(then["cycle"]), len(made.get("cycle", ())))
+    firsts = [
+        (row, name)
+        for name in (COLUMNS[0], *log.variables(task))
+        if (row := _first(then[name][:count], made[name][:count], rtol)) < count
+    ]
+    verdict.cycles, name = min(firsts, default=(count, ""))
+    if name:
+        verdict.divergence = _divergence(then, made, name, verdict.cycles, rtol)
+    elif count != verdict.recorded:
+        verdict.gaps.append(f"it has only {count} cycles now")
+    return verdict
+
+
+def _first(then: NDArray[np.generic], now: NDArray[np.generic], rtol: float) -> int:
+    """Return the first row that differs; the number of rows when none does."""
+    if then.shape != now.shape or then.dtype != now.dtype:
+        return 0
+    if not rtol and then.tobytes() == now.tobytes():
+        return len(then)
+    same = alike(then.reshape(-1), now.reshape(-1), rtol).reshape(len(then), -1)
+    other = np.flatnonzero(~same.all(axis=1))
+    return int(other[0]) if len(other) else len(then)
+
+
+def _divergence(
+    then: dict[str, NDArray[np.generic]],
+    now: dict[str, NDArray[np.generic]],
+    name: str,
+    row: int,
+    rtol: float,
+) -> Divergence:
+    a, b = np.atleast_1d(then[name][row]), np.atleast_1d(now[name][row])
+    cycle = int(then["cycle"][row].item())
+    if a.shape != b.shape or a.dtype != b.dtype:
+        reason = f"{name} is {b.dtype}{b.shape} now, recorded {a.dtype}{a.shape}"
+        return Divergence(cycle=cycle, where="cycle", reason=reason)
+    element = int(np.flatnonzero(~alike(a, b, rtol))[0])
+    return Divergence(
+        cycle=cycle,
+        where="cycle",
+        variable=name,
+        element=element,
+        recorded=a[element].item(),
+        computed=b[element].item(),
+    )
