@@ -15,7 +15,7 @@ from . import words
 from .blocks import Block, Grammar, read_block
 from .conditions import parse, replaced
 from .lines import Line, Word, fault, quote
-from .model import Condition, JobFile, JobTask, RecordLine
+from .model import Condition, JobFile, JobTask, Place, RecordLine
 from .reader import Reader, load
 from .timing import frequency
 from .write import number, same_again, text_line
@@ -28,7 +28,9 @@ MODES = ("off", "outputs", "all")
 """How a task can be recorded."""
 LAST = "last"
 """Only the last seconds, once something goes wrong."""
-_FREQ_WORDS = 2
+_PAIR = 2
+"""Words that an option is made of."""
+_TASK = "TASK rmod [rtpu] [FREQ hz] [FALLBACK rmod]"
 
 
 def read_job(path: str | Path) -> JobFile:
@@ -62,6 +64,7 @@ def parse_job(text: str | bytes, file: str = "<text>") -> JobFile:
                 remedy="remove one, or copy the .rmod under another name",
             )
         tasks[task.rmod] = task
+    _check_fallbacks(reader, tasks)
     off_order = _off(block, tasks)
     record = tuple(_record(line) for line in block.all("RECORD"))
     reader.finish()
@@ -99,32 +102,59 @@ def _condition(reader: Reader, line: Line) -> Condition:
 
 
 def _task(reader: Reader, line: Line) -> JobTask:
-    """Return the task of ``TASK rmod [rtpu] [FREQ hz]``."""
+    """Return the task of a TASK line."""
     rest = line.words
     if not rest:
         raise fault(
             "TASK names no RMOD",
             line.place,
-            expected="TASK rmod [rtpu] [FREQ hz]",
+            expected=_TASK,
             got="nothing",
             remedy="name the RMOD to run",
         )
     rmod = _rmod(rest.pop(0))
-    rtpu = freq = None
-    if rest and rest[0].text != "FREQ":
+    rtpu = freq = fallback = None
+    if rest and rest[0].text not in {"FREQ", "FALLBACK"}:
         rtpu = _rtpu(rest.pop(0))
-    if len(rest) >= _FREQ_WORDS and rest[0].text == "FREQ":
+    if len(rest) >= _PAIR and rest[0].text == "FREQ":
         freq = frequency(reader, rest[1]._replace(keyword="FREQ"))
-        del rest[:_FREQ_WORDS]
+        del rest[:_PAIR]
+    if len(rest) >= _PAIR and rest[0].text == "FALLBACK":
+        fallback = _rmod(rest[1])
+        del rest[:_PAIR]
     if rest:
         raise fault(
             "TASK is malformed",
             rest[0].place,
-            expected="TASK rmod [rtpu] [FREQ hz]",
+            expected=_TASK,
             got=f"{quote(rest[0].text)} here",
-            remedy="write the RTPU first, then FREQ and Hz",
+            remedy="write the RTPU first, then FREQ and Hz, then FALLBACK and an RMOD",
         )
-    return JobTask(rmod=rmod, rtpu=rtpu, freq=freq, place=line.place)
+    return JobTask(rmod=rmod, rtpu=rtpu, freq=freq, fallback=fallback, place=line.place)
+
+
+def _check_fallbacks(reader: Reader, tasks: dict[str, JobTask]) -> None:
+    """Refuse a standby that runs anyhow, or that stands by for two.
+
+    Raises:
+        ConfigError: There is one.
+    """
+    found: dict[str, JobTask] = {}
+    for task in tasks.values():
+        name = task.fallback
+        if name is None:
+            continue
+        other = tasks.get(name) or found.get(name)
+        if other is not None:
+            place = other.place.line if other.place else 0
+            raise fault(
+                f"the fallback {quote(name)} of {quote(task.rmod)} is not free",
+                task.place or Place(reader.file, 0),
+                expected="an RMOD that stands by for this task alone",
+                got=f"another use in line {place}",
+                remedy="name another one, or copy the .rmod under another name",
+            )
+        found[name] = task
 
 
 def _rmod(word: Word) -> str:
@@ -145,7 +175,7 @@ def _rtpu(word: Word) -> str:
         raise fault(
             f"TASK has {quote(word.text)} where an RTPU may stand",
             word.place,
-            expected="TASK rmod [rtpu] [FREQ hz]",
+            expected=_TASK,
             got=quote(word.text),
             remedy=f"for a frequency write FREQ {word.text[:10]}",
         )
@@ -230,7 +260,8 @@ def write_job(record: JobFile) -> str:
     lines += [text_line("POST", condition.text) for condition in record.post]
     for task in record.tasks:
         freq = "" if task.freq is None else f"FREQ {number(task.freq)}"
-        parts = (task.rmod, task.rtpu or "", freq)
+        standby = f"FALLBACK {task.fallback}" if task.fallback else ""
+        parts = (task.rmod, task.rtpu or "", freq, standby)
         lines.append(text_line("TASK", " ".join(part for part in parts if part)))
     lines += [
         text_line("RECORD", " ".join((one.mode, *one.names))) for one in record.record

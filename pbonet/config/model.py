@@ -204,6 +204,8 @@ class JobTask(Struct, frozen=True, kw_only=True):
     rmod: str
     rtpu: str | None = None
     freq: float | None = None
+    fallback: str | None = None
+    """The RMOD that stands by to take its place when it fails."""
     place: Place | None = None
 
     @property

@@ -47,6 +47,9 @@ class Did(Struct, omit_defaults=True):
     """``spawn``, a signal, ``set``, ``freq``, ``abort``, ``fault`` or ``refused``."""
     arg: str = ""
     handover: bool = False
+    """A successor took over the outputs."""
+    cede: bool = False
+    """It did so in its own claim: they were given up to nobody else."""
     name: str = ""
     """Of the parameter, for ``set``; of the method that failed, for ``fault``."""
     hz: float = 0.0

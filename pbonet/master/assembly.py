@@ -19,9 +19,9 @@ from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Generator
+    from collections.abc import Generator, Sequence
 
-    from pbonet.config.model import JobFile
+    from pbonet.config.model import JobFile, JobTask
     from pbonet.master.crew import Crew
     from pbonet.master.picture import Member
 
@@ -43,11 +43,29 @@ def plan(crew: Crew, job: JobFile) -> list[Member]:
             errors.append(error)
             continue
         members.append(member)
+        try:
+            members += _fallback(crew, task, member)
+        except PbonetError as error:
+            error.where = error.where or str(task.place or job.file)
+            errors.append(error)
     if len(errors) == 1:
         raise errors[0]
     if errors:
         raise SeveralError(f"the job {job.name} cannot be assembled", errors)
     return members
+
+
+def _fallback(crew: Crew, task: JobTask, original: Member) -> list[Member]:
+    """Return the standby of a task as it would be spawned, beside its original.
+
+    Raises:
+        PbonetError: Its RMOD or module is missing or wrong.
+    """
+    if task.fallback is None:
+        return []
+    member = crew.plan(crew.files.rmod(task.fallback), original.rtpu, None)
+    member.fallback_of = original.name
+    return [member]
 
 
 def change(crew: Crew, job: JobFile) -> verify.Change:
@@ -86,13 +104,25 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
                 done.spawn(by_name[name])
         crew.rank()
         gate.must_hold()
-        for name in verify.on_order(tasks):
+        for name in verify.on_order([one for one in tasks if not one.fallback_of]):
             go_on(stopped)
             if not crew.picture.find(name).is_on:
                 done.turn_on(name)
+        pair(crew, wanted)
         gate.entered()
     statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
     return [status for status in statuses if status.task in by_name]
+
+
+def pair(crew: Crew, wanted: Sequence[Member]) -> None:
+    """Have the standbys of a job stand by for their originals.
+
+    Raises:
+        PbonetError: One could not take over.
+    """
+    for member in wanted:
+        if member.fallback_of:
+            crew.stand_by(member.name, member.fallback_of)
 
 
 class Done:

@@ -14,7 +14,7 @@ from msgspec import Struct
 from pbonet import verify
 from pbonet.config import info_of, read_any
 from pbonet.config.library import Library
-from pbonet.config.model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
+from pbonet.config.model import AgentConfig, JobFile, JobTask, Rmod, SbsFile, SvarFile
 from pbonet.errors import PbonetError
 from pbonet.master.files import Files
 from pbonet.master.measured import here, unused, with_times
@@ -144,7 +144,8 @@ def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
     found = Findings(file=job.file, kind="job")
     _take(found, verify.check_conditions([*job.pre, *job.post], files.table.variables))
     tasks: list[verify.Task] = []
-    for wanted in job.tasks:
+    lines = [line for task in job.tasks for line in _lines(task)]
+    for wanted, original in lines:
         try:
             rmod = files.rmod(wanted.rmod).record
             loaded = files.library.load_rmod(rmod)
@@ -154,6 +155,8 @@ def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
             found.errors.append(error.to_wire())
             continue
         rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
+        if original:
+            rtpu = next((t.rtpu for t in tasks if t.name == original), rtpu)
         saved, note = files.profiles.find(rmod, host, loaded.info)
         found.warnings += [note] if note else []
         task = verify.Task(
@@ -162,6 +165,7 @@ def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
             rtpu=rtpu,
             freq=wanted.freq,
             told=wanted.told,
+            fallback_of=original,
         )
         tasks.append(with_times(task, saved))
     found.warnings += unused(files.profiles, tasks, host)
@@ -171,9 +175,18 @@ def planned(files: Files, host: str) -> tuple[verify.Verdict | None, Findings]:
         producers=files.producers(),
         limit=PLANNED,
     )
-    if len(tasks) < len(job.tasks):  # else one fault would be told as many
+    if len(tasks) < len(lines):  # else one fault would be told as many
         return None, found
     return verify.judge(empty, verify.job(tasks)), found
+
+
+def _lines(task: JobTask) -> list[tuple[JobTask, str]]:
+    """Return what a TASK line makes: its task, and perhaps a standby for that."""
+    made = [(task, "")]
+    if task.fallback is not None:
+        standby = JobTask(rmod=task.fallback, rtpu=task.rtpu, place=task.place)
+        made.append((standby, task.rmod))
+    return made
 
 
 def _check_job(found: Findings, files: Files, host: str) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pbonet import verify
 from pbonet.config import info_of, parse_rmod
 from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
-from pbonet.master import modules
+from pbonet.master import lists, modules
 from pbonet.master.failures import already, stuck
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
@@ -24,7 +24,7 @@ from pbonet.xm import messages as m
 from pbonet.xm import rpc
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from pbonet.config.model import Rmod
     from pbonet.master.files import Files
@@ -154,6 +154,7 @@ class Crew:
             member = Member(source=source, rtpu=status.rtpu, freq=status.ref_f)
             self.picture.add(member)
         member.rtpu, member.freq = status.rtpu, status.ref_f
+        member.fallback_of = status.fallback_of or member.fallback_of
         self._move(status.task, State(status.state))
 
     def locate(self, task: str) -> str:
@@ -329,6 +330,17 @@ class Crew:
         self.note(status)
         return status
 
+    def stand_by(self, standby: str, original: str) -> None:
+        """Make a task the fallback of another one on its RTPU; "" ends that.
+
+        Raises:
+            PbonetError: It could not take over.
+        """
+        member = self.picture.find(standby)
+        request = m.Standby(task=standby, original=original)
+        member.fallback_of = original
+        self.note(self.fleet.call(member.rtpu, request, m.TaskStatus))
+
     def control(self, task: str, signal: str, arg: str) -> m.TaskStatus:
         """Send one signal.
 
@@ -360,9 +372,9 @@ class Crew:
         """
         states: dict[str, str] = {}
         done = len(before)
-        handover = self._handed_over(items)
+        handover = lists.handed_over(self.picture, items)
         whole = [*before, *items]
-        for rtpu, part in self._runs(items):
+        for rtpu, part in lists.runs(self.picture, items):
             request = m.Reconfig(items=part, handover=handover, timeout=CONTROL_TIME)
             try:
                 answer = self.fleet.call(
@@ -375,39 +387,14 @@ class Crew:
             for task, state in answer.states.items():
                 self._move(task, State(state))
             states |= answer.states
-            done += answer.done
             if answer.error is not None:
                 cause = rpc.placed(rtpu, PbonetError.from_wire(answer.error))
-                raise stuck(whole, done, cause) from cause
+                left = answer.rest or part[answer.done :]
+                made = [item for item in part if item not in left]
+                whole = [*whole[:done], *made, *left, *whole[done + len(part) :]]
+                raise stuck(whole, done + len(made), cause) from cause
+            done += len(part)
         return states
-
-    def _handed_over(self, items: Sequence[tuple[str, str]]) -> list[str]:
-        """Return the tasks that go off and whose outputs a later item takes over."""
-        found: list[str] = []
-        taken: set[str] = set()
-        for task, signal in reversed(items):
-            outputs = self.picture.find(task).task.outputs
-            if signal == "on":
-                taken.update(outputs)
-            elif signal == "off" and taken.intersection(outputs):
-                found.append(task)
-        return found
-
-    def _runs(
-        self, items: Sequence[tuple[str, str]]
-    ) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-        """Yield the items cut wherever the next is for another RTPU."""
-        part: list[tuple[str, str]] = []
-        where = ""
-        for task, signal in items:
-            rtpu = self.picture.find(task).rtpu
-            if part and rtpu != where:
-                yield where, part
-                part = []
-            where = rtpu
-            part.append((task, signal))
-        if part:
-            yield where, part
 
     def settle(self) -> None:
         """After a change: tell priorities, raise or clear the flag of equation 2.

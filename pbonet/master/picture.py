@@ -34,6 +34,8 @@ class Member(Struct, kw_only=True):
     """As in `verify.Task`."""
     saved: Saved | None = None
     """What was measured of it on its machine, if that was saved."""
+    fallback_of: str = ""
+    """The task that it stands by for."""
 
     @property
     def name(self) -> str:
@@ -59,6 +61,7 @@ class Member(Struct, kw_only=True):
             rtpu=self.rtpu,
             freq=self.freq or None,
             told=self.told,
+            fallback_of=self.fallback_of,
         )
         return with_times(task, self.saved)
 

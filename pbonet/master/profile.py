@@ -97,6 +97,8 @@ class Profile(Struct, frozen=True, kw_only=True):
     error: str = ""
     """Shown as long as the task is in ERROR."""
     timing: str = ""
+    standby: str = ""
+    """Whose fallback it is, and whether it stands by."""
     """What failed in time since the last status."""
 
     def only(self, names: Iterable[str]) -> Profile:
@@ -183,6 +185,7 @@ def profile(now: TaskStatus, before: TaskStatus | None = None) -> Profile:
         warning=now.warning if warn > 0 else "",
         error=now.error if now.state == "ERROR" else "",
         timing=_timing_text(now, before),
+        standby=_standby_text(now),
     )
 
 
@@ -223,6 +226,13 @@ def _failures(now: TaskStatus, since: TaskStatus | None) -> dict[str, int]:
     """Return the timing failures by kind since that look."""
     then = since.failures if since else {}
     return {kind: n - then.get(kind, 0) for kind, n in now.failures.items()}
+
+
+def _standby_text(now: TaskStatus) -> str:
+    """Return whose fallback a task is; empty for none."""
+    if now.stands_by:
+        return f"stands by for {now.fallback_of}"
+    return f"the fallback of {now.fallback_of}" if now.fallback_of else ""
 
 
 def _timing_text(now: TaskStatus, before: TaskStatus | None) -> str:

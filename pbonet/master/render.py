@@ -24,7 +24,12 @@ Data = dict[str, Any]
 _PREFIXES: Final = ((1.0, ""), (1e-3, "m"), (1e-6, "u"), (1e-9, "n"))
 _UNITS: Final = {field.name: field.unit for field in profile.FIELDS}
 _WIDEST_VALUES: Final = 8
-_BELOW: Final = {"WARNING": "warning", "TIMING": "timing", "ERROR": "error"}
+_BELOW: Final = {
+    "STANDBY": "standby",
+    "WARNING": "warning",
+    "TIMING": "timing",
+    "ERROR": "error",
+}
 """Marks of lines below a task, and the texts behind them."""
 
 

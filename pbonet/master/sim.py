@@ -11,6 +11,7 @@ take, and what a late cycle does, only a run in real time shows.
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from pbonet import verify
@@ -110,6 +111,11 @@ class Simulation:
         conditions.must_be_answerable(self.job, variables)
         asked = [conditions.Asked("PRE", self.job.name, one) for one in self.job.pre]
         conditions.must_hold(asked, variables, self.display)
+        self.events += [
+            f"the fallback {task.fallback} of {task.rmod} is not simulated"
+            for task in self.job.tasks
+            if task.fallback
+        ]
         with no_devices(REASON):
             try:
                 for name in verify.spawn_order(tasks):
@@ -274,7 +280,7 @@ class Simulation:
                     for task in self._tasks.values()
                     if task.member.rtpu == entry.name
                 ],
-                illegal=sorted(self.table.causes),
+                illegal=sorted(self.table.illegal),
             )
             for entry in self._files.sbs.rtpus
         ]
@@ -345,10 +351,11 @@ class Simulation:
         context.is_stale = ages(
             rmod, loaded.info, lambda name: self.table.stale(name, context.now)
         )
+        context.on_illegal = partial(self.table.said, member.name)
         executor = Executor(
             instance,
             copies,
-            illegal=(lambda: bool(self.table.causes)) if rmod.critical else None,
+            illegal=(lambda: bool(self.table.illegal)) if rmod.critical else None,
         )
         turns = self._turns[member.rtpu]
         task = SimTask(
@@ -391,7 +398,7 @@ class Simulation:
     def _cycle(self, task: SimTask) -> None:
         dt = (self.now_ns - task.last_ns) * 1e-9 if task.last_ns else None
         task.last_ns = self.now_ns
-        stable = task.member.rmod.critical and bool(self.table.causes)
+        stable = task.member.rmod.critical and bool(self.table.illegal)
         task.copies.committed = False
         task.executor.cycle(dt or task.period_ns * 1e-9, self.now_ns)
         if task.copies.committed:

@@ -38,6 +38,7 @@ class MemoryTable:
         self.numbers = {v.name: index for index, v in enumerate(variables)}
         self.values = {v.name: values_of(v, v.init, where="INIT") for v in variables}
         self.causes: set[str] = set()
+        self._said: set[tuple[str, str]] = set()
         self.written: dict[str, int] = {}
         """When each variable was written last, in virtual nanoseconds."""
         self._givers: dict[str, dict[str, Values]] = {}
@@ -66,6 +67,20 @@ class MemoryTable:
         """Let go of the constants of a task that is no more."""
         for givers in self._givers.values():
             givers.pop(task, None)
+
+    @property
+    def illegal(self) -> set[str]:
+        """Every cause that stands, also those that modules gave."""
+        return self.causes | {cause for _, cause in self._said}
+
+    def said(self, task: str, cause: str, *, up: bool) -> None:
+        """Take or withdraw a module's cause; an empty one withdraws all of its."""
+        if up:
+            self._said.add((task, cause))
+        else:
+            self._said -= {
+                one for one in self._said if one[0] == task and cause in {"", one[1]}
+            }
 
     def stale(self, name: str, now_ns: int) -> bool:
         """Tell whether a variable is older than its MAXAGE, or was never written."""
@@ -217,6 +232,9 @@ class MemoryCopies:
         if self._held:
             self._table.written.update(dict.fromkeys(self.out_vars, self._held_ns))
         self._held = []
+
+    def cede(self) -> None:
+        """Do nothing: the values stand."""
 
     def release(self) -> None:
         """Do nothing: the values stand."""

@@ -170,6 +170,7 @@ class Switching(Opened, Protocol):
         try:
             plan.spawn(transition, self.stopped, gate)
             transition.states = crew.send(transition.items)
+            plan.pair()
             kills = [(name, "kill") for name in transition.kills]
             transition.states |= crew.send(kills, before=transition.items)
         finally:
@@ -185,6 +186,7 @@ class _Plan:
         self._going: dict[str, Member] = {}
         self._coming: dict[str, Member] = {}
         self._killed: list[str] = []
+        self._standbys: dict[str, Member] = {}
 
     def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
         """Turn tasks off, except those that are named."""
@@ -192,7 +194,9 @@ class _Plan:
 
     def put_in(self, member: Member) -> None:
         """Turn a task on, which stands or is to be spawned; harmless if it is ON."""
-        if not member.is_on:
+        if member.fallback_of:
+            self._standbys[member.name] = member
+        elif not member.is_on:
             self._coming[member.name] = member
 
     def kill_all(self) -> None:
@@ -207,9 +211,11 @@ class _Plan:
         """
         picture = self._crew.picture
         stays = [one for one in picture if one.is_on and one.name not in self._going]
-        new = [one for one in self._coming.values() if one.name not in picture]
+        wanted = {**self._coming, **self._standbys}
+        new = [one for one in wanted.values() if one.name not in picture]
         order = verify.spawn_order([one.task for one in (*picture, *new)])
-        spawns = {name: self._coming[name].rtpu for name in order if name in self._new}
+        spawns = {one.name: one.rtpu for one in new}
+        spawns = {name: spawns[name] for name in order if name in spawns}
         items = verify.change_order(
             [one.task for one in self._going.values() if one.is_on],
             [one.task for one in self._coming.values()],
@@ -221,15 +227,19 @@ class _Plan:
             items=items,
             kills=self._killed,
         )
-        wanted = [(name, "spawn") for name in spawns]
-        wanted += [(name, "on") for name in transition.stays]  # so the end is demanded
-        wanted += [*items, *((name, "kill") for name in self._killed)]
-        self._crew.judge(verify.reconfig(wanted, [one.task for one in new]))
+        change = [(name, "spawn") for name in spawns]
+        change += [(name, "on") for name in transition.stays]  # so the end is demanded
+        change += [*items, *((name, "kill") for name in self._killed)]
+        self._crew.judge(verify.reconfig(change, [one.task for one in new]))
         return transition
 
-    @property
-    def _new(self) -> set[str]:
-        return {name for name in self._coming if name not in self._crew.picture}
+    def pair(self) -> None:
+        """Have standbys stand by.
+
+        Raises:
+            PbonetError: One could not take over.
+        """
+        assembly.pair(self._crew, list(self._standbys.values()))
 
     def spawn(
         self, transition: Transition, stopped: threading.Event, gate: Gate | None
@@ -244,7 +254,7 @@ class _Plan:
         with done.undone_on_error("the change was not begun"):
             for name in transition.spawns:
                 assembly.go_on(stopped)
-                done.spawn(self._coming[name])
+                done.spawn((self._coming | self._standbys)[name])
             if gate is not None:
                 if transition.spawns:
                     gate.must_hold()
@@ -269,7 +279,9 @@ def _of_job(crew: Crew, job: JobFile) -> _Plan:
     plan.kill_all()
     for member in wanted:
         stands = assembly.stands(crew, member)
-        plan.put_in(crew.picture.find(member.name) if stands else member)
+        standing = crew.picture.find(member.name) if stands else member
+        standing.fallback_of = member.fallback_of
+        plan.put_in(standing)
         if stands:
             _must_run_at(crew.picture.find(member.name), member)
     return plan

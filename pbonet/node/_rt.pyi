@@ -3,7 +3,7 @@
 Nothing here knows modules, commands or the network. `docs/realtime.md` explains it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from typing import Final
 
@@ -17,7 +17,7 @@ from pbonet.sched.records import (
     Probe,
     SlotStatus,
 )
-from pbonet.svar._svar import LocalTable
+from pbonet.svar._svar import Arena, LocalTable
 
 # Why `Slot.run` came back.
 COMMAND: Final = 1
@@ -29,6 +29,14 @@ FLAGS: Final = 3
 
 ABORTED: Final = 4
 """The module's failure handler has ended the cycle; nothing was committed."""
+
+LAST: Final = 5
+"""That was to be the last cycle: `CoreTable.request` with `last`; the level is kept."""
+ENGAGED: Final = 6
+"""From `Slot.stand_by`: it is time to run ``on``."""
+FALLBACK: Final = 1
+HANDOVER: Final = 2
+"""What `CoreTable.follow` takes; `pbonet.sched.events.After`."""
 
 FAIL_SIGNAL: Final[int]
 KINDS: Final[tuple[str, ...]]
@@ -115,8 +123,20 @@ class CoreTable:
         Raises:
             ValueError: A value is out of its range.
         """
-    def request(self, i: int) -> None:
-        """Tell the task that a command waits for it, waking it when it waits."""
+    def request(self, i: int, *, last: bool = False) -> None:
+        """Tell the task that a command waits for it, waking it when it waits.
+
+        With `last` it looks behind its next cycle, and comes back at the level of that.
+        """
+    def follow(self, i: int, kind: int, slots: Iterable[int]) -> None:
+        """Say whose end a task that stands by waits for.
+
+        Args:
+            i: The slot that stands by.
+            kind: FALLBACK, HANDOVER, or 0 for nobody's.
+            slots: FALLBACK: it is engaged when one of them falls. HANDOVER: when all of
+                them are off in order.
+        """
     def died(self, i: int) -> None:
         """Tell the dispatcher that the task's process is gone."""
     def find(self, rtpu: str, task: str) -> int | None:
@@ -156,6 +176,7 @@ class CoreTable:
         event: int | None = None,
         locked: bool | None = None,
         handled: bool = False,
+        fell: bool = False,
         wish: tuple[int, int] | None = None,
         cpu_ns: int = 0,
     ) -> None:
@@ -182,6 +203,36 @@ class Dispatcher:
         """``fifo`` or ``park``."""
     @property
     def running(self) -> bool: ...
+
+class Vigil:
+    """A native thread that hears of tasks' deaths and errors at once.
+
+    It tells the dispatcher, and raises the illegal-configuration flag, without the GIL.
+
+    Raises:
+        RealTimeError: The thread cannot be started.
+    """
+
+    def __init__(self, beside: Dispatcher) -> None: ...
+    def watch(
+        self, i: int, arena: Arena | None, raiser: bytes, died: bytes, fell: bytes
+    ) -> None:
+        """Watch the task of slot `i`, which has called `Slot.vow`.
+
+        Args:
+            i: The slot.
+            arena: The table whose flag is raised; None raises none.
+            raiser: Whose entry that is, as UTF-8.
+            died: The cause when it dies while it is armed.
+            fell: The cause when it goes to ERROR.
+        """
+    def forget(self, i: int) -> None:
+        """Watch the slot no longer; harmless when nobody does."""
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Deaths and errors that it was the first to know of."""
+    def stop(self) -> None:
+        """End the thread. Idempotent."""
 
 class Failures:
     """What the dispatcher and a module have to say to each other in a cycle."""
@@ -223,6 +274,7 @@ class Slot:
         ring: Ring | None = None,
         leave: int = ...,
         failing: Callable[[str], int] | None = None,
+        aged: Callable[[bool], object] | None = None,
     ) -> int:
         """Run cycles until there is something else to do.
 
@@ -244,9 +296,28 @@ class Slot:
             failing: Called amid the cycle with one of `KINDS` when the dispatcher has
                 found a timing failure; answers CONTINUE, ABORT or SKIP. What it raises
                 ends the cycle and comes through.
+            aged: Called when inputs have become stale, and when they are fresh again.
+                While they are stale `stable` runs.
 
         Returns:
-            COMMAND, ORPHAN, FLAGS or ABORTED.
+            COMMAND, ORPHAN, FLAGS, ABORTED or LAST.
+        """
+    def stand_by(self) -> int:
+        """Wait, OFF, until the dispatcher engages the task; see `CoreTable.follow`.
+
+        Returns:
+            ENGAGED: run ``on`` at the level that the task was given, then `arm`.
+            COMMAND, ORPHAN: the task does not stand by any more.
+        """
+    def arm(self) -> None:
+        """Ask for releases, as `run` does."""
+    def fall(self) -> None:
+        """Be in ERROR: as `disarm`, and whoever stands by for the task is engaged."""
+    def vow(self) -> None:
+        """Have the task's death known at once, from here on (`Vigil`).
+
+        Raises:
+            RealTimeError: Another process holds the slot's lock.
         """
     def disarm(self) -> None:
         """No more releases, until `run` arms again. Idempotent."""

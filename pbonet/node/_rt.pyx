@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = layout.h state.h watch.h device.h muf.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi
+# distutils: depends = layout.h state.h watch.h device.h muf.h standby.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -8,8 +8,8 @@ import os
 from cpython.exc cimport PyErr_CheckSignals
 from libc.errno cimport EACCES, ENOSPC, EPERM
 from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
-from libc.stdlib cimport free, malloc
-from libc.string cimport memset, strdup
+from libc.stdlib cimport calloc, free, malloc
+from libc.string cimport memset, strdup, strncat
 
 from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node import _ring, rights
@@ -22,13 +22,17 @@ from pbonet.sched.histogram import octaves
 from pbonet.sched.records import (
     CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
 )
-from pbonet.svar._svar cimport LocalTable
+from pbonet.svar._svar cimport Arena, LocalTable
 from pbonet.tbuf._tbuf cimport c_defer_bells, c_ring_bells
 
 COMMAND = RT_WAIT_COMMAND
 ORPHAN = RT_WAIT_ORPHAN
 FLAGS = 3
 ABORTED = 4
+LAST = 5
+ENGAGED = 6
+FALLBACK = RT_FALLBACK
+HANDOVER = RT_HANDOVER
 SLOTS = RT_SLOTS
 MIN_PERIOD_NS = RT_MIN_PERIOD_NS
 COMMAND_LEVEL = RT_COMMAND_LEVEL
@@ -63,6 +67,8 @@ cdef class Slot:
     cdef public int64_t stamp_ns
     cdef ring_record record
     cdef readonly Failures failures
+    cdef bint vowed, is_aged
+    cdef object aged
 
     def __init__(self, CoreTable table not None, int i):
         self.task.table = table.open()
@@ -75,12 +81,15 @@ cdef class Slot:
         self.failures.guard(&self.task, table)
 
     def run(self, cycle, LocalTable local, *, stable=None, sync=None, Ring ring=None,
-            int leave=LEAVE, failing=None) -> int:
-        cdef int why, served = 0
+            int leave=LEAVE, failing=None, aged=None) -> int:
+        cdef int why, served = 0, last = 0
         cdef bint periodic = rt_kind_of(self.live()) == RT_PERIODIC
         if periodic == (sync is not None):
             raise ValueError("tasks timed from outside, and only they, need `sync`")
         self.failures.handler = failing
+        self.aged = aged
+        if rt_mode_of(self.task.slot) == RT_OFF:
+            self.is_aged = False
         self.failures.error = None
         rt_arm(&self.task)
         self.cpu_mark = rt_mark_cpu(&self.task)
@@ -102,9 +111,13 @@ cdef class Slot:
                         return ABORTED
                     if self.flags & leave:
                         return FLAGS
+                    last = rt_was_last(&self.task)
+                    if last:
+                        return LAST
         finally:
             self.count_faults()
-            rt_leave(&self.task, RT_COMMAND)
+            if not last:
+                rt_leave(&self.task, RT_COMMAND)
 
     cdef bint wait_outside(self, sync) except -1:
         """Wait as the module says; whether its event came."""
@@ -155,7 +168,9 @@ cdef class Slot:
         cost.start_ns = rt_now()
         if local is not None:
             flags = local.c_copy_in()
-            cost.stable = stable is not None and local.c_illegal()
+            if ((flags & COPY_STALE) != 0) != self.is_aged:
+                self.tell_age(flags & COPY_STALE)
+            cost.stable = stable is not None and (self.is_aged or local.c_illegal())
         cost.torn = flags & COPY_TORN
         cost.stale = (flags & COPY_STALE) != 0
         self.flags = flags
@@ -185,6 +200,13 @@ cdef class Slot:
                     rt_cycles(self.task.slot) + 1)
                 cost.failed = (self.flags & ~COPY_FLAGS) != 0
             self.close(local, ring)
+        return 0
+
+    cdef int tell_age(self, bint stale) except -1:
+        """Inputs have become stale, or fresh again; it is rare, so Python may know."""
+        self.is_aged = stale
+        if self.aged is not None:
+            self.aged(stale)
         return 0
 
     cdef int call(self, method) except -1:
@@ -262,12 +284,47 @@ cdef class Slot:
         return self.task.slot
 
     def __dealloc__(self):
+        if self.vowed:
+            rt_release_vow(self.task.slot)
         rt_unguard_failures(&self.task)
         rt_unguard_slot(self.task.slot)
+
+    def stand_by(self) -> int:
+        self.live()
+        cdef int why
+        rt_stand_by_for(&self.task)
+        try:
+            while True:
+                with nogil:
+                    why = rt_wait(&self.task, 0)
+                if why == RT_RELEASED:
+                    return ENGAGED
+                if why != RT_WAIT_SIGNAL:
+                    return why
+                PyErr_CheckSignals()
+        finally:
+            if why != RT_RELEASED:
+                rt_leave(&self.task, RT_OFF)
+
+    def arm(self) -> None:
+        self.live()
+        self.is_aged = False
+        rt_arm(&self.task)
 
     def disarm(self) -> None:
         self.live()
         rt_leave(&self.task, RT_OFF)
+
+    def fall(self) -> None:
+        self.live()
+        rt_fall(&self.task)
+
+    def vow(self) -> None:
+        cdef int error = rt_vow(self.live())
+        if error:
+            raise RealTimeError("the task's life cannot be watched",
+                                got=os.strerror(error))
+        self.vowed = True
 
     def command_level(self) -> None:
         self.live()
@@ -313,4 +370,5 @@ cdef class Slot:
         return bool(rt_pending(self.live()))
 
 
+include "_rt_standby.pxi"
 include "_rt_process.pxi"

@@ -5,13 +5,14 @@ from libc.stdint cimport int32_t, int64_t, uint16_t, uint32_t, uint64_t
 
 cdef extern from "layout.h" nogil:
     enum:
-        RT_SLOTS, RT_MEMBERS, RT_NAME, RT_TRACE, RT_BINS, RT_VERSION, RT_SIGNALS
+        RT_SLOTS, RT_MASKS, RT_MEMBERS, RT_NAME, RT_TRACE, RT_BINS, RT_VERSION, RT_SIGNALS
         RT_COMMAND_LEVEL, RT_DISPATCHER_LEVEL
         RT_OFF, RT_ON, RT_COMMAND
         RT_PERIODIC, RT_SYNCHRONOUS, RT_DEFERRABLE, RT_SPORADIC, RT_BACKGROUND
         RT_FAILURES, RT_SECTIONS, RT_SECTION_NAME, RT_HANDLER_HANGS
         RT_NONE, RT_FIFO, RT_PARK
-        RT_ASK_COMMAND, RT_ASK_ORPHAN
+        RT_ASK_COMMAND, RT_ASK_ORPHAN, RT_ASK_LAST
+        RT_ALONE, RT_FALLBACK, RT_HANDOVER
     const int64_t RT_MIN_PERIOD_NS
     struct rt_event:
         int64_t a, b
@@ -46,6 +47,7 @@ cdef extern from "table.h" nogil:
     void rt_free(rt_table *t, int i)
     void rt_configure(rt_table *t, int i, const rt_settings *s)
     void rt_died(rt_table *t, int i)
+    void rt_follow(rt_table *t, int i, int kind, const uint64_t *after)
     void rt_kick(rt_table *t)
 
 cdef extern from "dispatch.h" nogil:
@@ -76,6 +78,9 @@ cdef extern from "slot.h" nogil:
         int failed, stable, torn, stale, lost, aborted
     void rt_arm(rt_task *task)
     int rt_leave(rt_task *task, int mode)
+    int rt_fall(rt_task *task)
+    int rt_was_last(rt_task *task)
+    void rt_stand_by_for(rt_task *task)
     int rt_command_level(const rt_task *task)
     int rt_wait(rt_task *task, int served)
     int rt_begin(rt_task *task)
@@ -86,6 +91,31 @@ cdef extern from "slot.h" nogil:
     uint64_t rt_mark_cpu(rt_task *task)
     uint64_t rt_faults()
     void rt_count_faults(rt_slot *slot, uint64_t n)
+
+cdef extern from "../svar/flag.h" nogil:
+    struct pb_table:
+        pass
+
+cdef extern from "vigil.h" nogil:
+    enum:
+        RT_CAUSE, RT_RAISER
+    struct rt_watched:
+        const pb_table *table
+        char *died
+        char *fell
+        char *raiser
+        char *machine
+    struct rt_vigil:
+        int running
+        rt_watched *watched
+    int rt_vow(rt_slot *slot)
+    void rt_release_vow(rt_slot *slot)
+    int rt_start_vigil(rt_vigil *v, const rt_loop *loop)
+    void rt_end_vigil(rt_vigil *v)
+    void rt_watch_life(rt_vigil *v, int i)
+    void rt_unwatch(rt_vigil *v, int i)
+    uint64_t rt_deaths(const rt_vigil *v)
+    uint64_t rt_falls(const rt_vigil *v)
 
 cdef extern from "signals.h" nogil:
     uint32_t rt_send_signal(rt_slot *slot, uint32_t bits)
@@ -147,7 +177,7 @@ cdef extern from "view.h" nogil:
         int *members
         int *lives
     struct rt_part:
-        int mode, begun, done, event, locked, handled
+        int mode, begun, done, event, locked, handled, fell
         int64_t now_ns, cpu_ns
     void rt_snapshot(const rt_slot *slot, rt_view *v)
     void rt_core_snapshot(const rt_table *t, rt_core_view *v)

@@ -128,8 +128,18 @@ cdef class CoreTable:
         rt_configure(self.t, i, &s)
         rt_kick(self.t)
 
-    def request(self, int i) -> None:
-        rt_request(self.slot(i), RT_ASK_COMMAND)
+    def request(self, int i, *, bint last=False) -> None:
+        rt_request(self.slot(i), RT_ASK_LAST if last else RT_ASK_COMMAND)
+
+    def follow(self, int i, int kind, slots) -> None:
+        cdef uint64_t after[RT_MASKS]
+        memset(after, 0, sizeof(after))
+        for one in slots:
+            self.slot(one)
+            after[<int>one // 64] |= <uint64_t>1 << (<int>one % 64)
+        self.slot(i)
+        rt_follow(self.t, i, kind, after)
+        rt_kick(self.t)
 
     def died(self, int i) -> None:
         self.slot(i)
@@ -230,12 +240,13 @@ cdef class CoreTable:
         return due
 
     def post(self, int i, *, mode=None, bint begun=False, bint done=False, event=None,
-             locked=None, bint handled=False, wish=None, int64_t cpu_ns=0) -> None:
+             locked=None, bint handled=False, bint fell=False, wish=None,
+             int64_t cpu_ns=0) -> None:
         self._alone()
         cdef rt_part part = rt_part(
             mode=-1 if mode is None else int(mode), begun=begun, done=done,
             event=event is not None, locked=-1 if locked is None else bool(locked),
-            handled=handled, now_ns=event or 0, cpu_ns=cpu_ns)
+            handled=handled, fell=fell, now_ns=event or 0, cpu_ns=cpu_ns)
         rt_play(self.t, self.slot(i), &part)
         cdef rt_task task
         if wish is not None:

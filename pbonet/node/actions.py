@@ -29,6 +29,7 @@ class Actions:
         do: What each step does.
         dt: What `cycle` is told.
         method: The method that runs, or ran last; ``stable`` for a cycle that was one.
+        cede: Whether an heir takes the out-vars in its own claim.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class Actions:
     ) -> None:
         self.dt = 0.0
         self.method = ""
+        self.cede = False
         self._instance = instance
         self._task = instance.task
         self._copies = copies
@@ -121,6 +123,10 @@ class Actions:
         return self._task.stamp_ns or self._task.now
 
     def _release(self) -> None:
-        if self._owns:
-            self._owns = False
+        if not self._owns:
+            return
+        self._owns = False
+        if self.cede:
+            self._copies.cede()
+        else:
             self._copies.release()

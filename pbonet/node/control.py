@@ -16,7 +16,7 @@ from pbonet.errors import (
     TaskDiedError,
 )
 from pbonet.pbo import State
-from pbonet.xm.messages import Reconfigured, Stopped
+from pbonet.xm.messages import Stopped
 
 from . import lifecycle, wire
 from .tasks import END_TIME
@@ -24,14 +24,11 @@ from .tasks import END_TIME
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.xm.messages import Reconfig
-
     from .state import Rtpu
     from .tasks import Task
 
 OFF_SHARE = 0.6
 """Of the time for a stop, what turning OFF may take; the rest is for ending."""
-RECONFIGURATION = "reconfiguration"
 LEAST = 0.05
 """Seconds that each task gets for its `off`, however many there are."""
 
@@ -70,11 +67,14 @@ async def control(
         PbonetError: What the task answered, or why it did not.
     """
     event = event_of(signal, task.name)
+    if event in {lifecycle.Event.ON, lifecycle.Event.KILL}:
+        await rtpu.fallbacks.withdraw(task)
     if event is lifecycle.Event.KILL:
+        await rtpu.fallbacks.spare(task)
         return await kill(rtpu, task, limit, arg=arg)
     lifecycle.rule(task.state, event, where=task.name)
     if event is lifecycle.Event.ON:
-        rtpu.rank(joining=task)
+        rtpu.rank(task)
     try:
         await task.command(
             signal,
@@ -82,9 +82,9 @@ async def control(
             limit,
         )
     except PbonetError as error:
-        _note(rtpu, task, event, error)
+        note(rtpu, task, event, error)
         raise
-    _note(rtpu, task, event)
+    note(rtpu, task, event)
     return []
 
 
@@ -108,7 +108,7 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     left = max(limit - (time.monotonic() - start), 0.0)
     said_good_bye = task.state is State.NOT_CREATED
     by_itself = await task.end(END_TIME if said_good_bye else left)
-    _note(rtpu, task, lifecycle.Event.KILL, failed)
+    note(rtpu, task, lifecycle.Event.KILL, failed)
     if failed is not None:
         raise failed
     if by_itself:
@@ -124,19 +124,21 @@ async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[s
     return [text]
 
 
-def _note(
+def note(
     rtpu: Rtpu,
     task: Task,
     event: lifecycle.Event,
     error: PbonetError | None = None,
+    *,
+    ranked: bool = False,
 ) -> None:
-    """Take note of what a signal has led to."""
+    """Take note of what a signal has led to; `ranked`: ranking is the caller's work."""
     if event is lifecycle.Event.ON and task.state is State.ON:
         rtpu.turned_on += 1
         task.on_rank = rtpu.turned_on
         task.warnings = 0
         task.warning = ""
-    rtpu.settle(task)
+    rtpu.settle(task, ranked=ranked)
     rtpu.flags.relieve()
     rtpu.events.add(
         Severity.ERROR if error else Severity.INFO,
@@ -145,52 +147,6 @@ def _note(
         subsystem=task.facts.subsystem,
         task=task.name,
     )
-
-
-async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
-    """Send signals in order; the first failure ends it (section 4.4.4)."""
-    subsystem = request.subsystem
-    result = Reconfigured(done=0)
-    flag = asyncio.get_running_loop().call_later(
-        _shortest_period(rtpu, subsystem),
-        rtpu.flags.up,
-        subsystem,
-        RECONFIGURATION,
-        "a reconfiguration takes longer than a cycle",
-    )
-    try:
-        for i, (name, signal) in enumerate(request.items):
-            task = rtpu.need(subsystem, name)
-            handover = signal == "off" and (
-                name in request.handover
-                or _has_heir(rtpu, task, request.items[i + 1 :])
-            )
-            await control(rtpu, task, signal, request.timeout, handover=handover)
-            result.done += 1
-            result.states[name] = task.state.value
-    except PbonetError as error:
-        result.error = error.to_wire()
-    finally:
-        flag.cancel()
-        rtpu.flags.down(subsystem, RECONFIGURATION)
-    return result
-
-
-def _has_heir(rtpu: Rtpu, task: Task, rest: Sequence[tuple[str, str]]) -> bool:
-    """Return whether a task that is turned on later in the list takes an output."""
-    mine = set(task.facts.outputs)
-    for name, signal in rest:
-        heir = rtpu.tasks.get((task.facts.subsystem, name))
-        if heir is None or signal != "on":
-            continue
-        if mine & set(heir.facts.outputs):
-            return True
-    return False
-
-
-def _shortest_period(rtpu: Rtpu, subsystem: str) -> float:
-    running = [t.freq for t in rtpu.of(subsystem) if t.state is State.ON and t.freq]
-    return 1.0 / max(running, default=1.0)
 
 
 async def stop(
@@ -206,6 +162,8 @@ async def stop(
     """
     deadline = time.monotonic() + limit
     rtpu.stopping |= set(subsystems)
+    for subsystem in subsystems:
+        rtpu.fallbacks.dismiss_all(subsystem)
     try:
         tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
         tasks.sort(key=lambda t: _position(t, order))

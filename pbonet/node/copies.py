@@ -45,5 +45,8 @@ class Copies(Protocol):
         """Copy the out-vars out; returns flags."""
         ...
 
+    def cede(self) -> None:
+        """Write the out-vars no more, and leave them to an heir's claim."""
+
     def release(self) -> None:
         """Give up the out-vars, whose values stand."""

@@ -12,12 +12,12 @@
 
 #include "device.h"
 #include "muf.h"
-
-#include <string.h>
+#include "standby.h"
 
 /* Take over a changed configuration; one half written is left for its writer's kick.
  * Returns what there is: 0 nothing, 1 settings, 2 another process too, without a level. */
-static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
+static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c,
+                                  struct rt_state *s)
 {
     /* SYNC POINT: pairs with the two writes of `gen` around a change in table.h. */
     uint32_t gen = atomic_load_explicit(&c->gen, memory_order_acquire);
@@ -34,6 +34,10 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     int32_t drop = atomic_load_explicit(&c->drop, memory_order_relaxed);
     int32_t handler = atomic_load_explicit(&c->handler, memory_order_relaxed);
     int32_t tells = atomic_load_explicit(&c->tells, memory_order_relaxed);
+    int32_t after_kind = atomic_load_explicit(&c->after_kind, memory_order_relaxed);
+    uint64_t after[RT_MASKS];
+    for (int k = 0; k < RT_MASKS; k++)
+        after[k] = atomic_load_explicit(&c->after[k], memory_order_relaxed);
     /* SYNC POINT, continued: the second look at `gen` comes behind all of these. */
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
@@ -53,6 +57,7 @@ static inline int rt_latch_config(struct rt_config *c, struct rt_state *s)
     s->drop = drop;
     s->handler = handler;
     s->tells = tells != 0;
+    rt_latch_after(t, i, s, after_kind, after);
     if (!s->handling)
         s->rank = rt_contained(s);
     return news;
@@ -63,14 +68,17 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
 {
     uint32_t changed = word ^ s->word;
     uint32_t mode = word & 3;
+    uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? 0
+                   : s->fell || rt_has_fallen(&t->slots[i], s, mode);
     s->word = word;
-    rt_emit(t, RT_MODE, i, word, 0, 0);
+    s->fell = fell;
+    rt_emit(t, RT_MODE, i, word, fell, 0);
     if ((changed >> 2 & 0x7fff) || mode == RT_OFF)
         rt_disarm(s);
     if (changed >> 17 || mode != RT_ON)
         s->level = 0;
-    s->fresh = mode != RT_OFF && rt_limited(s);
-    if (mode == RT_OFF || s->armed || s->dead)
+    s->fresh = mode != RT_OFF && mode != RT_STANDS && rt_limited(s);
+    if (mode == RT_OFF || mode == RT_STANDS || s->armed || s->dead)
         return;
     s->armed = 1;
     if (s->kind == RT_PERIODIC) {
@@ -158,13 +166,16 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     /* SYNC POINT: rt_alloc sets a slot back before it gives it a life. */
     uint32_t life = atomic_load_explicit(&slot->config.life, memory_order_acquire);
     if (life != s->life) {
+        /* Freed while it was armed: its task has died, and nobody came to say so. */
+        uint8_t fell = !(life & 1) && (s->armed || s->fell);
         memset(s, 0, sizeof *s);
         s->life = life;
+        s->fell = fell;
         rt_emit(t, RT_LIFE, i, life, 0, 0);
     }
     if (!(life & 1))
         return;
-    int news = rt_latch_config(&slot->config, s);
+    int news = rt_latch_config(t, i, &slot->config, s);
     if (news)
         rt_emit(t, RT_CONFIG, i,
                 (uint32_t)s->crit | (uint32_t)s->priority << 8 |
@@ -176,6 +187,7 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
                 s->minc, s->maxc);
     if (!s->dead && atomic_load(&slot->config.dead) == life) {
         rt_emit(t, RT_DEAD, i, 0, 0, 0);
+        s->fell |= s->armed;
         s->dead = 1;
         rt_disarm(s);
     }
@@ -363,7 +375,12 @@ static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lea
         }
         due = rt_sooner(due, next);
         sure = rt_sooner(sure, s->armed ? rt_sure(s) : 0);
-        if (s->ready && (s->word & 3) == RT_ON)
+        if (rt_stands(s)) {
+            struct rt_state called = *s;
+            rt_engage(t, i, &called, now);
+            rt_commit(t, i, &called);
+        }
+        if (s->ready && ((s->word & 3) == RT_ON || s->engaged))
             ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
                                            .crit = s->rank, .priority = s->priority,
                                            .level = s->level, .slot = i};

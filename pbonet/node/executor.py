@@ -1,8 +1,6 @@
 """Runs the methods of one instance, with the right copies before and after each.
 
-The same `Executor` serves the task process (where the native loop does the cycling),
-`pbonet.testing.Bench` and the simulator (where `Executor.cycle` does). It obeys the
-tables of `pbonet.node.lifecycle` and knows neither processes nor shared memory.
+Task processes use it, and Bench and simulator. It obeys `pbonet.node.lifecycle`.
 """
 
 from __future__ import annotations
@@ -125,13 +123,16 @@ class Executor:
         self._spent = True
         return self._run(Event.SPAWN)
 
-    def signal(self, name: str, arg: str = "", *, handover: bool = False) -> State:
+    def signal(
+        self, name: str, arg: str = "", *, handover: bool = False, cede: bool = False
+    ) -> State:
         """Carry out ``on``, ``off``, ``kill``, ``clear`` or ``reinit``.
 
         Args:
             name: The signal.
             arg: Text for the module, as ``self.task.arg``.
             handover: For ``off`` and ``kill``: a successor takes over the outputs.
+            cede: For ``off``: it does so in its own claim.
 
         Returns:
             The state behind it. For ``on`` it may be OFF, when the module cannot start
@@ -147,9 +148,11 @@ class Executor:
         event = signal_event(name, where=self.task.name)
         self.task.arg = arg
         self.task.handover = handover
+        self._actions.cede = cede
         try:
             return self._run(event)
         finally:
+            self._actions.cede = False
             self.task.arg = ""
             self.task.handover = False
 
@@ -237,7 +240,7 @@ class Executor:
             ON when the event came; else what `error` made of a failure.
 
         Raises:
-            StateError: The task is not ON.
+            StateError: It is not ON.
         """
         found = rule(self.state, Event.SYNC, where=self.task.name)
         try:
@@ -266,11 +269,7 @@ class Executor:
     def timing_failure(self, kind: TimingFailure) -> Recovery:
         """Call the module's handler in the middle of a cycle (section 6.3).
 
-        Nothing is copied, and nothing of the answer is carried out here: the caller
-        goes on with the cycle, leaves it and calls `abort`, or skips a release.
-
-        Args:
-            kind: What failed.
+        Nothing is copied. The caller goes on, calls `abort`, or skips a release.
 
         Returns:
             What the handler wants. A module without a handler goes on, with a warning.
@@ -432,6 +431,7 @@ class Executor:
         """Go where an outcome leads; what fails on the way is told with `failure`."""
         self.task.on_fail = None
         self.task.nextstate = after.to
+        self._actions.cede = False
         for step in after.steps:
             try:
                 self._do[step]()

@@ -10,11 +10,12 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
-from pbonet.errors import SvarError, SvarFullError
+from pbonet.errors import Severity, SvarError, SvarFullError
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from .events import EventLog
     from .tables import Tables
 
 
@@ -24,10 +25,14 @@ class Flags:
     Args:
         rtpu: Its name.
         tables: The tables that have the flags.
+        events: Where to tell which causes come and go.
     """
 
-    def __init__(self, rtpu: str, tables: Tables) -> None:
+    def __init__(self, rtpu: str, tables: Tables, events: EventLog) -> None:
         self._rtpu = rtpu
+        self._events = events
+        self._seen: dict[str, dict[tuple[str, str], None]] = {}
+        """Causes and raisers that stood at the last look, by subsystem."""
         self._tables = tables
         self._outputs: dict[tuple[str, str], Collection[str]] = {}
         self._refused: dict[tuple[str, str], str] = {}
@@ -57,6 +62,7 @@ class Flags:
             self._refused[subsystem, name] = cause
         except SvarError:
             pass  # the table is gone, and with it the flag
+        self.look()
 
     def down(self, subsystem: str, name: str) -> None:
         """Withdraw an entry; harmless when there is none."""
@@ -66,6 +72,48 @@ class Flags:
         if opened is not None:
             with contextlib.suppress(SvarError):
                 opened.table.clear_illegal(self._raiser(name))
+                self.look()
+
+    def written(
+        self, subsystem: str, outputs: Collection[str], *, but: str = ""
+    ) -> bool:
+        """Tell whether tasks own all of these variables, and other ones than `but`."""
+        opened = self._tables.sound(subsystem)
+        return opened is not None and all(
+            opened.table.info(output).owner not in {None, but} for output in outputs
+        )
+
+    def look(self) -> None:
+        """Tell which causes have come and gone: those of this RTPU and its tasks.
+
+        What a master has raised is told by the keeper of the table.
+        """
+        for subsystem in {*self._tables.subsystems(), *self._seen}:
+            opened = self._tables.sound(subsystem)
+            before = self._seen.pop(subsystem, {})
+            if opened is None:
+                continue
+            now = {
+                (cause.cause, cause.raiser): None
+                for cause in opened.table.illegal
+                if cause.raiser.startswith(f"{self._rtpu}/")
+                or (opened.keep and "/" not in cause.raiser)
+            }
+            self._seen[subsystem] = now
+            self._tell(subsystem, now.keys() - before, up=True)
+            self._tell(subsystem, before.keys() - now, up=False)
+
+    def _tell(
+        self, subsystem: str, causes: Collection[tuple[str, str]], *, up: bool
+    ) -> None:
+        for cause, raiser in causes:
+            text = f"{cause} ({raiser})"
+            self._events.add(
+                Severity.WARNING if up else Severity.INFO,
+                "ILLEGAL" if up else "LEGAL",
+                text if up else f"no longer: {text}",
+                subsystem=subsystem,
+            )
 
     def relieve(self) -> None:
         """Withdraw entries for outputs that others write now; raise refused ones."""
@@ -75,8 +123,9 @@ class Flags:
             opened = self._tables.sound(subsystem)
             if opened is None:
                 del self._outputs[subsystem, name]
-            elif all(opened.table.info(output).owner for output in outputs):
+            elif self.written(subsystem, outputs, but=name):
                 self.down(subsystem, name)
+        self.look()
 
     def _raiser(self, name: str) -> str:
         return f"{self._rtpu}/{name}"

@@ -104,6 +104,10 @@ class Journal:
         flags = self._local.commit(now_ns, cycle)
         return self._copied(Step.COMMIT, flags, self._about.outvar)
 
+    def cede(self) -> None:
+        """Write the out-vars no more, and leave them to an heir's claim."""
+        self._local.cede()
+
     def release(self) -> None:
         """Give up the out-vars, whose values stand."""
         self._local.release()

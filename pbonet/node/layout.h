@@ -22,6 +22,7 @@
 
 enum {
     RT_SLOTS = 128,
+    RT_MASKS = RT_SLOTS / 64,   /* words with a bit for every slot */
     RT_MEMBERS = 32,
     RT_NAME = 64,
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
@@ -44,13 +45,14 @@ enum {
 #define RT_STALL_NS INT64_C(20000000)
 #define RT_NEVER INT64_MAX
 
-enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2 };
+enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2, RT_STANDS = 3 };
+enum rt_after { RT_ALONE = 0, RT_FALLBACK = 1, RT_HANDOVER = 2 };  /* see standby.h */
 enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORADIC = 3,
                RT_BACKGROUND = 4 };
 enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
 enum rt_failure { RT_DEADLINE = 0, RT_MAXEXEC = 1, RT_MINEXEC = 2, RT_FAILURES = 3 };
 enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended itself */
-enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2 };
+enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
 
 /* One record of the trace; pbonet/sched/dispatch.py says what the kinds mean. */
 struct rt_event {
@@ -61,9 +63,9 @@ struct rt_event {
 };
 enum rt_event_kind {
     RT_TURN = 1, RT_LIFE, RT_CONFIG, RT_DEAD, RT_MODE, RT_DONE, RT_BEGUN, RT_LEAD,
-    RT_LIMITS, RT_USED, RT_HANDLED, RT_WISH, RT_EVENT, RT_UNLOCKED,
+    RT_LIMITS, RT_USED, RT_HANDLED, RT_WISH, RT_EVENT, RT_UNLOCKED, RT_AFTER,
     RT_RELEASE = 16, RT_MISS, RT_LEVEL, RT_WAKE, RT_PARKED, RT_RESUME,
-    RT_FAIL, RT_CRIT, RT_SKIP, RT_REFILL, RT_FORCE,
+    RT_FAIL, RT_CRIT, RT_SKIP, RT_REFILL, RT_FORCE, RT_ENGAGE,
 };
 
 struct rt_config {
@@ -78,6 +80,8 @@ struct rt_config {
     _Atomic int32_t drop;               /* criticality once maxc is used up */
     _Atomic int32_t handler;            /* of the failure handler; 0: the task's own */
     _Atomic int32_t tells;              /* the module has a failure handler */
+    _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
+    _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 
@@ -88,6 +92,7 @@ struct rt_post {
     _Atomic uint32_t events;            /* begun and ended: odd while one is served */
     _Atomic uint32_t handled;           /* failures whose handler has ended */
     _Atomic uint32_t locked;            /* in a critical section */
+    _Atomic uint32_t fell;              /* it is in ERROR, and was armed before */
     _Atomic uint32_t wish;              /* changes with the two below */
     _Atomic int32_t wish_crit;          /* -1: none */
     _Atomic int64_t wish_dl_ns;         /* absolute; 0: none */
@@ -128,6 +133,7 @@ struct rt_state {
     uint8_t dead, armed, ready, granted, begun, parked;
     /* what failures and reserves need; see watch.h */
     uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
+    uint8_t engaged, fell;              /* see standby.h */
     int32_t rank, drop, handler;        /* rank: the criticality that it has now */
     uint32_t told, handled, wish;
     uint32_t heard;                     /* `post.events` of a device, taken in */
@@ -140,6 +146,8 @@ struct rt_state {
     int64_t event_ns;
     uint64_t failures[RT_FAILURES], overruns, held_off;
     struct rt_piece pieces[RT_PIECES];
+    int32_t after_kind;
+    uint64_t after[RT_MASKS];
 };
 
 struct rt_section {                     /* a timed part of the cycle, by the task */
@@ -168,6 +176,7 @@ struct rt_signals {
 
 struct rt_slot {
     _Alignas(64) struct rt_config config;
+    pthread_mutex_t alive;              /* robust; the task holds it for life: vigil.h */
     struct rt_post post;
     struct rt_grant grant;
     struct rt_state state;
@@ -193,6 +202,7 @@ struct rt_table {
     pthread_mutex_t edit;               /* robust; members, lives and configs */
 
     _Alignas(64) _Atomic uint32_t mailbox;  /* futex: changes when there is news */
+    _Atomic uint32_t fallen;            /* futex: changes when a task goes to ERROR */
     _Atomic uint32_t waiting;           /* park: somebody waits for a cycle to end */
     _Atomic uint32_t high;              /* slots ever used: the bound of every scan */
     _Atomic int32_t backend;            /* rt_backend of the leader */

@@ -224,27 +224,36 @@ static inline void rt_choose_core(int backend, int core, cpu_set_t *set)
         *set = own;
 }
 
-/* Start the thread; an errno value when the kernel refuses. */
-static inline int rt_start(struct rt_loop *loop)
+/* Start a thread at a level that holds under `fifo`; an errno value when refused. */
+static inline int rt_spawn_thread(pthread_t *thread, int backend, int core, int level,
+                                  void *(*run)(void *), void *arg)
 {
     pthread_attr_t attr;
-    struct sched_param param = {
-        .sched_priority = loop->backend == RT_FIFO ? RT_DISPATCHER_LEVEL : 0};
+    struct sched_param param = {.sched_priority = backend == RT_FIFO ? level : 0};
     cpu_set_t set;
     sigset_t all, old;
-    rt_choose_core(loop->backend, loop->table->core, &set);
+    rt_choose_core(backend, core, &set);
     pthread_attr_init(&attr);
     pthread_attr_setstacksize(&attr, 1 << 18);
     pthread_attr_setinheritsched(&attr, PTHREAD_EXPLICIT_SCHED);
-    pthread_attr_setschedpolicy(&attr, loop->backend == RT_FIFO ? SCHED_FIFO : SCHED_OTHER);
+    pthread_attr_setschedpolicy(&attr, backend == RT_FIFO ? SCHED_FIFO : SCHED_OTHER);
     pthread_attr_setschedparam(&attr, &param);
     pthread_attr_setaffinity_np(&attr, sizeof set, &set);
-    atomic_store(&loop->stop, 0);
-    sigfillset(&all);           /* signals are for the interpreter's threads */
+    sigfillset(&all);           /* signals are for the interpreter's threads, */
+    sigdelset(&all, SIGBUS);    /* but for a table cut short: survive.h */
     pthread_sigmask(SIG_SETMASK, &all, &old);
-    int error = pthread_create(&loop->thread, &attr, rt_thread, loop);
+    int error = pthread_create(thread, &attr, run, arg);
     pthread_sigmask(SIG_SETMASK, &old, NULL);
     pthread_attr_destroy(&attr);
+    return error;
+}
+
+/* Start the dispatcher's thread; an errno value when the kernel refuses. */
+static inline int rt_start(struct rt_loop *loop)
+{
+    atomic_store(&loop->stop, 0);
+    int error = rt_spawn_thread(&loop->thread, loop->backend, loop->table->core,
+                                RT_DISPATCHER_LEVEL, rt_thread, loop);
     loop->running = !error;
     return error;
 }

@@ -24,7 +24,16 @@ from pbonet.errors import (
 from pbonet.xm import codec
 from pbonet.xm import messages as m
 
-from . import control, inspecting, params, recordings, spawning, status, wire
+from . import (
+    control,
+    inspecting,
+    params,
+    reconfig,
+    recordings,
+    spawning,
+    status,
+    wire,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -66,6 +75,7 @@ class Operations:
             m.Spawn: self._spawn,
             m.Control: self._control,
             m.Reconfig: self._reconfig,
+            m.Standby: self._standby,
             m.Freq: self._freq,
             m.Get: self._get,
             m.Set: self._set,
@@ -301,7 +311,12 @@ class Operations:
         return rtpu.status_of(task), warnings
 
     async def _reconfig(self, request: m.Reconfig) -> Result:
-        return await control.reconfigure(self._rtpu, request), []
+        return await reconfig.reconfigure(self._rtpu, request), []
+
+    async def _standby(self, request: m.Standby) -> Result:
+        rtpu = self._rtpu
+        await rtpu.fallbacks.pair(request.subsystem, request.task, request.original)
+        return rtpu.status_of(rtpu.need(request.subsystem, request.task)), []
 
     async def _freq(self, request: m.Freq) -> Result:
         task = self._rtpu.need(request.subsystem, request.task)

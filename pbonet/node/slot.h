@@ -87,6 +87,24 @@ static inline int rt_end_event(struct rt_task *task)
     return (int)odd;
 }
 
+/* The word of a new arming: what was granted before is stale. */
+static inline uint32_t rt_anew(struct rt_task *task, uint32_t word)
+{
+    struct rt_slot *slot = task->slot;
+    uint32_t seq = atomic_load(&slot->grant.seq);
+    atomic_store(&slot->post.begun, seq);
+    atomic_store(&slot->post.done, seq);
+    return (word & ~UINT32_C(0x1ffff)) | (((word >> 2) + 1) & 0x7fff) << 2;
+}
+
+/* Stand by until the dispatcher engages the task; see standby.h. */
+static inline void rt_stand_by_for(struct rt_task *task)
+{
+    uint32_t word = rt_anew(task, atomic_load(&task->slot->post.word));
+    atomic_store(&task->slot->post.word, word | RT_STANDS);
+    rt_kick(task->table);
+}
+
 /* Ask for releases: a new arming after OFF, else on with the old one. */
 static inline void rt_arm(struct rt_task *task)
 {
@@ -97,10 +115,9 @@ static inline void rt_arm(struct rt_task *task)
     rt_end_event(task);
     if ((word & 3) == RT_ON)
         return;
-    if ((word & 3) == RT_OFF) {
-        uint32_t seq = atomic_load(&slot->grant.seq);   /* of an earlier life: stale */
-        atomic_store(&slot->post.begun, seq);
-        atomic_store(&slot->post.done, seq);
+    if ((word & 3) == RT_OFF || (word & 3) == RT_STANDS) {
+        word = rt_anew(task, word);
+        atomic_store(&slot->post.fell, 0);
         rt_stats_begin(s);
         rt_put(&s->on_ns, (uint64_t)rt_now());
         rt_put(&s->on_cycles, rt_get(&s->cycles));
@@ -113,7 +130,6 @@ static inline void rt_arm(struct rt_task *task)
         rt_put(&s->cpu_first_ns, 0);
         rt_put(&s->last_rel_ns, 0);
         rt_stats_end(s);
-        word = (word & ~UINT32_C(0x1ffff)) | (((word >> 2) + 1) & 0x7fff) << 2;
     } else {
         word += UINT32_C(1) << 17;
     }
@@ -147,6 +163,25 @@ static inline int rt_leave(struct rt_task *task, int mode)
     if (mode == RT_OFF)
         rt_kick(task->table);
     return error;
+}
+
+/* The task is in ERROR: whoever stands by for it is engaged, and the flag goes up. */
+static inline int rt_fall(struct rt_task *task)
+{
+    atomic_store(&task->slot->post.fell, 1);
+    int error = rt_leave(task, RT_OFF);
+    atomic_fetch_add(&task->table->fallen, 1);
+    rt_futex_wake(&task->table->fallen);
+    return error;
+}
+
+/* Whether the cycle that has just ended was to be the last one; asked once. */
+static inline int rt_was_last(struct rt_task *task)
+{
+    _Atomic uint32_t *ask = &task->slot->grant.ask;
+    if (!(atomic_load_explicit(ask, memory_order_relaxed) & RT_ASK_LAST))
+        return 0;
+    return (atomic_fetch_and(ask, ~(uint32_t)RT_ASK_LAST) & RT_ASK_LAST) != 0;
 }
 
 /* Wait for a release, a command, or the parent's end. `served`: a cycle has run since

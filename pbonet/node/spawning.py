@@ -211,7 +211,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
     task = Task(
         facts,
         child,
-        wake=lambda: rtpu.core.request(slot),
+        wake=lambda last: rtpu.core.request(slot, last=last),
         tell=rtpu.told_by,
         ended=rtpu.ended,
     )
@@ -249,6 +249,7 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
     rtpu.core.configure(task.facts.slot, tells=task.ready.tells)
     rtpu.signals.apply(rtpu.core, task)
     task.stopping = False
+    rtpu.watch_life(task)
     rtpu.events.add(
         Severity.INFO,
         "SPAWNED",

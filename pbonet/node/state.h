@@ -4,6 +4,8 @@
 
 #include "layout.h"
 
+#include <string.h>
+
 static inline void rt_emit(struct rt_table *t, int kind, int slot, uint32_t arg, int64_t a,
                            int64_t b)
 {
@@ -47,7 +49,7 @@ static inline void rt_disarm(struct rt_state *s)
 {
     s->armed = s->ready = s->granted = s->begun = s->parked = 0;
     s->spent = s->late = s->sure = s->skip = s->handling = s->owed = 0;
-    s->fresh = s->active = s->n_pieces = 0;
+    s->fresh = s->active = s->n_pieces = s->engaged = 0;
     s->level = 0;
     s->rank = s->crit;
     s->next_ns = s->check_ns = 0;

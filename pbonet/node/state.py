@@ -24,6 +24,7 @@ from pbonet.sched.records import Mode
 from . import _rt, leftovers, ranking, runtime, status, wire
 from ._ring import Ring
 from .claims import Claims
+from .fallbacks import Fallbacks
 from .flags import Flags
 from .signalling import Signals
 from .spawner import Server, Spawner
@@ -72,7 +73,7 @@ class Rtpu:
         self.slot_owner = f"{config.domain}/{config.name}"
         self.claims = Claims(config.name, epoch=time.time_ns() // 1_000_000)
         self.tables = Tables(config.domain, changed=self.tell_claims)
-        self.flags = Flags(config.name, self.tables)
+        self.flags = Flags(config.name, self.tables, events)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}
         """The last status of tasks that died, until they are killed or spawned anew."""
@@ -92,6 +93,8 @@ class Rtpu:
         self.spawner = Spawner(config.core, forks, self._forks_died)
         self.core: _rt.CoreTable
         self.dispatcher: _rt.Dispatcher
+        self.vigil: _rt.Vigil
+        self.fallbacks = Fallbacks(self)
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
@@ -124,6 +127,7 @@ class Rtpu:
         self.core = _rt.CoreTable(self.config.core, member=True)
         self.dispatcher = _rt.Dispatcher(self.core, self.config.backend)
         self.dispatcher.start()
+        self.vigil = _rt.Vigil(self.dispatcher)
         self.save()
         self._watch = asyncio.create_task(self._watch_quietly(), name="watch")
 
@@ -134,9 +138,9 @@ class Rtpu:
             await asyncio.gather(self._watch, return_exceptions=True)
         self.tables.close_all()
         await self.spawner.close()
-        for name in ("dispatcher", "core"):
+        for name in ("vigil", "dispatcher", "core"):
             held = getattr(self, name, None)
-            if isinstance(held, _rt.Dispatcher):
+            if isinstance(held, _rt.Dispatcher | _rt.Vigil):
                 held.stop()
             elif isinstance(held, _rt.CoreTable):
                 held.close()
@@ -206,14 +210,15 @@ class Rtpu:
             remedy="spawn it again" if tomb else did_you_mean(name, known),
         )
 
-    def rank(self, joining: Task | None = None) -> None:
+    def rank(self, *joining: Task) -> None:
         """Rank all tasks anew and tell the dispatcher what has changed.
 
         Args:
-            joining: A task that is about to be turned on; it counts already.
+            joining: Tasks that are about to be turned on; they count already. One that
+                stands by takes nothing from the others.
         """
         wishes = [
-            self._wish(key, task, on=task is joining or task.state is State.ON)
+            self._wish(key, task, on=task in joining or task.state is State.ON)
             for key, task in self.tasks.items()
         ]
         ranked = ranking.rank(self._entry(), wishes)
@@ -256,7 +261,22 @@ class Rtpu:
         rank = self.ranks.get(key, ranking.Ranked(0, 0, assumed=True))
         slot = self.core.snapshot(task.facts.slot)
         signals = self.core.signals(task.facts.slot)
-        return status.task_status(self.name, task, slot, rank, signals)
+        made = status.task_status(self.name, task, slot, rank, signals)
+        made.fallback_of = self.fallbacks.of(task)
+        made.stands_by = bool(task.stands_by)
+        return made
+
+    def watch_life(self, task: Task) -> None:
+        """Have the task's death, or its going to ERROR, known at once."""
+        opened = self.tables.get(task.facts.subsystem)
+        depended_on = opened is not None and task.facts.outputs
+        self.vigil.watch(
+            task.facts.slot,
+            opened.table.arena if opened is not None and depended_on else None,
+            f"{self.name}/{task.name}".encode(),
+            f"{task.name} has died".encode(),
+            f"{task.name} is in ERROR".encode(),
+        )
 
     # -- what happens unasked ----------------------------------------------------------
 
@@ -274,7 +294,9 @@ class Rtpu:
             task.warning = task.warning or notice.text
         if notice.error is not None:
             task.error = str(PbonetError.from_wire(notice.error))
-        if notice.state:
+        if notice.code == "ENGAGED":
+            self._engaged(task, notice)
+        elif notice.state:
             self.settle(task)
         goes_on = notice.state in {"", State.ON}  # a flood at worst, no change of state
         if goes_on and not task.budget.take(time.monotonic_ns()):
@@ -295,21 +317,42 @@ class Rtpu:
             errnum=notice.errnum,
             place=notice.place,
         )
+        self.flags.look()
 
-    def settle(self, task: Task) -> None:
+    def _engaged(self, task: Task, notice: wire.Notice) -> None:
+        """Take note that the dispatcher has brought a task ON."""
+        if task.state is State.ON:
+            self.turned_on += 1
+            task.on_rank = self.turned_on
+        subsystem = task.facts.subsystem
+        original = self.tasks.get((subsystem, task.stands_by))
+        self.fallbacks.engaged(task, notice)
+        if original is not None and self.flags.written(
+            subsystem, original.facts.outputs, but=original.name
+        ):  # of one whose death is known already `relieve` thinks
+            self.flags.down(subsystem, original.name)
+        self.settle(task)
+        self.flags.relieve()
+
+    def settle(self, task: Task, *, ranked: bool = False) -> None:
         """Bring ranks, error text and the flag in line with a task's state."""
-        self.rank()
+        if not ranked:
+            self.rank()
         if task.state is State.ERROR:
             self._raise_flag(task, "is in ERROR")
-            return
-        task.error = ""
-        self.flags.down(task.facts.subsystem, task.name)
+        else:
+            task.error = ""
+            self.flags.down(task.facts.subsystem, task.name)
+        self.fallbacks.look(task)
 
     def _raise_flag(self, task: Task, how: str) -> None:
         """Raise the flag for a task if others may depend on it."""
-        if outputs := task.facts.outputs:
+        outputs, subsystem = task.facts.outputs, task.facts.subsystem
+        if outputs and not self.flags.written(subsystem, outputs, but=task.name):
             cause = f"{task.name} {how}"
-            self.flags.up(task.facts.subsystem, task.name, cause, outputs)
+            self.flags.up(subsystem, task.name, cause, outputs)
+        else:  # the vigil may have raised it, and a fallback is there already
+            self.flags.down(subsystem, task.name)
 
     def ended(self, task: Task, code: int) -> None:
         """Clean up after a task's process, however it ended."""
@@ -317,15 +360,19 @@ class Rtpu:
         slot = self.core.snapshot(task.facts.slot)
         task.last_status = self.status_of(task)
         self.signals.end(self.core, task)
+        self.vigil.forget(task.facts.slot)
         self.core.died(task.facts.slot)
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
             kept.pop(key, None)
-        if not task.stopping:
+        if task.stopping:
+            self.flags.down(task.facts.subsystem, task.name)
+        else:
             self._died(
                 task, code, slot
             )  # the flag is up before the task's own entries go
         self._reap(task)
+        self.fallbacks.look(task)
         self.rank()
         self.save()
 
@@ -380,6 +427,7 @@ class Rtpu:
         """Forget all tasks of a subsystem that died."""
         for key in [key for key in self.tombs if key[0] == subsystem]:
             self.bury(*key)
+        self.fallbacks.forget(subsystem)
 
     def _forks_died(self, code: int) -> None:
         self.events.add(
@@ -398,6 +446,7 @@ class Rtpu:
         while True:
             await asyncio.sleep(WATCH_PERIOD)
             self.flags.relieve()
+            self.fallbacks.look_again()
             self.signals.look(self.core, self.tasks.values())
             self._timekeeper.look(
                 self.core.status(),

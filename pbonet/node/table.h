@@ -144,6 +144,8 @@ static inline int rt_init(struct rt_table *t, int core)
     int error = rt_init_mutex(&t->leader);
     if (!error)
         error = rt_init_mutex(&t->edit);
+    for (int i = 0; i < RT_SLOTS && !error; i++)
+        error = rt_init_mutex(&t->slots[i].alive);
     t->version = RT_VERSION;
     t->size = sizeof *t;
     t->core = core;
@@ -322,6 +324,7 @@ static inline void rt_reset_watch(struct rt_slot *slot)
     struct rt_post *post = &slot->post;
     struct rt_grant *g = &slot->grant;
     _Atomic uint32_t *words[] = {&post->events, &post->handled, &post->locked, &post->wish,
+                                 &post->fell,
                                  &g->skip, &g->failed, &g->told, &g->forced, &g->owed,
                                  &g->look, &slot->n_sections};
     for (size_t k = 0; k < sizeof words / sizeof *words; k++)
@@ -354,6 +357,10 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     atomic_store(&c->drop, 0);
     atomic_store(&c->handler, 0);
     atomic_store(&c->tells, 0);
+    atomic_store(&c->after_kind, RT_ALONE);
+    for (int k = 0; k < RT_MASKS; k++)
+        atomic_store(&c->after[k], 0);
+    rt_init_mutex(&slot->alive);
     memset(c->rtpu, 0, RT_NAME);
     memset(c->task, 0, RT_NAME);
     memcpy(c->rtpu, rtpu, strnlen(rtpu, RT_NAME - 1));
@@ -430,6 +437,19 @@ static inline void rt_configure(struct rt_table *t, int i, const struct rt_setti
     rt_set32(&c->tells, s->tells);
     rt_set64(&c->minc_ns, s->minc_ns);
     rt_set64(&c->maxc_ns, s->maxc_ns);
+    rt_config_end(c, gen);
+    pthread_mutex_unlock(&t->edit);
+}
+
+/* Say whose end a task that stands by waits for, by slot; RT_ALONE: nobody's. */
+static inline void rt_follow(struct rt_table *t, int i, int kind, const uint64_t *after)
+{
+    struct rt_config *c = &t->slots[i].config;
+    rt_edit_lock(t);
+    uint32_t gen = rt_config_begin(c);
+    atomic_store_explicit(&c->after_kind, kind, memory_order_relaxed);
+    for (int k = 0; k < RT_MASKS; k++)
+        atomic_store_explicit(&c->after[k], after[k], memory_order_relaxed);
     rt_config_end(c, gen);
     pthread_mutex_unlock(&t->edit);
 }

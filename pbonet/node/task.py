@@ -28,8 +28,9 @@ from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
 from pbonet.svar import Table
 from pbonet.xm import live_on
 
-from . import _rt, journal, runtime, tasktalk, wire
+from . import _rt, journal, lifecycle, runtime, tasktalk, wire
 from ._ring import Ring
+from .alarm import Alarm
 from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
 from .slotwatch import SlotWatch
@@ -85,6 +86,8 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
+        self.heir_of: list[str] = []
+        """While it stands by: the tasks whose out-vars it takes over."""
         self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         for which in (signal.SIGTERM, signal.SIGINT):
@@ -145,8 +148,10 @@ class Host:
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.journal, illegal=illegal)
         self.executor.cycling = self._method
+        self.alarm = Alarm(self.table, f"{spec.rtpu}/{spec.task}", self.context)
         with self.journal.doing(Did("spawn")):
             self.executor.spawn()
+        self.slot.vow()
 
     def settle(self) -> None:
         """Make the process fit for real time, then say that the task is OFF."""
@@ -187,6 +192,8 @@ class Host:
                 self.end(self._asked_to_end or "its parent process is gone")
             elif self.executor.state is State.ON:
                 self._cycle()
+            elif self.heir_of:
+                self._stand_by()
             else:
                 self._wait()
         self._close()
@@ -199,6 +206,36 @@ class Host:
             os.read(self._wake_read, 512)
         if sock.fileno() in ready:
             self._take()
+
+    def _stand_by(self) -> None:
+        """Wait, OFF, until the dispatcher engages the task or a message comes."""
+        if self.slot.stand_by() == _rt.ENGAGED:
+            self._engage()
+        self._take()
+
+    def _engage(self) -> None:
+        """Come on, because others have ended; nobody has sent the signal."""
+        failed: PbonetError | None = None
+        after, self.heir_of = self.heir_of, []
+        self.time.turned_on()
+        try:
+            with self.journal.doing(Did("on")):
+                self.executor.signal("on")
+        except PbonetError as error:
+            failed = error
+        finally:
+            self.local.heir_of([])
+        if self.executor.state is State.ON:
+            self.slot.arm()
+        else:
+            self._after_signal()
+        self.voice.notice(
+            Severity.ERROR if failed else Severity.INFO,
+            "ENGAGED",
+            f"in the place of {' and '.join(after)}: {failed or self.executor.state}",
+            state=self.executor.state,
+            error=failed,
+        )
 
     def _cycle(self) -> None:
         """Cycle until a message waits or something fails."""
@@ -213,6 +250,7 @@ class Host:
                 ring=self.ring,
                 leave=ALL_REFUSED,
                 failing=self._tell,
+                aged=self._aged if self.rmod.critical else None,
             )
             if reason == _rt.FLAGS:
                 self.time.cycling = False
@@ -229,6 +267,11 @@ class Host:
         if self.context.off_requested and self.executor.state is State.ON:
             self._obey("off")
         self._take()
+
+    def _aged(self, stale: bool) -> None:  # noqa: FBT001 - called by the native loop
+        """Say that inputs of a critical task have become stale, or are fresh again."""
+        name = self.local.blamed[0]
+        self.alarm.aged(f"the input {name} of {self.spec.task} is stale" * stale)
 
     def _sync(self) -> None:
         """Wait as the module says; a message that arrives ends the wait."""
@@ -262,7 +305,7 @@ class Host:
         except PbonetError as error:
             self.voice.report(error, self.executor, self.time.cyclecount)
         if self.executor.state is not State.ON:
-            self.slot.disarm()
+            self._disarm()
             self.voice.notice(
                 Severity.WARNING,
                 "STATE",
@@ -283,7 +326,7 @@ class Host:
         except PbonetError as second:
             error = second
         if self.executor.state is not State.ON:
-            self.slot.disarm()
+            self._disarm()
         if not settled:  # else the handler's own event says it
             self.voice.report(error, self.executor, self.time.cyclecount)
 
@@ -328,6 +371,12 @@ class Host:
             case wire.Signal():
                 self._signal(message)
                 return None
+            case wire.Prepare():
+                self._prepare(message.after)
+                return None
+            case wire.Disown():
+                self.local.release()
+                return None
             case wire.SetParam():
                 did = Did("set", name=message.name, arg=message.value)
                 with self.journal.doing(did):
@@ -344,20 +393,52 @@ class Host:
     def _signal(self, message: wire.Signal) -> None:
         if message.signal == "on":
             self.time.turned_on()
-        did = Did(message.signal, arg=message.arg, handover=message.handover)
+        did = Did(
+            message.signal,
+            arg=message.arg,
+            handover=message.handover,
+            cede=message.cede,
+        )
         with self.journal.doing(did):
-            self.executor.signal(message.signal, message.arg, handover=message.handover)
+            self.executor.signal(
+                message.signal,
+                message.arg,
+                handover=message.handover,
+                cede=message.cede,
+            )
         self._after_signal()
+
+    def _prepare(self, after: list[str]) -> None:
+        """Be ready to come on in the place of others; refused as `on` would be."""
+        self.heir_of = []
+        self.local.heir_of(after)
+        if not after:
+            return
+        lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)
+        try:
+            self.local.check_claim()
+        except PbonetError:
+            self.local.heir_of([])
+            raise
+        self.heir_of = after
 
     def _after_signal(self) -> None:
         """Bring the slot in line with the state."""
         state = self.executor.state
         if state is not State.ON:
-            self.slot.disarm()
+            self._disarm()
             gc.collect()
             gc.freeze()
         if state is State.NOT_CREATED:
             self._over = True
+
+    def _disarm(self) -> None:
+        """Take part in no releases; in ERROR, have whoever stands by engaged."""
+        if self.executor.state is State.ERROR:
+            self.slot.fall()
+        else:
+            self.slot.disarm()
+        self.alarm.end()
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
         wired = error.to_wire() if error else None

@@ -77,7 +77,8 @@ class Task:
     Args:
         facts: What it was made from.
         child: Its process.
-        wake: Tells the task, through its slot, that a message waits.
+        wake: Tells the task, through its slot, that a message waits; when told so, that
+            it is to look behind its next cycle.
         tell: Takes what the task reports unasked, and what it prints.
         ended: Called once, with the exit code, when the process is gone.
     """
@@ -87,7 +88,7 @@ class Task:
         facts: Facts,
         child: Child,
         *,
-        wake: Callable[[], None],
+        wake: Callable[[bool], None],
         tell: Callable[[Task, wire.Notice], None],
         ended: Callable[[Task, int], None],
     ) -> None:
@@ -105,6 +106,10 @@ class Task:
         """How its process ended, once that is known."""
         self.last_status: TaskStatus | None = None
         """Its status as it ended."""
+        self.stands_by = ""
+        """The task that this one is the fallback of, while it stands by for it."""
+        self.engaged: asyncio.Future[wire.Notice] | None = None
+        """Resolves when the dispatcher has engaged the task and its `on` has run."""
         self.stopping = False
         """True once its end is wanted, so that the end is no event."""
         self.budget = LineBudget(rate=50.0, burst=200.0)
@@ -141,7 +146,12 @@ class Task:
         return next(iter(self._busy.values()), "")
 
     async def command(
-        self, what: str, make: Callable[[int], wire.ToTask], limit: float
+        self,
+        what: str,
+        make: Callable[[int], wire.ToTask],
+        limit: float,
+        *,
+        last: bool = False,
     ) -> wire.Done:
         """Send one message and return the answer.
 
@@ -149,6 +159,7 @@ class Task:
             what: What is asked, for messages: ``on``, ``set``.
             make: Makes the message from its number.
             limit: Seconds to wait for the answer.
+            last: It is carried out behind the task's next cycle, at the level of that.
 
         Raises:
             StateError: The task is still carrying out an earlier message.
@@ -166,7 +177,7 @@ class Task:
             n = next(self._count)
             answer = self._expect(n)
             self._busy[n] = what
-            self.send(make(n))
+            self.send(make(n), last=last)
             return await self.wait_for(answer, what, limit)
 
     async def wait_for(
@@ -191,7 +202,7 @@ class Task:
             raise error_of(done)
         return done
 
-    def send(self, message: wire.ToTask) -> None:
+    def send(self, message: wire.ToTask, *, last: bool = False) -> None:
         """Hand a message to the task; it looks at it after its present component."""
         data = wire.encode(message)
         if len(data) > wire.LARGEST_PACKET:
@@ -211,7 +222,7 @@ class Task:
                 got=str(error),
                 remedy="'status' shows how it stands; kill it and spawn it again",
             ) from None
-        self._wake()
+        self._wake(last)
 
     async def where(self) -> str:
         """Return the task's Python stack, as text; for tasks that hang."""
@@ -265,6 +276,9 @@ class Task:
                 answer.set_exception(self.death(code))
                 answer.exception()  # nobody may wait for it any more
         self._waiting.clear()
+        if self.engaged is not None and not self.engaged.done():
+            self.engaged.set_exception(self.death(code))
+            self.engaged.exception()
         self.child.close()
         self.gone.set()
 
@@ -283,6 +297,8 @@ class Task:
             return
         if message.state:
             self.state = State(message.state)
+        if message.code == "ENGAGED" and self.engaged and not self.engaged.done():
+            self.engaged.set_result(message)
         self._tell(self, message)
 
     def _finished(self, message: wire.Done) -> None:

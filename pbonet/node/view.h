@@ -234,7 +234,7 @@ static inline int64_t rt_posted_cpu(const struct rt_slot *slot)
 
 /* What a task does in virtual time; mode and locked: -1 leaves them. */
 struct rt_part {
-    int mode, begun, done, event, locked, handled;
+    int mode, begun, done, event, locked, handled, fell;
     int64_t now_ns, cpu_ns;
 };
 
@@ -256,8 +256,12 @@ static inline void rt_play(struct rt_table *t, struct rt_slot *slot,
         atomic_store(&post->locked, (uint32_t)part->locked);
     if (part->handled)
         atomic_store(&post->handled, slot->state.told);
-    if (part->mode == RT_ON)
+    if (part->fell)
+        rt_fall(&task);
+    else if (part->mode == RT_ON)
         rt_arm(&task);
+    else if (part->mode == RT_STANDS)
+        rt_stand_by_for(&task);
     else if (part->mode >= 0)
         rt_leave(&task, part->mode);
 }

@@ -232,6 +232,22 @@ class Signal(Struct, tag="signal"):
     signal: str
     arg: str = ""
     handover: bool = False
+    cede: bool = False
+    """For ``off``: the heir takes the out-vars itself; see `Prepare`."""
+
+
+class Prepare(Struct, tag="prepare"):
+    """Stand by, OFF, until the dispatcher engages the task; nothing ends it."""
+
+    n: int
+    after: list[str]
+    """Tasks whose out-vars it takes over then; empty: stand by no longer."""
+
+
+class Disown(Struct, tag="disown"):
+    """Give up out-vars that were ceded and that nobody has taken."""
+
+    n: int
 
 
 class SetParam(Struct, tag="set"):
@@ -256,7 +272,7 @@ class SetFreq(Struct, tag="freq"):
     hz: float
 
 
-ToTask = Signal | SetParam | GetParam | SetFreq
+ToTask = Signal | Prepare | Disown | SetParam | GetParam | SetFreq
 
 
 # -- task to RTPU process -------------------------------------------------------------

@@ -28,6 +28,7 @@ from ._params import (
     make_params,
     params_type,
 )
+from ._schedule import Counted, Schedule
 from ._signals import (
     PREDEFINED,
     SIGNALS,
@@ -40,10 +41,8 @@ from ._signals import (
 from ._task import (
     Answer,
     BoundedOutbox,
-    Counted,
     Notice,
     Outbox,
-    Schedule,
     State,
     TaskContext,
     TaskFailure,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from enum import StrEnum
 from typing import TYPE_CHECKING, NoReturn, Protocol
@@ -26,6 +25,7 @@ from ._handling import (
     number_of,
     place_of,
 )
+from ._schedule import Counted, IllegalHook, Schedule
 from ._signals import Signal
 from ._timing import PythonWatch, TimingFailure, Watch
 
@@ -118,47 +118,6 @@ class BoundedOutbox:
         return notices
 
 
-class Schedule(Protocol):
-    """What a task's scheduler knows of it: time, cycles, criticality."""
-
-    @property
-    def now(self) -> int:
-        """Release of the present cycle, else the present time; nanoseconds."""
-        ...
-
-    @property
-    def cyclecount(self) -> int:
-        """Cycles executed since the task was turned on."""
-        ...
-
-    @property
-    def crit(self) -> int:
-        """The criticality that the task has now."""
-        ...
-
-
-class Counted:
-    """A schedule that its owner keeps up to date, cycle by cycle.
-
-    Args:
-        clock: Gives nanoseconds while `release` is None, that is, between cycles.
-        crit: The criticality to begin with.
-    """
-
-    def __init__(
-        self, clock: Callable[[], int] = time.monotonic_ns, crit: int = 0
-    ) -> None:
-        self.clock = clock
-        self.release: int | None = None
-        self.cyclecount = 0
-        self.crit = crit
-
-    @property
-    def now(self) -> int:
-        """The release of the present cycle, or the clock's time between cycles."""
-        return self.clock() if self.release is None else self.release
-
-
 class TaskContext:
     """``self.task``: the task that runs a module, as the module sees it.
 
@@ -228,6 +187,8 @@ class TaskContext:
         """Attributes of the module's in-vars."""
         self.is_stale: Callable[[str], bool] | None = None
         """How the runtime tells the age of an in-var; None where nothing ages."""
+        self.on_illegal: IllegalHook | None = None
+        """How the runtime raises or withdraws the task's entries in the flag."""
 
     @property
     def sigmask(self) -> int:
@@ -348,8 +309,33 @@ class TaskContext:
         self.signals |= signal
         if signal & Signal.OFF:
             self.off_requested = True
+        if signal & (Signal.ILLEGAL | Signal.LEGAL) and self.on_illegal is not None:
+            self.on_illegal(text, up=bool(signal & Signal.ILLEGAL))
+        self.announce(signal, text)
+
+    def announce(self, signal: Signal | int, text: str = "") -> None:
+        """Tell the master of a signal without doing what it stands for."""
         if wanted := self._wanted(int(signal)):
             self._notice(wanted, text, 0)
+
+    def illegal(self, cause: str) -> None:
+        """Raise the illegal-configuration flag (section 3.10); never waits.
+
+        Critical tasks run `stable` from their next cycle on, until `legal` withdraws
+        this entry and no other stands. It also ends when the task is not ON any more.
+
+        Args:
+            cause: Why; at most 127 bytes of it are kept.
+        """
+        self.signal(Signal.ILLEGAL, cause)
+
+    def legal(self, cause: str = "") -> None:
+        """Withdraw what the module raised with `illegal`; harmless without.
+
+        Args:
+            cause: Which entry; by default all of this task's.
+        """
+        self.signal(Signal.LEGAL, cause)
 
     def warn(self, text: str, code: int = 0) -> None:
         """Report something that is not right but lets the task go on; never waits.

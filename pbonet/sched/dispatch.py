@@ -14,6 +14,8 @@ The rules (`docs/realtime.md` gives the reasons):
   Listing 2). If that cycle had not even begun, it is the one that is missed.
 - However late a turn comes, only the newest release is granted; the others are missed.
 - Failures and reserves are watched as `pbonet.sched.watch` says, behind the releases.
+- A task that stands by is engaged, that is, granted its `on`, when one of the tasks
+  that it is the fallback of has fallen, or all that hand over to it are off.
 - Ready tasks are ranked by urgency and hold FIFO levels in that order. Under ``park``
   only the most urgent one is let run.
 """
@@ -22,7 +24,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .events import Event
+from .events import After, Event
 from .records import Decision, Kind, Mode
 from .slotstate import SlotState, arms, returns
 from .urgency import NEVER, assign_levels, urgency
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
 LEAD_NS = 100_000
 """A task that is armed gets its first release at least this far ahead."""
 NO_WISH = 255
+SLOTS = 128
+_WORD = (1 << 64) - 1
 
 
 class Dispatcher:
@@ -42,6 +46,7 @@ class Dispatcher:
     def __init__(self, *, park: bool = False) -> None:
         self.park = park
         self.slots: dict[int, SlotState] = {}
+        self._freed: dict[int, SlotState] = {}
         self._out: list[Decision] = []
         self._read: set[int] = set()
 
@@ -70,6 +75,7 @@ class Dispatcher:
             when = due(state) if state.armed else 0
             if state.fresh or (when and when <= now):
                 self._look(now, slot, state)
+            self._stand_by(now, slot, state)
         self._rank()
         instants = [due(s) for s in self.slots.values() if s.armed]
         return self._out, min(filter(None, instants), default=0)
@@ -79,6 +85,25 @@ class Dispatcher:
             msg = f"slot {slot}: CPU time read {slot in self._read}, not as it must be"
             raise ValueError(msg)
         Watch(slot, state, now, self._decide).look()
+
+    def _stand_by(self, now: int, slot: int, state: SlotState) -> None:
+        """Engage a task that stands by, if it is time."""
+        if state.mode is not Mode.STANDS or state.engaged or state.dead:
+            return
+        whom = [self._state(one) for one in range(SLOTS) if state.after >> one & 1]
+        if state.after_kind == After.FALLBACK:
+            called = any(one.fell for one in whom)
+        else:
+            called = not any(one.armed or one.fell for one in whom)
+            called &= state.after_kind == After.HANDOVER
+        if called:
+            state.engaged = state.ready = True
+            state.rel_ns = now
+            state.dl_ns = now + (state.deadline or state.period)
+            self._decide(Event.ENGAGE, slot, 0, now, state.dl_ns)
+
+    def _state(self, slot: int) -> SlotState:
+        return self.slots.get(slot) or self._freed.get(slot) or SlotState()
 
     def _decide(
         self, event: Event, slot: int, arg: int = 0, a: int = 0, b: int = 0
@@ -92,11 +117,19 @@ class Dispatcher:
                 state.level = 0
             return
         if event is Event.LIFE:
-            self.slots.pop(record.slot, None)
-            if record.arg & 1:
-                self.slots[record.slot] = SlotState(life=record.arg)
+            self._live(record.slot, record.arg)
             return
         self._change(now, record.slot, self.slots[record.slot], event, record)
+
+    def _live(self, slot: int, life: int) -> None:
+        """Take over that a slot was allocated or freed."""
+        old = self._state(slot)
+        self.slots.pop(slot, None)
+        self._freed.pop(slot, None)
+        if life & 1:
+            self.slots[slot] = SlotState(life=life)
+        else:  # freed while it was armed: its task has died, and nobody came to say so
+            self._freed[slot] = SlotState(life=life, fell=old.armed or old.fell)
 
     def _change(
         self, now: int, slot: int, state: SlotState, event: Event, record: Decision
@@ -108,9 +141,10 @@ class Dispatcher:
                 _limit(state, record)
             case Event.DEAD:
                 state.dead = True
+                state.fell |= state.armed
                 disarm(state)
             case Event.MODE:
-                self._mode(now, slot, state, record.arg)
+                self._mode(now, slot, state, record)
             case Event.DONE:
                 over(state)
             case Event.BEGUN:
@@ -138,18 +172,23 @@ class Dispatcher:
                     watch.event(record.a, active=bool(record.arg))
             case Event.UNLOCKED:
                 watch.unlocked()
+            case Event.AFTER:
+                low, high = (mask & _WORD for mask in (record.a, record.b))
+                state.after_kind, state.after = record.arg, low | high << 64
             case _:
                 msg = f"{event.name} is no input"
                 raise ValueError(msg)
 
-    def _mode(self, now: int, slot: int, state: SlotState, word: int) -> None:
-        old, state.word = state.word, word
+    def _mode(self, now: int, slot: int, state: SlotState, record: Decision) -> None:
+        old, word = state.word, record.arg
+        state.word, state.fell = word, bool(record.a)
         if arms(word) != arms(old) or state.mode is Mode.OFF:
             disarm(state)
         if returns(word) != returns(old) or state.mode is not Mode.ON:
             state.level = 0
-        state.fresh = state.mode is not Mode.OFF and limited(state)
-        if state.mode is Mode.OFF or state.armed or state.dead:
+        idle = state.mode in {Mode.OFF, Mode.STANDS}
+        state.fresh = not idle and limited(state)
+        if idle or state.armed or state.dead:
             return
         state.armed = True
         if state.kind == Kind.PERIODIC:
@@ -168,7 +207,7 @@ class Dispatcher:
         ranked = [
             (-urgency(s.rank, s.dl_ns, s.priority), s.rel_ns, slot)
             for slot, s in self.slots.items()
-            if s.ready and s.mode is Mode.ON
+            if s.ready and (s.mode is Mode.ON or s.engaged)
         ]
         ranked.sort()
         order = [slot for _, _, slot in ranked]

@@ -18,7 +18,8 @@ class Event(IntEnum):
     DEAD = 4
     """Input: the task's process is gone, or an orphan, which nobody ranks."""
     MODE = 5
-    """Input: the task's mode word arg (`Mode`, arming count, return count)."""
+    """Input: the task's mode word arg (`Mode`, arming count, return count); a is 1 when
+    it is OFF because it is in ERROR."""
     DONE = 6
     """Input: the granted cycle has ended."""
     BEGUN = 7
@@ -37,6 +38,8 @@ class Event(IntEnum):
     """Input: something came from outside at instant a; arg 1: it is being served."""
     UNLOCKED = 14
     """Input: the critical section that held a drop off has ended."""
+    AFTER = 15
+    """Input: the slot stands by (arg: `After`) for bits of a (slots 0 to 63) and b."""
     RELEASE = 16
     """Decision: the release at instant a, deadline b."""
     MISS = 17
@@ -59,6 +62,19 @@ class Event(IntEnum):
     """Decision: a server gets capacity a back, and has b."""
     FORCE = 26
     """Decision: a critical section of grant arg has lasted too long; failures come."""
+    ENGAGE = 27
+    """Decision: a task that stands by runs its `on`, from a on, with deadline b."""
+
+
+class After(IntEnum):
+    """Whose end a task that stands by waits for."""
+
+    ALONE = 0
+    """Nobody's."""
+    FALLBACK = 1
+    """One of them goes to ERROR, or dies while it is armed."""
+    HANDOVER = 2
+    """All of them are turned off in order."""
 
 
 def pack(crit: int, priority: int, kind: int) -> int:

@@ -35,6 +35,8 @@ class Mode(IntEnum):
     """Releases on the grid; the task waits for them or runs a cycle."""
     COMMAND = 2
     """Releases go on, but the task is busy with a command and holds no level."""
+    STANDS = 3
+    """No releases; it waits to be engaged when others end."""
 
 
 class Section(Struct, frozen=True):

@@ -62,6 +62,13 @@ class SlotState(Struct):
     handler_mark: int = 0
     told: int = 0
     check_ns: int = 0
+    engaged: bool = False
+    """It stood by and was granted its `on`."""
+    fell: bool = False
+    """It went to ERROR or died while it was armed."""
+    after_kind: int = 0
+    after: int = 0
+    """Slots that it comes after, as bits."""
     active: bool = False
     """A server serves an event."""
     heard: int = 0

@@ -82,7 +82,7 @@ def disarm(state: SlotState) -> None:
     """Forget all that belongs to an arming."""
     over(state)
     state.armed = state.spent = state.late = state.sure = False
-    state.fresh = state.active = False
+    state.fresh = state.active = state.engaged = False
     state.pieces.clear()
     state.level = state.next_ns = 0
     state.rank = state.crit

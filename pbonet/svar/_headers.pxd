@@ -38,6 +38,8 @@ cdef extern from "local.h" nogil:
         uint32_t n
         const uint32_t *vars
         const uint64_t *at
+        const char *heir_of
+        uint32_t n_heir_of
     struct pb_check:
         uint32_t type, rule, var
         uint64_t at, n

@@ -314,6 +314,17 @@ cdef class LocalTable:
             self.out_uid, self.out_number = o.group.uid, pb_committed(o)
         return code, rival
 
+    def succeed(self, list names) -> None:
+        """Let the next claim of the out-vars take them from these tasks, though they live."""
+        cdef pb_group *g = &local(self).outputs[PB_GROUP_VARS].group
+        self.heirs = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
+        g.heir_of = <const char *>self.heirs
+        g.n_heir_of = len(names)
+
+    def cede(self) -> None:
+        """Write no more, and leave the variables to the heir's claim."""
+        local(self).outputs[PB_GROUP_VARS].live = False
+
     def give(self, unsigned which, bint leave) -> int:
         """Give a group's variables up; returns 0 or a negative code."""
         cdef pb_outputs *o = local(self).outputs + which

@@ -21,6 +21,8 @@ struct pb_group {
     uint32_t n;
     const uint32_t *vars; /* their indices, in rising order */
     const uint64_t *at;   /* their places in the group */
+    const char *heir_of;  /* names of PB_NAME bytes: these tasks hand over to it */
+    uint32_t n_heir_of;
 };
 
 /* The directory's head, for who holds the lock. */

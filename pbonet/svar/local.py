@@ -213,6 +213,17 @@ class LocalTable(Closing, native.LocalTable):
         """Give the out-vars up; their values stand until another task takes over."""
         self._check(self.give(VARS, False))  # noqa: FBT003
 
+    def heir_of(self, tasks: Iterable[str]) -> None:
+        """Say which tasks hand over: `claim` takes their variables though they live.
+
+        So the variables go from one task to the other as one event, and are never
+        without an owner.
+
+        Args:
+            tasks: Their names; none ends it.
+        """
+        self.succeed([name.encode() for name in tasks])
+
     def stale(self, which: str | int) -> bool:
         """Tell whether an in-var is older than its MAXAGE, as the last copy brought it.
 

@@ -28,12 +28,22 @@ static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry
 
 enum { PB_TAKE, PB_SHARE, PB_REFUSE };
 
+/* Whether the holder of a register hands over to the group: its variables go from the one
+ * to the other in the group's own claim, so that somebody owns them at every instant. */
+static inline bool pb_hands_over(const struct pb_group *g, const struct pb_reg *holder) {
+    for (uint32_t i = 0; i < g->n_heir_of; i++)
+        if (!strncmp(holder->task, g->heir_of + i * PB_NAME, PB_NAME)) return true;
+    return false;
+}
+
 /* May the group take this variable? A constant that its owner gives the same value is
  * left to that owner (thesis, section 3.5: only a different value is a conflict). */
 static inline int pb_may(const struct pb_table *t, const struct pb_group *g, uint32_t i,
                          const uint8_t *data, bool constants) {
     const struct pb_entry *e = pb_directory(t, pb_generation(t)) + g->vars[i];
-    if (!e->live || t->regs + e->reg == g->reg || !pb_alive(t->regs + e->reg)) return PB_TAKE;
+    const struct pb_reg *holder = t->regs + e->reg;
+    if (!e->live || holder == g->reg || pb_hands_over(g, holder) || !pb_alive(holder))
+        return PB_TAKE;
     if (constants && pb_peek_equal(t, e, data + g->at[i], t->vars[g->vars[i]].bytes))
         return PB_SHARE;
     return PB_REFUSE;

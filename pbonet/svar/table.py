@@ -388,14 +388,12 @@ class Table(Closing):
                 not by this cause: raise it again when others have gone.
         """
         words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
-        code = self._open().raise_illegal(*words)
-        if code == FULL:
+        if self._open().raise_illegal(*words) == FULL:
             raise SvarFullError(
                 f"too many causes stand, this one was not added: {cause}",
                 where=self.name,
                 expected=f"at most {CAUSES_EACH} of a process and {CAUSES} in all",
-                remedy="the flag is up all the same; clear what has been dealt with "
-                "and raise this one again",
+                remedy="the flag is up all the same; clear others and raise it again",
             )
 
     def clear_illegal(self, raiser: str, cause: str = "", machine: str = "") -> int:
@@ -405,8 +403,7 @@ class Table(Closing):
             SvarOwnerError: Another process has raised it, and lives.
         """
         words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
-        code = self._open().clear_illegal(*words)
-        if code == ALIVE:
+        if (code := self._open().clear_illegal(*words)) == ALIVE:
             raise SvarOwnerError(
                 f"what {raiser} raised is not cleared, its process lives",
                 where=self.name,
@@ -421,8 +418,12 @@ class Table(Closing):
         Raises:
             SvarDamagedError: Bytes that are mapped are not there any more.
         """
-        arena = self._open()
-        files.must_be_whole(self.path, arena.fileno, arena.size)
+        files.must_be_whole(self.path, self.arena.fileno, self.arena.size)
+
+    @property
+    def arena(self) -> Arena:
+        """The file, mapped; for native code."""
+        return self._open()
 
     def close(self) -> None:
         """Let go of the table (svarDetach); local tables made from it go on working."""

@@ -128,6 +128,7 @@ class Bench(Generic[M]):
             self.task,
         )
         self.task.is_stale = lambda attr: attr in self.stale
+        self.task.on_illegal = self._said_illegal
         self._record_methods()
         self.executor = Executor(
             self.module,
@@ -170,6 +171,10 @@ class Bench(Generic[M]):
             "name": record.name,
         }
         return Bench(module, values, **{**told, **more})
+
+    def _said_illegal(self, cause: str, *, up: bool) -> None:
+        self.illegal = up  # whatever the cause
+        del cause
 
     # -- signals ----------------------------------------------------------------------
 

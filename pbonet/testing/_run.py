@@ -83,6 +83,9 @@ class _Copies:
     def commit(self, now_ns: int = 0, cycle: int = 0) -> int:  # noqa: ARG002
         return self._out(Step.COMMIT, self._run.about.outvar, self._run.group)
 
+    def cede(self) -> None:
+        """Nothing is owned here, and nobody inherits."""
+
     def release(self) -> None:
         """Nothing is owned here."""
 
@@ -249,7 +252,7 @@ class Run:
             elif did.what == "freq":
                 self._context.freq = did.hz
             elif did.what != "refused":
-                executor.signal(did.what, did.arg, handover=did.handover)
+                executor.signal(did.what, did.arg, handover=did.handover, cede=did.cede)
         except PbonetError as error:
             # As it may have been in the task; what was recorded behind it will tell.
             self._failed = error

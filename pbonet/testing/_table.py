@@ -142,6 +142,10 @@ class BenchTable:
         del now_ns, cycle
         return self._out(Step.COMMIT, Kind.OUTVAR)
 
+    def cede(self) -> None:
+        """Own nothing any more."""
+        self.release()
+
     def release(self) -> None:
         """Own nothing any more."""
         self._log.append(str(Step.RELEASE))

@@ -42,9 +42,9 @@ class Change(Struct, frozen=True, kw_only=True):
 
 
 def job(tasks: Sequence[Task]) -> Change:
-    """Return the change that spawns all tasks and turns them on."""
-    names = [task.name for task in tasks]
-    items = [(name, "spawn") for name in names] + [(name, "on") for name in names]
+    """Return the change that spawns all and turns on those that do not stand by."""
+    items = [(task.name, "spawn") for task in tasks]
+    items += [(task.name, "on") for task in tasks if not task.fallback_of]
     return Change(items=tuple(items), whole=True, tasks=tuple(tasks))
 
 
@@ -109,7 +109,40 @@ def check(configuration: Configuration) -> list[Problem]:
         check_traffic,
     ):
         found += part(configuration)
-    return found
+    return found + _with_fallbacks(configuration, found)
+
+
+def _with_fallbacks(now: Configuration, found: Sequence[Problem]) -> list[Problem]:
+    """Return what would be wrong once a standby is in the place of its original.
+
+    Each pair is judged by itself, and of several the load of all standbys at once; an
+    original and its standby are never ON together.
+    """
+    pairs = {
+        task.name: task.fallback_of
+        for task in now.tasks
+        if task.fallback_of in now.on and task.name not in now.on
+    }
+    known = {problem.key for problem in found}
+    told: list[Problem] = []
+    for standby, original in pairs.items():
+        then = structs.replace(now, on=now.on - {original} | {standby})
+        for part in (check_writers, check_readers, check_loads):
+            told += [
+                _once(p, f"{standby} is in the place of {original}") for p in part(then)
+            ]
+    if len(pairs) > 1:
+        then = structs.replace(now, on=now.on - {*pairs.values()} | pairs.keys())
+        told += [_once(p, "every fallback is engaged") for p in check_loads(then)]
+    new: dict[tuple[object, ...], Problem] = {}
+    for problem in told:
+        if problem.key not in known:
+            new.setdefault(problem.key, problem)
+    return list(new.values())
+
+
+def _once(problem: Problem, when: str) -> Problem:
+    return structs.replace(problem, what=f"{problem.what}, once {when}")
 
 
 def judge(current: Configuration, change: Change) -> Verdict:

@@ -104,6 +104,8 @@ class Task(Struct, frozen=True, kw_only=True):
     """Execution profile as measured (section 6.4); its end is MAXC if none is given."""
     task: str = ""
     """Its name, when that is not the RMOD's."""
+    fallback_of: str = ""
+    """The task that it stands by for, OFF until that one fails."""
     told: Mapping[str, Place] = {}
     """Where a job says something in place of the RMOD, such as its RTPU."""
 

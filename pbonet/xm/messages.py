@@ -124,7 +124,9 @@ class Control(Request, tag="control"):
 class Reconfig(Request, tag="reconfig"):
     """Send an ordered list of signals, acknowledged once (section 4.4.4).
 
-    Result: `Reconfigured`. The first failure ends it.
+    An ``off`` and the ``on`` of a task that takes its variables over are carried out
+    together, and so are several such pairs side by side: the dispatcher releases the
+    new task as the old one ends. Result: `Reconfigured`. The first failure ends it.
     """
 
     items: list[tuple[str, str]]
@@ -133,6 +135,19 @@ class Reconfig(Request, tag="reconfig"):
     """Tasks whose outputs a task on another RTPU takes over; of those on its own the
     agent knows by itself."""
     timeout: float = 5.0
+
+
+class Standby(Request, tag="standby"):
+    """Make a task the fallback of another one on its RTPU. Result: `TaskStatus`.
+
+    Whenever the original is ON and the standby OFF, the standby has everything ready;
+    the dispatcher releases it when the original goes to ERROR or dies.
+    """
+
+    task: str
+    """The standby."""
+    original: str
+    """Empty: it stands by no longer."""
 
 
 class Freq(Request, tag="freq"):
@@ -299,6 +314,7 @@ AnyRequest = (
     | Spawn
     | Control
     | Reconfig
+    | Standby
     | Freq
     | Get
     | Set
@@ -349,7 +365,10 @@ class Reconfigured(Struct, kw_only=True):
     done: int
     states: dict[str, str] = {}
     error: WireError | None = None
-    """Of item number `done`; the rest was not sent."""
+    """Of the first item of `rest`."""
+    rest: list[tuple[str, str]] = []
+    """What was not carried out, that which failed first; empty without an error. Tasks
+    that are exchanged together need not fail in the order of the list."""
 
 
 class Stopped(Struct, kw_only=True):

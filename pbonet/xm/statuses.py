@@ -90,6 +90,10 @@ class TaskStatus(Struct, kw_only=True):
     """Critical sections that lasted too long, and were overruled."""
     sections: dict[str, SectionStatus] = {}
     """Timed sections by name (section 6.7.2)."""
+    fallback_of: str = ""
+    """The task whose fallback it is."""
+    stands_by: bool = False
+    """It is ready to be released in the place of that one."""
     signals: dict[str, int] = {}
     """How often it has sent each signal since it was spawned, masked ones left out."""
 

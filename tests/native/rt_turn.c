@@ -49,11 +49,13 @@ static void disturb(struct rt_table *t, int i)
     struct rt_settings s = {.pid = -1, .crit = -1, .priority = -1, .kind = -1,
                             .period_ns = -1, .deadline_ns = -1, .minc_ns = -1,
                             .maxc_ns = -1, .drop = -1, .handler = -1, .tells = -1};
+    struct rt_part part = {.mode = -1, .locked = -1};
+    uint64_t after[RT_MASKS];
     if (!(rt_life(t, i) & 1)) {
         rt_alloc(t, -1, "rtpu", "task");
         return;
     }
-    switch (pick(10)) {
+    switch (pick(12)) {
     case 0:
         rt_free(t, i);
         break;
@@ -75,7 +77,16 @@ static void disturb(struct rt_table *t, int i)
         rt_configure(t, i, &s);
         break;
     case 3:
-        play(t, i, (int)pick(3), 0, 0);
+        play(t, i, (int)pick(4), 0, 0);
+        break;
+    case 6:
+        for (int k = 0; k < RT_MASKS; k++)
+            after[k] = UINT64_C(1) << pick(64);
+        rt_follow(t, i, (int)pick(3), after);
+        break;
+    case 7:
+        part.fell = 1;
+        rt_play(t, &t->slots[i], &part);
         break;
     case 4:
     case 5:
@@ -95,11 +106,12 @@ static void check(struct rt_table *t, int park)
         struct rt_state *s = &t->slots[i].state;
         require(!s->granted || s->ready, "granted without a release");
         require(!s->parked || s->granted, "held without a grant");
-        require(!s->ready || s->armed, "ready without being armed");
+        require(!s->ready || s->armed || s->engaged, "ready without being armed");
+        require(!s->engaged || (s->word & 3) == RT_STANDS, "engaged and no standby");
         require(s->armed || (!s->check_ns && !s->next_ns), "watched though OFF");
         require(!rt_is_server(s) || s->left <= s->maxc, "no more than the capacity");
         require(s->n_pieces <= RT_PIECES, "pieces");
-        if (!s->ready || (s->word & 3) != RT_ON)
+        if (!s->ready || ((s->word & 3) != RT_ON && !s->engaged))
             continue;
         ready[n++] = (struct muf_item){.deadline = s->dl_ns, .since = s->rel_ns,
                                        .crit = s->rank, .priority = s->priority,

@@ -22,7 +22,8 @@ def run(*command: str | Path) -> None:
 
 def test_every_header_is_named_as_a_dependency() -> None:
     listed = (NODE / "_rt.pyx").read_text().split("depends = ")[1].splitlines()[0]
-    assert sorted(x for x in listed.split() if x.endswith(".h")) == HEADERS
+    own = [x for x in listed.split() if x.endswith(".h") and "/" not in x]
+    assert sorted(own) == HEADERS
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)

@@ -183,7 +183,7 @@ def jobs(draw: st.DrawFn) -> JobFile:
     chosen = draw(st.lists(labels, min_size=1, max_size=4, unique=True))
     off = draw(st.lists(st.sampled_from(chosen), unique=True))
     conditions = st.lists(questions.map(Condition), max_size=3).map(tuple)
-    rtpu = st.none() | labels.filter(lambda name: name != "FREQ")
+    rtpu = st.none() | labels.filter(lambda name: name not in {"FREQ", "FALLBACK"})
     return JobFile(
         file="a.job",
         name=draw(labels),
@@ -192,7 +192,12 @@ def jobs(draw: st.DrawFn) -> JobFile:
         pre=draw(conditions),
         post=draw(conditions),
         tasks=tuple(
-            JobTask(rmod=rmod, rtpu=draw(rtpu), freq=draw(st.none() | hertz))
+            JobTask(
+                rmod=rmod,
+                rtpu=draw(rtpu),
+                freq=draw(st.none() | hertz),
+                fallback=draw(st.none() | st.just(f"{rmod}_safe")),
+            )
             for rmod in chosen
         ),
         off_order=tuple(off),

@@ -102,6 +102,11 @@ class History:
             self.table.post(i, mode=pick.choice(list(Mode)))
         elif what < 0.40:
             self.table.post(i, begun=True)
+        elif what < 0.43:
+            self.table.post(i, fell=True)
+        elif what < 0.47:
+            others = pick.sample(self.slots, min(len(self.slots), pick.randrange(4)))
+            self.table.follow(i, pick.randrange(3), others)
         elif what < 0.65:
             self.live(i)
         else:

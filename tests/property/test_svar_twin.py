@@ -64,10 +64,15 @@ def make(native, folder: Path):
     return arena, path
 
 
+TASKS = [b"task", b"other", b"n" * 70]
+
+
 class Side:
     """A local table of one kind, as the other half of pbonet.svar.local makes it."""
 
-    def __init__(self, native, arena, ins, outs, *, consts=(), keep=False) -> None:
+    def __init__(
+        self, native, arena, ins, outs, *, consts=(), keep=False, name=b"task"
+    ) -> None:
         self.groups = [layout.group_of(VARIABLES, s) for s in (outs, consts)]
         places, at = {}, 0
         for group in self.groups:
@@ -98,7 +103,7 @@ class Side:
                 guards.checks_of(VARIABLES, group),
             )
             if group.indices:
-                code = self.local.enter(which, 0, os.getpid(), b"task")
+                code = self.local.enter(which, 0, os.getpid(), name)
                 self.codes.append(code)
                 self.regs[which] = max(code, 0)
         self.places = places
@@ -152,8 +157,9 @@ class InStep(RuleBasedStateMachine):
     def task(self, ins, outs, consts, keep):
         assume(len(self.all) < 12)
         consts -= outs
+        name = TASKS[len(self.all) % len(TASKS)]
         sides = [
-            Side(native, arena, ins, outs, consts=consts, keep=keep)
+            Side(native, arena, ins, outs, consts=consts, keep=keep, name=name)
             for native, arena in zip((_svar, pure), self.arenas, strict=True)
         ]
         self.all.append(sides)
@@ -174,6 +180,14 @@ class InStep(RuleBasedStateMachine):
         self.now += 1
         self.both(lambda side: side.local.ask(which), sides)
         self.both(lambda side: side.local.take(which, self.now, 5), sides)
+
+    @rule(sides=tasks, names=st.sets(st.sampled_from(TASKS)))
+    def succeed(self, sides, names):
+        self.both(lambda side: side.local.succeed(sorted(names)), sides)
+
+    @rule(sides=tasks)
+    def cede(self, sides):
+        self.both(lambda side: side.local.cede(), sides)
 
     @rule(sides=tasks, which=st.sampled_from([0, 1]), leave=st.booleans())
     def give(self, sides, which, leave):

@@ -4,6 +4,7 @@ import pytest
 
 from pbonet.config import parse_svar
 from pbonet.errors import SvarFullError
+from pbonet.node.events import EventLog
 from pbonet.node.flags import Flags
 from pbonet.svar import Table
 from pbonet.svar.native import CAUSES_EACH
@@ -21,14 +22,17 @@ EOF
 class Opened:
     """A table as the RTPU process has it open."""
 
+    keep = True
+
     def __init__(self, table):
         self.table = table
 
 
 class Tables(dict):
-    """The open tables; their files are whole."""
+    """The open tables of an RTPU process; their files are whole."""
 
     sound = dict.get
+    subsystems = dict.keys
 
 
 @pytest.fixture
@@ -39,8 +43,8 @@ def table(monkeypatch, tmp_path):
     table.destroy()
 
 
-def flags(table):
-    return Flags("arm0", Tables(arm=Opened(table)))
+def flags(table, events=None):
+    return Flags("arm0", Tables(arm=Opened(table)), events or EventLog("arm0"))
 
 
 def test_an_entry_stands_until_it_is_withdrawn(table):
@@ -67,3 +71,19 @@ def test_a_cause_without_room_is_raised_when_others_have_gone(table):
     mine.down("arm", "servo")
     mine.relieve()
     assert not table.illegal
+
+
+def test_entering_and_leaving_are_events_with_the_cause(table):
+    events = EventLog("arm0")
+    mine = flags(table, events)
+    mine.up("arm", "servo", "servo has died")
+    mine.up("arm", "servo", "servo has died")  # it is up already
+    table.raise_illegal("of another RTPU", "arm1/eye")
+    table.raise_illegal("equation 2", "master")
+    mine.look()
+    mine.down("arm", "servo")
+    assert [(event.code, event.text) for event in events.since(1)] == [
+        ("ILLEGAL", "servo has died (arm0/servo)"),
+        ("ILLEGAL", "equation 2 (master)"),
+        ("LEGAL", "no longer: servo has died (arm0/servo)"),
+    ]

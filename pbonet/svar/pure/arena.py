@@ -21,6 +21,8 @@ from .flag import FLAG_BYTES, Flag, identity
 from .process import lives, process_start, space
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from .local import Group
@@ -282,20 +284,36 @@ class Arena(Flag):
             at = max(at, end)
         return at if at + size <= self.size else 0
 
-    def _may(self, r: int, v: int, value: bytes, *, constants: bool) -> str:
+    def _may(
+        self,
+        r: int,
+        v: int,
+        value: bytes,
+        *,
+        constants: bool,
+        heir_of: Collection[str] = (),
+    ) -> str:
         """Return whether a variable is taken, shared or refused."""
         holder, live, at = self.entry(v)
-        if not live or holder == r or not self._alive(holder):
+        if not live or holder == r or self._task(holder) in heir_of:
+            return "take"
+        if not self._alive(holder):
             return "take"
         where = self.slot(holder, self.reg(holder, 0)) + LINE + at
         same = bytes(self.map[where : where + len(value)]) == value
         return "share" if constants and same else "refuse"
 
+    def _asked(
+        self, group: Group, reg: int, v: int, at: int, *, constants: bool
+    ) -> str:
+        """Return what becomes of one variable of a group that stands in `reg`."""
+        value = group.value(at, self.size_of(v))
+        return self._may(reg, v, value, constants=constants, heir_of=group.heir_of)
+
     def refused(self, group: Group, *, constants: bool) -> int | None:
         """Return the first variable that a claim would be refused for."""
         for v, at in group:
-            value = group.value(at, self.size_of(v))
-            if self._may(group.reg, v, value, constants=constants) == "refuse":
+            if self._asked(group, group.reg, v, at, constants=constants) == "refuse":
                 return v
         return None
 
@@ -312,8 +330,7 @@ class Arena(Flag):
         self.commit(group.reg, group.value(0, group.bytes), stamp)
         changes: dict[int, tuple[int, int, int]] = {}
         for v, at in group:
-            value = group.value(at, self.size_of(v))
-            if self._may(old, v, value, constants=constants) == "take":
+            if self._asked(group, old, v, at, constants=constants) == "take":
                 changes[v] = group.reg, 1, at
         self._publish(changes)
         if group.reg != old:
@@ -325,10 +342,7 @@ class Arena(Flag):
         here = [
             self.entry(v)[0] == group.reg
             for v, at in group
-            if self._may(
-                group.reg, v, group.value(at, self.size_of(v)), constants=constants
-            )
-            == "take"
+            if self._asked(group, group.reg, v, at, constants=constants) == "take"
         ]
         return any(here) and not all(here)
 

@@ -38,6 +38,7 @@ class Group:
         self.first = self.bytes = self.reg = self.uid = 0
         self.checks: list[Check] = []
         self.live = False
+        self.heir_of: set[str] = set()
         self.data = memoryview(b"")
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
@@ -126,6 +127,14 @@ class LocalTable:
         if which == VARS:
             self.out_uid = self.register_uid(VARS)
         return answer
+
+    def succeed(self, names: list[bytes]) -> None:
+        """Let the next claim of the out-vars take them from these tasks."""
+        self.groups[VARS].heir_of = {name[:63].decode() for name in names}
+
+    def cede(self) -> None:
+        """Write no more, and leave the variables to the heir's claim."""
+        self.groups[VARS].live = False
 
     def give(self, which: int, leave: bool) -> int:  # noqa: FBT001
         """Give a group's variables up."""

@@ -1,0 +1,177 @@
+"""From a task's death to `stable` and to its fallback's first cycle.
+
+A real agent, a real master over zenoh, tasks of 1 kHz. One task is killed by SIGKILL,
+at any phase of its period; its standby is released by the dispatcher, and a critical
+task that stays goes into `stable`. What both did when stands in their rings.
+
+    python -m benchmarks.fallback [--deaths 100] [--json FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import rtbench
+from benchmarks.steering import VARIABLE
+from benchmarks.swap import PERIOD, RATE, RMOD
+from pbonet.master import Subsystem
+from pbonet.master.embedded import Embedded
+from pbonet.node._ring import Record, Ring
+
+STABLE = 1 << 31
+Times = tuple[float, float, float]
+CRITICAL = '''"""Holds still while the configuration is illegal."""
+
+from typing import Annotated as A
+
+from pbonet import InVar, OutVar, PortBasedObject, Vector
+
+
+class Guard(PortBasedObject):
+    """y = z; and the last y in `stable`."""
+
+    z: A[Vector, InVar("Z", "6", "any", "what is passed on")]
+    y: A[Vector, OutVar("Y", "6", "any", "what came in")]
+
+    def cycle(self, dt: float) -> None:
+        self.y[:] = self.z
+
+    def stable(self, dt: float) -> None:
+        pass
+'''
+GUARD = """\
+MODULE    guard
+DESC      critical
+SVARALIAS Z=Y0
+SVARALIAS Y=D
+INCONST   none
+OUTCONST  none
+INVAR     Z
+OUTVAR    Y
+TASKTYPE  periodic
+FREQ      {rate:g}
+CRITICAL  yes
+EOF
+"""
+JOB = """\
+JOB  bench
+DESC a task with a standby
+SBS  b.sbs
+TASK first bench0 FALLBACK second
+TASK guard bench0
+EOF
+"""
+
+
+def write_files(folder: Path) -> None:
+    """Write the subsystem, its job and its critical module."""
+    variables = [VARIABLE.format(name="NDOF", kind="int", units="none", nelem=1)]
+    variables[0] += "INIT 6\n"
+    variables += [
+        VARIABLE.format(name=name, kind="double", units="any", nelem=6)
+        for name in ("Y0", "V0", "D")
+    ]
+    wave = RMOD.format(
+        module="sine", aliases="SVARALIAS Y=Y0\nSVARALIAS Y^=V0", invar="none",
+        outvar="Y Y^", rate=RATE, local="LOCAL\nAMPLITUDE 1\nFREQ 1",
+    )  # fmt: skip
+    files = {
+        "b.svar": "\n".join(variables) + "\nEOF\n",
+        "b.sbs": "SUBSYSTEM b\nSVARFILE b.svar\nRTPU bench0\nEOF\n",
+        "bench.job": JOB,
+        "first.rmod": wave,
+        "second.rmod": wave,
+        "guard.rmod": GUARD.format(rate=RATE),
+        "guard.py": CRITICAL,
+    }
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def records(ring: Ring, wanted: float) -> list[Record]:
+    """Return the records that come within so many seconds."""
+    found: list[Record] = []
+    end = time.monotonic() + wanted
+    while time.monotonic() < end:
+        found += ring.drain()
+        time.sleep(0.002)
+    return found
+
+
+def one(subsystem: Subsystem, original: str, standby: str) -> Times:
+    """Kill a task; return periods to the standby's first cycle, to `stable`, in it."""
+    status = {status.task: status for status in subsystem.status_all()}
+    rings = {name: Ring.attach(status[name].ring) for name in (standby, "guard")}
+    try:
+        time.sleep(random.uniform(0.01, 0.02))
+        for ring in rings.values():
+            ring.drain()
+        killed = time.monotonic_ns()
+        os.kill(status[original].tid, signal.SIGKILL)
+        guard = records(rings["guard"], 0.25)
+        begun = records(rings[standby], 0.01)
+        first = next(one.start_ns for one in begun if one.start_ns > killed)
+        held = [one for one in guard if one.flags & STABLE and one.start_ns > killed]
+        return (
+            (first - killed) / PERIOD,
+            (held[0].start_ns - killed) / PERIOD if held else float("nan"),
+            float(len(held)),
+        )
+    finally:
+        for ring in rings.values():
+            ring.close()
+
+
+def deaths(subsystem: Subsystem, count: int) -> list[Times]:
+    """Kill so many tasks, each of which has a standby."""
+    found: list[Times] = []
+    for _ in range(count):
+        subsystem.start("bench")
+        end = time.monotonic() + 5.0
+        while not subsystem.status("second").stands_by and time.monotonic() < end:
+            time.sleep(0.01)
+        found.append(one(subsystem, "first", "second"))
+        subsystem.control("second", "kill")  # the next start spawns both anew
+    return found
+
+
+def main() -> None:
+    """Measure and report."""
+    parser = argparse.ArgumentParser(description="From a death to the fallback.")
+    parser.add_argument("--deaths", type=int, default=100)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        os.environ["PBONET_RUN_DIR"] = str(folder / "run")
+        write_files(folder)
+        with Embedded("default", libraries=[str(folder)]) as agents:
+            agents.start(["bench0"])
+            with Subsystem(
+                folder / "b.sbs", libraries=[str(folder)], warned=lambda _text: None
+            ) as subsystem:
+                found = np.array(deaths(subsystem, args.deaths))
+    print(rtbench.machine())
+    print(f"{args.deaths} deaths by SIGKILL, tasks of {RATE:.0f} Hz")
+    print(f"periods of {PERIOD / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
+    names = ("death to fallback's first cycle", "death to stable", "cycles in stable")
+    for key, values in zip(names, found.T, strict=True):
+        seen = values[~np.isnan(values)]
+        p50, p90 = np.quantile(seen, [0.5, 0.9])
+        missing = f"  ({len(values) - len(seen)} without)" * (len(seen) < len(values))
+        print(f"  {key:32} {p50:8.2f} {p90:8.2f} {seen.max():8.2f}{missing}")
+    if args.json:
+        args.json.write_text(json.dumps(found.tolist()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

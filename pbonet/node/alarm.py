@@ -1,0 +1,70 @@
+"""A task's own entries in the illegal-configuration flag (Stewart 1994, 3.10)."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from pbonet.errors import SvarError, SvarOwnerError
+from pbonet.pbo import Signal
+
+if TYPE_CHECKING:
+    from pbonet.pbo import TaskContext
+    from pbonet.svar import Table
+
+
+class Alarm:
+    """What a task has raised: on its module's word, or because its inputs are stale.
+
+    Both end when the task is not ON any more, and with its process.
+
+    Args:
+        table: Whose flag.
+        raiser: The task, with its RTPU.
+        task: The module's view of it; gets a hook, and says what happens.
+    """
+
+    def __init__(self, table: Table, raiser: str, task: TaskContext) -> None:
+        self._table = table
+        self._raiser = raiser
+        self._task = task
+        self._causes: set[str] = set()
+        self._aged = ""
+        task.on_illegal = self._said
+
+    def aged(self, cause: str) -> None:
+        """Raise or change the entry for stale inputs; an empty cause withdraws it."""
+        if cause == self._aged:
+            return
+        before, self._aged = self._aged, cause
+        if cause:
+            self._raise(cause)
+            self._task.announce(Signal.ILLEGAL, cause)
+        if before:
+            self._clear(before)
+        if not cause:
+            self._task.announce(Signal.LEGAL, before)
+
+    def end(self) -> None:
+        """Withdraw everything; harmless when there is nothing."""
+        self.aged("")
+        for cause in list(self._causes):
+            self._said(cause, up=False)
+
+    def _said(self, cause: str, *, up: bool) -> None:
+        """Obey the module; withdrawing no particular cause withdraws all of its."""
+        if up:
+            self._causes.add(cause)
+            self._raise(cause)
+            return
+        for one in [cause] if cause else list(self._causes):
+            self._causes.discard(one)
+            self._clear(one)
+
+    def _raise(self, cause: str) -> None:
+        with contextlib.suppress(SvarError):  # no room: other causes hold it up
+            self._table.raise_illegal(cause, self._raiser)
+
+    def _clear(self, cause: str) -> None:
+        with contextlib.suppress(SvarOwnerError):
+            self._table.clear_illegal(self._raiser, cause)

@@ -1,0 +1,248 @@
+"""Standbys: a task that is engaged when another one fails (a job's FALLBACK).
+
+The dispatcher does the engaging, alone and at once (``standby.h``). Here is only
+decided who stands by, which is arranged beforehand, and told what has happened, which
+is done afterwards. A pair is arranged while the original is ON and the standby OFF.
+
+Nothing flaps: an original that is cleared does not take its place back, a standby that
+fails too has nobody behind it, and after `LIMIT` times a pair is not arranged again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Protocol
+
+from msgspec import Struct
+
+from pbonet.errors import PbonetError, Severity, StateError
+from pbonet.pbo import State
+
+from . import _rt, wire
+
+if TYPE_CHECKING:
+    from .events import EventLog
+    from .tasks import Task
+
+LIMIT = 3
+"""So often a standby is engaged; then an operator is needed."""
+TIME = 2.0
+"""Seconds that a standby may take to get ready, and to be told so."""
+
+
+class Pair(Struct):
+    """An original and its standby."""
+
+    subsystem: str
+    original: str
+    standby: str
+    engaged: int = 0
+    """How often the standby had to come on."""
+    told: str = ""
+    """Why it cannot stand by, as was said last."""
+
+
+class Home(Protocol):
+    """What is needed of the RTPU that all these tasks are on."""
+
+    name: str
+    core: _rt.CoreTable
+    events: EventLog
+    tasks: dict[tuple[str, str], Task]
+    stopping: set[str]
+
+    def of(self, subsystem: str) -> list[Task]:
+        """Return the tasks of a subsystem."""
+        ...
+
+    def need(self, subsystem: str, name: str) -> Task:
+        """Return a task, or raise UnknownTaskError."""
+        ...
+
+
+class Fallbacks:
+    """The pairs of one RTPU.
+
+    Args:
+        rtpu: Whose.
+    """
+
+    def __init__(self, rtpu: Home) -> None:
+        self._rtpu = rtpu
+        self._pairs: dict[tuple[str, str], Pair] = {}
+        self._running: set[asyncio.Task[None]] = set()
+        self._lock = asyncio.Lock()
+
+    async def pair(self, subsystem: str, standby: str, original: str) -> None:
+        """Make a task the fallback of another one; an empty original ends that.
+
+        Raises:
+            UnknownTaskError: One of them is not here.
+            StateError: They are the same task.
+            PbonetError: The standby could not take over: why.
+        """
+        task = self._rtpu.need(subsystem, standby)
+        await self.withdraw(task)
+        self._pairs.pop((subsystem, standby), None)
+        if not original:
+            return
+        self._rtpu.need(subsystem, original)
+        if original == standby:
+            raise StateError(
+                f"the task {standby} cannot be its own fallback",
+                where=self._rtpu.name,
+                remedy="name another task",
+            )
+        made = self._pairs[subsystem, standby] = Pair(subsystem, original, standby)
+        await self._arrange(made)
+
+    def of(self, task: Task) -> str:
+        """Return the original whose fallback a task is; empty for none."""
+        pair = self._pairs.get((task.facts.subsystem, task.name))
+        return pair.original if pair else ""
+
+    def forget(self, subsystem: str) -> None:
+        """Forget all pairs of a subsystem."""
+        for key in [key for key in self._pairs if key[0] == subsystem]:
+            del self._pairs[key]
+
+    # -- standing by -------------------------------------------------------------------
+
+    def look(self, task: Task) -> None:
+        """Arrange or dissolve pairs, as the state of one of the two has changed."""
+        for pair in list(self._pairs.values()):
+            if task.facts.subsystem == pair.subsystem and task.name in {
+                pair.original,
+                pair.standby,
+            }:
+                self._later(pair)
+
+    def look_again(self) -> None:
+        """Do so for every pair; what was in the way may have gone."""
+        for pair in list(self._pairs.values()):
+            self._later(pair)
+
+    def _later(self, pair: Pair) -> None:
+        if not self._due(pair):
+            return
+        running = asyncio.create_task(self._quietly(pair), name="fallback")
+        self._running.add(running)
+        running.add_done_callback(self._running.discard)
+
+    async def _quietly(self, pair: Pair) -> None:
+        try:
+            await self._arrange(pair)
+        except PbonetError as error:
+            if str(error) != pair.told:
+                pair.told = str(error)
+                self._tell(Severity.WARNING, pair, f"cannot stand by: {error}")
+
+    def _due(self, pair: Pair) -> bool:
+        """Tell whether the standby is to stand by, and does not."""
+        standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
+        original = self._rtpu.tasks.get((pair.subsystem, pair.original))
+        return (
+            standby is not None
+            and original is not None
+            and pair.engaged < LIMIT
+            and pair.subsystem not in self._rtpu.stopping
+            and not standby.stopping
+            and not original.stopping
+            and not standby.stands_by
+            and standby.state is State.OFF
+            and original.state is State.ON
+        )
+
+    async def _arrange(self, pair: Pair) -> None:
+        async with self._lock:
+            if not self._due(pair):
+                return
+            standby = self._rtpu.need(pair.subsystem, pair.standby)
+            original = self._rtpu.need(pair.subsystem, pair.original)
+            standby.stands_by = pair.original
+            try:
+                await stand_by(self._rtpu, standby, [original], _rt.FALLBACK, TIME)
+            except BaseException:
+                standby.stands_by = ""
+                raise
+            pair.told = ""
+
+    async def withdraw(self, task: Task) -> None:
+        """Have a task stand by no longer, if it does: it gets a signal itself."""
+        async with self._lock:
+            if task.stands_by:
+                await self._dismiss(task)
+
+    async def _dismiss(self, task: Task) -> None:
+        self._rtpu.core.follow(task.facts.slot, 0, [])
+        task.stands_by = ""
+        await task.command("rest", lambda n: wire.Prepare(n, []), TIME)
+
+    async def spare(self, task: Task) -> None:
+        """Have nobody engaged for a task that is going to be ended on purpose."""
+        for other in self._rtpu.of(task.facts.subsystem):
+            if other.stands_by == task.name:
+                await self.withdraw(other)
+
+    def dismiss_all(self, subsystem: str) -> None:
+        """Have nobody engaged any more: the subsystem is being stopped."""
+        for task in self._rtpu.of(subsystem):
+            if task.stands_by:
+                self._rtpu.core.follow(task.facts.slot, 0, [])
+                task.stands_by = ""
+
+    # -- engaged -----------------------------------------------------------------------
+
+    def engaged(self, task: Task, notice: wire.Notice) -> None:
+        """Tell that the dispatcher has engaged a standby, and what came of it."""
+        pair = self._pairs.get((task.facts.subsystem, task.name))
+        if pair is None or not task.stands_by:
+            return
+        task.stands_by = ""
+        self._rtpu.core.follow(task.facts.slot, 0, [])
+        pair.engaged += 1
+        original = self._rtpu.tasks.get((pair.subsystem, pair.original))
+        dead = original is None or self._rtpu.core.snapshot(original.facts.slot).dead
+        why = "has died" if dead else "is in ERROR"
+        good = task.state is State.ON
+        self._tell(
+            Severity.WARNING if good else Severity.ERROR,
+            pair,
+            f"{pair.original} {why}: its fallback {task.name} was released by the "
+            f"dispatcher; state {task.state}, time {pair.engaged} of {LIMIT}"
+            + ("" if good else f"; nobody writes its variables: {notice.text}")
+            + (f"; {task.name} will not stand by again" * (pair.engaged >= LIMIT)),
+        )
+
+    def _tell(self, severity: Severity, pair: Pair, text: str) -> None:
+        self._rtpu.events.add(
+            severity,
+            "FALLBACK",
+            text,
+            subsystem=pair.subsystem,
+            task=pair.standby,
+        )
+
+
+async def stand_by(
+    rtpu: Home, task: Task, after: list[Task], kind: int, limit: float
+) -> None:
+    """Have a task that is OFF stand by for others; the dispatcher does the rest.
+
+    Args:
+        rtpu: Where all of them are.
+        task: Comes on when it is engaged.
+        after: Whose end it waits for, and whose out-vars it takes over.
+        kind: `_rt.FALLBACK` or `_rt.HANDOVER`.
+        limit: Seconds that it may take to get ready.
+
+    Raises:
+        PbonetError: It could not take over: why.
+    """
+    names = [one.name for one in after]
+    rtpu.core.follow(task.facts.slot, kind, [one.facts.slot for one in after])
+    try:
+        await task.command("prepare", lambda n: wire.Prepare(n, names), limit)
+    except BaseException:
+        rtpu.core.follow(task.facts.slot, 0, [])
+        raise

@@ -1,0 +1,229 @@
+"""Exchanges tasks at the dispatcher: the new ones are released as the old ones end.
+
+Everything that can be done beforehand is: the new task stands by, OFF, and has been
+found able to take over (Stewart 1994, section 3.10). Then the old one is told that its
+next cycle is its last. Behind that, still at the level of its cycles, its `off` runs;
+the dispatcher sees it leave and grants the new one its `on`, which takes the variables
+over as one event; its first cycle is released on the next point of the grid. From the
+word on no message is waited for, neither of the network nor between processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from typing import TYPE_CHECKING
+
+from pbonet.config.model import TaskType
+from pbonet.errors import NoAnswerError, PbonetError
+from pbonet.pbo import State
+from pbonet.sched.records import Mode
+
+from . import _rt, lifecycle, wire
+from .fallbacks import stand_by
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable, Iterable, Sequence
+
+    from .state import Rtpu
+    from .tasks import Task
+
+    Step = Callable[[Task], Awaitable[None]]
+
+Item = tuple[str, str]
+
+
+def exchanges(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> int:
+    """Return how many items at the beginning are carried out together; at least 1.
+
+    Items belong together when they stand side by side and each is one of these: an
+    ``off`` of a task that is ON and whose variables a later one of them takes over, or
+    the ``on`` of a task that takes variables over from an earlier one.
+    """
+    end = 0
+    while end < len(items) and _alike(rtpu, subsystem, items[: end + 1]):
+        end += 1
+    while end > 1 and not _closed(rtpu, subsystem, items[:end]):
+        end -= 1
+    return max(end, 1)
+
+
+def _alike(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> bool:
+    """Tell whether the last item may belong to an exchange with those before it."""
+    name, signal = items[-1]
+    task = rtpu.tasks.get((subsystem, name))
+    if task is None or name in {one for one, _ in items[:-1]}:
+        return False
+    wanted = {"off": State.ON, "on": State.OFF}.get(signal)
+    return task.state is wanted and bool(task.facts.outputs) and not task.busy
+
+
+def _closed(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> bool:
+    """Tell whether everybody has an heir, or is one."""
+    heirs = _heirs(rtpu, subsystem, items)
+    going = {name for name, signal in items if signal == "off"}
+    return all(heirs.values()) and going == set().union(*heirs.values(), set())
+
+
+def _heirs(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> dict[str, list[str]]:
+    """Return for each task that comes which of those before it hand over to it."""
+    found: dict[str, list[str]] = {}
+    gone: dict[str, set[str]] = {}
+    for name, signal in items:
+        outputs = set(rtpu.need(subsystem, name).facts.outputs)
+        if signal == "off":
+            gone[name] = outputs
+        else:
+            found[name] = [old for old, theirs in gone.items() if theirs & outputs]
+    return found
+
+
+def shortest_period(tasks: Iterable[Task]) -> float:
+    """Return the period of the fastest of the tasks that are ON, in seconds."""
+    rates = [task.freq for task in tasks if task.state is State.ON and task.freq]
+    return 1.0 / max(rates, default=1.0)
+
+
+def longest_period(tasks: Iterable[Task]) -> float:
+    """Return the period of the slowest of the tasks that have one, in seconds."""
+    return 1.0 / min((t.freq for t in tasks if t.freq), default=1.0)
+
+
+class Exchange:
+    """One exchange under way.
+
+    Args:
+        rtpu: Where all tasks are.
+        subsystem: Whose they are.
+        items: ``off`` and ``on`` items, as `exchanges` has found them.
+        limit: Seconds that each step may take.
+    """
+
+    def __init__(
+        self, rtpu: Rtpu, subsystem: str, items: Sequence[Item], limit: float
+    ) -> None:
+        self._rtpu = rtpu
+        self._items = items
+        self._deadline = time.monotonic() + limit
+        self._after = {
+            name: [rtpu.need(subsystem, old) for old in olds]
+            for name, olds in _heirs(rtpu, subsystem, items).items()
+        }
+        tasks = {name: rtpu.need(subsystem, name) for name, _ in items}
+        self._news = [tasks[name] for name, signal in items if signal == "on"]
+        self._olds = [tasks[name] for name, signal in items if signal == "off"]
+        self.failed: dict[str, PbonetError] = {}
+        """What went wrong, by task."""
+
+    @property
+    def undone(self) -> list[Item]:
+        """Items that were not carried out: those that failed first."""
+        states = {task.name: task.state for task in (*self._news, *self._olds)}
+        left = [
+            (name, signal)
+            for name, signal in self._items
+            if states[name] is not (State.ON if signal == "on" else State.OFF)
+        ]
+        return sorted(left, key=lambda item: item[0] not in self.failed)
+
+    @property
+    def _left(self) -> float:
+        return max(self._deadline - time.monotonic(), 0.01)
+
+    async def run(self, slow: Callable[[], None]) -> None:
+        """Carry it out; what went wrong is in `failed`.
+
+        Args:
+            slow: Called when it takes longer than a cycle of the slowest task that
+                leaves, and one more.
+        """
+        self._rtpu.rank(*self._news)
+        await self._each(self._news, self._prepare)
+        if not self.failed:
+            timer = self._watched(slow)
+            await self._each(self._olds, self._end)
+            await self._each(self._news, self._come)
+            timer.cancel()
+        await self._each([t for t in self._news if t.state is State.OFF], self._rest)
+        await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
+
+    def _watched(self, slow: Callable[[], None]) -> asyncio.TimerHandle:
+        """Have `slow` called unless all new tasks are armed by then."""
+        core = self._rtpu.core
+
+        def look() -> None:
+            if any(core.snapshot(t.facts.slot).mode is not Mode.ON for t in self._news):
+                slow()
+
+        limit = longest_period(self._olds) + shortest_period(self._olds + self._news)
+        return asyncio.get_running_loop().call_later(limit, look)
+
+    async def _each(self, tasks: Sequence[Task], do: Step) -> None:
+        errors = await asyncio.gather(
+            *(do(task) for task in tasks), return_exceptions=True
+        )
+        for task, error in zip(tasks, errors, strict=True):
+            if isinstance(error, PbonetError):
+                self.failed.setdefault(task.name, error)
+            elif error is not None:
+                raise error
+
+    async def _prepare(self, task: Task) -> None:
+        await self._rtpu.fallbacks.withdraw(task)
+        task.engaged = asyncio.get_running_loop().create_future()
+        after = self._after[task.name]
+        await stand_by(self._rtpu, task, after, _rt.HANDOVER, self._left)
+
+    async def _end(self, task: Task) -> None:
+        """Let the task's next cycle be its last."""
+        await task.command(
+            "off",
+            lambda n: wire.Signal(n, "off", handover=True, cede=True),
+            self._left,
+            last=task.facts.rmod.tasktype is TaskType.PERIODIC,
+        )
+
+    async def _come(self, task: Task) -> None:
+        """Wait until the task has come on, unless who should hand over failed."""
+        if task.engaged is None or any(
+            old.name in self.failed for old in self._after[task.name]
+        ):
+            return
+        try:
+            notice = await asyncio.wait_for(task.engaged, self._left)
+        except TimeoutError:
+            raise NoAnswerError(
+                "the task did not come on in time",
+                where=task.name,
+                remedy="look at its state, and at what else its RTPU has to do",
+            ) from None
+        if notice.error is not None:
+            raise PbonetError.from_wire(notice.error)
+
+    async def _rest(self, task: Task) -> None:
+        """Have a task that did not come on stand by no longer."""
+        self._rtpu.core.follow(task.facts.slot, 0, [])
+        with contextlib.suppress(PbonetError):
+            await task.command("rest", lambda n: wire.Prepare(n, []), 1.0)
+
+    def _has_rest(self, task: Task) -> bool:
+        """Tell whether a task owns what nobody has taken over."""
+        taken = {
+            output
+            for new in self._news
+            if new.state is State.ON
+            for output in new.facts.outputs
+        }
+        return task.state is State.OFF and not taken.issuperset(task.facts.outputs)
+
+    async def _disown(self, task: Task) -> None:
+        await task.command("disown", wire.Disown, 1.0)
+
+    def events(self) -> list[tuple[Task, lifecycle.Event, PbonetError | None]]:
+        """Return what there is to be told of every task, in the order of the items."""
+        tasks = {task.name: task for task in (*self._news, *self._olds)}
+        return [
+            (tasks[name], lifecycle.Event(signal), self.failed.get(name))
+            for name, signal in self._items
+        ]

@@ -1,0 +1,143 @@
+"""Carries out an ordered list of signals on one RTPU (Stewart 1994, section 4.4.4).
+
+Tasks that take each other's place do so together, at the dispatcher (`handover`); every
+other signal is sent when the one before it has been answered.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PbonetError
+from pbonet.pbo import State
+from pbonet.xm.messages import Reconfigured
+
+from . import lifecycle
+from .control import control, note
+from .handover import Exchange, exchanges, shortest_period
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.xm.messages import Reconfig
+
+    from .handover import Item
+    from .state import Rtpu
+    from .tasks import Task
+
+RAISER = "reconfiguration"
+CAUSE = "a reconfiguration takes longer than a cycle"
+
+
+async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
+    """Send signals in order; the first failure ends it."""
+    return await _List(rtpu, request).run()
+
+
+class _List:
+    """A list that is carried out."""
+
+    def __init__(self, rtpu: Rtpu, request: Reconfig) -> None:
+        self._rtpu = rtpu
+        self._request = request
+        self._result = Reconfigured(done=0)
+        self._slow = _Slow(rtpu, request.subsystem)
+
+    async def run(self) -> Reconfigured:
+        """Carry it out, as far as it goes."""
+        items = self._request.items
+        begin = 0
+        try:
+            while begin < len(items):
+                length = exchanges(self._rtpu, self._request.subsystem, items[begin:])
+                part, rest = items[begin : begin + length], items[begin + length :]
+                left = await (
+                    self._exchange(part) if length > 1 else self._one(part[0], rest)
+                )
+                if left:
+                    self._result.rest = [*left, *rest]
+                    break
+                begin += length
+        finally:
+            self._slow.end()
+        self._result.done = len(items) - len(self._result.rest)
+        return self._result
+
+    async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
+        """Send one signal; return it when that failed."""
+        name, signal = item
+        request = self._request
+        self._slow.begin()
+        try:
+            task = self._rtpu.need(request.subsystem, name)
+            goes = signal == "off" and (
+                name in request.handover or self._has_heir(task, rest)
+            )
+            await control(self._rtpu, task, signal, request.timeout, handover=goes)
+        except PbonetError as error:
+            self._result.error = error.to_wire()
+            return [item]
+        self._result.states[name] = task.state.value
+        return []
+
+    async def _exchange(self, items: Sequence[Item]) -> list[Item]:
+        """Exchange tasks; return what was not done, that which failed first."""
+        request = self._request
+        made = Exchange(self._rtpu, request.subsystem, items, request.timeout)
+        await made.run(self._slow.up)
+        for task, event, error in made.events():
+            self._result.states[task.name] = task.state.value
+            on = event is lifecycle.Event.ON
+            if error is not None or task.state is (State.ON if on else State.OFF):
+                note(self._rtpu, task, event, error, ranked=True)
+        self._rtpu.rank()
+        undone = made.undone
+        if undone:
+            first = made.failed.get(undone[0][0]) or next(iter(made.failed.values()))
+            self._result.error = first.to_wire()
+        return undone
+
+    def _has_heir(self, task: Task, rest: Sequence[Item]) -> bool:
+        """Tell whether a task that is turned on later in the list takes an output."""
+        mine = set(task.facts.outputs)
+        for name, signal in rest:
+            heir = self._rtpu.tasks.get((task.facts.subsystem, name))
+            if heir is None or signal != "on":
+                continue
+            if mine & set(heir.facts.outputs):
+                return True
+        return False
+
+
+class _Slow:
+    """Raises the illegal-configuration flag while a list takes longer than a cycle.
+
+    Args:
+        rtpu: Where it is carried out.
+        subsystem: Whose flag.
+    """
+
+    def __init__(self, rtpu: Rtpu, subsystem: str) -> None:
+        self._rtpu = rtpu
+        self._subsystem = subsystem
+        self._timer: asyncio.TimerHandle | None = None
+        self._up = False
+
+    def begin(self) -> None:
+        """From here on the configuration may be illegal; harmless if it was so."""
+        if self._timer is None:
+            period = shortest_period(self._rtpu.of(self._subsystem))
+            self._timer = asyncio.get_running_loop().call_later(period, self.up)
+
+    def up(self) -> None:
+        """It does take longer."""
+        self._up = True
+        self._rtpu.flags.up(self._subsystem, RAISER, CAUSE)
+
+    def end(self) -> None:
+        """The list is done, or was given up."""
+        if self._timer is not None:
+            self._timer.cancel()
+        if self._up:
+            self._rtpu.flags.down(self._subsystem, RAISER)

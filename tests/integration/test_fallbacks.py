@@ -1,0 +1,182 @@
+"""Standbys that the dispatcher releases when their originals fail."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from nodekit import rmod, svar, wait_gone
+from watching import wait_for
+
+from pbonet.errors import PbonetError, SvarOwnerError
+from pbonet.master.subsystem import Subsystem
+from pbonet.svar import Table
+from pbonet.xm import messages as m
+
+SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+JOB = """
+JOB  watch
+DESC a task and its standby
+SBS  t.sbs
+TASK first arm0 FALLBACK second
+TASK hold  arm0
+EOF
+"""
+
+
+@pytest.fixture
+def start(nodes, tmp_path):
+    """Start the job with these modules as the original and the standby."""
+    opened = []
+
+    def one(first, second="counts", freq=200.0):
+        nodes.agent_process("arm0", grace=20.0)
+        nodes.agent_process("arm1")
+        (tmp_path / "t.sbs").write_text(SBS)
+        (tmp_path / "t.svar").write_text(svar())
+        (tmp_path / "watch.job").write_text(JOB)
+        hold = {"invar": "Y0", "critical": True, "local": {"LEVEL": 3}}
+        texts = {
+            "first": rmod(first, freq=freq),
+            "second": rmod(second, freq=freq),
+            "hold": rmod("holds", "Y1", freq, **hold),
+        }
+        for name, text in texts.items():
+            (tmp_path / f"{name}.rmod").write_text(text)
+        arm = Subsystem(
+            tmp_path / "t.sbs",
+            domain=nodes.domain,
+            libraries=nodes.config("arm0").libraries,
+            warned=lambda _text: None,
+        ).open()
+        opened.append(arm)
+        arm.start("watch")
+        return arm
+
+    yield one
+    for arm in opened:
+        arm.finish()
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+def events(arm, code):
+    got = arm.fleet.call("arm0", m.Events(), list[m.Event])
+    return [event.text for event in got if event.code == code]
+
+
+def told(arm, count=1):
+    """Return the texts about fallbacks, once there are so many."""
+    return wait_for(
+        lambda: len(found := events(arm, "FALLBACK")) >= count and found,
+        f"{count} events of a fallback",
+    )
+
+
+def causes(arm):
+    return {cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal}
+
+
+def wait_standing(arm, standby="second"):
+    wait_for(lambda: arm.status(standby).stands_by, f"{standby} standing by")
+
+
+def test_an_error_releases_the_standby(start):
+    arm = start("raises_in_cycle")
+    (text,) = told(arm)
+    assert text.startswith("first is in ERROR: its fallback second was released by the")
+    assert "state ON, time 1 of 3" in text
+    assert states(arm) == {"first": "ERROR", "second": "ON", "hold": "ON"}
+    assert arm.display(["Y0"])[0].writer == "second"
+    wait_for(lambda: not causes(arm), "the flag to go down")
+    # the original does not take its place back, and nobody stands by for the standby
+    arm.control("first", "clear")
+    assert states(arm) == {"first": "OFF", "second": "ON", "hold": "ON"}
+    assert not arm.status("second").stands_by
+    with pytest.raises(PbonetError, match="second"):
+        arm.control("first", "on")
+
+
+def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):
+    arm = start("counts")
+    wait_standing(arm)
+    before = {status.task: status for status in arm.status_all()}
+    agent = nodes.processes.pop("arm0")
+    agent.send_signal(signal.SIGKILL)
+    agent.wait()
+    with Table.attach(f"{nodes.domain}.t") as table:
+        os.kill(before["first"].tid, signal.SIGKILL)
+        wait_for(lambda: table.info("Y0").owner == "second", "the standby to own Y0")
+        wait_for(lambda: table.info("Y0").cycle > 3, "cycles of the standby")
+    nodes.agent_process("arm0")
+    (text,) = told(arm)
+    assert text.startswith("first has died: its fallback second was released")
+    assert {one.task: one.state for one in arm.status_all()}["second"] == "ON"
+    assert arm.status("hold").on_ns == before["hold"].on_ns  # who stays noticed nothing
+    wait_for(lambda: not causes(arm), "the flag to go down")
+
+
+def test_a_standby_that_fails_too_is_in_error_with_the_flag_up(start):
+    arm = start("dies_by_sigkill", "raises_in_on")
+    (text,) = told(arm)
+    assert "state ERROR" in text
+    assert "nobody writes its variables" in text
+    assert states(arm)["second"] == "ERROR"
+    wait_for(lambda: "first has died (arm0/first)" in causes(arm), "the flag")
+    assert "first has died (arm0/first)" in events(arm, "ILLEGAL")
+    wait_for(lambda: arm.display(["Y1"])[0].values[0] == -1.0, "stable")
+    arm.control("second", "clear")  # an operator may try once more
+    assert states(arm)["second"] == "OFF"
+    assert len(told(arm)) == 1
+
+
+def test_nothing_flaps(start):
+    arm = start("counts")
+    for time in (1, 2, 3):
+        wait_standing(arm)
+        os.kill(arm.status("first").tid, signal.SIGKILL)
+        assert f"time {time} of 3" in told(arm, time)[-1]
+        wait_for(lambda time=time: len(events(arm, "TASK_DIED")) == time, "the news")
+        arm.spawn("first", "arm0")
+        arm.swap("second", "first")
+        assert states(arm) == {"first": "ON", "second": "OFF", "hold": "ON"}
+    assert told(arm, 3)[-1].endswith("second will not stand by again")
+    first = arm.status("first").tid
+    os.kill(first, signal.SIGKILL)
+    wait_gone([first])
+    wait_for(lambda: "first has died (arm0/first)" in causes(arm), "the flag")
+    assert states(arm)["second"] == "OFF"
+    assert len(told(arm, 3)) == 3
+
+
+def test_what_is_ended_in_order_is_not_replaced(start):
+    arm = start("counts")
+    wait_standing(arm)
+    arm.control("first", "off")
+    assert states(arm)["second"] == "OFF"
+    arm.control("first", "on")
+    wait_standing(arm)
+    arm.control("first", "kill")
+    assert states(arm) == {"second": "OFF", "hold": "ON"}
+    assert not events(arm, "FALLBACK")
+    arm.control("second", "on")  # by hand it can be had at any time
+    assert arm.display(["Y0"])[0].writer == "second"
+
+
+def test_a_standby_obeys_while_it_stands_by(start):
+    arm = start("counts")
+    wait_standing(arm)
+    assert arm.freq("second", 100.0) == 100.0
+    assert len(arm.get("second")) == 1
+    wait_standing(arm)
+    by_hand = m.Control(task="second", signal="on")
+    with pytest.raises(SvarOwnerError):
+        arm.fleet.call("arm0", by_hand, m.TaskStatus)
+    wait_standing(arm)  # it stands by again
+    arm.control("second", "kill")
+    assert states(arm) == {"first": "ON", "hold": "ON"}
+    arm.control("first", "kill")
+    assert states(arm) == {"hold": "ON"}

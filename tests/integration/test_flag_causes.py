@@ -1,0 +1,145 @@
+"""Every cause of the illegal-configuration flag: raised, obeyed, told, withdrawn."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from nodekit import rmod, svar
+from watching import wait_for
+
+from pbonet.xm import messages as m
+
+AGED = """
+NAME OLD
+TYPE double
+DESC a variable that ages
+UNITS none
+NELEM 2
+MAXAGE 0.1
+
+EOF
+"""
+ALARMIST = '''
+from typing import Annotated as A
+
+from pbonet import OutVar, Params, PortBasedObject, Vector, param
+
+
+class Heat(Params):
+    """How it is."""
+
+    hot: A[bool, param("none", "whether it is too hot")] = False
+
+
+class Alarmist(PortBasedObject[Heat]):
+    """Says that nobody should trust it."""
+
+    y: A[Vector, OutVar("Y", "2", "none", "nothing")]
+
+    def cycle(self, dt: float) -> None:
+        self.y[:] = 1.0
+
+    def set(self, name: str, value: object) -> None:
+        if value:
+            self.task.illegal("too hot")
+        else:
+            self.task.legal()
+'''
+
+
+@pytest.fixture
+def arm(nodes):
+    """A master; `hold` is critical, reads OLD and writes Y1, 3 or in stable -1."""
+    nodes.agent("arm0")
+    master = nodes.master("arm0", "t", table=False)
+    master.open_table(svar().replace("\nEOF\n", AGED))
+    yield master
+    master.stop()
+
+
+def hold(arm, reads):
+    text = rmod("holds", "Y1", invar=reads, critical=True, local={"LEVEL": 3})
+    arm.spawn("hold", "", text=text)
+    arm.on("hold")
+
+
+def wait_level(arm, level):
+    wait_for(lambda: arm.value("Y1").values[0] == level, f"level {level}")
+
+
+def illegal(arm):
+    return arm.rtpu_status().illegal
+
+
+def texts(arm, code):
+    return [event.text for event in arm.events(code)]
+
+
+def test_a_stale_input_makes_a_critical_task_stable(arm):
+    cause = "the input OLD of hold is stale (arm0/hold)"
+    arm.spawn("source", "counts", out="OLD")
+    hold(arm, "OLD")
+    wait_level(arm, -1.0)  # it was never written
+    assert illegal(arm) == [cause]
+    arm.on("source")
+    wait_level(arm, 3.0)
+    assert illegal(arm) == []
+    arm.off("source")
+    wait_level(arm, -1.0)
+    assert illegal(arm) == [cause]
+    assert arm.status("hold").state == "ON"
+    arm.off("hold")  # nobody is concerned any more
+    assert illegal(arm) == []
+    wait_for(lambda: len(texts(arm, "LEGAL")) >= 2, "both ends as events")
+    assert set(texts(arm, "ILLEGAL")) == {cause}
+    assert set(texts(arm, "LEGAL")) == {f"no longer: {cause}"}
+
+
+def test_a_module_raises_and_withdraws(arm, nodes):
+    nodes.write_module("alarmist", ALARMIST)
+    arm.spawn("fire", "alarmist", out="Y0")
+    hold(arm, "Y0")
+    arm.on("fire")
+    wait_level(arm, 3.0)
+    set_hot(arm, "yes")
+    wait_level(arm, -1.0)
+    assert illegal(arm) == ["too hot (arm0/fire)"]
+    assert arm.status("fire").signals["ILLEGAL"] == 1
+    set_hot(arm, "no")
+    wait_level(arm, 3.0)
+    assert illegal(arm) == []
+    assert arm.status("fire").signals["LEGAL"] == 1
+    set_hot(arm, "yes")
+    wait_level(arm, -1.0)
+    arm.off("fire")
+    wait_level(arm, 3.0)  # it ends with its task being ON
+    arm.on("fire")
+    set_hot(arm, "yes")
+    wait_level(arm, -1.0)
+    os.kill(arm.status("fire").tid, signal.SIGKILL)
+    wait_for(lambda: illegal(arm) == ["fire has died (arm0/fire)"], "only its death")
+    arm.kill("fire")
+    wait_level(arm, 3.0)
+    assert "too hot (arm0/fire)" in texts(arm, "ILLEGAL")
+
+
+def set_hot(arm, word):
+    arm.ask(m.Set(task="fire", name="hot", value=word), list[m.ParamValue])
+
+
+def test_an_error_and_a_death_are_told_by_the_vigil(arm):
+    arm.spawn("bad", "raises_in_cycle")
+    hold(arm, "Y0")
+    arm.on("bad")
+    wait_level(arm, -1.0)
+    assert illegal(arm) == ["bad is in ERROR (arm0/bad)"]
+    arm.control("bad", "clear")
+    wait_level(arm, 3.0)
+    arm.on("bad")
+    wait_level(arm, -1.0)
+    arm.kill("bad")
+    wait_level(arm, 3.0)
+    assert texts(arm, "ILLEGAL").count("bad is in ERROR (arm0/bad)") == 2
+    assert texts(arm, "LEGAL").count("no longer: bad is in ERROR (arm0/bad)") == 2
