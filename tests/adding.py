@@ -31,4 +31,5 @@ class Adds(PortBasedObject[Gain]):
 
     def off(self) -> None:
         self.y[0] = self.task.cyclecount
+        self.y[1] += self.task.handover
 '''

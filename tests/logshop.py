@@ -105,6 +105,18 @@ class Task:
             self.seen = ()
         self.do(Did(name), self.executor.signal, name)
 
+    def hand_over(self):
+        """Be turned off as an exchange at the dispatcher does it."""
+        with self.journal.doing(Did("off", handover=True, cede=True)):
+            self.executor.signal("off", handover=True, cede=True)
+        self.records.append(self.ring.take())
+
+    def engage(self, *after):
+        """Come on in the place of others."""
+        self.local.heir_of(after)
+        self.signal("on")
+        self.local.heir_of([])
+
     def set(self, value):
         did = Did("set", name="gain", arg=value)
         self.do(did, set_param, self.executor, self.info, "gain", value)
@@ -147,6 +159,8 @@ class Shop:
         library = Library([folder])
         self.a = Task(self.table, library, "a", "X", "Y0")
         self.b = Task(self.table, library, "b", "Y0", "Y1")
+        self.c = None
+        """Another one from X to Y0, where a test has one."""
         self.on()
 
     def on(self):
@@ -163,7 +177,7 @@ class Shop:
         about = RunAbout(run="r", job="j", subsystem="arm", domain="d", rtpu="arm0")
         path = self.folder / "run.mcap"
         writer = LogWriter(path, about)
-        for task in (self.a, self.b):
+        for task in self.tasks:
             task.about.hidden = list(hidden) if task is self.a else []
             if task.task != without:
                 writer.add(writer.add_task(task.about), b"".join(task.records))
@@ -172,8 +186,12 @@ class Shop:
         writer.close()
         return path
 
+    @property
+    def tasks(self):
+        return [one for one in (self.a, self.b, self.c) if one]
+
     def close(self):
-        for task in (self.a, self.b):
+        for task in self.tasks:
             task.local.close()
             task.ring.destroy()
         self.table.destroy()

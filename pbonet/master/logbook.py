@@ -73,7 +73,12 @@ class Logbook:
             ConfigError: It names what is neither one of its tasks nor a variable.
         """
         self._job, self._tasks, self._hidden = job, {}, []
-        tasks = {task.rmod for task in job.tasks}
+        tasks = {
+            name
+            for task in job.tasks
+            for name in (task.rmod, task.fallback)
+            if name is not None
+        }
         variables = {variable.name for variable in files.table.variables}
         default, self.last = DEFAULT, self._told_last
         for line in job.record:

@@ -43,7 +43,7 @@ _END: Final = frozenset({"abort", "fault"})
 """Behind these the module's state is not known: what failed is not on record."""
 
 
-class Stop(Exception):  # noqa: N818 - ends a verification
+class Stop(BaseException):
     """Nothing behind this can be compared."""
 
 

@@ -221,7 +221,7 @@ def combinations(draw: st.DrawFn, inner: st.SearchStrategy[Rmod]) -> Rmod:
 
 
 def _named(part: Rmod, name: str) -> Rmod:
-    parts = tuple(_named(one, f"{name}{one.name}") for one in part.parts)
+    parts = tuple(_named(one, f"{name}{n}") for n, one in enumerate(part.parts))
     return structs.replace(part, name=name, parts=parts)
 
 

@@ -14,8 +14,9 @@ from pathlib import Path
 import msgspec
 import pytest
 from adding import ADDS
-from logshop import Shop
+from logshop import Shop, Task
 
+from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError
 from pbonet.log import Did, Log
 from pbonet.node import wire
@@ -52,6 +53,29 @@ def test_all_that_tasks_do_gives_the_same_again(shop) -> None:
     assert all(one.good and not one.changed for one in verdicts.values())
     assert verdicts["a"].seconds == pytest.approx(0.2)
     assert replay(path, "b").cycles == 21
+
+
+def test_tasks_that_hand_over_give_the_same_again(shop) -> None:
+    shop.cycles(3)
+    shop.c = Task(shop.table, Library([shop.folder]), "c", "X", "Y0")
+    for old, new in ((shop.a, shop.c), (shop.c, shop.a)):
+        before = shop.table.generation
+        old.hand_over()
+        shop.b.cycle()
+        assert shop.table.info("Y0").owner == old.task, "nobody else owns it meanwhile"
+        new.engage(old.task)
+        assert shop.table.info("Y0").owner == new.task
+        assert shop.table.generation == before + 1, "one event"
+        for _ in range(4):
+            new.cycle()
+            shop.b.cycle()
+    path = shop.log()
+    verdicts = {one.task: one for one in verify(path)}
+    assert all(one.good for one in verdicts.values()), verdicts
+    assert [verdicts[name].cycles for name in "abc"] == [7, 13, 4]
+    shop.code.write_text(ADDS.replace("+= self.task.handover", "+= 0.0"))
+    with pytest.raises(DivergedError, match=r"off, behind cycle 3: Y0\[1\] is "):
+        replay(path, "a")
 
 
 @pytest.mark.parametrize(
