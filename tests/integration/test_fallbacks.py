@@ -112,6 +112,7 @@ def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):
         wait_for(lambda: table.info("Y0").owner == "second", "the standby to own Y0")
         wait_for(lambda: table.info("Y0").cycle > 3, "cycles of the standby")
     nodes.agent_process("arm0")
+    wait_for(lambda: "arm0" in arm.fleet.client.rtpus(), "the master to see the agent")
     (text,) = told(arm)
     assert text.startswith("first has died: its fallback second was released")
     assert {one.task: one.state for one in arm.status_all()}["second"] == "ON"
