@@ -98,11 +98,11 @@ def write_files(folder: Path) -> None:
 
 
 def records(ring: Ring, wanted: float) -> list[Record]:
-    """Return the records that come within so many seconds."""
+    """Return the cycles that come within so many seconds."""
     found: list[Record] = []
     end = time.monotonic() + wanted
     while time.monotonic() < end:
-        found += ring.drain()
+        found += [record for record in ring.drain() if not record.kind]
         time.sleep(0.002)
     return found
 
@@ -157,7 +157,10 @@ def main() -> None:
         with Embedded("default", libraries=[str(folder)]) as agents:
             agents.start(["bench0"])
             with Subsystem(
-                folder / "b.sbs", libraries=[str(folder)], warned=lambda _text: None
+                folder / "b.sbs",
+                libraries=[str(folder)],
+                warned=lambda _text: None,
+                record="off",
             ) as subsystem:
                 found = np.array(deaths(subsystem, args.deaths))
     print(rtbench.machine())
