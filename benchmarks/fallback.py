@@ -27,7 +27,6 @@ from pbonet.master import Subsystem
 from pbonet.master.embedded import Embedded
 from pbonet.node._ring import Record, Ring
 
-STABLE = 1 << 31
 Times = tuple[float, float, float]
 CRITICAL = '''"""Holds still while the configuration is illegal."""
 
@@ -120,7 +119,7 @@ def one(subsystem: Subsystem, original: str, standby: str) -> Times:
         guard = records(rings["guard"], 0.25)
         begun = records(rings[standby], 0.01)
         first = next(one.start_ns for one in begun if one.start_ns > killed)
-        held = [one for one in guard if one.flags & STABLE and one.start_ns > killed]
+        held = [one for one in guard if one.stable and one.start_ns > killed]
         return (
             (first - killed) / PERIOD,
             (held[0].start_ns - killed) / PERIOD if held else float("nan"),
