@@ -25,9 +25,18 @@ from benchmarks.steering import VARIABLE
 from benchmarks.swap import PERIOD, RATE, RMOD
 from pbonet.master import Subsystem
 from pbonet.master.embedded import Embedded
+from pbonet.node import _rt
 from pbonet.node._ring import Record, Ring
+from pbonet.sched.events import Event
+from pbonet.xm.messages import AgentInfo, Hello
 
-Times = tuple[float, float, float]
+NAMES = (
+    "death to the dispatcher's turn",
+    "death to the fallback is ON",
+    "death to fallback's first cycle",
+    "death to stable",
+    "cycles in stable",
+)
 CRITICAL = '''"""Holds still while the configuration is illegal."""
 
 from typing import Annotated as A
@@ -106,33 +115,53 @@ def records(ring: Ring, wanted: float) -> list[Record]:
     return found
 
 
-def one(subsystem: Subsystem, original: str, standby: str) -> Times:
-    """Kill a task; return periods to the standby's first cycle, to `stable`, in it."""
+def engaged(core: _rt.CoreTable, slot: int, since: int) -> tuple[int, int]:
+    """Return when the dispatcher engaged a slot, and when it saw it armed."""
+    _, _, found = core.trace(since)
+    now = turn = 0
+    for record in found:
+        if record.kind == Event.TURN:
+            now = record.a
+        elif record.slot == slot and record.kind == Event.ENGAGE:
+            turn = now
+        elif turn and record.slot == slot and record.kind == Event.MODE:
+            return turn, now
+    return turn, 0
+
+
+def one(subsystem: Subsystem, original: str, standby: str) -> list[float]:
+    """Kill a task; return what `NAMES` says, in periods."""
     status = {status.task: status for status in subsystem.status_all()}
     rings = {name: Ring.attach(status[name].ring) for name in (standby, "guard")}
+    agent = subsystem.fleet.call("bench0", Hello(), AgentInfo)
+    core = _rt.CoreTable(agent.core, member=False)
     try:
         time.sleep(random.uniform(0.01, 0.02))
         for ring in rings.values():
             ring.drain()
+        since, _, _ = core.trace()
+        slot = next(
+            i for i in core.slots() if core.snapshot(i).task.split("/")[-1] == standby
+        )
         killed = time.monotonic_ns()
         os.kill(status[original].tid, signal.SIGKILL)
         guard = records(rings["guard"], 0.25)
+        turn, armed = engaged(core, slot, since)
         begun = records(rings[standby], 0.01)
         first = next(one.start_ns for one in begun if one.start_ns > killed)
         held = [one for one in guard if one.stable and one.start_ns > killed]
-        return (
-            (first - killed) / PERIOD,
-            (held[0].start_ns - killed) / PERIOD if held else float("nan"),
-            float(len(held)),
-        )
+        stable = held[0].start_ns - killed if held else float("nan")
+        times = (turn - killed, armed - killed, first - killed, stable)
+        return [*(ns / PERIOD for ns in times), float(len(held))]
     finally:
+        core.close()
         for ring in rings.values():
             ring.close()
 
 
-def deaths(subsystem: Subsystem, count: int) -> list[Times]:
+def deaths(subsystem: Subsystem, count: int) -> list[list[float]]:
     """Kill so many tasks, each of which has a standby."""
-    found: list[Times] = []
+    found: list[list[float]] = []
     for _ in range(count):
         subsystem.start("bench")
         end = time.monotonic() + 5.0
@@ -165,8 +194,7 @@ def main() -> None:
     print(rtbench.machine())
     print(f"{args.deaths} deaths by SIGKILL, tasks of {RATE:.0f} Hz")
     print(f"periods of {PERIOD / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
-    names = ("death to fallback's first cycle", "death to stable", "cycles in stable")
-    for key, values in zip(names, found.T, strict=True):
+    for key, values in zip(NAMES, found.T, strict=True):
         seen = values[~np.isnan(values)]
         p50, p90 = np.quantile(seen, [0.5, 0.9])
         missing = f"  ({len(values) - len(seen)} without)" * (len(seen) < len(values))

@@ -19,7 +19,7 @@ from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Generator, Sequence
+    from collections.abc import Collection, Generator, Sequence
 
     from pbonet.config.model import JobFile, JobTask
     from pbonet.master.crew import Crew
@@ -132,6 +132,7 @@ class Done:
         self._crew = crew
         self._spawned: list[str] = []
         self._on: list[str] = []
+        self._robbed: dict[str, str] = {}
 
     @contextmanager
     def undone_on_error(self, what: str) -> Generator[None]:
@@ -155,12 +156,32 @@ class Done:
                 ) from error
             raise
 
-    def spawn(self, member: Member) -> None:
-        """Create a task."""
+    def spawn(
+        self,
+        member: Member,
+        replaces: Sequence[str] = (),
+        leaving: Collection[str] = (),
+    ) -> None:
+        """Create a task.
+
+        Args:
+            member: The task.
+            replaces: Tasks whose constants it takes over.
+            leaving: Tasks that are about to be killed, and need no new constants.
+        """
         freq = member.freq if member.freq != member.rmod.freq else None
-        self._crew.create(member, freq)
+        self._crew.create(member, freq, replaces)
         self._spawned.append(member.name)
-        constants.created(self._crew, member.name)
+        self._robbed |= dict.fromkeys(replaces, member.name)
+        constants.given(self._crew, member.name, leaving)
+
+    def give(
+        self, name: str, replaces: Sequence[str], leaving: Collection[str]
+    ) -> None:
+        """Let a task that stands give constants in the place of others; as `spawn`."""
+        self._crew.control(name, "reinit", "", replaces)
+        self._robbed |= dict.fromkeys(replaces, name)
+        constants.given(self._crew, name, leaving)
 
     def turn_on(self, name: str) -> None:
         """Turn a task on."""
@@ -178,6 +199,17 @@ class Done:
                 member = self._crew.picture.get(name)
                 if member is not None and (signal == "kill" or member.is_on):
                     self._crew.control(name, signal, "")
+            except PbonetError as error:
+                errors.append(error)
+        return [*errors, *self._restore()]
+
+    def _restore(self) -> list[PbonetError]:
+        """Have those give their constants again that lost them; return what failed."""
+        errors: list[PbonetError] = []
+        for old, new in reversed(self._robbed.items()):
+            try:
+                self._crew.control(old, "reinit", "", [new])
+                constants.given(self._crew, old)
             except PbonetError as error:
                 errors.append(error)
         return errors

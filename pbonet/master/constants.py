@@ -19,16 +19,37 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterable, Sequence
 
     from pbonet.master.crew import Crew
+    from pbonet.master.picture import Member
 
 
-def created(crew: Crew, task: str) -> None:
-    """Re-initialize who uses the constants of a task that was just created.
+def given(crew: Crew, task: str, leaving: Collection[str] = ()) -> None:
+    """Re-initialize who uses the constants of a task that gives them from now on.
+
+    Args:
+        crew: The tasks.
+        task: The one that was created, or took them over.
+        leaving: Tasks that are about to be killed, and need not know.
 
     Raises:
-        SeveralError: As `renew`; the new task stands.
+        SeveralError: As `renew`; the task gives them all the same.
     """
     gives = crew.picture.find(task).task.gives
-    renew(crew, f"{task} gives {' and '.join(gives)}", gives)
+    renew(crew, f"{task} gives {' and '.join(gives)}", gives, leaving)
+
+
+def taken_over(
+    coming: Iterable[Member], going: Iterable[Member]
+) -> dict[str, list[str]]:
+    """Return whose constants tasks give that come in the place of others.
+
+    The new values hold as soon as the new task is there, whatever the old ones were.
+    """
+    olds = list(going)
+    found = {
+        new.name: [old.name for old in olds if {*old.task.gives} & {*new.task.gives}]
+        for new in coming
+    }
+    return {name: names for name, names in found.items() if names}
 
 
 @contextmanager

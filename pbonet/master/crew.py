@@ -304,8 +304,15 @@ class Crew:
         for text in warnings:
             self.warned(text)
 
-    def create(self, member: Member, freq: float | None) -> m.TaskStatus:
+    def create(
+        self, member: Member, freq: float | None, replaces: Sequence[str] = ()
+    ) -> m.TaskStatus:
         """Spawn one task and take it into the picture.
+
+        Args:
+            member: The task.
+            freq: Hz; None: as its RMOD says.
+            replaces: Tasks that leave, whose constants it takes over.
 
         Raises:
             PbonetError: It could not be created; nothing of it stays.
@@ -321,6 +328,7 @@ class Crew:
             priority=priorities[member.name],
             effc=soft.seconds if soft else None,
             timeout=SPAWN_TIME,
+            replaces=list(replaces),
         )
         if not len(self.picture):
             self.logbook.begin(self.fleet, self.files, self.warned)
@@ -341,14 +349,23 @@ class Crew:
         member.fallback_of = original
         self.note(self.fleet.call(member.rtpu, request, m.TaskStatus))
 
-    def control(self, task: str, signal: str, arg: str) -> m.TaskStatus:
+    def control(
+        self, task: str, signal: str, arg: str, replaces: Sequence[str] = ()
+    ) -> m.TaskStatus:
         """Send one signal.
+
+        Args:
+            task: To whom.
+            signal: Which.
+            arg: Text for the module.
+            replaces: For ``reinit``: tasks that leave, whose constants it takes over.
 
         Raises:
             PbonetError: It was refused, or a method of the module failed.
         """
         member = self.picture.find(task)
         request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
+        request.replaces = list(replaces)
         status = self.fleet.call(
             member.rtpu, request, m.TaskStatus, timeout=CONTROL_TIME
         )

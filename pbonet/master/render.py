@@ -362,6 +362,10 @@ def _states(data: Data) -> str:
 
 def _transition(data: Data) -> str:
     lines = [f"spawn {task} on {rtpu}" for task, rtpu in data["spawns"].items()]
+    lines += [
+        f"{new} gives the constants of {', '.join(olds)}"
+        for new, olds in data["replaces"].items()
+    ]
     lines += [f"{signal} {task}" for task, signal in data["items"]]
     lines += [f"kill {task}" for task in data["kills"]]
     lines = [*data["conditions"], *(lines or ["nothing to do"])]

@@ -151,7 +151,13 @@ class Simulation:
         return True
 
     def signal(
-        self, task: str, name: str, arg: str = "", *, handover: bool = False
+        self,
+        task: str,
+        name: str,
+        arg: str = "",
+        *,
+        handover: bool = False,
+        replaces: Sequence[str] = (),
     ) -> State:
         """Send ``on``, ``off``, ``kill``, ``clear`` or ``reinit`` to a task.
 
@@ -160,6 +166,7 @@ class Simulation:
             name: What is sent.
             arg: Text for the module.
             handover: For ``off`` and ``kill``: a successor takes over the outputs.
+            replaces: For ``reinit``: tasks that leave, whose constants it takes over.
 
         Raises:
             UnknownTaskError: There is no such task.
@@ -167,10 +174,12 @@ class Simulation:
             PbonetError: A method of the module failed.
         """
         found = self.task(task)
+        found.copies.replaces = replaces
         with no_devices(REASON):
             try:
                 return found.executor.signal(name, arg, handover=handover)
             finally:
+                found.copies.replaces = ()
                 self._after(found, found.outbox.drain())
 
     def spawn(
@@ -332,7 +341,7 @@ class Simulation:
         )
         return verify.judge(now, change)
 
-    def _spawn(self, member: Member) -> None:
+    def _spawn(self, member: Member, replaces: Sequence[str] = ()) -> None:
         rmod = member.rmod
         loaded = self._library.load_rmod(rmod)
         check_ports(rmod, loaded.info)
@@ -371,7 +380,9 @@ class Simulation:
         )
         self._tasks[member.name] = task
         turns.add(task)
+        copies.replaces = replaces
         executor.spawn()
+        copies.replaces = ()
         self._after(task, outbox.drain())
 
     def _rank(self) -> None:

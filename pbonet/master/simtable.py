@@ -14,7 +14,7 @@ from pbonet.svar.layout import group_of, values_of
 from pbonet.xm.values import VarValue, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,15 +43,19 @@ class MemoryTable:
         """When each variable was written last, in virtual nanoseconds."""
         self._givers: dict[str, dict[str, Values]] = {}
 
-    def give(self, task: str, constants: Mapping[str, Values]) -> None:
-        """Take note of the constants of a task.
+    def give(
+        self, task: str, constants: Mapping[str, Values], replaces: Collection[str]
+    ) -> None:
+        """Take note of the constants of a task, in the place of those that leave.
 
         Raises:
             SvarOwnerError: Another task gives one of them another value.
         """
         for name, value in constants.items():
             for owner, given in self._givers.get(name, {}).items():
-                if owner != task and not np.array_equal(given, value):
+                if owner in {task, *replaces}:
+                    continue
+                if not np.array_equal(given, value):
                     raise SvarOwnerError(
                         f"{task} gives the constant {name} another value than its "
                         "owner",
@@ -61,7 +65,10 @@ class MemoryTable:
                         f"{name}",
                     )
         for name, value in constants.items():
-            self._givers.setdefault(name, {})[task] = value.copy()
+            givers = self._givers.setdefault(name, {})
+            for owner in replaces:
+                givers.pop(owner, None)
+            givers[task] = value.copy()
 
     def forget(self, task: str) -> None:
         """Let go of the constants of a task that is no more."""
@@ -154,6 +161,8 @@ class MemoryCopies:
         """Whether a commit has succeeded since this was set to False."""
         self.hold = False
         """Keep what a commit writes to `publish`, when its cycle takes virtual time."""
+        self.replaces: Collection[str] = ()
+        """Tasks that leave: their constants are taken over, whatever the values."""
         self.out_vars = _named(rmod, rmod.outvar)
         self._held: list[tuple[Values, Values]] = []
         self._held_ns = 0
@@ -192,7 +201,8 @@ class MemoryCopies:
             SvarOwnerError: Another task gives one of them another value.
         """
         pairs = self._out_consts.pairs
-        self._table.give(self._task, {one.variable.name: one.local for one in pairs})
+        given = {one.variable.name: one.local for one in pairs}
+        self._table.give(self._task, given, self.replaces)
         return self._out(self._out_consts, now_ns)
 
     def copy_in(self) -> int:

@@ -305,7 +305,7 @@ class Subsystem(Switching, Calls, Signalled):
             crew.judge(verify.spawn(member.task))
             status = crew.create(member, hz)
             try:
-                constants.created(crew, member.name)
+                constants.given(crew, member.name)
             finally:
                 crew.settle()
             return status

@@ -44,6 +44,9 @@ class Transition(Struct, kw_only=True):
     """Pairs of task and signal, in order."""
     kills: list[str]
     """Tasks that are destroyed at the end."""
+    replaces: dict[str, list[str]] = {}
+    """Tasks that come, and those whose constants they give from then on; who uses them
+    is re-initialized."""
     conditions: list[str] = []
     """What was seen of the conditions under which jobs are left and entered."""
     states: dict[str, str] = {}
@@ -226,6 +229,7 @@ class _Plan:
             spawns=spawns,
             items=items,
             kills=self._killed,
+            replaces=constants.taken_over(wanted.values(), self._going.values()),
         )
         change = [(name, "spawn") for name in spawns]
         change += [(name, "on") for name in transition.stays]  # so the end is demanded
@@ -246,15 +250,21 @@ class _Plan:
     ) -> None:
         """Create the tasks that do not stand; a failure leaves none of them.
 
+        Those that give constants in the place of others do so from here on.
+
         Raises:
             ConditionError: A condition does not hold any more.
             PbonetError: One could not be created.
         """
         done = assembly.Done(self._crew)
+        replaces, kills = transition.replaces, transition.kills
         with done.undone_on_error("the change was not begun"):
+            for name in replaces.keys() - transition.spawns:
+                done.give(name, replaces[name], kills)
             for name in transition.spawns:
                 assembly.go_on(stopped)
-                done.spawn((self._coming | self._standbys)[name])
+                member = (self._coming | self._standbys)[name]
+                done.spawn(member, replaces.get(name, ()), kills)
             if gate is not None:
                 if transition.spawns:
                     gate.must_hold()

@@ -39,7 +39,7 @@ from pbonet.xm import rpc
 from pbonet.xm.rundir import machine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from threading import Event
 
     from pbonet.config.library import Library
@@ -226,7 +226,7 @@ class VirtualRtpus(Simulation):
         own = {one.name: one.bit for one in loaded.info.signals}
         self._signals[member.name] = dict.fromkeys([*PREDEFINED, *own], 0)
         try:
-            self._spawn(member)
+            self._spawn(member, request.replaces)
         except BaseException:
             self._tasks.pop(member.name, None)
             self.table.forget(member.name)
@@ -237,14 +237,22 @@ class VirtualRtpus(Simulation):
         return self._one(self.task(member.name))
 
     def _control(self, _rtpu: str, request: m.Control) -> m.TaskStatus:
-        return self._send(request.task, request.signal, request.arg)
+        return self._send(
+            request.task, request.signal, request.arg, replaces=request.replaces
+        )
 
     def _send(
-        self, name: str, signal: str, arg: str = "", *, handover: bool = False
+        self,
+        name: str,
+        signal: str,
+        arg: str = "",
+        *,
+        handover: bool = False,
+        replaces: Sequence[str] = (),
     ) -> m.TaskStatus:
         task = self.task(name)
         try:
-            self.signal(name, signal, arg, handover=handover)
+            self.signal(name, signal, arg, handover=handover, replaces=replaces)
         finally:
             if task.executor.state is State.NOT_CREATED:
                 self._tasks.pop(name, None)

@@ -59,6 +59,7 @@ async def control(
     *,
     arg: str = "",
     handover: bool = False,
+    replaces: Sequence[str] = (),
 ) -> list[str]:
     """Send one signal and wait for the state it leads to; return warnings.
 
@@ -78,7 +79,9 @@ async def control(
     try:
         await task.command(
             signal,
-            lambda n: wire.Signal(n, signal, arg=arg, handover=handover),
+            lambda n: wire.Signal(
+                n, signal, arg=arg, handover=handover, replaces=list(replaces)
+            ),
             limit,
         )
     except PbonetError as error:

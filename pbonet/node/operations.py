@@ -304,7 +304,12 @@ class Operations:
             return tomb, []
         task = rtpu.need(request.subsystem, request.task)
         warnings = await control.control(
-            rtpu, task, request.signal, request.timeout, arg=request.arg
+            rtpu,
+            task,
+            request.signal,
+            request.timeout,
+            arg=request.arg,
+            replaces=request.replaces,
         )
         if request.signal == "kill":
             return task.last_status, warnings

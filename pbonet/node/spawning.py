@@ -198,6 +198,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         ring=ring,
         libraries=rtpu.config.libraries,
         forker=rtpu.spawner.pid,
+        replaces=request.replaces,
     )
     child = await rtpu.spawner.fork("task", request.task, spec)
     facts = Facts(

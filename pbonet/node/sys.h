@@ -75,6 +75,14 @@ static inline int rt_set_level(pid_t pid, int level)
     return sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) ? errno : 0;
 }
 
+/* Take the level of a process away that is ending: the kernel gives its memory back, for
+ * some milliseconds, at the level that it had. */
+static inline void rt_take_level(pid_t pid)
+{
+    struct sched_param param = {0};
+    sched_setscheduler(pid, SCHED_OTHER | SCHED_RESET_ON_FORK, &param);
+}
+
 /* Let the caller's main thread share `level` with others in slices of time, if it has a
  * real-time level at all; async-signal-safe. */
 static inline void rt_share_level(int level)

@@ -149,7 +149,7 @@ class Host:
         self.executor = Executor(instance, self.journal, illegal=illegal)
         self.executor.cycling = self._method
         self.alarm = Alarm(self.table, f"{spec.rtpu}/{spec.task}", self.context)
-        with self.journal.doing(Did("spawn")):
+        with self.journal.doing(Did("spawn")), self.local.replacing(spec.replaces):
             self.executor.spawn()
         self.slot.vow()
 
@@ -399,7 +399,7 @@ class Host:
             handover=message.handover,
             cede=message.cede,
         )
-        with self.journal.doing(did):
+        with self.journal.doing(did), self.local.replacing(message.replaces):
             self.executor.signal(
                 message.signal,
                 message.arg,

@@ -89,6 +89,9 @@ static inline void rt_mourn(struct rt_vigil *v, int i, struct rt_watched *w)
 {
     struct rt_slot *slot = &v->table->slots[i];
     uint32_t mode = atomic_load(&slot->post.word) & 3;
+    int32_t pid = atomic_load(&slot->config.pid);
+    if (v->backend == RT_FIFO && pid > 0)
+        rt_take_level(pid);     /* first: else who is released waits for its end */
     if (mode == RT_ON || mode == RT_COMMAND) {
         atomic_fetch_add(&v->deaths, 1);
         rt_raise(w, w->died);

@@ -234,6 +234,8 @@ class Signal(Struct, tag="signal"):
     handover: bool = False
     cede: bool = False
     """For ``off``: the heir takes the out-vars itself; see `Prepare`."""
+    replaces: list[str] = []
+    """For ``reinit``: tasks that leave, and whose constants it takes over."""
 
 
 class Prepare(Struct, tag="prepare"):
@@ -329,6 +331,8 @@ class TaskSpec(Struct, kw_only=True):
     libraries: tuple[str, ...]
     forker: int
     """The fork server's process id: who must be the parent."""
+    replaces: list[str] = []
+    """Tasks that leave, and whose constants it takes over."""
 
 
 class InspectSpec(Struct, kw_only=True):

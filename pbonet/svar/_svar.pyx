@@ -314,11 +314,15 @@ cdef class LocalTable:
             self.out_uid, self.out_number = o.group.uid, pb_committed(o)
         return code, rival
 
-    def succeed(self, list names) -> None:
-        """Let the next claim of the out-vars take them from these tasks, though they live."""
-        cdef pb_group *g = &local(self).outputs[PB_GROUP_VARS].group
-        self.heirs = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
-        g.heir_of = <const char *>self.heirs
+    def succeed(self, unsigned which, list names) -> None:
+        """Let claims of a group take its variables from these tasks, though they live."""
+        cdef pb_group *g = &local(self).outputs[which].group
+        cdef bytes heirs
+        heirs = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
+        if self.heirs is None:
+            self.heirs = [b"", b""]
+        self.heirs[which] = heirs       # keeps them where they are
+        g.heir_of = <const char *>heirs
         g.n_heir_of = len(names)
 
     def cede(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
 from .records import Counts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Generator, Iterable
 
     from numpy.typing import NDArray
 
@@ -222,7 +223,21 @@ class LocalTable(Closing, native.LocalTable):
         Args:
             tasks: Their names; none ends it.
         """
-        self.succeed([name.encode() for name in tasks])
+        self.succeed(VARS, [name.encode() for name in tasks])
+
+    @contextmanager
+    def replacing(self, tasks: Iterable[str]) -> Generator[None]:
+        """Let `copy_out_consts` take constants from tasks that live, in the block.
+
+        Args:
+            tasks: Their names. What they have given is theirs no longer, also where the
+                value is another one.
+        """
+        self.succeed(OUT_CONSTS, [name.encode() for name in tasks])
+        try:
+            yield
+        finally:
+            self.succeed(OUT_CONSTS, [])
 
     def stale(self, which: str | int) -> bool:
         """Tell whether an in-var is older than its MAXAGE, as the last copy brought it.

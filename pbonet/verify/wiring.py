@@ -84,8 +84,8 @@ def _two_givers(variable: str, tasks: list[Task]) -> Problem:
         where=tasks[-1].place("OUTCONST"),
         expected="one value of a constant",
         got=", ".join(task.place("OUTCONST") for task in tasks),
-        remedy="where values differ, kill one of them, or give its constant another "
-        "name by SVARALIAS",
+        remedy="where values differ, swap one for the other, kill one of them, or give "
+        "its constant another name by SVARALIAS",
         tasks=tuple(names),
         ports=tuple(task.port("OUTCONST", variable) for task in tasks),
         variables=(variable,),

@@ -109,6 +109,8 @@ class Spawn(Request, tag="spawn"):
     """E of a soft task as measured, seconds; counts where the RMOD has no EFFC."""
     timeout: float = 10.0
     """Seconds that `init` may take."""
+    replaces: list[str] = []
+    """Tasks that leave: it takes their constants over, whatever the values."""
 
 
 class Control(Request, tag="control"):
@@ -119,6 +121,8 @@ class Control(Request, tag="control"):
     arg: str = ""
     """Text for the module, as ``self.task.arg``."""
     timeout: float = 5.0
+    replaces: list[str] = []
+    """For ``reinit``: tasks that leave; it takes their constants over."""
 
 
 class Reconfig(Request, tag="reconfig"):

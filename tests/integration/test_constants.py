@@ -7,126 +7,12 @@ tool --MASS--> weigh --WEIGHT--> hold --F-->
 from __future__ import annotations
 
 import pytest
+import tools
 from watching import wait_for
 
 from pbonet.errors import MethodError, PbonetError, ReconfigError, VerificationError
 from pbonet.master.subsystem import Subsystem
 
-SVAR = """
-NAME MASS
-TYPE double
-DESC mass of the tool
-UNITS kg
-NELEM 1
-
-NAME LENGTH
-TYPE double
-DESC length of the tool
-UNITS m
-NELEM 1
-
-NAME WEIGHT
-TYPE double
-DESC weight of the tool
-UNITS N
-NELEM 1
-
-NAME BIAS
-TYPE double
-DESC set by hand
-UNITS N*m
-NELEM 1
-INIT 0
-
-NAME F
-TYPE double
-DESC torque that holds the tool
-UNITS N*m
-NELEM 1
-
-NAME SIZE
-TYPE int
-DESC elements of P
-UNITS none
-NELEM 1
-
-NAME P
-TYPE double
-DESC as many as SIZE
-UNITS none
-NELEM 2
-EOF
-"""
-SBS = "SUBSYSTEM tools\nSVARFILE tools.svar\nRTPU arm0\nEOF\n"
-TOOL = """
-    from typing import Annotated as A
-    from pbonet import OutConst, Params, PortBasedObject, param
-
-    class Of(Params):
-        mass: A[float, param("kg", "mass", ge=0)] = 1.0
-        length: A[float, param("m", "length", ge=0)] = 1.0
-
-    class Tool(PortBasedObject[Of]):
-        '''What is at the end of the arm.'''
-
-        mass: A[float, OutConst("MASS", "1", "kg", "mass")]
-        length: A[float, OutConst("LENGTH", "1", "m", "length")]
-
-        def init(self) -> None:
-            self.reinit()
-
-        def reinit(self) -> None:
-            self.mass, self.length = self.params.mass, self.params.length
-
-        def cycle(self, dt: float) -> None:
-            pass
-"""
-WEIGH = """
-    from typing import Annotated as A
-    from pbonet import InConst, OutConst, Params, PortBasedObject
-
-    class Weigh(PortBasedObject[Params]):
-        '''Weight of a mass.'''
-
-        mass: A[float, InConst("MASS", "1", "kg", "mass")]
-        weight: A[float, OutConst("WEIGHT", "1", "N", "weight")]
-
-        def init(self) -> None:
-            self.reinit()
-
-        def reinit(self) -> None:
-            if self.mass > 100.0:
-                self.task.fail("too heavy")
-            self.weight = 10.0 * self.mass
-
-        def cycle(self, dt: float) -> None:
-            pass
-"""
-HOLD = """
-    from typing import Annotated as A
-    from pbonet import InConst, OutVar, Params, PortBasedObject
-
-    class Hold(PortBasedObject[Params]):
-        '''Torque against the weight.'''
-
-        weight: A[float, InConst("WEIGHT", "1", "N", "weight")]
-        length: A[float, InConst("LENGTH", "1", "m", "length")]
-        bias: A[float, InConst("BIAS", "1", "N*m", "bias")]
-        f: A[float, OutVar("F", "1", "N*m", "torque")]
-
-        def init(self) -> None:
-            self.times = 0
-            self.reinit()
-
-        def reinit(self) -> None:
-            self.torque = self.weight * self.length + self.bias
-            if self.task.state == "ON":
-                self.times += 1
-                self.task.warn(f"reinit {self.times}")
-
-        def cycle(self, dt: float) -> None:
-            self.f = self.torque
-"""
 SIZED = """
     from typing import Annotated as A
     from pbonet import {kind}, OutVar, Params, PortBasedObject, Vector, param
@@ -148,37 +34,11 @@ SIZED = """
 """
 
 
-def rmod(folder, name, module, *, local="", **ports):
-    """Write an RMOD; `ports` are its lists."""
-    lists = {
-        key: ports.get(key, "none")
-        for key in ("INCONST", "OUTCONST", "INVAR", "OUTVAR")
-    }
-    lines = [f"MODULE {module}", "DESC a test", *(f"{k} {v}" for k, v in lists.items())]
-    lines += ["TASKTYPE periodic", "FREQ 200"]
-    lines += ["LOCAL", local] if local else []
-    (folder / f"{name}.rmod").write_text("\n".join([*lines, "EOF", ""]))
-
-
 @pytest.fixture
 def files(nodes, tmp_path):
     """The folder of the subsystem, its modules in the library of the agent."""
-    nodes.write_module("tool", TOOL)
-    nodes.write_module("weigh", WEIGH)
-    nodes.write_module("hold", HOLD)
     folder = tmp_path / "tools"
-    folder.mkdir()
-    (folder / "tools.svar").write_text(SVAR)
-    (folder / "tools.sbs").write_text(SBS)
-    for name, local in (("grip", "MASS 2\nLENGTH 0.5"), ("drill", "MASS 3\nLENGTH 1")):
-        rmod(folder, name, "tool", OUTCONST="MASS LENGTH", local=local)
-    rmod(folder, "anvil", "tool", OUTCONST="MASS LENGTH", local="MASS 500")
-    rmod(folder, "weigh", "weigh", INCONST="MASS", OUTCONST="WEIGHT")
-    rmod(folder, "hold", "hold", INCONST="WEIGHT LENGTH BIAS", OUTVAR="F")
-    (folder / "tools.job").write_text(
-        "JOB tools\nDESC hold a tool\nSBS tools.sbs\n"
-        "TASK hold\nTASK weigh\nTASK grip\nEOF\n"
-    )
+    tools.write(folder, nodes.library)
     return folder
 
 
@@ -186,7 +46,10 @@ def files(nodes, tmp_path):
 def arm(nodes, files):
     nodes.agent_process("arm0")
     subsystem = Subsystem(
-        files / "tools.sbs", domain=nodes.domain, libraries=[nodes.library]
+        files / "tools.sbs",
+        domain=nodes.domain,
+        libraries=[nodes.library],
+        record="off",
     )
     subsystem.heard = []
     subsystem.warned = subsystem.heard.append
@@ -213,7 +76,7 @@ def reinits(arm, task="hold"):
 @pytest.fixture
 def held(arm):
     """The grip is held: 20 N at 0.5 m."""
-    arm.start("tools")
+    arm.start("grip")
     wait_torque(arm, 10.0)
     assert renewed(arm) == [], "the job spawns in the order of the constants"
     return arm
@@ -304,10 +167,48 @@ def test_producers_of_equal_constants_take_each_others_place(held, files):
     wait_torque(held, 10.0)
 
 
+def test_switch_changes_the_tool_while_its_users_run(held):
+    before = held.status("hold")
+    plan = held.switch("drill", dry_run=True)
+    assert plan.replaces == {"drill": ["grip"]}
+    wait_torque(held, 10.0)
+    held.switch("drill")
+    wait_torque(held, 30.0)
+    assert renewed(held) == ["drill gives MASS and LENGTH: re-initialized weigh, hold"]
+    after = held.status("hold")
+    assert (after.tid, after.state) == (before.tid, "ON"), "it never stopped"
+    assert {one.task for one in held.status_all()} == {"drill", "weigh", "hold"}
+
+
+def test_tools_are_swapped_there_and_back(held):
+    held.swap("grip", "drill")
+    wait_torque(held, 30.0)
+    assert held.swap("drill", "grip").replaces == {"grip": ["drill"]}
+    wait_torque(held, 10.0)
+    states = {status.task: status.state for status in held.status_all()}
+    assert (states["grip"], states["drill"]) == ("ON", "OFF")
+    with pytest.raises(PbonetError, match="drill gives the constant MASS another"):
+        held.control("drill", "reinit")  # it leaves nobody's place
+    wait_torque(held, 10.0)
+
+
+def test_a_tool_that_somebody_cannot_take_is_put_back(held):
+    with pytest.raises(PbonetError, match="too heavy"):
+        held.switch("anvil")
+    states = {status.task: status.state for status in held.status_all()}
+    assert states == {"grip": "ON", "weigh": "ERROR", "hold": "ON"}
+    wait_torque(held, 10.0)
+    assert [held.display([name])[0].values for name in ("MASS", "LENGTH")] == [
+        [2.0],
+        [0.5],
+    ]
+    assert held.display(["MASS"])[0].writer == "grip"
+
+
 def test_a_second_producer_that_is_not_verified_is_refused_by_its_value(nodes, files):
     nodes.agent("arm0")
     master = nodes.master("arm0", "tools", table=False)
-    master.open_table(SVAR)
+    master.open_table(tools.SVAR)
     text = (files / "grip.rmod").read_text()
     master.spawn("one", "", text=text)
     other = text.replace("MASS 2", "MASS 2.5")
@@ -320,17 +221,17 @@ def test_a_second_producer_that_is_not_verified_is_refused_by_its_value(nodes, f
 
 
 def test_constants_in_a_circle_are_refused_and_drawn(arm, nodes, files):
-    circle = WEIGH.replace("MASS", "WEIGHT", 1).replace(
+    circle = tools.WEIGH.replace("MASS", "WEIGHT", 1).replace(
         'OutConst("WEIGHT"', 'OutConst("MASS"'
     )
     nodes.write_module(
         "back", circle.replace("self.mass", "1.0").replace("class Weigh", "class Back")
     )
-    rmod(files, "back", "back", INCONST="WEIGHT", OUTCONST="MASS")
-    job = (files / "tools.job").read_text()
-    (files / "tools.job").write_text(job.replace("TASK grip", "TASK back"))
+    tools.rmod(files, "back", "back", INCONST="WEIGHT", OUTCONST="MASS")
+    job = (files / "grip.job").read_text()
+    (files / "grip.job").write_text(job.replace("TASK grip", "TASK back"))
     with pytest.raises(VerificationError) as caught:
-        arm.start("tools")
+        arm.start("grip")
     assert "wait for each other's constants" in str(caught.value)
     assert "weigh --WEIGHT--> back --MASS--> weigh" in str(caught.value)
     assert len(arm.picture.names) == 0
@@ -344,9 +245,9 @@ def test_a_size_cannot_change_under_a_task(arm, nodes, files):
     use = SIZED.format(kind="InConst", name="Use", port=port, init="pass")
     nodes.write_module("give", give)
     nodes.write_module("use", use)
-    rmod(files, "two", "give", OUTCONST="SIZE")
-    rmod(files, "three", "give", OUTCONST="SIZE", local="SIZE 3")
-    rmod(files, "use", "use", INCONST="SIZE", OUTVAR="P")
+    tools.rmod(files, "two", "give", OUTCONST="SIZE")
+    tools.rmod(files, "three", "give", OUTCONST="SIZE", local="SIZE 3")
+    tools.rmod(files, "use", "use", INCONST="SIZE", OUTVAR="P")
     arm.spawn("two")
     arm.spawn("use")
     arm.control("use", "on")

@@ -181,9 +181,13 @@ class InStep(RuleBasedStateMachine):
         self.both(lambda side: side.local.ask(which), sides)
         self.both(lambda side: side.local.take(which, self.now, 5), sides)
 
-    @rule(sides=tasks, names=st.sets(st.sampled_from(TASKS)))
-    def succeed(self, sides, names):
-        self.both(lambda side: side.local.succeed(sorted(names)), sides)
+    @rule(
+        sides=tasks,
+        which=st.sampled_from([0, 1]),
+        names=st.sets(st.sampled_from(TASKS)),
+    )
+    def succeed(self, sides, which, names):
+        self.both(lambda side: side.local.succeed(which, sorted(names)), sides)
 
     @rule(sides=tasks)
     def cede(self, sides):

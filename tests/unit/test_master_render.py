@@ -196,12 +196,14 @@ def test_a_change_of_configuration_shows_its_steps_and_its_end():
         "spawns": {"soft": "arm0"},
         "items": [["pid", "off"], ["soft", "on"]],
         "kills": ["pid"],
+        "replaces": {"soft": ["pid", "grip"]},
         "conditions": ["POST of reach holds: HELD"],
         "states": {"pid": "NOT-CREATED", "soft": "ON"},
     }
     assert render.text("switch", data).splitlines() == [
         "POST of reach holds: HELD",
         "spawn soft on arm0",
+        "soft gives the constants of pid, grip",
         "off pid",
         "on soft",
         "kill pid",
@@ -209,7 +211,7 @@ def test_a_change_of_configuration_shows_its_steps_and_its_end():
         "pid NOT-CREATED  soft ON",
     ]
     nothing = {"stays": [], "spawns": {}, "items": [], "kills": [], "states": {}}
-    nothing["conditions"] = []
+    nothing |= {"conditions": [], "replaces": {}}
     assert render.text("swap", nothing) == "nothing to do\nstays ON: nothing"
 
 

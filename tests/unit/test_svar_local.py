@@ -298,6 +298,27 @@ def test_the_same_constant_from_two_tasks_is_no_conflict(table):
     assert table.read("V0").tolist() == [7] * 3
 
 
+def test_who_replaces_a_task_gives_its_constants_whatever_the_values(table):
+    one, two = (table.local(name, ME, outconst=["V0", "V1"]) for name in ("one", "two"))
+    fill(one, V0=6, V1=1)
+    one.copy_out_consts()
+    fill(two, V0=7, V1=1)
+    with two.replacing(["one"]):
+        assert two.copy_out_consts() == 0
+    assert [table.info(name).owner for name in ("V0", "V1")] == ["two", "two"]
+    assert table.read("V0").tolist() == [7] * 3
+    with pytest.raises(SvarOwnerError, match="one gives the constant V0 another value"):
+        one.copy_out_consts()
+    one.close()
+    assert table.info("V0").owner == "two"
+    three = table.local("three", ME, outconst=["V0"])
+    fill(three, V0=8)
+    with pytest.raises(RuntimeError), three.replacing(["two"]):
+        raise RuntimeError
+    with pytest.raises(SvarOwnerError, match="another value"):
+        three.copy_out_consts()
+
+
 # -- ages, provenance, single transfers -----------------------------------------------
 
 

@@ -128,9 +128,9 @@ class LocalTable:
             self.out_uid = self.register_uid(VARS)
         return answer
 
-    def succeed(self, names: list[bytes]) -> None:
-        """Let the next claim of the out-vars take them from these tasks."""
-        self.groups[VARS].heir_of = {name[:63].decode() for name in names}
+    def succeed(self, which: int, names: list[bytes]) -> None:
+        """Let claims of a group take its variables from these tasks."""
+        self.groups[which].heir_of = {name[:63].decode() for name in names}
 
     def cede(self) -> None:
         """Write no more, and leave the variables to the heir's claim."""

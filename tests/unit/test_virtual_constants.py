@@ -1,0 +1,59 @@
+"""A tool is changed in virtual time as it is on agents."""
+
+import threading
+
+import pytest
+import tools
+
+from pbonet.errors import MethodError
+from pbonet.master import Subsystem
+
+
+@pytest.fixture
+def held(tmp_path):
+    """The grip is held: 20 N at 0.5 m."""
+    library, folder = tmp_path / "library", tmp_path / "tools"
+    library.mkdir()
+    tools.write(folder, library)
+    with Subsystem(
+        folder / "tools.sbs",
+        libraries=[library],
+        virtual=True,
+        warned=lambda _text: None,
+    ) as subsystem:
+        subsystem.start("grip")
+        yield subsystem
+
+
+def torque(held):
+    held.clock.wait(0.02, threading.Event())
+    return held.display(["F"])[0].values
+
+
+def test_tools_are_changed_and_changed_back(held):
+    assert torque(held) == [10.0]
+    assert held.switch("drill", dry_run=True).replaces == {"drill": ["grip"]}
+    assert torque(held) == [10.0]
+    held.switch("drill")
+    assert torque(held) == [30.0]
+    assert "grip" not in held.picture
+    held.swap("drill", "grip")
+    assert torque(held) == [10.0]
+    held.swap("grip", "drill")
+    assert torque(held) == [30.0]
+    with pytest.raises(MethodError, match="another value"):
+        held.control("grip", "reinit")
+    held.control("grip", "kill")
+    with pytest.raises(MethodError, match="drill"):
+        held.spawn("grip")  # in nobody's place
+
+
+def test_a_tool_that_somebody_cannot_take_is_put_back(held):
+    with pytest.raises(MethodError, match="too heavy"):
+        held.switch("anvil")
+    assert torque(held) == [10.0]
+    assert [held.display([name])[0].values for name in ("MASS", "LENGTH")] == [
+        [2.0],
+        [0.5],
+    ]
+    assert held.picture.names == ["grip", "weigh", "hold"]
