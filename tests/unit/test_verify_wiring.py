@@ -177,8 +177,8 @@ def test_two_producers_of_a_constant_even_when_off() -> None:
     assert verify.as_text(problem) == (
         "scara.rmod: puma and scara both produce the constant DH; they must give it "
         "the same value, for the table refuses another one (expected one value of a "
-        "constant, got puma.rmod, scara.rmod); where values differ, kill one of them, "
-        "or give its constant another name by SVARALIAS"
+        "constant, got puma.rmod, scara.rmod); where values differ, swap one for the "
+        "other, kill one of them, or give its constant another name by SVARALIAS"
     )
 
 
