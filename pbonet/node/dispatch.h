@@ -63,9 +63,18 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     return news;
 }
 
+/* The first release of a task that arms now. A fallback makes up for a cycle that was
+ * lost, where there is time for it; everybody else begins on the grid. */
+static inline int64_t rt_first(const struct rt_state *s, int64_t now, int replaces)
+{
+    int64_t grid = (now + RT_LEAD_NS + s->period - 1) / s->period * s->period;
+    return replaces && grid - now > s->period / 2 ? now : grid;
+}
+
 static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
                                  uint32_t word, int64_t now)
 {
+    int replaces = s->engaged && s->after_kind == RT_FALLBACK;
     uint32_t changed = word ^ s->word;
     uint32_t mode = word & 3;
     uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? 0
@@ -82,7 +91,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
         return;
     s->armed = 1;
     if (s->kind == RT_PERIODIC) {
-        s->next_ns = (now + RT_LEAD_NS + s->period - 1) / s->period * s->period;
+        s->next_ns = rt_first(s, now, replaces);
         return;
     }
     s->ready = 1;               /* timed from outside: ready for good */

@@ -15,7 +15,8 @@ The rules (`docs/realtime.md` gives the reasons):
 - However late a turn comes, only the newest release is granted; the others are missed.
 - Failures and reserves are watched as `pbonet.sched.watch` says, behind the releases.
 - A task that stands by is engaged, that is, granted its `on`, when one of the tasks
-  that it is the fallback of has fallen, or all that hand over to it are off.
+  that it is the fallback of has fallen, or all that hand over to it are off. A fallback
+  that comes on with more than half a period left has its first release at once.
 - Ready tasks are ranked by urgency and hold FIFO levels in that order. Under ``park``
   only the most urgent one is let run.
 """
@@ -180,6 +181,7 @@ class Dispatcher:
                 raise ValueError(msg)
 
     def _mode(self, now: int, slot: int, state: SlotState, record: Decision) -> None:
+        replaces = state.engaged and state.after_kind == After.FALLBACK
         old, word = state.word, record.arg
         state.word, state.fell = word, bool(record.a)
         if arms(word) != arms(old) or state.mode is Mode.OFF:
@@ -192,7 +194,9 @@ class Dispatcher:
             return
         state.armed = True
         if state.kind == Kind.PERIODIC:
-            state.next_ns = -(-(now + LEAD_NS) // state.period) * state.period
+            grid = -(-(now + LEAD_NS) // state.period) * state.period
+            early = replaces and grid - now > state.period // 2
+            state.next_ns = now if early else grid
             return
         state.ready, state.rel_ns, state.dl_ns = True, now, NEVER
         state.event_ns, state.left, state.mark = now, state.maxc, -1

@@ -71,7 +71,8 @@ def wait_stable(desk):
 def test_a_cable_is_pulled_and_plugged_in_again(cell, lan):
     lan.cut("a", "b")
     wait_stable(cell)
-    assert "host host-a is out of sight; nobody writes Z0" in cell.illegal("arm1")
+    lost = "host host-a is out of sight; nobody writes Z0"
+    wait_for(lambda: lost in cell.illegal("arm1"), "the agent's own cause")
     lan.heal("a", "b")
     wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
     wait_steady(cell)
