@@ -44,7 +44,7 @@ _END: Final = frozenset({"abort", "fault"})
 
 
 class Stop(BaseException):
-    """Nothing behind this can be compared."""
+    """Nothing behind this can be compared; it is no error of the module."""
 
 
 class _Copies:
