@@ -151,6 +151,7 @@ class Fallbacks:
             and not standby.stands_by
             and standby.state is State.OFF
             and original.state is State.ON
+            and not self._rtpu.core.snapshot(original.facts.slot).dead
         )
 
     async def _arrange(self, pair: Pair) -> None:

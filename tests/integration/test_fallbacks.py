@@ -85,7 +85,7 @@ def wait_standing(arm, standby="second"):
 
 
 def test_an_error_releases_the_standby(start):
-    arm = start("raises_in_cycle")
+    arm = start("raises_in_cycle", freq=10.0)  # 1 s until it does
     (text,) = told(arm)
     assert text.startswith("first is in ERROR: its fallback second was released by the")
     assert "state ON, time 1 of 3" in text
@@ -121,7 +121,9 @@ def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):
 
 
 def test_a_standby_that_fails_too_is_in_error_with_the_flag_up(start):
-    arm = start("dies_by_sigkill", "raises_in_on")
+    arm = start("counts", "raises_in_on")
+    wait_standing(arm)
+    os.kill(arm.status("first").tid, signal.SIGKILL)
     (text,) = told(arm)
     assert "state ERROR" in text
     assert "nobody writes its variables" in text
