@@ -66,7 +66,11 @@ FIELDS: Final = (
     Field("rank", "", "criticality at this moment: another one behind a failure"),
     Field("reserve", "s", "CPU time reserved for a cycle, or for a server's period"),
     Field("fail", "", "timing failures since the last status"),
-    Field("over", "", "times that the reserve was used up, since the last status"),
+    Field(
+        "over",
+        "",
+        "reserves used up, and events far too early, since the last status",
+    ),
     Field("abort", "", "cycles that the handler aborted, since the last status"),
     Field("skip", "", "releases left out after a failure, since the last status"),
     Field("handler", "", "calls of the module's handler, since the last status"),
