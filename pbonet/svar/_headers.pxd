@@ -48,6 +48,7 @@ cdef extern from "local.h" nogil:
     struct pb_source:
         pb_reg *reg
         uint64_t uid, head
+        bint outside
     struct pb_piece:
         uint64_t bytes
     struct pb_age:

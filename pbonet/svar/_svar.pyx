@@ -216,13 +216,14 @@ cdef inline int copy(LocalTable task, int which) noexcept nogil:
     return task.flags
 
 
-cdef inline unsigned long long keeps(LocalTable task, const pb_plan *p) noexcept nogil:
-    """Return the number of the keeper's group that a plan brought; 0: none of it."""
+cdef inline unsigned long long outside(const pb_plan *p) noexcept nogil:
+    """Return what rises with each commit from outside that a plan brings; 0: none does."""
     cdef uint32_t i
+    cdef uint64_t heads = 0
     for i in range(p.n_sources):
-        if p.sources[i].reg == local(task).table.regs + PB_KEEPER:
-            return p.sources[i].head
-    return 0
+        if p.sources[i].outside:
+            heads += p.sources[i].head
+    return heads
 
 
 cdef void *room(list kept, size_t n, size_t size):
@@ -357,7 +358,7 @@ cdef class LocalTable:
         cdef const pb_plan *p = local(self).plans + PB_PLAN_IN
         cdef size_t bytes = 0
         cdef uint32_t i
-        if not whole and p.generation == self.stored and keeps(self, p) == self.stored_set:
+        if not whole and p.generation == self.stored and outside(p) == self.stored_set:
             return 0
         for i in range(p.n_vars):
             bytes += local(self).table.vars[p.vars[i]].bytes
@@ -373,7 +374,7 @@ cdef class LocalTable:
 
     cdef void c_stored(self) noexcept nogil:
         cdef const pb_plan *p = local(self).plans + PB_PLAN_IN
-        self.stored, self.stored_set = p.generation, keeps(self, p)
+        self.stored, self.stored_set = p.generation, outside(p)
 
     cdef bint c_illegal(self) noexcept nogil:
         return pb_illegal(&local(self).table, &local(self).flag)

@@ -20,6 +20,7 @@ struct pb_source {
     struct pb_reg *reg;
     uint8_t *slots;
     uint64_t stride, uid, head;
+    bool outside; /* no task of this machine writes it: nobody has its commits on record */
 };
 
 struct pb_piece {
@@ -47,6 +48,12 @@ struct pb_plan {
     bool all_ages; /* note every variable's stamp, not only of those with MAXAGE */
 };
 
+/* Whether a register is the keeper's, an agent's (TASK@HOST) or a player's (replay:TASK). */
+static inline bool pb_is_outside(const struct pb_table *t, const struct pb_reg *reg) {
+    return reg == t->regs + PB_KEEPER || memchr(reg->task, '@', PB_NAME) ||
+           memchr(reg->task, ':', PB_NAME);
+}
+
 static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p, uint32_t r) {
     struct pb_reg *reg = t->regs + r;
     uint32_t i = 0;
@@ -55,7 +62,7 @@ static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p,
         p->sources[p->n_sources++] = (struct pb_source){
             reg, t->base + atomic_load_explicit(&reg->slots, memory_order_relaxed),
             atomic_load_explicit(&reg->stride, memory_order_relaxed),
-            atomic_load_explicit(&reg->uid, memory_order_relaxed), 0};
+            atomic_load_explicit(&reg->uid, memory_order_relaxed), 0, pb_is_outside(t, reg)};
     }
     return i;
 }

@@ -78,9 +78,9 @@ def begin(master, **more):
     return path
 
 
-def end(master, path):
-    """Kill both tasks, and return the run."""
-    for task in ("b", "a"):
+def end(master, path, tasks=("b", "a")):
+    """Kill the tasks, and return the run."""
+    for task in tasks:
         master.off(task)
         master.kill(task)
     return finish(master, path)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+import time
 
+import logkit
 import numpy as np
 import pytest
 from adding import ADDS
@@ -20,6 +23,7 @@ from pbonet.log import LogWriter, RunAbout, Step, TaskAbout
 from pbonet.log.groups import pack
 from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.svar import Table
+from pbonet.testing import verify
 
 VARIABLES = {v.name: v for v in parse_svar(svar(), "t.svar").variables}
 COUNT = 50
@@ -140,3 +144,28 @@ def test_what_cannot_be_played_is_refused(line, nodes, log) -> None:
     code, _, err = run(nodes, log, "--subsystem", "leg")
     assert code == 1
     assert "there is no such table" in err
+
+
+@pytest.mark.parametrize("writer", ["replay:a", "a@far"])
+def test_what_comes_from_outside_stands_with_the_cycle(line, nodes, writer) -> None:
+    """What a player, or an agent for another machine, commits is in nobody's record."""
+    line.off("b")
+    line.kill("b")
+    path = logkit.record(line)
+    spawn(line, "b", "Y0", "Y1")
+    line.on("b")
+    with (
+        Table.attach(f"{nodes.domain}.arm") as table,
+        table.local(writer, os.getpid(), outvar=["Y0"]) as local,
+    ):
+        local.claim()
+        for n in range(1, 6):
+            local.array("Y0")[:] = n, 1.0 / n
+            assert local.commit(time.monotonic_ns(), n) == 0
+            line.wait_cycles("b", 2)
+        log = logkit.end(line, path, ["b"])
+    (life,) = log.lives("b")
+    stored = [bool(life.schema.rest(one)[1]) for one in life.commits]
+    assert 5 <= sum(stored) < len(stored), "only where there was something new"
+    (verdict,) = verify(log)
+    assert verdict.good, str(verdict)
