@@ -24,7 +24,7 @@ def command(
     ] = True,
     record: A[
         str | None,
-        typer.Option(help="What of each cycle: off, outputs or all; as the job says."),
+        typer.Option(help="off, outputs, all or 'last SECONDS'; as the job says."),
     ] = None,
     runs: A[
         Path | None, typer.Option(help="Folder of the logs; runs by default.")

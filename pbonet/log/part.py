@@ -239,7 +239,8 @@ class Part:
 
     def load(self, keys: Iterable[int] | None = None) -> None:
         """Read the messages of some channels, or all, in one go through the file."""
-        wanted = [k for k in keys or self.channels if k not in self._rows]
+        every = self.channels if keys is None else keys
+        wanted = [key for key in every if key not in self._rows]
         if not wanted:
             return
         found: dict[int, list[Rows]] = {key: [] for key in wanted}

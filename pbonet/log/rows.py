@@ -95,8 +95,8 @@ class Rows(Sequence[bytes]):
         """Return one message."""
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        begin = int(self._starts[index])
-        return self.data[begin : begin + int(self.sizes[index])]
+        begin = self._starts.item(index)
+        return self.data[begin : begin + self.sizes.item(index)]
 
     def all(self) -> list[bytes]:
         """Return the messages, each as an object."""

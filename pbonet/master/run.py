@@ -121,7 +121,8 @@ class Run:
         view: Where it is shown.
         seconds: How long; None: until interrupted, or stopped from elsewhere.
         embed: Start agents for RTPUs that nobody runs.
-        record: ``off``, ``outputs`` or ``all``; None for what the job says.
+        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
+            says.
         runs: Folder of the logs of embedded agents; None for theirs.
         profile: Save the tasks' execution profiles at the end.
 
@@ -445,7 +446,8 @@ def run(
         seconds: How long; None: until interrupted, or 10 s of virtual time.
         sim: In virtual time.
         embed: Start agents for RTPUs that nobody runs.
-        record: ``off``, ``outputs`` or ``all``; None for what the job says.
+        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
+            says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
         profile: Save the tasks' execution profiles at the end, in real time.
         quiet: Leave standard output to the caller.

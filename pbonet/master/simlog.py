@@ -32,7 +32,8 @@ def save(
         outcome: What the run came to; is told where the log is.
         path: The ``.job`` file.
         place: Where RMODs are found.
-        record: ``off``, ``outputs`` or ``all``; None for what the job says.
+        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
+            says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
 
     Raises:

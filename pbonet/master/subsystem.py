@@ -74,7 +74,8 @@ class Subsystem(Switching, Calls, Signalled):
             passes where the program waits.
         partly: Be content with the RTPUs that answer; of the others it is warned.
         warned: Called with each warning, one sentence, unless a `Desk` collects it.
-        record: ``off``, ``outputs`` or ``all``; None for what the job says, or outputs.
+        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
+            says, or outputs.
 
     Raises:
         ConfigError: A file is missing or wrong.

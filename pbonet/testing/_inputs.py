@@ -87,6 +87,7 @@ class Inputs:
         self._array = array
         self._commits = commits
         self._read: dict[int, int] = {}
+        self._size, self._pairs = 0, struct.Struct("<")
         self._pieces: dict[int, list[Piece]] = {}
         self._hidden: dict[int, str] = {}
 
@@ -100,7 +101,10 @@ class Inputs:
         Returns:
             Why that cannot be done; empty when it was.
         """
-        pairs = struct.unpack(f"<{len(consumed) // 8}Q", consumed)
+        size = len(consumed)
+        if size != self._size:
+            self._size, self._pairs = size, struct.Struct(f"<{size // 8}Q")
+        pairs = self._pairs.unpack(consumed)
         if stored:
             unpack(self._about.invar, stored, self._array)
             self._read = dict(zip(pairs[::2], pairs[1::2], strict=True))
