@@ -11,6 +11,8 @@ Cost, seen from Python, in nanoseconds:
     local       one call while a process on another core reads each millisecond
     wake-up     what a call takes longer, at 1 kHz, when the reader sleeps, as the agent
                 of a remote reader does (a task rings behind its cycle, not in it)
+    kernel's    the same of FUTEX_WAKE alone, from C (futex.c): what waking a process on
+                another core costs here, whoever does it
 
 Latency, at 1 kHz, in microseconds, from the writer's process to the reader's:
     pbonet      `Writer.write` to the return of `Reader.read` behind a wait, over two
@@ -37,13 +39,14 @@ from typing import Self, cast
 
 import numpy as np
 
-from benchmarks.rtbench import machine
+from benchmarks.rtbench import compile_c, machine
 from pbonet import tbuf, xm
 
 SIZES = (48, 1024)
 CALLS = 20_000
 MOST_NS, WAKE_NS, SLOWEST = 100.0, 1500.0, 1.5
 """Goals: of a write, of a wake-up, and of the median latency in raw zenoh's."""
+KERNELS = "the kernel's own wake-up, FUTEX_WAKE from C"
 WARM_UP = 0.3
 LOOP = """
 import json, os, sys, time
@@ -305,6 +308,7 @@ def costs(rounds: int) -> dict[str, list[float]]:
             poller.result()
         poller.end()
         _add_wake_up(found, writer, Program(READER, env, poll=False, **home), rounds)
+        _add_kernels(found, Path(folder), (first, more[0] if more else first), rounds)
         writer.close()
     os.sched_setaffinity(0, {first, *more})
     shutil.rmtree(folder)
@@ -322,6 +326,21 @@ def _add_wake_up(
         found.setdefault(name, []).append(paced_ns(writer, 100) - alone)
         sleeper.result()
     sleeper.end()
+
+
+def _add_kernels(
+    found: dict[str, list[float]], folder: Path, cores: tuple[int, int], rounds: int
+) -> None:
+    """Add what the kernel takes to wake a sleeper, without any of pbonet."""
+    if KERNELS in found:
+        return
+    program = compile_c("futex", folder)
+    command = [str(program), "100", *map(str, cores)]
+    for _ in range(rounds):
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        alone, asleep = map(int, done.stdout.split())
+        found.setdefault(KERNELS, []).append(asleep - alone)
+    program.unlink()
 
 
 def report(
@@ -356,6 +375,9 @@ def report(
             WAKE_NS,
         ),
     }
+    text = f"a wake-up at most {SLOWEST:g} x the kernel's own"
+    woken = max(middle[f"wake-up, {size} B"] for size in SIZES)
+    goals[text] = woken / middle[KERNELS], SLOWEST
     for size in SIZES:
         ratio = median[size, "pbonet"] / median[size, "raw zenoh"]
         goals[f"median latency, {size} B, at most {SLOWEST:g} x raw zenoh"] = (

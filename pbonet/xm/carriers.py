@@ -56,6 +56,9 @@ class Carrier(Protocol):
         """Return the names of the RTPUs whose agents are there."""
         ...
 
+    def close(self) -> None:
+        """End; what stands for it elsewhere ends with it."""
+
 
 class Post:
     """What a task asks goes to its RTPU's agent, and from there to the others.
@@ -94,6 +97,14 @@ class Post:
     def rtpus(self) -> list[str]:
         """Return the names of the RTPUs whose agents are there."""
         return read_names(self._exchange(Letter(self.name, "", 0.0, b"")))
+
+    def close(self) -> None:
+        """End; what stands for the process elsewhere ends with it."""
+        self._forget()
+        with self._guard:
+            anchor, self._anchor = self._anchor, None
+            if anchor is not None:
+                anchor.close()
 
     def _exchange(self, letter: Letter) -> bytes:
         try:

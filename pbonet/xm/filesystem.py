@@ -82,6 +82,11 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         rtpu = _split(path)[0]
         return carrier.call(rtpu, request, result, timeout=ANSWER_TIME)
 
+    def close(self) -> None:
+        """Close the connection, if it is one of its own."""
+        if self._carrier is not None:
+            self._carrier.close()
+
     # -- looking -----------------------------------------------------------------------
 
     def info(self, path: str, **_: object) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 
+import fsspec
 import pytest
 import zenoh
 from nodekit import Master, rmod
@@ -17,6 +18,7 @@ from watching import free_port, wait_for
 from pbonet.errors import AccessError, UnreachableError
 from pbonet.xm import codec, keys, pki, session
 from pbonet.xm import messages as m
+from pbonet.xm import resources as r
 from pbonet.xm.credentials import Role
 from pbonet.xm.rpc import Client
 
@@ -59,7 +61,9 @@ class Cell:
         self.nodes, self.lab = nodes, lab
         self.near, self.far = (f"tls/127.0.0.1:{free_port()}" for _ in range(2))
         own = {"keys": str(lab["lab agent"])}
-        nodes.agent_process("arm0", listen=(self.near,), **own)
+        self.files = nodes.library.parent / "files"
+        self.files.mkdir()
+        nodes.agent_process("arm0", listen=(self.near,), files=str(self.files), **own)
         nodes.agent_process("arm1", listen=(self.far,), connect=(self.near,), **own)
 
 
@@ -125,6 +129,51 @@ def test_observer_looks_and_changes_nothing(cell, come, edge):
         assert "--keys" in caught.value.remedy
     assert boss.status("a").state == "ON"
     boss.stop()
+
+
+@pytest.mark.parametrize("edge", ["near", "far"])
+def test_resources_and_files_are_a_masters_and_observers_read(cell, come, edge):
+    where, domain = getattr(cell, edge), cell.nodes.domain
+    made = r.Attach(name="grip", kind="sem", create={"initial": 1})
+    boss, watcher = (
+        Client(come(f"lab {who}", where), domain, who) for who in ("master", "observer")
+    )
+    tokens = [one.announce(keys.customer(domain, one.name)) for one in (boss, watcher)]
+    grip = boss.call("arm0", made, r.Attached)
+    assert boss.call("arm0", r.Take(handle=grip.handle, take="t"), r.Took).code == 1
+    for request in (
+        r.Attach(name="grip", kind="sem"),
+        r.Give(handle=grip.handle),
+        r.Interrupt(name="door"),
+    ):
+        with pytest.raises(AccessError):
+            watcher.call("arm0", request, object)
+    boss.call("arm0", r.Detach(handle=grip.handle, destroy=True), type(None))
+    places = [
+        fsspec.filesystem(
+            "pbonet",
+            domain=domain,
+            connect=where,
+            keys=str(cell.lab[f"lab {who}"]),
+            skip_instance_cache=True,
+        )
+        for who in ("master", "observer")
+    ]
+    places[0].pipe_file("arm0/a.txt", b"seen")
+    assert places[1].cat_file("arm0/a.txt") == b"seen"
+    assert places[1].ls("arm0", detail=False) == ["arm0/a.txt"]
+    with pytest.raises(AccessError):
+        places[1].pipe_file("arm0/a.txt", b"changed")
+    with pytest.raises(AccessError):
+        places[1].rm_file("arm0/a.txt")
+    assert [path.read_bytes() for path in cell.files.iterdir()] == [b"seen"]
+    for place in places:
+        place.close()
+    with pytest.raises(UnreachableError):
+        fsspec.filesystem(
+            "pbonet", domain=domain, connect=where, keys=str(cell.lab["other master"])
+        )
+    assert len(tokens) == 2
 
 
 def test_observer_cannot_steer_on_the_key_for_looking(cell, come):

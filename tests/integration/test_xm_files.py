@@ -50,7 +50,7 @@ def hand(cell):
 
 def test_as_a_local_file(cell, hand):
     hand.do("data = np.random.default_rng(1).bytes(3_000_000)")
-    hand.do("f = fsspec.open('pbonet://vision0/a/big', 'wb'); fs.mkdir('vision0/a')")
+    hand.do("f = fsspec.open('pbonet://vision0/a/big', 'wb')  # makes the folder")
     hand.do("with f as file: file.write(data)")
     assert (cell.a.files / "a" / "big").stat().st_size == 3_000_000
     assert hand.do("fsspec.open('pbonet://vision0/a/big').open().read() == data") == (
