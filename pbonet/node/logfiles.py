@@ -69,6 +69,8 @@ class LogFiles:
         self._begun = 0.0
         self._wrong = 0.0
         """Until when everything is written, behind an error."""
+        self._due = False
+        """Whether an error waits for a file."""
         self._kept: deque[tuple[float, Do, bytes]] = deque()
         self._done: set[Path] = set()
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
@@ -84,7 +86,7 @@ class LogFiles:
         elif self.writer is not None and self._is_full(now):
             self._goes_on = True
             self._finish()
-        wanted = not self._wanted.last or now <= self._wrong
+        wanted = not self._wanted.last or self._due
         if wanted and self.writer is None and now >= self._retry:
             self._retry = now + RETRY
             self._open()
@@ -124,6 +126,7 @@ class LogFiles:
         """Write what was kept, and what comes in the next second."""
         if self._wanted.last:
             self._wrong = time.monotonic() + AFTER
+            self._due = self.writer is None
             self.turn()
 
     def close(self) -> None:
@@ -153,7 +156,7 @@ class LogFiles:
         except (OSError, LogError) as error:
             self._full(error)
             return
-        self._goes_on, self._begun = False, time.monotonic()
+        self._goes_on, self._due, self._begun = False, False, time.monotonic()
         kept, self._kept = self._kept, deque()
         for _, do, records in kept:
             self.put(do, records)
