@@ -22,6 +22,13 @@ def command(
     embed: A[
         bool, typer.Option(help="Start agents for RTPUs that nobody runs.")
     ] = True,
+    wait: A[
+        float | None,
+        typer.Option(
+            help="Wait so many seconds for RTPUs that nobody runs yet, and start none.",
+            min=0.0,
+        ),
+    ] = None,
     record: A[
         str | None,
         typer.Option(help="off, outputs, all or 'last SECONDS'; as the job says."),
@@ -58,6 +65,7 @@ def command(
         seconds=seconds,
         sim=sim,
         embed=embed,
+        wait=wait,
         record=record,
         runs=runs,
         profile=profile,

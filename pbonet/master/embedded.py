@@ -18,11 +18,12 @@ from typing import IO, TYPE_CHECKING, Final, Self
 import zenoh
 from msgspec import Struct
 
-from pbonet.errors import NodeError, PbonetError, UnreachableError
+from pbonet.errors import NodeError, PbonetError, StateError, UnreachableError
 from pbonet.xm import credentials, session
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
+    from threading import Event
 
 START_TIME: Final = 40.0
 """Seconds in which agents must be there, on a busy machine."""
@@ -92,6 +93,47 @@ class Embedded:
         finally:
             opened.close()  # type: ignore[no-untyped-call]
         return [rtpu for rtpu in rtpus if rtpu not in there]
+
+    def await_others(
+        self,
+        rtpus: Sequence[str],
+        seconds: float,
+        given_up: Event,
+        tell: Callable[[str], None],
+    ) -> None:
+        """Wait until somebody runs all of these RTPUs.
+
+        Args:
+            rtpus: Their names.
+            seconds: How long at most.
+            given_up: Ends the waiting when it is set.
+            tell: Called with what is waited for, whenever that changes.
+
+        Raises:
+            NodeError: The time is over.
+            StateError: It was given up.
+        """
+        deadline = time.monotonic() + seconds
+        told: list[str] = []
+        while missing := self.missing(rtpus):
+            if missing != told:
+                told = missing
+                tell(f"waiting for {' and '.join(missing)}, at most {seconds:g} s")
+            left = deadline - time.monotonic()
+            if given_up.wait(max(min(left, _LOOK), 0.0)):
+                raise StateError(
+                    f"it was given up to wait for {' and '.join(missing)}",
+                    remedy="nothing was begun; start it again",
+                )
+            if left <= 0.0:
+                raise NodeError(
+                    f"nobody runs {' and '.join(missing)}",
+                    expected=f"an agent of each within {seconds:g} s",
+                    got=f"of {len(rtpus)} RTPUs {len(rtpus) - len(missing)} are there",
+                    remedy=f"start 'pbonet agent --name {missing[0]}' where it "
+                    "belongs, name an agent that reaches it with --connect, or wait "
+                    "longer",
+                )
 
     def start(self, rtpus: Sequence[str]) -> dict[str, int]:
         """Start an agent for each RTPU and wait until all can be reached.

@@ -121,6 +121,7 @@ class Run:
         view: Where it is shown.
         seconds: How long; None: until interrupted, or stopped from elsewhere.
         embed: Start agents for RTPUs that nobody runs.
+        wait: Wait so many seconds for these instead; None: not at all.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says.
         runs: Folder of the logs of embedded agents; None for theirs.
@@ -138,6 +139,7 @@ class Run:
         *,
         seconds: float | None = None,
         embed: bool = True,
+        wait: float | None = None,
         record: str | None = None,
         runs: str | Path | None = None,
         profile: bool = False,
@@ -147,6 +149,7 @@ class Run:
         self._view = view
         self._seconds = seconds
         self._embed = embed
+        self._wait = wait
         self._logbook = Logbook(record)
         self._record = record
         self._runs = runs
@@ -172,8 +175,13 @@ class Run:
             runs=self._runs,
         )
         with self._interrupts.caught(), agents:
-            if self._embed:
-                self._start_agents(agents)
+            names = [entry.name for entry in self.files.sbs.rtpus]
+            if self._wait is not None:
+                agents.await_others(
+                    names, self._wait, self._interrupts.wished, self._view.say
+                )
+            elif self._embed:
+                self._start_agents(agents, names)
             outcome = self._steer()
             ours = {child.rtpu for child in agents.children}
             killed = agents.stop()
@@ -189,8 +197,7 @@ class Run:
                 outcome.faults.append(str(error))
         return outcome
 
-    def _start_agents(self, agents: Embedded) -> None:
-        names = [entry.name for entry in self.files.sbs.rtpus]
+    def _start_agents(self, agents: Embedded, names: list[str]) -> None:
         missing = agents.missing(names)
         if missing:
             cores = agents.start(missing)
@@ -433,6 +440,7 @@ def run(
     seconds: float | None = None,
     sim: bool = False,
     embed: bool = True,
+    wait: float | None = None,
     record: str | None = None,
     runs: str | Path | None = None,
     profile: bool = False,
@@ -446,6 +454,7 @@ def run(
         seconds: How long; None: until interrupted, or 10 s of virtual time.
         sim: In virtual time.
         embed: Start agents for RTPUs that nobody runs.
+        wait: Wait so many seconds for these instead; None: not at all.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
@@ -462,6 +471,13 @@ def run(
             got="both",
             remedy="run the job without --sim to measure its tasks",
         )
+    if sim and wait is not None:
+        raise StateError(
+            "a simulation waits for no agents",
+            expected="--sim or --wait",
+            got="both",
+            remedy="leave one of them out",
+        )
     view = live.view(quiet=quiet)
     if sim:
         outcome = simulate(path, place, view, seconds)
@@ -473,6 +489,7 @@ def run(
             view,
             seconds=seconds,
             embed=embed,
+            wait=wait,
             record=record,
             runs=runs,
             profile=profile,

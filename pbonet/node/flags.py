@@ -1,8 +1,9 @@
 """An RTPU's entries in the illegal-configuration flag (Stewart 1994, section 3.10).
 
-An entry stands while a task that others may depend on is in ERROR or dead, or while a
-reconfiguration takes longer than a cycle. It goes when the task recovers, is killed or
-spawned again, or when all it wrote is written by others.
+An entry stands while a task that others may depend on is in ERROR or dead, while a
+reconfiguration takes longer than a cycle, or when its other part has not come. It goes
+when the task recovers, is killed or spawned again, or when all it wrote is written by
+others.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
     from .events import EventLog
     from .tables import Tables
+
+UNFINISHED = "unfinished"
+"""Raises the entry of a list whose other part, on another RTPU, has not come."""
 
 
 class Flags:

@@ -15,6 +15,7 @@ from pbonet.xm.messages import Reconfigured
 
 from . import lifecycle
 from .control import control, note
+from .flags import UNFINISHED
 from .handover import Exchange, exchanges, shortest_period
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 RAISER = "reconfiguration"
 CAUSE = "a reconfiguration takes longer than a cycle"
+TRIP = 0.05
+"""Seconds in which a master sends the next part of a list to another RTPU."""
 
 
 async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
@@ -47,6 +50,7 @@ class _List:
     async def run(self) -> Reconfigured:
         """Carry it out, as far as it goes."""
         items = self._request.items
+        self._rtpu.flags.down(self._request.subsystem, UNFINISHED)
         begin = 0
         try:
             while begin < len(items):
@@ -61,8 +65,37 @@ class _List:
                 begin += length
         finally:
             self._slow.end()
+            self._await_heirs(items[:begin])
         self._result.done = len(items) - len(self._result.rest)
         return self._result
+
+    def _await_heirs(self, done: Sequence[Item]) -> None:
+        """Raise the flag if those that take over on other RTPUs do not come.
+
+        A master that has died amid its list sends no more. This RTPU's part is done,
+        and its entry says what is not.
+        """
+        rtpu, request = self._rtpu, self._request
+        gone = [name for name, signal in done if signal == "off"]
+        tasks = [rtpu.tasks.get((request.subsystem, name)) for name in gone]
+        outputs = [
+            output
+            for task in tasks
+            if task is not None and task.name in request.handover
+            for output in task.facts.outputs
+        ]
+
+        def look() -> None:
+            left = [
+                v for v in outputs if not rtpu.flags.written(request.subsystem, [v])
+            ]
+            if left:
+                what = f"off {' '.join(gone)} is done, and nobody took over "
+                what += " ".join(left)
+                rtpu.flags.up(request.subsystem, UNFINISHED, what, left)
+
+        if outputs:
+            asyncio.get_running_loop().call_later(TRIP, look)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
         """Send one signal; return it when that failed."""

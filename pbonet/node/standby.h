@@ -3,9 +3,9 @@
  * A slot in mode RT_STANDS names the slots that it comes after. A *fallback* is engaged
  * when one of them has gone to ERROR or has died while it was armed; the heir of a
  * *handover* when all of them have been turned off in order. Engaging is a grant of its
- * own, ranked like the task's cycles: the task runs `on` in it and then arms, so that its
- * first cycle is released on the next point of the grid. Nobody but the dispatcher takes
- * part: neither the RTPU process's interpreter nor its agent.
+ * own, ranked like the task's cycles: the task runs `on` in it and then arms; rt_first
+ * says when its first cycle is released. Nobody but the dispatcher takes part: neither the
+ * RTPU process's interpreter nor its agent.
  */
 #ifndef PBONET_STANDBY_H
 #define PBONET_STANDBY_H

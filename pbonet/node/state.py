@@ -25,7 +25,7 @@ from . import _rt, leftovers, ranking, runtime, status, wire
 from ._ring import Ring
 from .claims import Claims
 from .fallbacks import Fallbacks
-from .flags import Flags
+from .flags import UNFINISHED, Flags
 from .signalling import Signals
 from .spawner import Server, Spawner
 from .tables import Tables
@@ -428,6 +428,7 @@ class Rtpu:
         for key in [key for key in self.tombs if key[0] == subsystem]:
             self.bury(*key)
         self.fallbacks.forget(subsystem)
+        self.flags.down(subsystem, UNFINISHED)
 
     def _forks_died(self, code: int) -> None:
         self.events.add(

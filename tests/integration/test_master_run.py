@@ -135,6 +135,33 @@ def test_interrupt_during_the_start_undoes_it(run, nodes):
     assert left_of(nodes) == []
 
 
+def test_run_waits_for_agents_that_come_later(run, nodes):
+    process = run("--wait", "40", "--record", "off")
+    assert process.stdout.readline() == "waiting for arm0 and arm1, at most 40 s\n"
+    nodes.agent_process("arm1")
+    assert process.stdout.readline() == "waiting for arm0, at most 40 s\n"
+    nodes.agent_process("arm0")
+    until_on(process)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=50)
+    assert process.returncode == 0, err
+
+
+def test_run_waits_no_longer_than_it_is_told_and_ends_at_ctrl_c(run, nodes):
+    process = run("--wait", "0")
+    _, err = process.communicate(timeout=50)
+    assert process.returncode == 1
+    assert "nobody runs arm0 and arm1" in err
+    assert "start 'pbonet agent --name arm0'" in err
+    process = run("--wait", "1000")
+    assert "waiting for arm0 and arm1" in process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=50)
+    assert process.returncode == 1
+    assert "it was given up to wait for arm0 and arm1" in err
+    assert left_of(nodes) == []
+
+
 def test_killed_run_takes_its_agents_with_it(run, nodes, shared_memory):
     process = run()
     until_on(process)

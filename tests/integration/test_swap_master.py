@@ -1,0 +1,96 @@
+"""A master is killed amid a reconfiguration: agents finish their part, and say so."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+from nodekit import rmod, svar
+from watching import wait_for
+
+from pbonet.master.subsystem import Subsystem
+
+MASTER = """
+import sys
+from pbonet.master.subsystem import Subsystem
+folder, domain, new, rtpu, *libraries = sys.argv[1:]
+arm = Subsystem(folder, domain=domain, libraries=libraries, record="off").open()
+for task, where in (("stays", "arm0"), ("old", "arm0"), (new, rtpu)):
+    arm.spawn(task, where)
+arm.reconfig([("stays", "on"), ("old", "on")])
+arm.swap("old", new)
+print("the swap was not interrupted")
+"""
+
+
+@pytest.fixture
+def killed(nodes, tmp_path):
+    """Return a function that kills a master amid its swap from old@arm0 to a task."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    (tmp_path / "t.sbs").write_text(
+        "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+    )
+    (tmp_path / "t.svar").write_text(svar())
+    for name, text in {
+        "stays": rmod("counts", out="Y1"),
+        "new": rmod("counts", out="Y0"),
+        "old": rmod("waits_in_off", local={"BEGUN": begun, "GO_ON": go_on}),
+    }.items():
+        (tmp_path / f"{name}.rmod").write_text(text)
+    libraries = [str(path) for path in nodes.config("arm0").libraries]
+    opened: list[Subsystem] = []
+
+    def kill(rtpu):
+        nodes.agent_process("arm0")
+        nodes.agent_process("arm1")
+        words = [str(tmp_path / "t.sbs"), nodes.domain, "new", rtpu, *libraries]
+        master = subprocess.Popen([sys.executable, "-c", MASTER, *words])
+        wait_for(begun.exists, "the beginning of off", 20.0)
+        master.kill()
+        master.wait()
+        go_on.touch()
+        arm = Subsystem(
+            tmp_path / "t.sbs",
+            domain=nodes.domain,
+            libraries=libraries,
+            warned=lambda _text: None,
+            record="off",
+        )
+        opened.append(arm)
+        return arm.open()
+
+    yield kill
+    for arm in opened:
+        arm.finish()
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+def causes(arm):
+    return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
+
+
+def test_an_rtpu_finishes_its_list_without_the_master(killed):
+    arm = killed("arm0")
+    wait_for(lambda: states(arm)["new"] == "ON", "the end of the list")
+    assert states(arm) == {"stays": "ON", "old": "OFF", "new": "ON"}
+    assert arm.display(["Y0"])[0].writer == "new"
+    wait_for(lambda: not causes(arm), "a legal configuration")
+    said = [(e.task, e.text) for e in arm.events() if e.code == "STATE"]
+    assert said.index(("old", "off: OFF")) < said.index(("new", "on: ON"))
+    assert arm.swap("old", "new").items == [], "nothing is left to be done"
+
+
+def test_the_part_that_was_never_sent_is_said_and_the_flag_is_up(killed):
+    arm = killed("arm1")
+    left = "off old is done, and nobody took over Y0"
+    wait_for(lambda: any(left in cause for cause in causes(arm)), "the flag")
+    assert states(arm) == {"stays": "ON", "old": "OFF", "new": "OFF"}
+    assert any(left in e.text for e in arm.events() if e.code == "ILLEGAL")
+    assert arm.swap("old", "new").items == [("new", "on")], "what is left"
+    wait_for(lambda: not causes(arm), "a legal configuration")
+    assert arm.swap("new", "old").items == [("new", "off"), ("old", "on")]
+    assert not causes(arm)
