@@ -157,15 +157,12 @@ class Executor:
             self.task.handover = False
 
     def set(self, name: str, words: tuple[str, ...], *, where: str = "") -> object:
-        """Change a parameter, between two cycles.
+        """Change a parameter, between two cycles; return the new value.
 
         Args:
             name: The parameter.
             words: Its value, as the words of a LOCAL line.
             where: The place of the value, for errors.
-
-        Returns:
-            The new value.
 
         Raises:
             ParameterError: No such parameter, or the value is refused.
@@ -236,8 +233,7 @@ class Executor:
     def sync(self) -> State:
         """Wait for the event that wakes a synchronous task: runs the module's `sync`.
 
-        Returns:
-            ON when the event came; else what `error` made of a failure.
+        Return ON when the event came, else what `error` made of a failure.
 
         Raises:
             StateError: It is not ON.
@@ -269,10 +265,8 @@ class Executor:
     def timing_failure(self, kind: TimingFailure) -> Recovery:
         """Call the module's handler in the middle of a cycle (section 6.3).
 
-        Nothing is copied. The caller goes on, calls `abort`, or skips a release.
-
-        Returns:
-            What the handler wants. A module without a handler goes on, with a warning.
+        Nothing is copied. The caller goes on, calls `abort`, or skips a release, as is
+        returned. A module without a handler goes on, with a warning.
 
         Raises:
             StateError: The task is not ON.
@@ -389,12 +383,19 @@ class Executor:
     ) -> MethodError | None:
         """Ask `error` unless it was asked, and obey.
 
+        Of a combination the parts behind the one that failed may fail in their turn.
+
         Returns:
             What is still wrong; None when it answered CONTINUE and that went well.
         """
-        answer = error.answer if isinstance(error, TaskFailure) else None
-        if answer is None or answer is Answer.CONTINUE:
-            answer = self._settled(error, failure, answer) or self._ask(error, failure)
+        while (answer := self._answer(error, failure)) is Answer.CONTINUE:
+            try:
+                answer = self.instance.__resumed__() or answer
+                break
+            except RAISED as second:
+                before, error = failure, contained(second)
+                failure = self._described(error, self._actions.method)
+                add_remedy(failure, f"before that was put right: {before}")
         if answer is Answer.CONTINUE:
             try:
                 self._steps(found, found.resume)
@@ -409,23 +410,22 @@ class Executor:
         self._follow(outcome(found, answer), failure)
         return failure
 
-    def _settled(
-        self, error: Raised, failure: MethodError, answer: Answer | None
-    ) -> Answer | None:
-        """Return CONTINUE if a handler has put an error right, None to ask `error`.
-
-        `answer` is CONTINUE if the handler was asked already, within ``fail()``.
-        """
+    def _answer(self, error: Raised, failure: MethodError) -> Answer:
+        """Return what handlers or `error` have answered, within ``fail()`` or now."""
+        if isinstance(error, TaskFailure) and error.answer is not None:
+            if error.answer is Answer.CONTINUE:  # of a handler that jumps
+                self.failure = None
+            return error.answer
         shown = error.error if isinstance(error, TaskFailure) else error
         try:
-            if answer is None and self.task.settle(shown) is Handling.ABORT:
-                return None
-            self.instance.__resumed__()
+            settled = self.task.settle(shown) is not Handling.ABORT
         except RAISED as second:
             self._also(failure, contained(second), self._actions.method)
-            return None
-        self.failure = None
-        return Answer.CONTINUE
+            settled = False
+        if settled:
+            self.failure = None
+            return Answer.CONTINUE
+        return self._ask(error, failure)
 
     def _follow(self, after: Outcome, failure: MethodError) -> None:
         """Go where an outcome leads; what fails on the way is told with `failure`."""

@@ -101,10 +101,18 @@ class Combined(PortBasedObject[Params], abstract=True):
             self._on[number] = True
             answer = self.parts[number].on()
             if answer is not None:
-                self._on[number] = False
-                self._turn_off()
-                return answer
+                return self._give_up(number, answer)
         return None
+
+    def _give_up(self, number: int, answer: Answer) -> Answer:
+        """Turn off what is on, because a part cannot start."""
+
+        def rest(_: int) -> Answer:
+            self._turn_off()
+            return answer
+
+        self._on[number], self._rest = False, rest
+        return rest(number)
 
     def cycle(self, dt: float) -> None:
         """Run a cycle of every part."""
@@ -193,21 +201,23 @@ class Combined(PortBasedObject[Params], abstract=True):
             raise
         if answer is not Answer.CONTINUE:
             self._leave(failed)
-        elif error.__traceback__ is not None:  # it left the part's method
-            answer = self._go_on()
         return answer
 
-    def _go_on(self) -> Answer:
-        """Do what a method that a part left had still to do for those behind it."""
-        rest, self._rest = self._rest, None
-        answer = rest(self._at + 1) if rest is not None else None
-        self._at = NOBODY
-        return answer or Answer.CONTINUE
+    def __resumed__(self) -> Answer | None:
+        """Go on with the parts behind the one whose error was put right.
 
-    def __resumed__(self) -> None:
-        """Go on with the parts behind the one whose error was put right."""
-        if self._at != NOBODY:
-            self._go_on()
+        When one of them fails, it is the one that is asked, and this is called again.
+        """
+        number = self._at
+        if number == NOBODY:
+            return None
+        answer = self.parts[number].__resumed__()
+        if answer is not None:
+            answer = self._give_up(number, answer)
+        elif self._rest is not None:
+            answer = self._rest(number + 1)
+        self._rest, self._at = None, NOBODY
+        return answer
 
     def _leave(self, failed: list[int]) -> None:
         """Turn off the parts that did not fail, whatever fails in that.

@@ -97,8 +97,9 @@ class PortBasedObject(Generic[P]):
     def __bound__(self) -> None:
         """Take note that ports, parameters and task are there; for combinations."""
 
-    def __resumed__(self) -> None:
+    def __resumed__(self) -> Answer | None:
         """Do what is left of a method that ended in an error which was put right."""
+        return None
 
     def __init_subclass__(cls, *, abstract: bool = False, **settings: Any) -> None:  # noqa: ANN401
         """Read and check the declarations of one module."""

@@ -140,6 +140,46 @@ def test_on_goes_on_with_the_parts_behind(folder, how):
 
 @pytest.mark.parametrize("how", ["raise", "fail"])
 @pytest.mark.parametrize("answer", ["CONTINUE", "OFF", "ERROR"])
+@pytest.mark.parametrize("method", ["on", "reinit", "off"])
+def test_parts_behind_one_that_goes_on_are_asked_when_they_fail_too(
+    folder, method, answer, how
+):
+    """Each part is asked for its own error, and what the last one answers holds."""
+    first, last = ("one", "two") if method != "off" else ("two", "one")
+    bench = folder.bench(
+        f"{first}.FAILS {method}; {first}.ANSWER CONTINUE; "
+        f"{last}.FAILS {method}; {last}.ANSWER {answer}; {last}.HOW {how}"
+    )
+    if method == "off":
+        bench.on()
+    calls(bench)
+    act = getattr(bench, method)
+    if answer == "CONTINUE":
+        assert act() is {"on": State.ON}.get(method, State.OFF)
+    else:
+        match = rf"^both\.{last}\.{method}: .*{last} fails in {method}"
+        with pytest.raises(MethodError, match=match):
+            act()
+        assert bench.state is State[answer]
+    seen = [call for call in calls(bench) if "goes" not in call]
+    assert seen[:4] == [
+        *(f"{first}.{method}", f"{first}.error"),
+        *(f"{last}.{method}", f"{last}.error"),
+    ]
+    assert seen[4:] == (["one.off"] if method == "on" and answer != "CONTINUE" else [])
+
+
+def test_a_part_behind_that_cannot_start_turns_off_the_one_that_went_on(folder):
+    bench = folder.bench("one.FAILS on; one.ANSWER CONTINUE; two.ANSWER later")
+    calls(bench)
+    with pytest.raises(MethodError, match="one fails in on"):
+        bench.on()
+    assert bench.state is State.OFF
+    assert calls(bench) == ["one.on", "one.error", "two.on", "one.off"]
+
+
+@pytest.mark.parametrize("how", ["raise", "fail"])
+@pytest.mark.parametrize("answer", ["CONTINUE", "OFF", "ERROR"])
 def test_a_part_that_fails_in_off_keeps_none_of_the_others_on(folder, how, answer):
     bench = folder.bench(f"two.FAILS off; two.HOW {how}; two.ANSWER {answer}")
     bench.on()
@@ -286,8 +326,8 @@ def test_when_the_next_part_fails_too_both_are_told(folder):
     with pytest.raises(MethodError) as caught:
         bench.on()
     assert str(caught.value) == (
-        "both.one.on: RuntimeError: one fails in on; and then both.two.on: "
-        "RuntimeError: two fails in on"
+        "both.two.on: RuntimeError: two fails in on; before that was put right: "
+        "both.one.on: RuntimeError: one fails in on"
     )
     assert bench.state is State.ERROR
     assert calls(bench)[2:] == [
