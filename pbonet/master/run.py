@@ -474,8 +474,7 @@ def run(
     if sim and wait is not None:
         raise StateError(
             "a simulation waits for no agents",
-            expected="--sim or --wait",
-            got="both",
+            expected="--sim or --wait, not both",
             remedy="leave one of them out",
         )
     view = live.view(quiet=quiet)
