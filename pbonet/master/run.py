@@ -122,8 +122,7 @@ class Run:
         seconds: How long; None: until interrupted, or stopped from elsewhere.
         embed: Start agents for RTPUs that nobody runs.
         wait: Wait so many seconds for these instead; None: not at all.
-        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
-            says.
+        record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
         runs: Folder of the logs of embedded agents; None for theirs.
         profile: Save the tasks' execution profiles at the end.
 
@@ -455,8 +454,7 @@ def run(
         sim: In virtual time.
         embed: Start agents for RTPUs that nobody runs.
         wait: Wait so many seconds for these instead; None: not at all.
-        record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
-            says.
+        record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
         runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
         profile: Save the tasks' execution profiles at the end, in real time.
         quiet: Leave standard output to the caller.
