@@ -3,7 +3,7 @@
  *     futex COUNT WAKER_CORE SLEEPER_CORE
  *
  * Prints the median nanoseconds of the system call while nobody sleeps, and while a process
- * on the other core does, which is idle then or not as the machine has it.
+ * on the sleeper's core does.
  */
 #define _GNU_SOURCE
 #include <linux/futex.h>
