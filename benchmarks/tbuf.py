@@ -54,6 +54,8 @@ import json, os, sys, time
 import numpy as np
 settings = json.loads(sys.argv[1])
 size, period = settings["size"], 0.001
+if "core" in settings:
+    os.sched_setaffinity(0, {settings["core"]})
 def paced(seconds):
     due = time.monotonic()
     for _ in range(int(seconds / period)):
@@ -294,6 +296,7 @@ def costs(rounds: int) -> dict[str, list[float]]:
         data = np.zeros(size, np.uint8)
         writer = tbuf.Writer("x", ("u1", size), data=data)
         home = {"home": "b", "domain": "bench", "size": size}
+        home["core"] = more[0] if more else first
         env = dict(os.environ)
         poller = Program(READER, env, poll=True, **home)
         for _ in range(rounds):

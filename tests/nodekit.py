@@ -198,6 +198,12 @@ class Master:
         return caught.value
 
 
+def fork_server_of(rtpu):
+    """Return the process id of the fork server of an RTPU process."""
+    (child,) = Path(f"/proc/{rtpu}/task/{rtpu}/children").read_text().split()
+    return int(child)
+
+
 class Nodes:
     """Agents of one domain in a runtime folder of their own.
 
@@ -285,10 +291,7 @@ class Nodes:
 
     def fork_server(self, name):
         """Return the process id of an RTPU's fork server."""
-        rtpu = self.state(name).pid
-        children = Path(f"/proc/{rtpu}/task/{rtpu}/children").read_text().split()
-        assert len(children) == 1
-        return int(children[0])
+        return fork_server_of(self.state(name).pid)
 
     def write_module(self, name, text):
         """Write a module into the test's own library."""

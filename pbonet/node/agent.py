@@ -31,6 +31,7 @@ from pbonet.xm.messages import AgentInfo, LinkReport
 
 from . import leftovers, service, wire
 from .ears import Ears
+from .ending import Ending
 from .links import Links
 from .mail import Mail
 from .mirrors import Mirrors
@@ -52,8 +53,6 @@ STOP_TIME = 2.0
 """Seconds that turning everything OFF may take."""
 TOKEN_TIME = 1.0
 """Seconds for which the token of a predecessor that was killed may linger."""
-LOOK = 0.1
-"""Seconds between looks whether a signal has asked for the end."""
 LOCK_TIME = 0.3
 """Seconds for which an RTPU process that ends may hold the name, to clean up."""
 LET_GO_TIME = 2.0
@@ -111,8 +110,7 @@ class Agent:
         self._mail: Mail | None = None
         self._link: RtpuLink | None = None
         self._about: AgentInfo | None = None
-        self._over = threading.Event()
-        self._asked = False
+        self._over = Ending()
         self._stopping = False
         self._restarts: list[float] = []
         self._restarter: threading.Thread | None = None
@@ -288,21 +286,15 @@ class Agent:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the agent has ended or must end; return whether that is so."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while not self._asked:
-            left = LOOK if deadline is None else min(LOOK, deadline - time.monotonic())
-            if left <= 0 or self._over.wait(left):
-                break
-        return self._asked or self._over.is_set()
+        return self._over.wait(timeout)
+
+    def heed_signals(self) -> None:
+        """Have `wait` look up at signals; to be called by the main thread."""
+        self._over.heed_signals()
 
     def ask_to_end(self) -> None:
-        """Make `wait` return; may be called from a signal handler.
-
-        It takes no lock, for the handler may run while `wait` holds it. And `wait`
-        looks for itself: the kernel may hand a signal to a thread of zenoh, and then
-        nothing interrupts the wait of the main thread.
-        """
-        self._asked = True
+        """Make `wait` return; may be called from a signal handler."""
+        self._over.set()
 
     def __enter__(self) -> Self:
         return self.start()
@@ -486,6 +478,7 @@ def main(config: AgentConfig, *, backend: str = "auto") -> int:
 
     for which in (signal.SIGTERM, signal.SIGINT):
         signal.signal(which, on_signal)
+    agent.heed_signals()
     agent.start()
     announce(agent.info())
     service.tell("READY=1")

@@ -129,7 +129,7 @@ class Receiver:
         self._end.enter(WRITER, who)
         self._raw = layout.room(self._dtype)
         self._end.hold(self._raw, self._raw, self._raw)
-        self._bytes = self._raw.reshape(-1).view(np.uint8)
+        self._bytes = self._raw.reshape(-1).view(np.uint8).data
         self._offset = offset
         self._misfit = misfit
         self._told = False
@@ -184,7 +184,7 @@ class Receiver:
 
     def _fill(self, data: bytes) -> None:
         if self._same:
-            self._bytes[:] = np.frombuffer(data, np.uint8)
+            self._bytes[:] = data
         else:
             base, shape = self._theirs.subdtype or (self._theirs, ())
             values: NDArray[Any] = np.frombuffer(data, base).reshape(shape)

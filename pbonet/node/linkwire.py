@@ -46,7 +46,7 @@ def unpack(message: bytes) -> Packet:
     Raises:
         ProtocolError: It is malformed, or of another version.
     """
-    if len(message) < _HEAD.size or message[: len(MAGIC)] != MAGIC:
+    if len(message) < _HEAD.size or not message.startswith(MAGIC):
         raise ProtocolError(
             "this is no record of a link",
             got=f"{len(message)} bytes",

@@ -26,6 +26,7 @@ import zenoh
 from pbonet.errors import SvarError
 from pbonet.svar import Table, packets
 from pbonet.svar.mirror import Mirror
+from pbonet.svar.native import Watch
 from pbonet.xm import keys, rundir
 from pbonet.xm import messages as m
 
@@ -39,12 +40,17 @@ log = logging.getLogger("pbonet.node")
 SHORTEST, LONGEST = 0.00015, 0.025
 """Seconds between looks at a table, by how often it changes. A look costs some tens of
 microseconds, so commits that come closer to each other go together."""
+GLANCE_NS = 20_000_000
+"""Nanoseconds between glances at a table that nobody is expected to change; a glance is
+made without Python."""
 ALONE = 0.2
 """Seconds between looks where no other machine listens."""
+NEVER = 1e9
+"""On the monotonic clock."""
 BEAT = 0.5
 """Seconds after which everything is told again, should something have been dropped."""
 SILENT = 1.6
-"""Seconds after which a machine that tells nothing is out of sight."""
+"""A machine that has told nothing for so many seconds, and a beat, is out of sight."""
 FLAG = 0.02
 """Seconds between looks at the causes of the flag."""
 ANSWER_TIME = 0.5
@@ -93,6 +99,11 @@ class Carried:
         if packet is not None:
             self._put(packet, now)
         self._pace(now)
+
+    def watch(self, watch: Watch) -> None:
+        """Have the carrier's sleep end when there is something to tell others."""
+        if self.mirror is not None and self.mirror.others:
+            self.mirror.watch(watch)
 
     def spread(self, done: Callable[[], None]) -> None:
         """Have the others take the whole state, then call `done`."""
@@ -182,7 +193,7 @@ class Carried:
         """Look again just behind the next commit, as the writers' periods tell it."""
         due = self.mirror.due() if self.mirror is not None else None
         if due is None:
-            self.next = now + LONGEST
+            self.next = self._beat
         else:  # what is overdue is looked for twice as late each time
             self.next = now + min(max(abs(due), SHORTEST), LONGEST)
 
@@ -296,6 +307,7 @@ class Mirrors:
         self._offset = offset
         self._carried: dict[str, Carried] = {}
         self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._watch = Watch()
         self._over = False
         self._thread = threading.Thread(
             target=self._work, name="pbonet mirrors", daemon=True
@@ -315,6 +327,7 @@ class Mirrors:
     def do(self, what: Callable[[], None]) -> None:
         """Have the carrier's thread do something; may be called from anywhere."""
         self._todo.put(what)
+        self._watch.ring()
 
     def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
         """Carry exactly these tables, by subsystem; the value tells who keeps them."""
@@ -372,6 +385,7 @@ class Mirrors:
         return max(time.monotonic_ns() - (sent_ns - offset) - doubt, 0)
 
     def _carry(self, tables: dict[str, bool]) -> None:
+        self._watch.forget()  # it keeps tables open
         for subsystem in self._carried.keys() - tables.keys():
             self._carried.pop(subsystem).close()
         for subsystem, keep in tables.items():
@@ -387,17 +401,25 @@ class Mirrors:
 
     def _work(self) -> None:
         while not self._over:
-            due = min((one.next for one in self._carried.values()), default=None)
-            now = time.monotonic()
+            self._sleep()
             with contextlib.suppress(queue.Empty):
-                wait = None if due is None else max(due - now, 0.0)
-                self._safely(self._todo.get(timeout=wait) if wait != 0 else _nothing)
                 while True:
                     self._safely(self._todo.get_nowait())
             now = time.monotonic()
             for one in list(self._carried.values()):
                 if now >= one.next:
+                    one.next = now + ALONE  # unless the turn says otherwise
                     self._safely(partial(one.turn, now))
+
+    def _sleep(self) -> None:
+        """Sleep until there is something to do."""
+        due = min((one.next for one in self._carried.values()), default=NEVER)
+        self._watch.forget()
+        for one in self._carried.values():
+            one.watch(self._watch)
+        if self._watch.sleep(round(due * 1e9), GLANCE_NS):
+            for one in self._carried.values():
+                one.next = 0.0
 
     @staticmethod
     def _safely(what: Callable[[], None]) -> None:
@@ -405,10 +427,6 @@ class Mirrors:
             what()
         except Exception:  # one table's trouble is not that of the others
             log.exception("a table could not be carried")
-
-
-def _nothing() -> None:
-    """Do nothing."""
 
 
 def _at_once(what: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:

@@ -21,6 +21,7 @@ import msgspec
 
 from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import Attached, LogWriter, TaskAbout
+from pbonet.xm import folders
 from pbonet.xm.messages import Event
 
 from . import _rt, runtime, wire
@@ -74,6 +75,10 @@ class Recorder:
         self._files = LogFiles(wanted, self._say, self._enter_all)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
+        self._folder = os.environ.get("PBONET_SHM_DIR") or "/dev/shm"  # noqa: S108
+        self._changes = folders.Changes(self._folder)
+        self._waiting = False
+        """Whether there are rings that may yet be followed."""
         self._refused: dict[tuple[str, int], float] = {}
         self._unfit = 0
         self._flush = self._status = 0.0
@@ -113,6 +118,8 @@ class Recorder:
 
     def _look(self) -> None:
         """Follow rings that are new, and let go of those that were removed."""
+        if not (self._changes.look() or self._waiting):
+            return
         there = dict(self._found())
         for key in [key for key in self._rings if key not in there]:
             gone = self._rings.pop(key)
@@ -122,13 +129,13 @@ class Recorder:
         for key, name in there.items():
             if key not in self._rings and key not in self._others:
                 self._follow(key, name)
+        self._waiting = bool(there.keys() - self._rings.keys() - self._others)
 
     def _found(self) -> Iterator[tuple[tuple[str, int], str]]:
         """Yield the rings that may be ours: path and inode, and name."""
-        folder = os.environ.get("PBONET_SHM_DIR") or "/dev/shm"  # noqa: S108
         first = f"pbonet.{os.geteuid()}."
         ours = f"{first}{self._wanted.domain}.{self._wanted.subsystem}."
-        with os.scandir(folder) as entries:
+        with os.scandir(self._folder) as entries:
             for entry in entries:
                 name = entry.name
                 if name.startswith(ours) and name.endswith(".ring"):

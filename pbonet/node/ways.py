@@ -48,6 +48,8 @@ class Peer:
 
     def __init__(self) -> None:
         self.trips: deque[Trip] = deque(maxlen=KEPT)
+        self.best: Trip | None = None
+        """The shortest trip; asked for with each record of a link."""
         self.info: m.AgentInfo | None = None
         self.error = ""
 
@@ -58,11 +60,7 @@ class Peer:
         self.info, self.error = info, ""
         middle = (begin_ns + end_ns) // 2
         self.trips.append(Trip((end_ns - begin_ns) * 1e-9, info.now_ns - middle))
-
-    @property
-    def best(self) -> Trip | None:
-        """The shortest trip."""
-        return min(self.trips, default=None)
+        self.best = min(self.trips)
 
 
 class Ways:
@@ -113,9 +111,8 @@ class Ways:
 
     def ahead(self, name: str) -> int | None:
         """Return by how many ns the clock of an agent's machine is ahead, if known."""
-        with self._guard:
-            peer = self._peers.get(name)
-            best = peer.best if peer is not None else None
+        peer = self._peers.get(name)
+        best = peer.best if peer is not None else None
         return None if best is None else best.offset_ns
 
     def report(self) -> m.LinkReport:

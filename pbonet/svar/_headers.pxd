@@ -25,7 +25,7 @@ cdef extern from "local.h" nogil:
         uint64_t state, uid, bytes, owner, pid, start, space, head
         char task[64]
     struct pb_live:
-        uint64_t unlisted
+        uint64_t generation, changes, unlisted
     struct pb_table:
         uint8_t *base
         pb_live *live
@@ -107,6 +107,7 @@ cdef extern from "local.h" nogil:
     bint pb_illegal(pb_table *t, pb_seen *seen)
     int pb_reap(pb_table *t, uint32_t r, uint64_t uid)
     uint64_t pb_generation_seen(pb_table *t)
+    uint64_t pb_changes(pb_table *t)
     uint64_t pb_process_start(uint64_t pid)
     uint64_t pb_process_space()
     int64_t pb_now()
@@ -122,3 +123,11 @@ cdef extern from "survive.h" nogil:
     void pb_region_add(const void *base, size_t bytes)
     void pb_region_remove(const void *base)
     int pb_survive()
+
+cdef extern from "watch.h" nogil:
+    enum: PB_MOVED
+    struct pb_watch:
+        uint32_t n
+    void pb_watch_add(pb_watch *w, const void *at, uint64_t known, bint head)
+    void pb_watch_ring(pb_watch *w)
+    int pb_watch_sleep(pb_watch *w, int64_t until_ns, int64_t pause_ns)

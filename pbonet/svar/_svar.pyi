@@ -1,3 +1,4 @@
+from collections.abc import Iterable
 from typing import Any
 
 from numpy.typing import NDArray
@@ -42,6 +43,8 @@ class Arena:
     def text(self) -> bytes: ...
     @property
     def generation(self) -> int: ...
+    @property
+    def changes(self) -> int: ...
     def look(
         self, v: int, to: NDArray[Any]
     ) -> tuple[int, bool, int, int, int, int, str] | None: ...
@@ -109,3 +112,32 @@ class LocalTable:
     def fault(self) -> tuple[int, int]: ...
     @property
     def counts(self) -> dict[str, int]: ...
+
+class Watch:
+    """The sleep of a thread that carries tables."""
+
+    def forget(self) -> None:
+        """Watch nothing."""
+    def add(
+        self,
+        arena: Arena,
+        generation: int,
+        changes: int,
+        heads: Iterable[tuple[int, int]],
+    ) -> None:
+        """Watch a table: what was last heeded of it.
+
+        Args:
+            arena: The table.
+            generation: Of its directory.
+            changes: Of its flag.
+            heads: Registers, and the number of the commit that was heeded in each.
+        """
+    def ring(self) -> None:
+        """End the sleep, or the next one; from any thread."""
+    def sleep(self, until_ns: int, pause_ns: int) -> bool:
+        """Sleep, and look at what is watched each `pause_ns`.
+
+        Returns:
+            Whether something has moved; else somebody rang, or it is `until_ns`.
+        """

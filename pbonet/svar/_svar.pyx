@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
-# distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h
+# distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h watch.h
 """Thin skin over the C headers: buffers in, numbers out; the errors are made in Python."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
@@ -130,6 +130,11 @@ cdef class Arena:
     @property
     def generation(self) -> int:
         return pb_generation_seen(table(self))
+
+    @property
+    def changes(self) -> int:
+        """Moves with every change of the flag."""
+        return pb_changes(table(self))
 
     def look(self, unsigned v, uint8_t[::1] to):
         """Copy a variable; returns None, or where it comes from."""
@@ -421,3 +426,38 @@ cdef class LocalTable:
     @property
     def counts(self) -> dict:
         return local(self).counts
+
+
+cdef class Watch:
+    """Sleep of a thread that carries tables, until somebody rings or a table moves."""
+
+    cdef pb_watch core
+    cdef list arenas            # kept, for their words are watched
+
+    def __cinit__(self):
+        memset(&self.core, 0, sizeof(self.core))
+        self.arenas = []
+
+    def forget(self) -> None:
+        self.core.n = 0
+        self.arenas = []
+
+    def add(self, Arena arena not None, unsigned long long generation,
+            unsigned long long changes, heads) -> None:
+        cdef pb_table *t = table(arena)
+        cdef uint32_t r
+        self.arenas.append(arena)
+        pb_watch_add(&self.core, &t.live.generation, generation, True)
+        pb_watch_add(&self.core, &t.live.changes, changes, False)
+        for r, number in heads:
+            if r < t.fixed.n_regs:
+                pb_watch_add(&self.core, &t.regs[r].head, number, True)
+
+    def ring(self) -> None:
+        pb_watch_ring(&self.core)
+
+    def sleep(self, int64_t until_ns, int64_t pause_ns) -> bool:
+        cdef int how
+        with nogil:
+            how = pb_watch_sleep(&self.core, until_ns, pause_ns)
+        return how == PB_MOVED

@@ -51,6 +51,11 @@ static inline void pb_changed(const struct pb_table *t) {
     atomic_fetch_add_explicit(&t->live->changes, 1, memory_order_release);
 }
 
+/* The number that moves with every change, for who looks at the entries behind it. */
+static inline uint64_t pb_changes(const struct pb_table *t) {
+    return atomic_load_explicit(&t->live->changes, memory_order_acquire); /* SYNC POINT F4 */
+}
+
 /* Is the flag up? One load while nothing has changed since the last look. */
 static inline bool pb_illegal(const struct pb_table *t, struct pb_seen *seen) {
     /* SYNC POINT F4, partner F3: a change behind this load moves the number once more. */

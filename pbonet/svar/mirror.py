@@ -23,6 +23,7 @@ from .outbox import Outbox
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from .native import Watch
     from .packets import Packet
     from .table import Table
 
@@ -65,6 +66,8 @@ class Mirror:
         self._causes: list[tuple[str, str]] = []
         self._glance = table.local(RAISER, os.getpid())
         """Tells whether the flag is up by one load."""
+        self._changes = 0
+        """Of the flag, as it was looked at last."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
 
     def tell(self, *, full: bool = False, look: bool = True) -> Packet | None:
@@ -151,6 +154,12 @@ class Mirror:
         expected = self._outbox.due(now)
         return None if expected is None else (expected - now) * 1e-9
 
+    def watch(self, watch: Watch) -> None:
+        """Have a sleep end when something is to be told that `due` does not expect."""
+        heads = self._outbox.heads(now_ns())
+        generation = max(self._outbox.generation, 0)
+        watch.add(self._glance.arena, generation, self._changes, heads)
+
     def conflicts(self) -> list[str]:
         """Return the variables that are owned on two machines."""
         names = self._epochs.fought_over(self._fights)
@@ -220,6 +229,7 @@ class Mirror:
 
     def _look_at_causes(self) -> bool:
         """Take in what was raised on this machine; return whether it has changed."""
+        self._changes = self._glance.arena.changes
         standing = self.table.illegal if self._glance.illegal else []
         causes = [
             (one.cause, one.raiser)

@@ -10,6 +10,8 @@ import os
 import warnings
 from typing import TYPE_CHECKING
 
+from ._svar import Watch  # only sleeps, and has no twin
+
 if TYPE_CHECKING or os.environ.get("PBONET_PURE") != "1":
     from ._svar import (
         CAUSES,
@@ -52,6 +54,7 @@ __all__ = [
     "Arena",
     "Blueprint",
     "LocalTable",
+    "Watch",
     "now_ns",
     "process_start",
     "survive_cuts",

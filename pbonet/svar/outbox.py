@@ -47,6 +47,8 @@ class Own:
         """When what was sent last was committed."""
         self.period_ns = 0
         """From commit to commit, lately; 0: not known."""
+        self.register = 0
+        """Where its commits stand."""
 
     def sends(self, news: News, now: int) -> None:
         """Take note of a commit that is being sent."""
@@ -62,7 +64,7 @@ class Own:
     def due_ns(self, now: int) -> int | None:
         """Return when its next commit will stand; None when none is to be expected."""
         if not self.period_ns or now - self.stamp_ns > _IDLE * self.period_ns + _BREAK:
-            return None
+            return self.next_ns if self.next_ns > now else None
         return max(self.stamp_ns + self.period_ns + BEHIND, self.next_ns)
 
     def commit(self) -> int | None:
@@ -99,7 +101,8 @@ class Outbox:
     def __init__(self, table: Table, *, keep: bool) -> None:
         self._table = table
         self._keep = keep
-        self._generation = -1
+        self.generation = -1
+        """Of the table, as it was looked at last."""
         self.groups: dict[int, Own] = {}
         self._live: dict[int, bool] = {}
         self._kept: int | None = None
@@ -114,10 +117,11 @@ class Outbox:
         except SvarDamagedError:  # the RTPU process tells of it
             return False
         generation = self._table.generation
-        if generation == self._generation and not self._keep_changed():
+        if generation == self.generation and not self._keep_changed():
             return False
-        self._generation, self._kept = generation, None
+        self.generation, self._kept = generation, None
         found: dict[int, tuple[str, bool, list[int]]] = {}
+        registers: dict[int, int] = {}
         for number, variable in enumerate(self._table.variables):
             room = np.zeros(layout.var_bytes(variable), np.uint8)
             seen = self._table.peek(number, room)
@@ -127,12 +131,15 @@ class Outbox:
                 continue
             uid = seen[4] if seen[0] else KEPT + number
             found.setdefault(uid, (seen[6], seen[1], []))[2].append(number)
+            registers[uid] = seen[0]
         epochs.here({
             v: (uid, live) for uid, (_, live, many) in found.items() for v in many
         })
         self.groups = {
             uid: self._known(uid, task, many) for uid, (task, _, many) in found.items()
         }
+        for uid, group in self.groups.items():
+            group.register = registers[uid]
         self._live = {uid: live for uid, (_, live, _) in found.items()}
         return True
 
@@ -162,8 +169,19 @@ class Outbox:
         if not expected:
             return None
         first = min(due for due, _ in expected)
-        together = first + min(period for _, period in expected) // TOGETHER
+        together = first + min((p for _, p in expected if p), default=0) // TOGETHER
         return max(due for due, _ in expected if due <= together)
+
+    def heads(self, now: int) -> set[tuple[int, int]]:
+        """Return where commits may come unexpectedly, and the last one sent of each."""
+        heads = {
+            (group.register, group.sent)
+            for group in self.groups.values()
+            if group.due_ns(now) is None
+        }
+        if self._kept is not None:
+            heads.add((0, self._kept_seq))
+        return heads
 
     def told(self, epochs: Epochs) -> list[Group]:
         """Return the groups as they are told to others."""

@@ -20,6 +20,8 @@ import subprocess
 
 CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
 NUMBERS = {"a": 1, "b": 2, "c": 3}
+NOBODY = "02:00:00:00:00:99"
+"""An address that no device has: what is sent there is dropped by whoever gets it."""
 
 
 def _run(*command: str, check: bool = True) -> subprocess.CompletedProcess[str]:
@@ -103,6 +105,7 @@ class Lan:
         self.tag = secrets.token_hex(3)
         self.hosts: dict[str, Host] = {}
         self._ahead = ahead or {}
+        self._muted: set[tuple[str, str]] = set()
         try:
             self._make()
         except BaseException:
@@ -116,9 +119,21 @@ class Lan:
         """Pull the cable between two hosts."""
         self._set_cable(one, other, "down")
 
+    def mute(self, one: str, other: str) -> None:
+        """Have all vanish that goes over a cable, which looks whole from both ends."""
+        self._muted.add((one, other))
+        for host, peer in ((one, other), (other, one)):
+            for six in (False, True):
+                address = self.hosts[peer].address(host, six=six)
+                self._neighbour(host, peer, "replace", address, "lladdr", NOBODY)
+
     def heal(self, one: str, other: str) -> None:
-        """Plug it in again."""
+        """Plug it in again, or let it carry again."""
         self._set_cable(one, other, "up")
+        for host, peer in self._muted & {(one, other), (other, one)}:
+            self._muted.discard((host, peer))
+            for near, far in ((host, peer), (peer, host)):
+                self._neighbour(near, far, "flush")
 
     def heal_all(self) -> None:
         """Plug every cable in."""
@@ -166,6 +181,11 @@ class Lan:
                 f"echo {value} > {path}",
             )
         _run("ip", "-n", space, "addr", "add", six, "dev", device, "nodad")
+
+    def _neighbour(self, host: str, peer: str, verb: str, *what: str) -> None:
+        """Change what a host knows of the address of a device that it is joined to."""
+        where = ("dev", f"to-{peer}", "nud", "permanent")
+        _run("ip", "-n", self.hosts[host].space, "neigh", verb, *what, *where)
 
     def _set_cable(self, one: str, other: str, state: str) -> None:
         for host, peer in ((one, other), (other, one)):

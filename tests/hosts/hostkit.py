@@ -11,9 +11,11 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 from nodekit import AGENT, MISBEHAVING, alive
+from tbuf_rig import Program
 from watching import processes_of, wait_for
 
 from pbonet.config.model import AgentConfig
@@ -35,11 +37,14 @@ class Lab:
     Args:
         lan: The hosts.
         port: The one that agents listen on; two labs of one network need two.
+        keys: By host, the folder of its agents' keys; all links are TLS then.
     """
 
-    def __init__(self, lan: Lan, port: int = PORT) -> None:
+    def __init__(self, lan: Lan, port: int = PORT, keys=None) -> None:
         self.lan = lan
         self.port = port
+        self.keys: dict[str, Path] = keys or {}
+        self.protocol = "tls" if self.keys else "tcp"
         self.domain = f"h{secrets.token_hex(3)}"
         self.agents: dict[str, tuple[str, subprocess.Popen]] = {}
         self._sessions: dict[str, object] = {}
@@ -54,17 +59,20 @@ class Lab:
     def endpoint(self, host: str, seen_from: str, *, six: bool = False) -> str:
         """Return the endpoint of a host's agent, over the cable to another host."""
         address = self.lan[host].address(seen_from, six=six)
-        return f"tcp/[{address}]:{self.port}" if six else f"tcp/{address}:{self.port}"
+        return f"{self.protocol}/{f'[{address}]' if six else address}:{self.port}"
 
     def start(self, name, host, *, connect=(), listen=None, wait=True, **more):
         """Start an agent on a host; it listens on every address unless told."""
         more = {"core": CORE, "grace": 1.0, "domain": self.domain, **more}
+        if self.keys:
+            more["keys"] = str(self.keys[host])
+        everywhere = f"{self.protocol}/[::]:{self.port}"
         config = AgentConfig(
             name=name,
-            listen=(f"tcp/[::]:{self.port}",) if listen is None else tuple(listen),
+            listen=(everywhere,) if listen is None else tuple(listen),
             connect=tuple(connect),
             libraries=(str(MISBEHAVING), *more.pop("libraries", ())),
-            insecure=True,
+            insecure=not self.keys,
             **more,
         )
         text = msgspec.json.encode(config).decode()
@@ -153,6 +161,15 @@ class Lab:
 
         return wait_for(reached, f"agent {name} by way of host {host}", 20.0)
 
+    def program(self, host, code, **settings):
+        """Start a program with an end of a link on a host; see `tbuf_rig`."""
+        machine = SimpleNamespace(
+            prefix=self.lan[host].command(),
+            env=self.environment(host),
+            domain=self.domain,
+        )
+        return Program(machine, code, **settings)
+
     def kill(self, name):
         """Kill an agent's process; its RTPU process stays."""
         host, process = self.agents.pop(name)
@@ -203,6 +220,11 @@ class Lab:
                 os.kill(pid, signal.SIGKILL)
             for folder in (*self.run_dirs.values(), *self.shm_dirs.values()):
                 shutil.rmtree(folder)
+
+    def processes(self, host, word):
+        """Return the processes on a host that have a word in their command."""
+        found = processes_of("PBONET_RUN_DIR", str(self.run_dirs[host]))
+        return [pid for pid, command in found if word in command]
 
     def _left(self):
         folders = self.run_dirs.values()

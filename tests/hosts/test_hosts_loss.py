@@ -8,7 +8,7 @@ import signal
 import pytest
 from hostfleet import Desk
 from hostkit import Lab
-from nodekit import alive, processes_of
+from nodekit import alive, fork_server_of, processes_of
 from watching import wait_for
 
 from pbonet.testing.lan import Lan, missing, netem
@@ -31,9 +31,9 @@ def lab(lan: Lan):
 
 
 @pytest.fixture
-def cell(lab):
+def cell(lab, tmp_path):
     """arm0 on a writes Z0, which ages; arm1 on b reads it, and is CRITICAL."""
-    lab.start("arm0", "a", grace=30.0)
+    lab.start("arm0", "a", grace=30.0, runs=str(tmp_path))
     lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=30.0)
     lab.wait_all()
     desk = Desk(lab, "cell", ("arm0", "arm1"), host="b")
@@ -68,8 +68,10 @@ def wait_stable(desk):
     wait_for(lambda: desk.value("arm1", "Z0").stale, "a stale input")
 
 
-def test_a_cable_is_pulled_and_plugged_in_again(cell, lan):
-    lan.cut("a", "b")
+@pytest.mark.parametrize("how", [Lan.cut, Lan.mute])
+def test_a_cable_is_pulled_and_plugged_in_again(cell, lan, how):
+    """Or it carries nothing any more, and neither end is told."""
+    how(lan, "a", "b")
     wait_stable(cell)
     lost = "host host-a is out of sight; nobody writes Z0"
     wait_for(lambda: lost in cell.illegal("arm1"), "the agent's own cause")
@@ -129,12 +131,12 @@ def test_the_agent_of_the_reader_is_killed(cell, lab):
     lab.wait_all()
     wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
     wait_steady(cell)
-    raised = [e.text for e in lab_events(cell, "arm1") if e.code == "AGENT_GONE"]
-    assert raised
+    assert lab_events(cell, "arm1", "AGENT_GONE")
 
 
-def lab_events(desk, rtpu):
-    return desk.ask(rtpu, m.Events(), list[m.Event])
+def lab_events(desk, rtpu, code):
+    found = desk.ask(rtpu, m.Events(), list[m.Event])
+    return [event.text for event in found if event.code == code]
 
 
 def test_the_rtpu_process_of_the_writer_is_killed(cell, lab):
@@ -144,6 +146,66 @@ def test_the_rtpu_process_of_the_writer_is_killed(cell, lab):
     os.kill(info.rtpu_pid, signal.SIGKILL)
     wait_stable(cell)
     wait_for(lambda: not alive(task), "the end of src")
+
+
+def test_processes_of_the_writer_are_killed_in_turn(cell, lab):
+    """Its recorder, the task itself, its fork server: both sides act, and all heals."""
+    rtpu = lab.info("arm0", "b").rtpu_pid
+    cell.ask("arm0", m.Record(run="lost"), m.Recorded)
+    (recorder,) = lab.processes("a", "pbonet.node.recorder")
+    os.kill(recorder, signal.SIGKILL)
+    wait_for(lambda: lab_events(cell, "arm0", "RECORDER_DIED"), "news of its end")
+    wait_for(lambda: lab.processes("a", "pbonet.node.recorder"), "another recorder")
+    wait_steady(cell)
+    assert not cell.illegal("arm1")
+    cell.ask("arm0", m.Record(mode="off"), m.Recorded)
+    os.kill(cell.status("arm0", "src").tid, signal.SIGKILL)
+    come_back(cell)
+    task = cell.status("arm0", "src").tid
+    os.kill(fork_server_of(rtpu), signal.SIGKILL)
+    come_back(cell)
+    assert not alive(task)
+    assert lab_events(cell, "arm0", "FORK_SERVER_DIED")
+    assert lab.info("arm0", "b").rtpu_pid == rtpu
+
+
+def come_back(cell):
+    """Wait until both sides have acted on the end of src, and bring it back."""
+    wait_stable(cell)
+    wait_for(lambda: cell.status("arm0", "src").state == "NOT-CREATED", "its end")
+    cell.spawn("arm0", "src", "counts", out="Z0")
+    cell.on("arm0", "src")
+    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+    wait_steady(cell)
+
+
+def test_another_agent_of_the_machine_carries_on(lab):
+    """Two agents on one machine: the one that carries the table is killed."""
+    lab.start("arm1", "b")
+    to_b = [lab.endpoint("b", "a")]
+    for name in ("arm0", "arm2"):
+        lab.start(name, "a", connect=to_b, listen=(), grace=30.0)
+    lab.wait_all()
+    cell = Desk(lab, "cell", ("arm0", "arm1", "arm2"), host="b")
+    cell.spawn("arm0", "src", "counts", out="Z0")
+    cell.on("arm0", "src")
+    wait_for(lambda: carried(cell, "arm0"), "the first agent to carry it")
+    assert not carried(cell, "arm2")
+    lab.kill("arm0")
+    wait_for(lambda: carried(cell, "arm2"), "the second agent to carry it")
+    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+    before = cell.value("arm1", "Z0").cycle
+    wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src")
+    assert not cell.value("arm1", "Z0").stale
+    lab.start("arm0", "a", connect=to_b, listen=(), grace=30.0)
+    lab.wait_reached("arm0", "b")
+    assert not carried(cell, "arm0")
+    cell.close()
+
+
+def carried(cell, rtpu):
+    """Return what an RTPU's agent has carried from other machines."""
+    return cell.ask(rtpu, m.Links(), m.LinkReport).tables
 
 
 def test_a_master_that_vanishes_changes_nothing(cell, lab):

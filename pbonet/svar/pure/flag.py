@@ -74,6 +74,11 @@ class Flag:
                 yield i, self._word(i), (cause, raiser, machine), time_ns
 
     @property
+    def changes(self) -> int:
+        """Moves with every change of the flag."""
+        return self._get(self.live + _CHANGES)
+
+    @property
     def illegal(self) -> bool:
         """Whether the flag is up."""
         return any(True for _ in self._standing())
