@@ -175,7 +175,7 @@ class Outbox:
     def heads(self, now: int) -> set[tuple[int, int]]:
         """Return where commits may come unexpectedly, and the last one sent of each."""
         heads = {
-            (group.register, group.sent)
+            (group.register, max(group.sent, 0))  # no commit has number 0
             for group in self.groups.values()
             if group.due_ns(now) is None
         }

@@ -84,6 +84,13 @@ def test_a_commit_that_was_not_expected(mirror, task):
     assert not moved(mirror)
 
 
+def test_a_group_that_could_not_be_sent_yet(mirror, task):
+    task.claim()
+    mirror._outbox.look(mirror._epochs)
+    assert heed(mirror)
+    assert not moved(mirror)
+
+
 def test_what_an_operator_sets(mirror, table):
     table.write("R", [1.0])
     assert heed(mirror)
