@@ -160,18 +160,19 @@ def test_processes_of_the_writer_are_killed_in_turn(cell, lab):
     assert not cell.illegal("arm1")
     cell.ask("arm0", m.Record(mode="off"), m.Recorded)
     os.kill(cell.status("arm0", "src").tid, signal.SIGKILL)
-    come_back(cell)
+    wait_stable(cell)
+    bring_back(cell)
     task = cell.status("arm0", "src").tid
     os.kill(fork_server_of(rtpu), signal.SIGKILL)
-    come_back(cell)
+    wait_for(lambda: cell.value("arm1", "Z0").stale, "a stale input")
+    bring_back(cell)
     assert not alive(task)
     assert lab_events(cell, "arm0", "FORK_SERVER_DIED")
     assert lab.info("arm0", "b").rtpu_pid == rtpu
 
 
-def come_back(cell):
-    """Wait until both sides have acted on the end of src, and bring it back."""
-    wait_stable(cell)
+def bring_back(cell):
+    """Spawn src once more, and wait until all is well."""
     wait_for(lambda: cell.status("arm0", "src").state == "NOT-CREATED", "its end")
     cell.spawn("arm0", "src", "counts", out="Z0")
     cell.on("arm0", "src")
