@@ -294,6 +294,9 @@ class Rtpu:
             task.warning = task.warning or notice.text
         if notice.error is not None:
             task.error = str(PbonetError.from_wire(notice.error))
+        if notice.code == "ENDING" and task.state is State.ON:
+            task.left = True
+            self._raise_flag(task, "has ended unasked")
         if notice.code == "ENGAGED":
             self._engaged(task, notice)
         elif notice.state:
@@ -342,7 +345,8 @@ class Rtpu:
             self._raise_flag(task, "is in ERROR")
         else:
             task.error = ""
-            self.flags.down(task.facts.subsystem, task.name)
+            if not task.left:
+                self.flags.down(task.facts.subsystem, task.name)
         self.fallbacks.look(task)
 
     def _raise_flag(self, task: Task, how: str) -> None:

@@ -104,6 +104,8 @@ class Task:
         self.error = ""
         self.ending = ""
         """How its process ended, once that is known."""
+        self.left = False
+        """It was ON and turned itself off, which nobody had asked for."""
         self.last_status: TaskStatus | None = None
         """Its status as it ended."""
         self.stands_by = ""

@@ -164,7 +164,7 @@ def test_processes_of_the_writer_are_killed_in_turn(cell, lab):
     bring_back(cell)
     task = cell.status("arm0", "src").tid
     os.kill(fork_server_of(rtpu), signal.SIGKILL)
-    wait_for(lambda: cell.value("arm1", "Z0").stale, "a stale input")
+    wait_stable(cell)
     bring_back(cell)
     assert not alive(task)
     assert lab_events(cell, "arm0", "FORK_SERVER_DIED")

@@ -125,6 +125,26 @@ def test_a_module_raises_and_withdraws(arm, nodes):
     assert "too hot (arm0/fire)" in texts(arm, "ILLEGAL")
 
 
+@pytest.mark.parametrize("who", ["task", "fork server"])
+def test_a_task_that_ends_unasked(arm, nodes, who):
+    """It turns itself off in order, but nobody had asked for that."""
+    tid = arm.spawn("source", "counts", out="Y0").tid
+    arm.on("source")
+    arm.wait_cycles("source", 2)
+    if who == "task":
+        hold(arm, "Y0")
+        wait_level(arm, 3.0)
+    os.kill(tid if who == "task" else nodes.fork_server("arm0"), signal.SIGTERM)
+    cause = "source has ended unasked (arm0/source)"
+    wait_for(lambda: illegal(arm) == [cause], "the flag")
+    if who == "task":
+        wait_level(arm, -1.0)
+    arm.wait_event("TASK_DIED", "source")
+    assert illegal(arm) == [cause]
+    arm.spawn("source", "counts", out="Y0")
+    wait_for(lambda: illegal(arm) == [], "its return")
+
+
 def set_hot(arm, word):
     arm.ask(m.Set(task="fire", name="hot", value=word), list[m.ParamValue])
 
