@@ -107,7 +107,7 @@ class RunAbout(Struct, kw_only=True):
     numpy: str = ""
     kernel: str = ""
     config_hash: str = ""
-    """SHA-256 over all configuration files."""
+    """SHA-256 over the `.job`, `.sbs` and `.svar` files."""
     begun: str = ""
     """Date and time, for people to read."""
     epoch_ns: int = 0

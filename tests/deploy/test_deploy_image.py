@@ -25,7 +25,7 @@ pbonet doctor
 pbonet run --seconds 1 /opt/pbonet/examples/puma/puma.job
 kill $!
 wait $!
-ls -A /run/pbonet/default /dev/shm
+find /dev/shm -mindepth 1 -printf 'left behind: %p\\n'
 """
 
 AS_ROOT = """
@@ -114,6 +114,7 @@ def test_image_and_host_as_their_files_say(tmp_path):
     assert "its own program can be written over" not in lines
     assert any(line.startswith("PASS arm0: core") for line in lines)
     assert any(line.startswith("job teleop ended after") for line in lines)
+    assert not [line for line in lines if line.startswith("left behind")]
     assert "# mine" in lines
     assert "700 pbonet" in lines
     assert lines[-2:] == ["arm0.toml", "arm1.toml"]

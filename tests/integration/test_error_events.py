@@ -46,7 +46,7 @@ def test_a_kept_handler_discards_the_cycle_and_the_task_goes_on(arm):
     assert arm.events("METHOD", "a") == []
 
 
-def test_by_default_the_task_is_in_error_with_number_line_and_cycle(arm):
+def test_by_default_the_task_is_in_error_with_its_line(arm):
     arm.spawn("a", "handles", local={"WAY": "none"})
     arm.spawn("good", "counts", out="Y1")
     arm.on("good")

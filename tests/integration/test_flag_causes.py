@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from nodekit import rmod, svar
@@ -143,6 +144,28 @@ def test_a_task_that_ends_unasked(arm, nodes, who):
     assert illegal(arm) == [cause]
     arm.spawn("source", "counts", out="Y0")
     wait_for(lambda: illegal(arm) == [], "its return")
+
+
+@pytest.mark.parametrize("heir", ["source", "other"])
+def test_a_reconfiguration_that_takes_longer_than_a_cycle(arm, tmp_path, heir):
+    """Whether tasks take each other's place at the dispatcher or one by one."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    files = {"BEGUN": begun, "GO_ON": go_on}
+    arm.spawn("old", "waits_in_off", out="Y0", local=files)
+    arm.spawn("new", "counts", out="Y0" if heir == "source" else "OLD")
+    arm.on("old")
+    cause = "a reconfiguration takes longer than a cycle (arm0/reconfiguration)"
+    items = [("old", "off"), ("new", "on")]
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(arm.ask, m.Reconfig(items=items), m.Reconfigured)
+        try:
+            wait_for(begun.exists, "the beginning of off")
+            wait_for(lambda: illegal(arm) == [cause], "the flag")
+        finally:
+            go_on.touch()
+        assert done.result().done == 2
+    assert illegal(arm) == []
+    assert texts(arm, "LEGAL") == [f"no longer: {cause}"]
 
 
 def set_hot(arm, word):

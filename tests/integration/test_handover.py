@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+
 import pytest
 from nodekit import rmod, svar
 from watching import wait_for
@@ -74,7 +76,7 @@ def test_the_new_one_is_released_on_the_grid_behind_the_old_one(arm, rings):
         assert gap == round(gap) >= 1
         gaps.append(gap)
         old, new = new, old
-    assert min(gaps) == 1.0  # no release in between, unless the machine was busy
+    assert statistics.median(gaps) == 1.0  # the machine may be busy now and then
 
 
 def test_somebody_owns_the_variable_at_every_instant(arm, nodes):

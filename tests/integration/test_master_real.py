@@ -123,7 +123,7 @@ def test_gain_of_a_running_task_changes_within_its_bounds(arm):
     assert (status.state, status.version) == ("ON", version)
 
 
-def test_loop_by_hand_raises_the_flag_and_stable_runs(arm):
+def test_loop_by_hand_raises_the_flag_until_it_is_closed(arm):
     arm.spawn("puma_pidg", "arm0")
     arm.control("puma_pidg", "on")
     (text,) = [text for text in arm.heard if "T_GRAV" in text]

@@ -41,7 +41,7 @@ def test_the_class_runs_and_computes_what_it_says(tmp_path):
 
 def test_what_it_makes_and_enters_is_there():
     makefile = (ROOT / "Makefile").read_text()
-    named = re.findall(r"`?make ([a-z-]+)\b", TEXT)
+    named = re.findall(r"(?:^|`)make ([a-z-]+)", TEXT, re.MULTILINE)
     assert MAKE == [["make", "demo"]]
     for target in named:
         assert re.search(rf"^{target}:.*## ", makefile, re.MULTILINE), target
