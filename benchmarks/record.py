@@ -3,7 +3,8 @@
 * CPU time that the record of each cycle adds to a 1 kHz task of six inputs and six
   outputs, in turns without a ring, with one, and with the inputs of every cycle.
 * CPU time of the recorder for 20 tasks of 1 kHz with six numbers each, fed through
-  their rings at that rate, and bytes on disk per sample: random walks; what a cycle read is not among it.
+  their rings at that rate, and bytes on disk per sample: random walks, without what a
+  cycle has read.
 * Time to open a log of a size, to read one of its 20 tasks, and to open it cut short.
 * The PUMA example is run for some seconds and verified, task by task.
 
