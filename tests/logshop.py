@@ -195,3 +195,20 @@ class Shop:
             task.local.close()
             task.ring.destroy()
         self.table.destroy()
+
+
+def drive(shop):
+    """Do what a run may do."""
+    shop.cycles(5)
+    shop.table.write("X", [0.25, -3.0])
+    shop.cycles(5)
+    shop.a.set("2.5")
+    shop.cycles(5)
+    shop.a.signal("off")
+    shop.b.cycle()
+    shop.a.signal("reinit")
+    shop.a.signal("on")
+    shop.cycles(5)
+    for task in (shop.b, shop.a):
+        task.signal("off")
+        task.signal("kill")

@@ -6,6 +6,7 @@ can tell a torn group from a whole one, and a cut that never was from one that w
 The C side is tests/native/svar_rig.h.
 """
 
+import json
 import os
 import shutil
 import subprocess
@@ -35,6 +36,19 @@ def variables(words: int) -> list[Variable]:
         for writer in range(WRITERS)
         for name in names(writer)
     ]
+
+
+def run(program, *args: object) -> dict[str, int]:
+    """Run a C program; return what it says as JSON."""
+    done = subprocess.run(
+        [str(program), *map(str, args)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=50,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return json.loads(done.stdout)
 
 
 def compiler(*wanted: str) -> str:

@@ -233,6 +233,25 @@ class Log(Cycles):
         ]
         return min(times, default=0)
 
+    def missed(self) -> dict[str, int]:
+        """Return the releases that tasks have missed since they were spawned.
+
+        So their RTPUs counted, once a second; no task of a simulation is among them.
+        """
+        before: dict[str, tuple[int, int]] = {}
+        found: dict[str, int] = {}
+        for one in self.messages("json"):
+            if "/status/" not in one.topic:
+                continue
+            status = cast("dict[str, Any]", msgspec.json.decode(one.data))
+            for task, counts in status["tasks"].items():
+                cycles, count = counts["cycles"], counts["missed"]
+                last = before.get(task, (0, 0))
+                again = cycles < last[0] or count < last[1]  # it was spawned anew
+                found[task] = found.get(task, 0) + count - (0 if again else last[1])
+                before[task] = cycles, count
+        return found
+
     def lost(self) -> dict[str, int]:
         """Return how many records of each task did not fit its ring."""
         found: dict[str, int] = {}

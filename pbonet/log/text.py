@@ -26,7 +26,7 @@ def info(log: Log) -> JsonObject:
     log.load()
     ends = [end for part in log.parts for end in part.span_ns or ()]
     seconds = (max(ends) - min(ends)) / 1e9 if ends else 0.0
-    lost = log.lost()
+    lost, missed = log.lost(), log.missed()
     events = log.events()
     return {
         "about": log.about,
@@ -43,7 +43,7 @@ def info(log: Log) -> JsonObject:
             for part in log.parts
         ],
         "tasks": {
-            task: task_info(log, task) | {"lost": lost.get(task, 0)}
+            task: task_info(log, task, missed.get(task)) | {"lost": lost.get(task, 0)}
             for task in log.tasks
         },
         "events": {
@@ -54,13 +54,20 @@ def info(log: Log) -> JsonObject:
     }
 
 
-def task_info(log: Log, task: str) -> JsonObject:
-    """Return what a log holds of one task."""
+def task_info(log: Log, task: str, counted: int | None) -> JsonObject:
+    """Return what a log holds of one task.
+
+    Args:
+        log: The run.
+        task: The task.
+        counted: Missed releases as its RTPU counted them; without, they are guessed
+            from the distances of its cycles.
+    """
     about, arrays = log.task_about(task), log.arrays(task)
     releases = arrays["release_ns"]
     gaps = np.diff(releases)
     period = float(np.median(gaps)) if len(gaps) else 0.0
-    missed = np.round(gaps / period) - 1 if period else np.zeros(0)
+    missed = np.maximum(np.round(gaps / period) - 1, 0) if period else np.zeros(0)
     breaks = missed > _BREAK
     delays = (arrays["start_ns"] - releases) * 1e-9
     return {
@@ -69,7 +76,7 @@ def task_info(log: Log, task: str) -> JsonObject:
         "lives": len(log.lives(task)),
         "cycles": len(releases),
         "hz": 1e9 / period if period else 0.0,
-        "missed": int(missed[~breaks].sum()),
+        "missed": int(missed[~breaks].sum()) if counted is None else counted,
         "pauses": int(breaks.sum()),
         "jitter_max": float(delays.max()) if len(delays) else 0.0,
         "variables": log.variables(task),

@@ -164,14 +164,32 @@ def _priority(priority: int | None) -> int:
     return names.home().priority() if priority is None else priority
 
 
-class FarSemaphore(Semaphore):
-    """A semaphore of another machine."""
+class _There:
+    """What all resources of other machines have."""
 
     def __init__(self, far: Far) -> None:
         self._far = far
 
     def __repr__(self) -> str:
-        return f"<Semaphore {self.name}>"
+        return f"<{type(self).__name__.removeprefix('Far')} {self.name}>"
+
+    @property
+    def name(self) -> str:
+        return str(self._far.name)
+
+    @property
+    def path(self) -> str:
+        return ""
+
+    def close(self) -> None:
+        self._far.detach(destroy=False)
+
+    def destroy(self) -> None:
+        self._far.detach(destroy=True)
+
+
+class FarSemaphore(_There, Semaphore):
+    """A semaphore of another machine."""
 
     @classmethod
     def create_there(cls, name: Name, initial: int, maximum: int, binary: bool) -> Self:  # noqa: FBT001
@@ -183,14 +201,6 @@ class FarSemaphore(Semaphore):
     def attach_there(cls, name: Name) -> Self:
         """Attach to one."""
         return cls(Far(name, "sem", None))
-
-    @property
-    def name(self) -> str:
-        return str(self._far.name)
-
-    @property
-    def path(self) -> str:
-        return ""
 
     @property
     def maximum(self) -> int:
@@ -235,22 +245,13 @@ class FarSemaphore(Semaphore):
             lambda handle: r.Give(handle=handle), bool, again=not self.binary
         )
 
-    def close(self) -> None:
-        self._far.detach(destroy=False)
 
-    def destroy(self) -> None:
-        self._far.detach(destroy=True)
-
-
-class FarQueue(Queue):
+class FarQueue(_There, Queue):
     """A message queue of another machine."""
 
     def __init__(self, far: Far) -> None:
-        self._far = far
+        super().__init__(far)
         self._last = 0
-
-    def __repr__(self) -> str:
-        return f"<Queue {self.name}>"
 
     @classmethod
     def create_there(
@@ -269,14 +270,6 @@ class FarQueue(Queue):
     def attach_there(cls, name: Name) -> Self:
         """Attach to one."""
         return cls(Far(name, "queue", None))
-
-    @property
-    def name(self) -> str:
-        return str(self._far.name)
-
-    @property
-    def path(self) -> str:
-        return ""
 
     @property
     def policy(self) -> Policy:
@@ -410,9 +403,3 @@ class FarQueue(Queue):
             return r.Await(handle=handle, take=take, wait=wait, priority=rank)
 
         return self._far.take(make, until_ns, bool)
-
-    def close(self) -> None:
-        self._far.detach(destroy=False)
-
-    def destroy(self) -> None:
-        self._far.detach(destroy=True)

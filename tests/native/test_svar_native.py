@@ -5,26 +5,13 @@ read and reads at every step of a commit, one case after the other. The mutants 
 that it can fail: each lacks one check, and must be caught.
 """
 
-import json
 import subprocess
 from typing import NamedTuple
 
 import pytest
-from svar_rig import build, compiler, mutant
+from svar_rig import build, compiler, mutant, run
 
 SIZES = (6, 32, 256)
-
-
-def run(program, *args: object) -> dict[str, int]:
-    done = subprocess.run(
-        [str(program), *map(str, args)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout)
 
 
 def judge(found: dict[str, int]) -> None:

@@ -3,26 +3,12 @@
 The mutants show that the schedules can fail: each lacks one thing, and must be caught.
 """
 
-import json
 import shutil
-import subprocess
 
 import pytest
-from svar_rig import ROOT, build, compiler
+from svar_rig import ROOT, build, compiler, run
 
 HEADERS = ROOT / "pbonet" / "tbuf"
-
-
-def run(program, *args: object) -> dict[str, int]:
-    done = subprocess.run(
-        [str(program), *map(str, args)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout)
 
 
 def judge(found: dict[str, int]) -> None:

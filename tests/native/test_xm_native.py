@@ -5,25 +5,11 @@ at every step of every deed, one case after the other. The mutants show that it 
 fail: each lacks one thing, and must be caught.
 """
 
-import json
-import subprocess
 from typing import NamedTuple
 
 import pytest
-from svar_rig import build, compiler, mutant
+from svar_rig import build, compiler, mutant, run
 from xm_rig import HEADERS
-
-
-def run(program, *args: object) -> dict[str, int]:
-    done = subprocess.run(
-        [str(program), *map(str, args)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=50,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return json.loads(done.stdout)
 
 
 def judge(found: dict[str, int]) -> None:

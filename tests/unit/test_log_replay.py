@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from adding import ADDS
-from logshop import Shop, Task
+from logshop import Shop, Task, drive
 
 from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError
@@ -33,19 +33,7 @@ def shop(tmp_path):
 
 
 def test_all_that_tasks_do_gives_the_same_again(shop) -> None:
-    shop.cycles(5)
-    shop.table.write("X", [0.25, -3.0])
-    shop.cycles(5)
-    shop.a.set("2.5")
-    shop.cycles(5)
-    shop.a.signal("off")
-    shop.b.cycle()
-    shop.a.signal("reinit")
-    shop.a.signal("on")
-    shop.cycles(5)
-    for task in (shop.b, shop.a):
-        task.signal("off")
-        task.signal("kill")
+    drive(shop)
     path = shop.log()
     verdicts = {one.task: one for one in verify(path)}
     assert str(verdicts["a"]).startswith("a: 20 cycles identical")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from adding import ADDS
-from logshop import RMOD, Shop
+from logshop import RMOD, Shop, drive
 
 from pbonet.errors import LogError, ModuleLoadError
 from pbonet.log import Log
@@ -18,23 +18,6 @@ from pbonet.master.run import run
 from pbonet.testing import rerun, verify
 
 OTHER = ADDS.replace("dt / 3.0", "dt / (3.5 if self.task.name == 'a' else 3.0)")
-
-
-def drive(shop):
-    """Do what a run may do."""
-    shop.cycles(5)
-    shop.table.write("X", [0.25, -3.0])
-    shop.cycles(5)
-    shop.a.set("2.5")
-    shop.cycles(5)
-    shop.a.signal("off")
-    shop.b.cycle()
-    shop.a.signal("reinit")
-    shop.a.signal("on")
-    shop.cycles(5)
-    for task in (shop.b, shop.a):
-        task.signal("off")
-        task.signal("kill")
 
 
 @pytest.fixture
