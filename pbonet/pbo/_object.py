@@ -145,7 +145,7 @@ class PortBasedObject(Generic[P]):
             dt: Seconds from the release of the last executed cycle to this one, so
                 that a missed cycle is seen; 1/freq in the first cycle.
         """
-        raise NotImplementedError
+        raise NotImplementedError  # refused before it runs: every module has its own
 
     def off(self) -> None:
         """Stop in an orderly way: called when an ON task gets the signal off or kill.
@@ -245,7 +245,7 @@ class PortBasedObject(Generic[P]):
         Args:
             dt: As for `cycle`.
         """
-        raise NotImplementedError
+        raise NotImplementedError  # refused before it runs if it is CRITICAL without
 
     def timing_failure(self, kind: TimingFailure) -> Recovery | None:  # noqa: ARG002
         """Handle a timing failure of this cycle (section 6.3).

@@ -13,7 +13,7 @@ class Closing:
 
     def close(self) -> None:
         """Let go; calling it again does no harm."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: everything that closes has its own
 
     def __enter__(self) -> Self:
         """Return itself."""

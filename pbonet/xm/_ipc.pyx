@@ -92,10 +92,10 @@ cdef class Shared:
                                  remedy="stop who uses it and remove it")
 
     cdef int enter(self) except -1:
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: each kind of object has its own
 
     cdef int leave(self) except -1:
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: each kind of object has its own
 
     cdef xm_object *open(self) except NULL:
         """Return the object, fit for use."""

@@ -24,7 +24,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
-import msgspec
 import zenoh
 
 from pbonet.errors import (
@@ -38,6 +37,7 @@ from pbonet.errors import (
 )
 from pbonet.xm import keys, roles, rundir
 from pbonet.xm.codec import Codec
+from pbonet.xm.letters import read_result
 from pbonet.xm.messages import Answer, Hello, Request, Stop
 
 if TYPE_CHECKING:
@@ -172,15 +172,7 @@ class Client:
             self.warned(rtpu, text)
         if not answer.ok:
             raise _refusal(rtpu, answer)
-        try:
-            return msgspec.convert(answer.result, result)
-        except msgspec.ValidationError as error:
-            raise ProtocolError(
-                "the result is not what the operation gives",
-                where=rtpu,
-                got=str(error),
-                remedy="run the same pbonet version on every machine",
-            ) from None
+        return read_result(rtpu, answer, result)
 
     def tell(self, rtpu: str, request: Request) -> None:
         """Send a request and wait for nothing.

@@ -193,7 +193,6 @@ def test_too_few_cycles_are_not_saved(arm, tmp_path):
 
 @pytest.mark.usefixtures("running")
 def test_the_verb_shows_draws_and_saves(call, tmp_path):
-    pytest.importorskip("matplotlib")
     status, out, _ = call("profile", "grav_comp", "--plot", tmp_path / "psi.png")
     assert status == 0
     assert "share of the cycles within a CPU time:" in out

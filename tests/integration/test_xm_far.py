@@ -147,6 +147,8 @@ def test_a_cut_cable(cell, hands):
     finally:
         cell.cable.heal()
     cell.wait_both()
+    for hand in (there, other):
+        hand.wait("xm.alive('vision0')", "True")
     here.do("turn.v()")
     assert other.do("turn.p(now() + 20 * s)") == "<Taken.TAKEN: 1>", "attached anew"
     with pytest.raises(

@@ -25,6 +25,22 @@ from pbonet.node.recorder import Recorder
 from pbonet.testing import DivergedError, replay, verify
 
 
+def recording(folder, **more):
+    """Return what a recorder is told."""
+    return wire.Recording(
+        domain="d",
+        rtpu="arm0",
+        subsystem="arm",
+        core=0,
+        folder=str(folder),
+        file="run",
+        run="r",
+        job="j",
+        mode="outputs",
+        **more,
+    )
+
+
 @pytest.fixture
 def shop(tmp_path):
     shop = Shop(tmp_path)
@@ -169,18 +185,7 @@ def test_the_fixture_looks_beside_the_test(shop, tmp_path) -> None:
 
 def test_the_recorder_writes_what_is_in_the_rings(shop, tmp_path) -> None:
     said = []
-    wanted = wire.Recording(
-        domain="d",
-        rtpu="arm0",
-        subsystem="arm",
-        core=0,
-        folder=str(tmp_path / "runs" / "r"),
-        file="run",
-        run="r",
-        job="j",
-        mode="outputs",
-        files={"a.job": "JOB a"},
-    )
+    wanted = recording(tmp_path / "runs" / "r", files={"a.job": "JOB a"})
     ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
     other = Ring.create("d.arm.d", 1 << 12, b"not ours")
     for n in range(3):
@@ -212,17 +217,7 @@ def test_a_recorder_that_cannot_write_says_so_and_goes_on(shop, tmp_path) -> Non
     blocked = tmp_path / "runs"
     blocked.write_text("a file where a folder should be")
     said = []
-    wanted = wire.Recording(
-        domain="d",
-        rtpu="arm0",
-        subsystem="arm",
-        core=0,
-        folder=str(blocked / "r"),
-        file="run",
-        run="r",
-        job="j",
-        mode="outputs",
-    )
+    wanted = recording(blocked / "r")
     ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
     one = Recorder(wanted, said.append)
     ring.put(bytes(16), cycle=1)
@@ -245,18 +240,7 @@ def test_a_step_of_the_clock_does_not_reach_into_a_log(
     shop, tmp_path, monkeypatch
 ) -> None:
     """The time of day is set back by an hour, and a file begins behind that."""
-    wanted = wire.Recording(
-        domain="d",
-        rtpu="arm0",
-        subsystem="arm",
-        core=0,
-        folder=str(tmp_path / "runs" / "r"),
-        file="run",
-        run="r",
-        job="j",
-        mode="outputs",
-        limits=wire.LogLimits(log_mb=0.001),
-    )
+    wanted = recording(tmp_path / "runs" / "r", limits=wire.LogLimits(log_mb=0.001))
     ring = Ring.create("d.arm.c", 1 << 12, msgspec.json.encode(shop.a.about))
     recorder = Recorder(wanted, lambda _: None)
     begun, day = time.monotonic_ns(), time.time_ns()
