@@ -147,7 +147,10 @@ class Links:
     def _work(self) -> None:
         while not self._over:
             self._news.clear()
-            self._look()
+            try:
+                self._look()
+            except OSError:  # such as a folder of shared memory that is taken away
+                log.exception("%s: links cannot be looked after", self._name)
             self._news.wait(LOOK)
 
     def _look(self) -> None:

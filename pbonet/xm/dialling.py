@@ -2,8 +2,10 @@
 
 When two agents dial each other zenoh makes two links of it, and its routers then stall
 for seconds and send in circles whenever a third link comes or goes (decision 0085). So
-an agent asks, before it dials, whether the other one dials it already; and when both
-have started at one time, so that neither could ask, one of them takes its own back.
+an agent asks, before it dials, whether the other one dials it already. Two that start
+at one time could not ask each other; therefore each says whom it dials as soon as its
+session is open, asks again behind that, and of two one takes its own back: whoever asks
+later sees what the other has said.
 """
 
 from __future__ import annotations
@@ -13,24 +15,45 @@ import socket
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 import zenoh
 
 from pbonet.errors import PbonetError
 
-from . import codec, keys, rundir, session
-from . import messages as m
+from . import keys, rundir, session
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
 ASK_TIME = 0.5
-"""Seconds in which an agent behind an endpoint says who it is."""
-SETTLE_TIME = 0.3
-"""Seconds in which a link that is dialled at a start stands, if anybody is there."""
+"""Seconds in which an agent behind an endpoint says whom it dials."""
+SETTLE_TIME = 3.0
+"""Seconds after which an agent that does not settle is left to dial alone."""
+LINK_TIME = 0.3
+"""Seconds in which the links stand to those who are there, before names are asked."""
+PAUSE = 0.02
+
+
+class Dials(msgspec.Struct, kw_only=True):
+    """What an agent says of itself while it decides whom it dials."""
+
+    rtpu: str
+    zid: str
+    dials: list[str]
+    settled: bool
+    """Whether it will take none of them back any more."""
+
+
+class Behind(NamedTuple):
+    """Who was found behind an endpoint."""
+
+    zid: str = ""
+    """The zenoh identity of the router there; empty if there is none."""
+    said: Dials | None = None
+    """What it says of itself, if it is an agent of the domain that runs already."""
 
 
 class Dialled:
@@ -58,85 +81,121 @@ class Dialled:
     ) -> None:
         self._places, self._listen, self._multicast = places, listen, multicast
         self._key_folder = key_folder
+        self._mine = [places.endpoint, *listen]
+        self._settled = False
         named = [session.check_endpoint(e, key_folder=key_folder) for e in connect]
-        wanted = [*named, *neighbours(places)]
-        self.dials = self._not_dialled_by(wanted)
+        wanted = list(dict.fromkeys([*named, *neighbours(places)]))
+        found = self._look(wanted)
+        mutual = {e for e, behind in found.items() if self._dials_me(behind)}
+        vain = mutual | _doubled(found)
+        self.dials = [endpoint for endpoint in wanted if endpoint not in vain]
         self.session = self._open()
 
     def settle(self) -> None:
-        """Take back what another agent dials too; nothing may be declared yet.
+        """Take back what another agent dials too; nothing else may be declared yet.
 
         Raises:
             NodeError: The session cannot be opened again.
         """
-        if not self.dials:
-            return
-        time.sleep(SETTLE_TIME)
-        counts = links(self.session)
-        if max(counts.values(), default=0) < 2:  # noqa: PLR2004 - two links to one
-            return
-        back = self._surplus(counts)
-        if back:
-            self.dials = [endpoint for endpoint in self.dials if endpoint not in back]
-            self.session.close()  # type: ignore[no-untyped-call]
-            self.session = self._open()
+        begin = time.monotonic()
+        while self.dials:
+            found = self._look(self.dials)
+            passed = time.monotonic() - begin
+            back = self._vain(found, late=passed > SETTLE_TIME)
+            if back:
+                self.dials = [one for one in self.dials if one not in back]
+                self.session.close()  # type: ignore[no-untyped-call]
+                self.session = self._open()
+            elif not self._open_question(found, silent=passed < ASK_TIME):
+                self._wait_links({behind.zid for behind in found.values()})
+                break
+            else:
+                time.sleep(PAUSE)
+        self._settled = True
 
-    def _surplus(self, counts: Counter[str]) -> set[str]:
-        """Return the endpoints that are dialled in vain."""
-        mine = str(self.session.info.zid())
-        settled = {info.zid for info in ask(self.session, self._places.domain)}
-        with ThreadPoolExecutor(len(self.dials)) as pool:
-            routers = pool.map(self._router, self.dials)
-            behind = dict(zip(self.dials, routers, strict=True))
-        back: set[str] = set()
-        for zid, count in counts.items():
-            own = [endpoint for endpoint, router in behind.items() if router == zid]
-            back |= set(own[1:])  # two ways to one agent
-            if count > len(own) and (zid in settled or zid > mine):
-                back |= set(own)
+    # -- who gives way -----------------------------------------------------------------
+
+    def _vain(self, found: Mapping[str, Behind], *, late: bool) -> set[str]:
+        """Return the endpoints that are not to be dialled.
+
+        Args:
+            found: Who is behind each.
+            late: Whether agents that do not settle are waited for no more.
+        """
+        back = _doubled(found)
+        me = self._places.name, str(self.session.info.zid())
+        for endpoint, behind in found.items():
+            said = behind.said
+            if behind.zid == me[1]:
+                back.add(endpoint)
+            elif said is None or not self._dials_me(behind):
+                continue
+            elif said.settled or late or me > (said.rtpu, said.zid):
+                back.add(endpoint)
         return back
 
+    def _open_question(self, found: Mapping[str, Behind], *, silent: bool) -> bool:
+        """Tell whether somebody is to be asked again.
+
+        Args:
+            found: Who is behind each endpoint.
+            silent: Whether a router that says nothing may yet turn out an agent.
+        """
+        return any(
+            (zid and silent) if said is None else self._dials_me(found[endpoint])
+            for endpoint, (zid, said) in found.items()
+        )
+
+    def _dials_me(self, behind: Behind) -> bool:
+        said = behind.said
+        return said is not None and any(is_mine(one, self._mine) for one in said.dials)
+
+    # -- sessions ----------------------------------------------------------------------
+
     def _open(self) -> zenoh.Session:
+        """Open the session, and say at once what is dialled."""
         self._places.remove(self._places.sock)  # of a killed agent; the lock is ours
-        return session.agent(
+        link = session.agent(
             self._places,
             listen=self._listen,
             dial=self.dials,
             multicast=self._multicast,
             key_folder=self._key_folder,
         )
+        said = Dials(
+            rtpu=self._places.name,
+            zid=str(link.info.zid()),
+            dials=self.dials,
+            settled=False,
+        )
 
-    def _not_dialled_by(self, wanted: Sequence[str]) -> list[str]:
-        """Return the endpoints behind which nobody says that it dials this agent."""
-        wanted = list(dict.fromkeys(wanted))
-        if not wanted:
-            return []
-        with ThreadPoolExecutor(len(wanted)) as pool:
-            infos = list(pool.map(self._behind, wanted))
-        mine = [self._places.endpoint, *self._listen]
-        return [
-            endpoint
-            for endpoint, info in zip(wanted, infos, strict=True)
-            if info is None or not any(is_mine(e, mine) for e in info.dials)
-        ]
+        def tell(query: zenoh.Query) -> None:
+            said.settled = self._settled
+            with contextlib.suppress(zenoh.ZError):
+                query.reply(query.key_expr, msgspec.msgpack.encode(said))
 
-    def _behind(self, endpoint: str) -> m.AgentInfo | None:
-        """Return the agent behind an endpoint, if there is one now."""
-        with self._client(endpoint) as link:
-            if link is None:
-                return None
-            near = {str(zid) for zid in link.info.routers_zid()}
-            found = [i for i in ask(link, self._places.domain) if i.zid in near]
-        return found[0] if found else None
+        self._queryable = link.declare_queryable(
+            keys.rtpu(self._places.domain, self._places.name, "dials"),
+            zenoh.handlers.Callback(tell, indirect=False),
+        )
+        return link
 
-    def _router(self, endpoint: str) -> str:
-        """Return the zenoh identity of the agent behind an endpoint."""
-        with self._client(endpoint) as link:
-            zids = link.info.routers_zid() if link is not None else []
-            return str(zids[0]) if zids else ""
+    def _wait_links(self, routers: set[str]) -> None:
+        """Wait until the links to those stand that were found."""
+        deadline = time.monotonic() + LINK_TIME
+        missing = routers - {""}
+        while missing and time.monotonic() < deadline:
+            time.sleep(PAUSE)
+            missing -= {str(zid) for zid in self.session.info.routers_zid()}
 
-    @contextlib.contextmanager
-    def _client(self, endpoint: str) -> Generator[zenoh.Session | None, None, None]:
+    def _look(self, endpoints: Sequence[str]) -> dict[str, Behind]:
+        """Return who is behind each endpoint now."""
+        if not endpoints:
+            return {}
+        with ThreadPoolExecutor(len(endpoints)) as pool:
+            return dict(zip(endpoints, pool.map(self._behind, endpoints), strict=True))
+
+    def _behind(self, endpoint: str) -> Behind:
         try:
             link = session.client(
                 self._places.domain,
@@ -146,12 +205,42 @@ class Dialled:
                 key_folder=self._key_folder,
             )
         except PbonetError:
-            yield None
-            return
+            return Behind()
         try:
-            yield link
+            return _ask(link, self._places.domain)
         finally:
             link.close()  # type: ignore[no-untyped-call]
+
+
+def _ask(link: zenoh.Session, domain: str) -> Behind:
+    """Return who a client is connected to."""
+    near = str(next(iter(link.info.routers_zid()), ""))
+    replies = link.get(
+        keys.all_rtpus(domain, "dials"),
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=ASK_TIME,
+    )
+    for reply in replies:
+        if reply.ok is None:
+            continue
+        with contextlib.suppress(msgspec.MsgspecError):
+            said = msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=Dials)
+            if said.zid == near:
+                return Behind(near, said)
+    return Behind(near)
+
+
+def _doubled(found: Mapping[str, Behind]) -> set[str]:
+    """Return the endpoints of agents that are dialled by another one already."""
+    seen: set[str] = set()
+    double: set[str] = set()
+    for endpoint, behind in found.items():
+        if behind.zid in seen:
+            double.add(endpoint)
+        elif behind.zid:
+            seen.add(behind.zid)
+    return double
 
 
 def neighbours(places: rundir.Places) -> list[str]:
@@ -161,26 +250,6 @@ def neighbours(places: rundir.Places) -> list[str]:
         for name in rundir.live_agents(places.domain)
         if name != places.name
     ]
-
-
-def ask(link: zenoh.Session, domain: str) -> list[m.AgentInfo]:
-    """Return who the agents within reach are, in no order."""
-    packer = codec.Codec()
-    found: list[m.AgentInfo] = []
-    replies = link.get(
-        keys.all_rtpus(domain, "status"),
-        payload=packer.pack(m.Hello(id="who")),
-        target=zenoh.QueryTarget.ALL,
-        consolidation=zenoh.ConsolidationMode.NONE,
-        timeout=ASK_TIME,
-    )
-    for reply in replies:
-        if reply.ok is None:
-            continue
-        with contextlib.suppress(PbonetError, msgspec.ValidationError):
-            answer = packer.answer(reply.ok.payload.to_bytes())
-            found.append(msgspec.convert(answer.result, m.AgentInfo))
-    return found
 
 
 def links(link: zenoh.Session) -> Counter[str]:
@@ -220,4 +289,4 @@ def _is_here(host: str) -> bool:
     return False
 
 
-__all__ = ["Dialled", "ask", "is_mine", "links", "neighbours"]
+__all__ = ["Dialled", "is_mine", "links", "neighbours"]

@@ -44,7 +44,7 @@ def fill(folder, spare):
     return path
 
 
-def test_full_shared_memory(nodes, small):
+def test_full_shared_memory(small, nodes):
     """Whatever finds no room says so, and works when there is."""
     filler = fill(small, 4096)
     with pytest.raises(RealTimeError) as caught:
