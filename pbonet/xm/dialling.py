@@ -88,7 +88,7 @@ class Dialled:
         found = self._look(wanted)
         mutual = {e for e, behind in found.items() if self._dials_me(behind)}
         vain = mutual | _doubled(found)
-        self.dials = [endpoint for endpoint in wanted if endpoint not in vain]
+        self.dials: list[str] = [one for one in wanted if one not in vain]
         self.session = self._open()
 
     def settle(self) -> None:
@@ -169,14 +169,15 @@ class Dialled:
             settled=False,
         )
 
+        key = keys.rtpu(self._places.domain, self._places.name, "dials")
+
         def tell(query: zenoh.Query) -> None:
             said.settled = self._settled
             with contextlib.suppress(zenoh.ZError):
-                query.reply(query.key_expr, msgspec.msgpack.encode(said))
+                query.reply(key, msgspec.msgpack.encode(said))  # pyright: ignore[reportUnknownMemberType]
 
         self._queryable = link.declare_queryable(
-            keys.rtpu(self._places.domain, self._places.name, "dials"),
-            zenoh.handlers.Callback(tell, indirect=False),
+            key, zenoh.handlers.Callback(tell, indirect=False)
         )
         return link
 
