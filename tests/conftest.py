@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -46,6 +47,15 @@ def runs(monkeypatch, tmp_path):
 
 
 @pytest.fixture
+def run_dir(monkeypatch):
+    """A runtime folder with a short path, for sockets have little room."""
+    folder = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
+    monkeypatch.setenv("PBONET_RUN_DIR", str(folder))
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.fixture
 def nodes(monkeypatch, tmp_path):
     """Real agents in a domain of their own; see `nodekit.Nodes`."""
     from nodekit import Nodes
@@ -67,3 +77,12 @@ def arm(nodes):
     """One agent, arm0, claimed by subsystem arm, its table open."""
     nodes.agent("arm0")
     return nodes.master("arm0", "arm")
+
+
+@pytest.fixture
+def puma(tmp_path):
+    """A copy of the PUMA example's files, to be changed at will."""
+    example = Path(__file__).parents[1] / "examples" / "puma"
+    for name in ("puma.sbs", "puma.svar", "puma.job"):
+        shutil.copy(example / name, tmp_path / name)
+    return tmp_path / "puma.sbs"

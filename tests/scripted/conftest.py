@@ -1,23 +1,11 @@
-"""What the integration tests share: a runtime folder, and agents to talk to."""
+"""Scripted agents, for what a master or a tool does without any task that runs."""
 
 from __future__ import annotations
 
 import secrets
-import shutil
-import tempfile
 import time
-from pathlib import Path
 
 import pytest
-
-
-@pytest.fixture
-def run_dir(monkeypatch):
-    """A runtime folder with a short path, for sockets have little room."""
-    folder = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
-    monkeypatch.setenv("PBONET_RUN_DIR", str(folder))
-    yield folder
-    shutil.rmtree(folder)
 
 
 @pytest.fixture
@@ -56,12 +44,3 @@ def agents(world):
     yield fakes
     for fake in fakes.values():
         fake.close()
-
-
-@pytest.fixture
-def puma(tmp_path):
-    """A copy of the PUMA example's files, to be changed at will."""
-    example = Path(__file__).parents[2] / "examples" / "puma"
-    for name in ("puma.sbs", "puma.svar", "puma.job"):
-        shutil.copy(example / name, tmp_path / name)
-    return tmp_path / "puma.sbs"
