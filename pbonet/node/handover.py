@@ -220,6 +220,22 @@ class Exchange:
     async def _disown(self, task: Task) -> None:
         await task.command("disown", wire.Disown, 1.0)
 
+    @property
+    def hanging(self) -> list[Task]:
+        """Tasks whose `off` nobody waits for any more; see `late`."""
+        return [task for task in self._olds if task.busy]
+
+    async def late(self, task: Task) -> bool:
+        """Wait for an `off` that hangs; return whether it ended in order after all.
+
+        Nobody stands by any more, so the task gives up what it was to hand over.
+        """
+        await task.idle()
+        if task.state is not State.OFF:
+            return False
+        await self._disown(task)
+        return True
+
     def events(self) -> list[tuple[Task, lifecycle.Event, PbonetError | None]]:
         """Return what there is to be told of every task, in the order of the items."""
         tasks = {task.name: task for task in (*self._news, *self._olds)}

@@ -7,9 +7,10 @@ other signal is sent when the one before it has been answered.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, StateError
 from pbonet.pbo import State
 from pbonet.xm.messages import Reconfigured
 
@@ -34,8 +35,25 @@ TRIP = 0.05
 
 
 async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
-    """Send signals in order; the first failure ends it."""
-    return await _List(rtpu, request).run()
+    """Send signals in order; the first failure ends it.
+
+    Raises:
+        StateError: Another list of the subsystem is under way; nothing was sent.
+    """
+    subsystem = request.subsystem
+    if items := rtpu.lists.get(subsystem):
+        raise StateError(
+            f"another list of subsystem {subsystem} is being carried out",
+            where=rtpu.name,
+            expected="one at a time",
+            got=", ".join(f"{signal} {task}" for task, signal in items),
+            remedy="wait until it has been answered; nothing was sent",
+        )
+    rtpu.lists[subsystem] = request.items
+    try:
+        return await _List(rtpu, request).run()
+    finally:
+        del rtpu.lists[subsystem]
 
 
 class _List:
@@ -125,11 +143,19 @@ class _List:
             if error is not None or task.state is (State.ON if on else State.OFF):
                 note(self._rtpu, task, event, error, ranked=True)
         self._rtpu.rank()
+        for task in made.hanging:
+            self._rtpu.later(self._late(made, task), f"off of {task.name}")
         undone = made.undone
         if undone:
             first = made.failed.get(undone[0][0]) or next(iter(made.failed.values()))
             self._result.error = first.to_wire()
         return undone
+
+    async def _late(self, made: Exchange, task: Task) -> None:
+        """Take note of an `off` that ends when nobody waits for it any more."""
+        with contextlib.suppress(PbonetError):  # it has died: that is told elsewhere
+            if await made.late(task):
+                note(self._rtpu, task, lifecycle.Event.OFF)
 
     def _has_heir(self, task: Task, rest: Sequence[Item]) -> bool:
         """Tell whether a task that is turned on later in the list takes an output."""

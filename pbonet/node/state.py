@@ -34,7 +34,7 @@ from .tasktalk import INTERRUPT
 from .timekeeping import Timekeeper
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
     from pbonet.sched.records import SlotStatus
     from pbonet.xm import rundir
@@ -87,6 +87,9 @@ class Rtpu:
         self.recorders: dict[str, wire.Recorder] = {}
         """What the agent said about that last."""
         self.stopping: set[str] = set()
+        self.lists: dict[str, list[tuple[str, str]]] = {}
+        """What is being carried out of lists of signals, by subsystem."""
+        self._chores: set[asyncio.Task[None]] = set()
         self.turned_on = 0
         self.signals = Signals(events)
         self._timekeeper = Timekeeper(events)
@@ -133,9 +136,10 @@ class Rtpu:
 
     async def close(self) -> None:
         """Give everything back; tasks should have ended."""
-        if self._watch is not None:
-            self._watch.cancel()
-            await asyncio.gather(self._watch, return_exceptions=True)
+        waiting = [*self._chores, *([self._watch] if self._watch else [])]
+        for one in waiting:
+            one.cancel()
+        await asyncio.gather(*waiting, return_exceptions=True)
         self.tables.close_all()
         await self.spawner.close()
         for name in ("vigil", "dispatcher", "core"):
@@ -181,6 +185,12 @@ class Rtpu:
         self.save()
         if self.claims_changed is not None:
             self.claims_changed()
+
+    def later(self, chore: Coroutine[None, None, None], name: str) -> None:
+        """Do something that no request waits for."""
+        running = asyncio.create_task(chore, name=name)
+        self._chores.add(running)
+        running.add_done_callback(self._chores.discard)
 
     # -- tasks -------------------------------------------------------------------------
 

@@ -204,6 +204,10 @@ class Task:
             raise error_of(done)
         return done
 
+    async def idle(self) -> None:
+        """Wait until the task has answered everything, or has ended."""
+        await asyncio.gather(*self._waiting.values(), return_exceptions=True)
+
     def send(self, message: wire.ToTask, *, last: bool = False) -> None:
         """Hand a message to the task; it looks at it after its present component."""
         data = wire.encode(message)

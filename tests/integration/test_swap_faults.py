@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from nodekit import alive, rmod, svar, wait_gone
@@ -20,6 +21,8 @@ from pbonet.errors import (
 )
 from pbonet.master import crew
 from pbonet.master.subsystem import Subsystem
+from pbonet.svar import Table
+from pbonet.xm import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
 
@@ -122,6 +125,51 @@ def test_off_that_hangs_is_given_up_and_killed(arm, write, monkeypatch):
     assert arm.status("stays").on_ns == before.on_ns
 
 
+def test_off_that_hangs_in_an_exchange(arm, write, monkeypatch):
+    """Both on one RTPU: the heir stands by at the dispatcher meanwhile."""
+    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
+    write("bad", "hangs_in_off", freq=50.0)
+    start(arm, "bad")
+    before = arm.status("stays")
+    with pytest.raises(ReconfigError) as caught:
+        arm.swap("bad", "good")
+    assert (caught.value.done, caught.value.rest) == (
+        0,
+        (("bad", "off"), ("good", "on")),
+    )
+    assert "item 1 of 2, off bad" in str(caught.value)
+    assert "did not finish 'off'" in str(caught.value)
+    assert states(arm) == {"stays": "ON", "bad": "ON", "good": "OFF"}
+    assert writer(arm) == "bad"
+    with pytest.raises(ReconfigError, match="still busy with 'off'"):
+        arm.swap("bad", "good")
+    arm.control("bad", "kill")
+    assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
+    assert writer(arm) == "good"
+    assert arm.status("stays").on_ns == before.on_ns
+
+
+def test_off_in_an_exchange_that_ends_when_nobody_waits_any_more(
+    arm, gate, nodes, monkeypatch
+):
+    """What it was to hand over is given up, so that whoever comes can have it."""
+    begun, go_on = gate
+    start(arm, "old")
+    with monkeypatch.context() as short:
+        short.setattr(crew, "CONTROL_TIME", 0.5)
+        with pytest.raises(ReconfigError) as caught:
+            arm.swap("old", "good")
+    assert isinstance(caught.value.__cause__, NoAnswerError)
+    assert begun.exists()
+    go_on.touch()
+    wait_for(lambda: states(arm)["old"] == "OFF", "the end of off")
+    assert states(arm)["good"] == "OFF", "it does not stand by any more"
+    with Table.attach(f"{nodes.domain}.t") as table:
+        wait_for(lambda: table.info("Y0").owner is None, "that nobody owns it")
+    assert arm.swap("old", "good").items == [("good", "on")], "what is left"
+    assert writer(arm) == "good"
+
+
 @pytest.fixture
 def gate(write, tmp_path):
     """A task whose `off` begins and ends with files; returns these."""
@@ -184,6 +232,38 @@ def test_two_swaps_at_once(arm, gate, write):
     assert isinstance(second.error, VerificationError), second.error
     assert "good and third both write Y0" in str(second.error)
     assert states(arm) == {"stays": "ON", "old": "OFF", "good": "ON"}
+
+
+def test_two_lists_at_once_at_one_agent(arm, gate, write):
+    """One that is under way is finished; the other is refused whole, and says why."""
+    begun, go_on = gate
+    write("third", "counts", out="Y0")
+    start(arm, "old")
+    arm.spawn("third", "arm0")
+
+    def send(*items):
+        return arm.fleet.call("arm0", m.Reconfig(items=list(items)), m.Reconfigured)
+
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(send, ("old", "off"), ("good", "on"))
+        try:
+            wait_for(begun.exists, "the beginning of off")
+            for items in (
+                [("old", "off"), ("third", "on")],
+                [("stays", "off"), ("old", "off"), ("third", "on")],
+            ):
+                with pytest.raises(StateError) as caught:
+                    send(*items)
+                said = str(caught.value)
+                assert "another list of subsystem t is being carried out" in said
+                assert "off old, on good" in said
+            assert states(arm)["stays"] == "ON", "not even the first item was sent"
+        finally:
+            go_on.touch()
+        assert first.result().done == 2
+    assert states(arm) == {"stays": "ON", "old": "OFF", "good": "ON", "third": "OFF"}
+    assert send(("good", "off"), ("third", "on")).done == 2
+    assert writer(arm) == "third"
 
 
 def test_task_that_dies_while_it_goes_off(arm, gate):
