@@ -292,15 +292,15 @@ class Mirrors:
     Args:
         session: The agent's.
         domain: Its domain.
-        offset: Tells by how many nanoseconds another machine's clock is ahead, and the
-            doubt about it.
+        offset: Tells by how many nanoseconds another machine's clock is ahead; None
+            while that is not known.
     """
 
     def __init__(
         self,
         session: zenoh.Session,
         domain: str,
-        offset: Callable[[str], tuple[int, int] | None],
+        offset: Callable[[str], int | None],
     ) -> None:
         self.session, self.domain = session, domain
         self.machine = keys.machine(rundir.machine())
@@ -377,12 +377,11 @@ class Mirrors:
         return found if done.wait(limit) else []
 
     def late(self, machine: str, sent_ns: int) -> int:
-        """Return how many nanoseconds a packet was surely on its way."""
-        known = self._offset(machine)
-        if known is None:
+        """Return how many nanoseconds a packet was on its way, as clocks tell."""
+        offset = self._offset(machine)
+        if offset is None:
             return 0
-        offset, doubt = known
-        return max(time.monotonic_ns() - (sent_ns - offset) - doubt, 0)
+        return max(time.monotonic_ns() - (sent_ns - offset), 0)
 
     def _carry(self, tables: dict[str, bool]) -> None:
         self._watch.forget()  # it keeps tables open

@@ -92,8 +92,8 @@ class Ways:
         if self._thread.is_alive():
             self._thread.join()
 
-    def offset(self, machine: str) -> tuple[int, int] | None:
-        """Return by how many ns a machine's clock is ahead, and the doubt about it.
+    def offset(self, machine: str) -> int | None:
+        """Return by how many ns a machine's clock is ahead, if known.
 
         Args:
             machine: As keys spell it.
@@ -107,7 +107,7 @@ class Ways:
                 and (best := peer.best) is not None
             ]
         best = min(trips, default=None)
-        return None if best is None else (best.offset_ns, round(best.seconds * 5e8))
+        return None if best is None else best.offset_ns
 
     def ahead(self, name: str) -> int | None:
         """Return by how many ns the clock of an agent's machine is ahead, if known."""

@@ -18,6 +18,8 @@ import secrets
 import shutil
 import subprocess
 
+from ._slow import Delay
+
 CABLES = {("a", "b"): 1, ("b", "c"): 2, ("a", "c"): 3}
 NUMBERS = {"a": 1, "b": 2, "c": 3}
 NOBODY = "02:00:00:00:00:99"
@@ -46,20 +48,6 @@ def missing() -> str:
     finally:
         _run("ip", "netns", "del", name)
     return f"no cables here: {tried.stderr.strip()}" if tried.returncode else ""
-
-
-def netem() -> str:
-    """Return why a cable cannot be made slow here; empty when it can."""
-    if not shutil.which("tc"):
-        return "making a cable slow needs tc (iproute2)"
-    name = f"pbt{secrets.token_hex(3)}"
-    _run("ip", "netns", "add", name)
-    try:
-        slow = ("tc", "-n", name, "qdisc", "add", "dev", "lo", "root", "netem")
-        tried = _run(*slow, "delay", "1ms", check=False)
-    finally:
-        _run("ip", "netns", "del", name)
-    return f"this kernel has no netem: {tried.stderr.strip()}" * bool(tried.returncode)
 
 
 class Host:
@@ -106,6 +94,7 @@ class Lan:
         self.hosts: dict[str, Host] = {}
         self._ahead = ahead or {}
         self._muted: set[tuple[str, str]] = set()
+        self._delay: Delay | None = None
         try:
             self._make()
         except BaseException:
@@ -140,16 +129,29 @@ class Lan:
         for one, other in CABLES:
             self.heal(one, other)
 
-    def slow(self, one: str, other: str, delay: str) -> None:
-        """Delay what goes over a cable, each way; empty for no delay."""
-        for host, peer in ((one, other), (other, one)):
-            base = ("tc", "-n", self.hosts[host].space, "qdisc")
-            _run(*base, "del", "dev", f"to-{peer}", "root", check=False)
-            if delay:
-                _run(*base, "add", "dev", f"to-{peer}", "root", "netem", "delay", delay)
+    def slow(self, one: str, other: str, seconds: float) -> None:
+        """Delay what goes over a cable, each way, until `quick`."""
+        middle = f"pb{self.tag}m"
+        _run("ip", "netns", "add", middle)
+        try:
+            for host, peer in ((one, other), (other, one)):
+                self._lead(host, peer, middle)
+            devices = f"end-{one}", f"end-{other}"
+            self._delay = Delay(middle, devices, seconds)
+        except BaseException:
+            self.quick()
+            raise
+
+    def quick(self) -> None:
+        """Delay nothing any more."""
+        if self._delay is not None:
+            self._delay.close()
+            self._delay = None
+        _run("ip", "netns", "del", f"pb{self.tag}m", check=False)
 
     def close(self) -> None:
         """Remove everything, whatever state it is in."""
+        self.quick()
         for host in self.hosts.values():
             with contextlib.suppress(subprocess.CalledProcessError):
                 _run("ip", "netns", "del", host.space)
@@ -182,6 +184,18 @@ class Lan:
             )
         _run("ip", "-n", space, "addr", "add", six, "dev", device, "nodad")
 
+    def _lead(self, host: str, peer: str, middle: str) -> None:
+        """Have a host send to another by way of a device that ends in the middle."""
+        space, device = self.hosts[host].space, f"late-{peer}"
+        pair = ("type", "veth", "peer", "name", f"end-{host}", "netns", middle)
+        _run("ip", "-n", space, "link", "add", device, *pair)
+        _run("ip", "-n", middle, "link", "set", f"end-{host}", "up")
+        _run("ip", "-n", space, "link", "set", device, "up")
+        for six in (False, True):
+            here = self.hosts[host].address(peer, six=six)
+            there = self.hosts[peer].address(host, six=six)
+            _run("ip", "-n", space, "route", "add", there, "dev", device, "src", here)
+
     def _neighbour(self, host: str, peer: str, verb: str, *what: str) -> None:
         """Change what a host knows of the address of a device that it is joined to."""
         where = ("dev", f"to-{peer}", "nud", "permanent")
@@ -193,4 +207,4 @@ class Lan:
             _run("ip", "-n", space, "link", "set", f"to-{peer}", state)
 
 
-__all__ = ["CABLES", "Host", "Lan", "missing", "netem"]
+__all__ = ["CABLES", "Host", "Lan", "missing"]

@@ -28,6 +28,13 @@ UNITS none
 NELEM 2
 RATE 5
 
+NAME Z2
+TYPE double
+DESC another one that ages
+UNITS none
+NELEM 2
+MAXAGE 0.2
+
 EOF
 """
 
@@ -57,8 +64,9 @@ class Desk:
             request = m.OpenTable(svar=text, svar_name="t.svar", keep=keep)
             self.ask(rtpu, request, m.TableInfo)
 
-    def ask(self, rtpu, request, result=object, *, limit=10.0):
-        client = Client(self.lab.session(self.host), self.lab.domain, self.name)
+    def ask(self, rtpu, request, result=object, *, limit=10.0, host=None):
+        session = self.lab.session(host or self.host)
+        client = Client(session, self.lab.domain, self.name)
         request.subsystem = self.subsystem
         request.epoch = self.epochs.get(rtpu, 0)
         return client.call(rtpu, request, result, timeout=limit)
@@ -80,19 +88,28 @@ class Desk:
     def write(self, name, values):
         self.ask(self.rtpus[0], m.Write(name=name, values=values))
 
+    def look(self, rtpu, request, result=object):
+        """Ask an RTPU on its own host, however cables are."""
+        return self.ask(rtpu, request, result, host=self.lab.agents[rtpu][0])
+
     def value(self, rtpu, name):
         """Return a variable as it stands on an RTPU's machine."""
-        return self.ask(rtpu, m.Display(names=[name]), list[m.VarValue])[0]
+        return self.look(rtpu, m.Display(names=[name]), list[m.VarValue])[0]
 
     def flag(self, rtpu, cause, *, up):
         self.ask(rtpu, m.Flag(cause=cause, up=up))
 
     def illegal(self, rtpu):
         """Return the causes that stand on an RTPU's machine, as one text."""
-        return "; ".join(self.ask(rtpu, m.Status(), m.RtpuStatus).illegal)
+        return "; ".join(self.look(rtpu, m.Status(), m.RtpuStatus).illegal)
 
     def status(self, rtpu, task):
-        return self.ask(rtpu, m.Status(task=task), m.RtpuStatus).tasks[0]
+        return self.look(rtpu, m.Status(task=task), m.RtpuStatus).tasks[0]
+
+    def events(self, rtpu, code):
+        """Return the texts of an RTPU's events of one code."""
+        found = self.look(rtpu, m.Events(), list[m.Event])
+        return [event.text for event in found if event.code == code]
 
     def close(self):
         """Stop everything and give the RTPUs back, as far as they can be reached."""

@@ -102,6 +102,15 @@ class Lab:
         self.start("arm2", "c", connect=both, wait=False)
         self.wait_all()
 
+    def tend(self, name, host, **more):
+        """Start an agent unless it runs; return whether it had to be started."""
+        if name in self.agents and self.agents[name][1].poll() is None:
+            return False
+        self.agents.pop(name, None)
+        self.forget_session(host)
+        self.start(name, host, **more)
+        return True
+
     def wait_seen(self, name, host):
         """Wait until a client on a host sees an agent."""
         process = self.agents[name][1]
@@ -226,6 +235,15 @@ class Lab:
         found = processes_of("PBONET_RUN_DIR", str(self.run_dirs[host]))
         return [pid for pid, command in found if word in command]
 
+    def wait_no_orphans(self):
+        """Wait until every process stands under a test's own, or an agent's RTPU."""
+        wait_for(lambda: not self.orphans(), "the end of orphans", 20.0)
+
+    def orphans(self):
+        """Return the processes whose parents have all ended, but agents' RTPUs."""
+        owned = {os.getpid(), *(self.info(name).rtpu_pid for name in self.agents)}
+        return [(p, c) for p, c in self._left() if not owned & ancestry(p)]
+
     def _left(self):
         folders = self.run_dirs.values()
         return [p for f in folders for p in processes_of("PBONET_RUN_DIR", str(f))]
@@ -235,6 +253,19 @@ class Lab:
         for folder in (*self.run_dirs.values(), *self.shm_dirs.values()):
             files = [str(p) for p in folder.rglob("*") if not p.is_dir()]
             assert not files, f"left: {files}"
+
+
+def ancestry(pid):
+    """Return a process and all whose child it is, but the first of the machine."""
+    found = set()
+    while pid > 1:
+        found.add(pid)
+        try:
+            stat = Path(f"/proc/{pid}/stat").read_text()
+        except OSError:  # it has ended
+            return {os.getpid()}
+        pid = int(stat.rpartition(")")[2].split()[1])
+    return found
 
 
 __all__ = ["CORE", "OWN_PORT", "PORT", "Lab", "alive"]

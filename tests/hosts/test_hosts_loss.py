@@ -1,83 +1,114 @@
-"""Agents, machines, cables and masters that are lost; both sides act, and all heals."""
+"""Agents, machines, cables and masters that are lost; both sides act, and all heals.
+
+On either machine a CRITICAL task reads what one on the other writes:
+
+    arm0 on a: src writes Z0, back reads Z2      arm1 on b: sink reads Z0, writes Z2
+
+The agents stay from test to test; those that a test has ended are started anew.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 
 import pytest
 from hostfleet import Desk
-from hostkit import Lab
-from nodekit import alive, fork_server_of, processes_of
+from nodekit import alive, fork_server_of
 from watching import wait_for
 
-from pbonet.testing.lan import Lan, missing, netem
+from pbonet.testing.lan import Lan
 from pbonet.xm import messages as m
 
-SLOW = missing() or netem()
-"""Why a cable cannot be made slow here."""
+GRACE = 30.0
+RTPUS = ("arm0", "arm1")
+INPUTS = {"arm0": ("back", "Z2", "Y2"), "arm1": ("sink", "Z0", "Z2")}
+"""By RTPU its CRITICAL task, the variable that it reads, and the one that it writes."""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return str(tmp_path_factory.mktemp("runs"))
 
 
 @pytest.fixture
-def lab(lan: Lan):
-    """Agents for one test: it loses some of them."""
+def pair(lab, lan, runs):
+    """arm0 on a and arm1 on b, which dials it."""
     lan.heal_all()
-    made = Lab(lan)
-    try:
-        yield made
-    finally:
-        lan.heal_all()
-        made.close()
+    lab.tend("arm0", "a", grace=GRACE, runs=runs)
+    lab.tend("arm1", "b", connect=[lab.endpoint("a", "b")], grace=GRACE)
+    lab.wait_all()
+    yield lab
+    lan.heal_all()
+    lab.wait_no_orphans()
 
 
 @pytest.fixture
-def cell(lab, tmp_path):
-    """arm0 on a writes Z0, which ages; arm1 on b reads it, and is CRITICAL."""
-    lab.start("arm0", "a", grace=30.0, runs=str(tmp_path))
-    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=30.0)
-    lab.wait_all()
-    desk = Desk(lab, "cell", ("arm0", "arm1"), host="b")
+def cell(pair):
+    """Both tasks, and the one that writes what sink reads."""
+    desk = Desk(pair, "cell", RTPUS, host="b")
     desk.spawn("arm0", "src", "counts", out="Z0")
-    wanted = {"invar": "Z0", "local": {"level": 1.0}, "critical": True}
-    desk.spawn("arm1", "sink", "holds", out="Y1", **wanted)
+    for rtpu in RTPUS:
+        spawn_critical(desk, rtpu)
     desk.on("arm0", "src")
-    desk.on("arm1", "sink")
-    wait_for(lambda: not desk.illegal("arm1"), "a legal configuration")
-    wait_steady(desk)
+    for rtpu in RTPUS:
+        desk.on(rtpu, INPUTS[rtpu][0])
+    wait_healed(desk)
     yield desk
+    pair.lan.heal_all()
+    pair.wait_all()
     desk.close()
 
 
-def wait_steady(desk):
-    """Wait until news of src reach the other machine, and sink runs its cycle."""
-    first = desk.value("arm1", "Z0").cycle
+def spawn_critical(desk, rtpu):
+    task, read, written = INPUTS[rtpu]
+    wanted = {"invar": read, "local": {"level": 1.0}, "critical": True}
+    desk.spawn(rtpu, task, "holds", out=written, **wanted)
+
+
+def wait_steady(desk, rtpu="arm1"):
+    """Wait until news reach a machine, and its task runs its cycle."""
+    _, read, written = INPUTS[rtpu]
+    first = desk.value(rtpu, read).cycle
 
     def steady():
-        now = desk.value("arm1", "Z0")
-        level = desk.value("arm1", "Y1").values[0]
+        now = desk.value(rtpu, read)
+        level = desk.value(rtpu, written).values[0]
         return now.cycle != first and not now.stale and level != -1.0
 
-    wait_for(steady, "news of src", 20.0)
-    assert desk.value("arm1", "Z0").writer == "src@host-a"
+    wait_for(steady, f"news of {read}", 20.0)
+    writer = {"Z0": "src@host-a", "Z2": "sink@host-b"}[read]
+    assert desk.value(rtpu, read).writer == writer
 
 
-def wait_stable(desk):
-    """Wait until the reader's side has acted: stale input, flag, `stable`."""
-    wait_for(lambda: desk.illegal("arm1"), "the flag")
-    wait_for(lambda: desk.value("arm1", "Y1").values[0] == -1.0, "stable()")
-    wait_for(lambda: desk.value("arm1", "Z0").stale, "a stale input")
+def wait_stable(desk, rtpu):
+    """Wait until a side has acted: stale input, flag, `stable`."""
+    _, read, written = INPUTS[rtpu]
+    wait_for(lambda: desk.illegal(rtpu), f"the flag at {rtpu}")
+    wait_for(lambda: desk.value(rtpu, written).values[0] == -1.0, "stable()")
+    wait_for(lambda: desk.value(rtpu, read).stale, "a stale input")
+
+
+def wait_healed(desk):
+    """Wait until all is well on both sides, and no process is left over."""
+    for rtpu in RTPUS:
+        wait_for(lambda r=rtpu: not desk.illegal(r), f"healing of {rtpu}", 20.0)
+        wait_steady(desk, rtpu)
+    desk.lab.wait_no_orphans()
 
 
 @pytest.mark.parametrize("how", [Lan.cut, Lan.mute])
 def test_a_cable_is_pulled_and_plugged_in_again(cell, lan, how):
     """Or it carries nothing any more, and neither end is told."""
     how(lan, "a", "b")
-    wait_stable(cell)
-    lost = "host host-a is out of sight; nobody writes Z0"
-    wait_for(lambda: lost in cell.illegal("arm1"), "the agent's own cause")
+    for rtpu in RTPUS:
+        wait_stable(cell, rtpu)
+    for rtpu, host, lost in (("arm1", "host-a", "Y2 Z0"), ("arm0", "host-b", "Z2")):
+        cause = f"host {host} is out of sight; nobody writes {lost}"
+        wait_for(lambda r=rtpu, c=cause: c in cell.illegal(r), "the agent's own cause")
     lan.heal("a", "b")
-    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
-    wait_steady(cell)
+    wait_healed(cell)
     assert cell.status("arm0", "src").state == "ON"
 
 
@@ -87,7 +118,7 @@ def test_a_split_in_which_both_sides_write(cell, lan, lab):
     wait_for(lambda: "out of sight" in cell.illegal("arm1"), "the flag")
     cell.spawn("arm1", "two", "counts", out="Z0")
     cell.on("arm1", "two")
-    wait_for(lambda: not cell.illegal("arm1"), "a writer on this side", 20.0)
+    wait_for(lambda: "Z0" not in cell.illegal("arm1"), "a writer on this side", 20.0)
     lan.heal("a", "b")
     fight = "Z0 is written on two machines"
     wait_for(lambda: fight in cell.illegal("arm1"), "the fight on b", 20.0)
@@ -96,117 +127,146 @@ def test_a_split_in_which_both_sides_write(cell, lan, lab):
     assert cell.value("arm0", "Z0").writer == "src"
     assert cell.value("arm1", "Z0").writer == "two"
     cell.off("arm1", "two")
-    wait_for(lambda: not cell.illegal("arm1"), "healing on b", 20.0)
-    wait_for(lambda: not cell.illegal("arm0"), "healing on a", 20.0)
-    wait_steady(cell)
+    wait_healed(cell)
 
 
-@pytest.mark.skipif(bool(SLOW), reason=SLOW or "it can be")
-def test_a_slow_cable_is_no_loss(cell, lan):
+def test_a_slow_cable_is_no_loss(cell, lan, lab):
     """News come late and are as old as they are; nobody is out of sight."""
-    lan.slow("a", "b", "40ms")
+    lan.slow("a", "b", 0.04)
     try:
-        wait_for(lambda: cell.value("arm1", "Z0").age > 0.04, "late news")
-        wait_steady(cell)
-        assert not cell.illegal("arm1")
+        wait_for(lambda: trip(lab) > 0.07, "round trips that take their time", 20.0)
+        first = cell.value("arm1", "Z0")
+        late = [first]
+        while late[-1].cycle < first.cycle + 100:
+            late.append(cell.value("arm1", "Z0"))
+        assert min(one.age for one in late) > 0.02
+        for rtpu in RTPUS:
+            wait_steady(cell, rtpu)
+            assert "out of sight" not in cell.illegal(rtpu)
     finally:
-        lan.slow("a", "b", "")
+        lan.quick()
+    wait_healed(cell)
+    wait_for(lambda: cell.value("arm1", "Z0").age < 0.02, "news in time", 20.0)
 
 
-def test_the_agent_of_the_writer_is_killed(cell, lab):
+def trip(lab):
+    """Return how long a message from arm1 to arm0 and back takes at best."""
+    report = lab.client("b").call("arm1", m.Links(), m.LinkReport)
+    return min((way.trip for way in report.ways), default=0.0)
+
+
+def test_the_agent_of_the_writer_is_killed(cell, lab, runs):
     rtpu = lab.info("arm0", "b").rtpu_pid
     lab.kill("arm0")
-    wait_stable(cell)
+    wait_stable(cell, "arm1")
     assert alive(rtpu)  # control goes on without its agent
-    lab.start("arm0", "a", grace=30.0)
-    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
-    wait_steady(cell)
+    lab.start("arm0", "a", grace=GRACE, runs=runs)
+    wait_healed(cell)
     assert lab.info("arm0", "b").rtpu_pid == rtpu
 
 
 def test_the_agent_of_the_reader_is_killed(cell, lab):
     """Its RTPU process sees that nobody brings the variable, and says so at once."""
+    rtpu = lab.info("arm1", "b").rtpu_pid
+    cell.host = "a"
     lab.kill("arm1")
-    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=30.0)
+    wait_stable(cell, "arm0")
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")], grace=GRACE)
     lab.wait_all()
-    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
-    wait_steady(cell)
-    assert lab_events(cell, "arm1", "AGENT_GONE")
+    wait_healed(cell)
+    assert cell.events("arm1", "AGENT_GONE")
+    assert lab.info("arm1", "b").rtpu_pid == rtpu
 
 
-def lab_events(desk, rtpu, code):
-    found = desk.ask(rtpu, m.Events(), list[m.Event])
-    return [event.text for event in found if event.code == code]
-
-
-def test_the_rtpu_process_of_the_writer_is_killed(cell, lab):
+@pytest.mark.parametrize(("lost", "other"), [RTPUS, RTPUS[::-1]])
+def test_an_rtpu_process_is_killed(cell, lab, lost, other):
     """Its tasks turn themselves off and end; nothing of them is left."""
-    info = lab.info("arm0", "b")
-    task = cell.status("arm0", "src").tid
+    info = lab.info(lost)
+    tasks = [task.tid for task in cell.look(lost, m.Status(), m.RtpuStatus).tasks]
+    fork_server = fork_server_of(info.rtpu_pid)
     os.kill(info.rtpu_pid, signal.SIGKILL)
-    wait_stable(cell)
-    wait_for(lambda: not alive(task), "the end of src")
+    wait_stable(cell, other)
+    for pid in (*tasks, fork_server):
+        wait_for(lambda p=pid: not alive(p), "the end of its tasks")
+    restarted = wait_for(
+        lambda: (now := lab.info(lost)).rtpu_pid not in {0, info.rtpu_pid} and now,
+        "another RTPU process",
+        20.0,
+    )
+    assert restarted.pid == info.pid
+    lab.wait_no_orphans()
 
 
-def test_processes_of_the_writer_are_killed_in_turn(cell, lab):
-    """Its recorder, the task itself, its fork server: both sides act, and all heals."""
-    rtpu = lab.info("arm0", "b").rtpu_pid
+@pytest.mark.parametrize(("lost", "other"), [RTPUS, RTPUS[::-1]])
+def test_processes_are_killed_in_turn(cell, lab, lost, other):
+    """A task, and the fork server of its RTPU: both sides act, and all heals."""
+    rtpu, task = lab.info(lost).rtpu_pid, {"arm0": "src", "arm1": "sink"}[lost]
+    os.kill(cell.status(lost, task).tid, signal.SIGKILL)
+    wait_stable(cell, other)
+    lab.wait_no_orphans()
+    bring_back(cell, lost, task)
+    wait_healed(cell)
+    tasks = [one.tid for one in cell.look(lost, m.Status(), m.RtpuStatus).tasks]
+    os.kill(fork_server_of(rtpu), signal.SIGKILL)
+    wait_stable(cell, other)
+    for pid in tasks:
+        wait_for(lambda p=pid: not alive(p), "the end of its tasks")
+    lab.wait_no_orphans()
+    for name in {"arm0": ("src", "back"), "arm1": ("sink",)}[lost]:
+        bring_back(cell, lost, name)
+    wait_healed(cell)
+    assert cell.events(lost, "FORK_SERVER_DIED")
+    assert lab.info(lost).rtpu_pid == rtpu
+
+
+def test_the_recorder_is_killed(cell, lab):
+    """Another one goes on, and control is not touched."""
     cell.ask("arm0", m.Record(run="lost"), m.Recorded)
     (recorder,) = lab.processes("a", "pbonet.node.recorder")
     os.kill(recorder, signal.SIGKILL)
-    wait_for(lambda: lab_events(cell, "arm0", "RECORDER_DIED"), "news of its end")
+    wait_for(lambda: cell.events("arm0", "RECORDER_DIED"), "news of its end")
     wait_for(lambda: lab.processes("a", "pbonet.node.recorder"), "another recorder")
-    wait_steady(cell)
-    assert not cell.illegal("arm1")
+    wait_healed(cell)
     cell.ask("arm0", m.Record(mode="off"), m.Recorded)
-    os.kill(cell.status("arm0", "src").tid, signal.SIGKILL)
-    wait_stable(cell)
-    bring_back(cell)
-    task = cell.status("arm0", "src").tid
-    os.kill(fork_server_of(rtpu), signal.SIGKILL)
-    wait_stable(cell)
-    bring_back(cell)
-    assert not alive(task)
-    assert lab_events(cell, "arm0", "FORK_SERVER_DIED")
-    assert lab.info("arm0", "b").rtpu_pid == rtpu
 
 
-def bring_back(cell):
-    """Spawn src once more, and wait until all is well."""
-    wait_for(lambda: cell.status("arm0", "src").state == "NOT-CREATED", "its end")
-    cell.spawn("arm0", "src", "counts", out="Z0")
-    cell.on("arm0", "src")
-    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
-    wait_steady(cell)
+def bring_back(desk, rtpu, task):
+    """Spawn a task once more, and turn it on."""
+    wait_for(lambda: desk.status(rtpu, task).state == "NOT-CREATED", "its end")
+    if task == "src":
+        desk.spawn(rtpu, task, "counts", out="Z0")
+    else:
+        spawn_critical(desk, rtpu)
+    desk.on(rtpu, task)
 
 
-def test_another_agent_of_the_machine_carries_on(lab):
+def test_another_agent_of_the_machine_carries_on(pair, runs):
     """Two agents on one machine: the one that carries the table is killed."""
-    lab.start("arm1", "b")
-    to_b = [lab.endpoint("b", "a")]
-    for name in ("arm0", "arm2"):
-        lab.start(name, "a", connect=to_b, listen=(), grace=30.0)
-    lab.wait_all()
-    cell = Desk(lab, "cell", ("arm0", "arm1", "arm2"), host="b")
-    cell.spawn("arm0", "src", "counts", out="Z0")
-    cell.on("arm0", "src")
-    wait_for(lambda: carried(cell, "arm0"), "the first agent to carry it")
-    assert not carried(cell, "arm2")
-    lab.kill("arm0")
-    wait_for(lambda: carried(cell, "arm2"), "the second agent to carry it")
-    wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
-    before = cell.value("arm1", "Z0").cycle
-    wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src")
-    assert not cell.value("arm1", "Z0").stale
-    lab.start("arm0", "a", connect=to_b, listen=(), grace=30.0)
-    lab.wait_reached("arm0", "b")
-    assert not carried(cell, "arm0")
-    cell.close()
+    more = {"connect": [pair.endpoint("b", "a")], "listen": (), "grace": GRACE}
+    pair.start("arm2", "a", **more)
+    pair.wait_all()
+    with contextlib.ExitStack() as after:
+        after.callback(pair.stop, "arm2")
+        cell = Desk(pair, "cell", ("arm0", "arm1", "arm2"), host="b")
+        after.callback(cell.close)
+        cell.spawn("arm0", "src", "counts", out="Z0")
+        cell.on("arm0", "src")
+        wait_for(lambda: carried(cell, "arm0"), "the first agent to carry it")
+        assert not carried(cell, "arm2")
+        pair.kill("arm0")
+        wait_for(lambda: carried(cell, "arm2"), "the second agent to carry it")
+        wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+        before = cell.value("arm1", "Z0").cycle
+        wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src")
+        assert not cell.value("arm1", "Z0").stale
+        pair.start("arm0", "a", grace=GRACE, runs=runs)
+        pair.wait_reached("arm0", "b")
+        assert not carried(cell, "arm0")
 
 
 def carried(cell, rtpu):
     """Return what an RTPU's agent has carried from other machines."""
-    return cell.ask(rtpu, m.Links(), m.LinkReport).tables
+    return cell.look(rtpu, m.Links(), m.LinkReport).tables
 
 
 def test_a_master_that_vanishes_changes_nothing(cell, lab):
@@ -217,19 +277,14 @@ def test_a_master_that_vanishes_changes_nothing(cell, lab):
     assert not cell.illegal("arm1")
 
 
-def test_an_agent_that_stays_away_leaves_everything_off(lan):
+def test_an_agent_that_stays_away_leaves_everything_off(own_lab):
     """The grace ends, `off` runs, and no process is left on its machine."""
-    lab = Lab(lan)
-    try:
-        lab.start("arm0", "a", grace=0.3)
-        desk = Desk(lab, "cell", ("arm0",))
-        diary = lab.run_dirs["a"].parent / f"{lab.domain}.diary"
-        desk.spawn("arm0", "src", "counts", out="Y0", local={"diary": diary})
-        desk.on("arm0", "src")
-        lab.kill("arm0")
-        folder = str(lab.run_dirs["a"])
-        wait_for(lambda: not processes_of("PBONET_RUN_DIR", folder), "the end", 20.0)
-        assert "off" in diary.read_text()
-        diary.unlink()
-    finally:
-        lab.close()
+    own_lab.start("arm0", "a", grace=0.3)
+    desk = Desk(own_lab, "cell", ("arm0",))
+    diary = own_lab.run_dirs["a"].parent / f"{own_lab.domain}.diary"
+    desk.spawn("arm0", "src", "counts", out="Y0", local={"diary": diary})
+    desk.on("arm0", "src")
+    own_lab.kill("arm0")
+    wait_for(lambda: not own_lab.orphans(), "the end of all", 20.0)
+    assert "off" in diary.read_text()
+    diary.unlink()
