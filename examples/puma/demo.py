@@ -56,8 +56,8 @@ def tracking(recording: Cycles) -> tuple[Floats, Floats, Floats, Floats]:
     return time[both], reference, measured[both], measured[both] - reference
 
 
-def missed(release_ns: NDArray[np.int64], period_ns: float) -> int:
-    """Return how many releases have no cycle."""
+def without_cycle(release_ns: NDArray[np.int64], period_ns: float) -> int:
+    """Return how many releases have no cycle, where nobody counted: in a simulation."""
     return int(np.sum(np.round(np.diff(release_ns) / period_ns) - 1))
 
 
@@ -67,6 +67,7 @@ def task_table(recording: Cycles) -> list[str]:
         "task        cycles    Hz  missed  stable | CPU us/cycle    p99    max"
         " | start us p50    p99    max"
     ]
+    counted = recording.missed()
     for task in recording.tasks:
         cycles = recording.arrays(task)
         release = cycles["release_ns"]
@@ -76,9 +77,10 @@ def task_table(recording: Cycles) -> list[str]:
         cpu = cycles["cpu_ns"] / 1e3
         late = (cycles["start_ns"] - release) / 1e3
         stable = int(np.sum(cycles["flags"] & STABLE != 0))
+        missed = counted.get(task, without_cycle(release, period))
         lines.append(
             f"{task:10s} {len(release):7d} {1e9 / period:5.0f} "
-            f"{missed(release, period):7d} {stable:7d} | "
+            f"{missed:7d} {stable:7d} | "
             f"{cpu.mean():12.1f} {np.percentile(cpu, 99):6.0f} {cpu.max():6.0f} | "
             f"{np.percentile(late, 50):12.1f} {np.percentile(late, 99):6.0f} "
             f"{late.max():6.0f}"

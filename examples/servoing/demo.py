@@ -105,11 +105,13 @@ def tracking(recording: Cycles) -> tuple[Floats, Floats, Floats]:
 
 
 def missed(result: Result) -> dict[str, tuple[int, int]]:
-    """Return how many cycles each task that stayed has missed.
+    """Return how many cycles each task that stayed has missed, as its RTPU counted.
 
-    The second number is of those within `AROUND` of a swap.
+    The second number is of those within `AROUND` of a swap, by the distances of cycles;
+    so is the first in a simulation, where nobody counts.
     """
     recording, lost = result.recording, dict[str, tuple[int, int]]()
+    counted = recording.missed()
     for task in recording.tasks:
         release: NDArray[np.int64] = recording.arrays(task)["release_ns"]
         if task in {*INVERSE, *DAMPED} or len(release) < 2:  # noqa: PLR2004 - no interval
@@ -119,7 +121,8 @@ def missed(result: Result) -> dict[str, tuple[int, int]]:
         time = (release[1:] - recording.begin_ns) * 1e-9
         swaps = np.array(result.swaps)
         near = (np.abs(time[:, None] - swaps) <= AROUND).any(axis=1)
-        lost[task] = int(np.sum(each)), int(np.sum(each[near]))
+        total = counted.get(task, int(np.sum(each)))
+        lost[task] = total, int(np.sum(each[near]))
     return lost
 
 

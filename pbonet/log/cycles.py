@@ -46,6 +46,10 @@ class Cycles(ABC):
             KeyError: There is no such task.
         """
 
+    def missed(self) -> dict[str, int]:
+        """Return how many releases each task has missed, where somebody counted."""
+        return {}
+
     def lost(self) -> dict[str, int]:
         """Return how many records of each task did not fit its ring."""
         return {}

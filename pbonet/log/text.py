@@ -9,6 +9,7 @@ import numpy as np
 from pbonet.errors import LogError
 
 from .scan import is_complete
+from .states import ON, timelines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from .cycles import Cycles
     from .reader import Log
+    from .states import Stretch
 
 JsonObject = dict[str, Any]
 
@@ -24,13 +26,16 @@ JsonObject = dict[str, Any]
 def info(log: Log) -> JsonObject:
     """Return what a log holds: files, duration, and each task's figures."""
     log.load()
-    ends = [end for part in log.parts for end in part.span_ns or ()]
-    seconds = (max(ends) - min(ends)) / 1e9 if ends else 0.0
-    lost, missed = log.lost(), log.missed()
+    spans = [part.span_ns for part in log.parts if part.span_ns]
+    begin, end = (
+        min((s[0] for s in spans), default=0),
+        max((s[1] for s in spans), default=0),
+    )
+    lost, missed, states = log.lost(), log.missed(), timelines(log)
     events = log.events()
     return {
         "about": log.about,
-        "seconds": seconds,
+        "seconds": (end - begin) / 1e9,
         "files": [
             {
                 "path": str(part.path),
@@ -43,7 +48,9 @@ def info(log: Log) -> JsonObject:
             for part in log.parts
         ],
         "tasks": {
-            task: task_info(log, task, missed.get(task)) | {"lost": lost.get(task, 0)}
+            task: task_info(log, task, missed.get(task), states.get(task, []))
+            | {"lost": lost.get(task, 0)}
+            | _over_time(states.get(task, []), begin)
             for task in log.tasks
         },
         "events": {
@@ -54,7 +61,19 @@ def info(log: Log) -> JsonObject:
     }
 
 
-def task_info(log: Log, task: str, counted: int | None) -> JsonObject:
+def _over_time(stretches: Sequence[Stretch], begin_ns: int) -> JsonObject:
+    """Return a task's states: seconds in each, and since when, of the run."""
+    total: dict[str, float] = {}
+    for one in stretches:
+        spent = (one.end_ns - one.begin_ns) * 1e-9
+        total[one.state] = total.get(one.state, 0.0) + spent
+    since = [[one.state, (one.begin_ns - begin_ns) / 1e9] for one in stretches]
+    return {"states": total, "timeline": since}
+
+
+def task_info(
+    log: Log, task: str, counted: int | None, stretches: Sequence[Stretch]
+) -> JsonObject:
     """Return what a log holds of one task.
 
     Args:
@@ -62,13 +81,14 @@ def task_info(log: Log, task: str, counted: int | None) -> JsonObject:
         task: The task.
         counted: Missed releases as its RTPU counted them; without, they are guessed
             from the distances of its cycles.
+        stretches: Its states over time, where they are known.
     """
     about, arrays = log.task_about(task), log.arrays(task)
     releases = arrays["release_ns"]
     gaps = np.diff(releases)
     period = float(np.median(gaps)) if len(gaps) else 0.0
     missed = np.maximum(np.round(gaps / period) - 1, 0) if period else np.zeros(0)
-    breaks = missed > _BREAK
+    away = (missed > _BREAK) | _not_on(log, task, releases, stretches)
     delays = (arrays["start_ns"] - releases) * 1e-9
     return {
         "module": about.module,
@@ -76,8 +96,10 @@ def task_info(log: Log, task: str, counted: int | None) -> JsonObject:
         "lives": len(log.lives(task)),
         "cycles": len(releases),
         "hz": 1e9 / period if period else 0.0,
-        "missed": int(missed[~breaks].sum()) if counted is None else counted,
-        "pauses": int(breaks.sum()),
+        "freq": about.freq,
+        "missed": int(missed[~away].sum()) if counted is None else counted,
+        "gaps": int((np.diff(arrays["cycle"]) > 1).sum()),
+        "longest": float(gaps[~away].max(initial=0)) * 1e-9,
         "jitter_max": float(delays.max()) if len(delays) else 0.0,
         "variables": log.variables(task),
     }
@@ -85,6 +107,19 @@ def task_info(log: Log, task: str, counted: int | None) -> JsonObject:
 
 _BREAK = 1000
 """A gap of more periods than this is taken for a time in which the task was OFF."""
+
+
+def _not_on(
+    log: Log, task: str, releases: NDArray[Any], stretches: Sequence[Stretch]
+) -> NDArray[np.bool_]:
+    """Tell of each distance of two releases whether the task was not ON in between."""
+    found = np.zeros(max(len(releases) - 1, 0), bool)
+    epoch = log.lives(task)[-1].epoch_ns
+    for one in stretches:
+        if one.state != ON:
+            begin, end = one.begin_ns - epoch, one.end_ns - epoch
+            found |= (releases[:-1] < end) & (releases[1:] > begin)
+    return found
 
 
 def info_text(data: JsonObject) -> str:
@@ -104,15 +139,39 @@ def info_text(data: JsonObject) -> str:
             f"{file['messages']} messages in {file['chunks']} chunks{damaged}, {state}"
         )
     head = f"{'task':<16}{'rtpu':<10}{'cycles':>9}{'Hz':>9}{'missed':>8}{'lost':>7}"
-    lines += ["", f"{head}  variables"]
+    lines += ["", f"{head}{'gaps':>6}{'longest':>11}  variables"]
     for name, task in data["tasks"].items():
         row = f"{name:<16}{task['rtpu']:<10}{task['cycles']:>9}{task['hz']:>9.1f}"
-        row += f"{task['missed']:>8}{task['lost']:>7}"
+        row += f"{task['missed']:>8}{task['lost']:>7}{task['gaps']:>6}"
+        row += f"{1e3 * task['longest']:>8.2f} ms"
         lines.append(f"{row}  {' '.join(task['variables'])}")
+    lines += _states_text(data["tasks"])
     if data["events"]:
         counts = ", ".join(f"{count} {code}" for code, count in data["events"].items())
         lines += ["", f"events: {counts}"]
     return "\n".join(lines)
+
+
+_CHANGES = 8
+"""Changes of a task's state that `info_text` shows."""
+
+
+def _states_text(tasks: JsonObject) -> list[str]:
+    """Return the tasks' states as lines: seconds in each, and since when."""
+    known = {name: task for name, task in tasks.items() if task["states"]}
+    if not known:
+        return []
+    states = ("ON", "OFF", "ERROR")
+    head = "".join(f"{f's {state}':>10}" for state in states)
+    lines = ["", f"{'task':<16}{head}  since s of the run"]
+    for name, task in known.items():
+        spent = [task["states"].get(state) for state in states]
+        row = "".join(f"{'-' if s is None else f'{s:.2f}':>10}" for s in spent)
+        since = [f"{at:.2f} {state}" for state, at in task["timeline"][:_CHANGES]]
+        if (more := len(task["timeline"]) - _CHANGES) > 0:
+            since.append(f"and {more} more")
+        lines.append(f"{name:<16}{row}  {', '.join(since)}")
+    return lines
 
 
 def columns(log: Cycles, task: str, names: Sequence[str] = ()) -> JsonObject:

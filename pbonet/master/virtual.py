@@ -70,6 +70,8 @@ class VirtualRtpus(Simulation):
             )
             for name in self._turns
         }
+        for log in self._logs.values():
+            log.state_of = lambda _, task: self.states().get(task, State.NOT_CREATED)
         self._signals: dict[str, dict[str, int]] = {}
         self._writers: dict[str, str] = {}
         self._masks: dict[str, list[str]] = {}

@@ -43,6 +43,8 @@ class EventLog:
         self._next = 1
         self._counts: Counter[tuple[str, str, str]] = Counter()
         self.publish: Callable[[Event], None] | None = None
+        self.state_of: Callable[[str, str], str] | None = None
+        """Tells the state of a subsystem's task."""
 
     @property
     def next(self) -> int:
@@ -78,6 +80,7 @@ class EventLog:
             bits=bits,
             errnum=errnum,
             place=place,
+            state=self.state_of(subsystem, task) if task and self.state_of else "",
             text=text,
         )
         self._next += 1

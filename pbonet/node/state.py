@@ -68,6 +68,7 @@ class Rtpu:
     ) -> None:
         self.config = config
         self.events = events
+        events.state_of = self._state_of
         self.places = places
         self.name = config.name
         self.slot_owner = f"{config.domain}/{config.name}"
@@ -193,6 +194,10 @@ class Rtpu:
         running.add_done_callback(self._chores.discard)
 
     # -- tasks -------------------------------------------------------------------------
+
+    def _state_of(self, subsystem: str, name: str) -> str:
+        task = self.tasks.get((subsystem, name))
+        return State.NOT_CREATED if task is None else task.state
 
     def of(self, subsystem: str) -> list[Task]:
         """Return the tasks of a subsystem, in the order in which they were spawned."""

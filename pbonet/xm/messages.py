@@ -403,6 +403,8 @@ class Event(Struct, kw_only=True):
     """The number that the module gave the error or warning, 0 for none."""
     place: str = ""
     """Where in the module's code it happened, ``file:line in method``, if known."""
+    state: str = ""
+    """The task's state when it happened, of what is about a task."""
     text: str
 
 

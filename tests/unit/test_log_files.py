@@ -276,22 +276,3 @@ def test_runs_are_compared_by_variable(tmp_path) -> None:
     (row,) = text.diff(one, Log(tmp_path / "c.mcap"))
     assert (row["task"], row["variable"], row["first"]) == ("pid", "Y", 12)
     assert "12" in text.diff_text([row])
-
-
-def test_missed_releases_are_those_that_were_counted(tmp_path) -> None:
-    """A gap need not be a miss: the rate may have changed, or the task was OFF."""
-    writer = LogWriter(tmp_path / "run.mcap", run())
-    number = writer.add_task(about("pid", PLAIN))
-    sim = writer.add_task(about("sim", PLAIN))
-    data = group(PLAIN, random.Random(1))[0]
-    for n, release in enumerate((0, 10, 20, 40, 60, 80)):
-        for one in (number, sim):
-            writer.add(one, record(data, cycle=n + 1, release_ns=release * 10**6))
-    told = [(2, 0), (5, 3), (6, 3), (1, 0), (4, 2)]  # spawned twice
-    for n, (ran, missed) in enumerate(told):
-        counts = {"cycles": ran, "missed": missed}
-        writer.add_status(n, {"tasks": {"pid": counts}})
-    writer.close()
-    tasks = text.info(Log(tmp_path))["tasks"]
-    assert tasks["pid"]["missed"] == 5
-    assert tasks["sim"]["missed"] == 0  # nobody counted: the usual distance is 20

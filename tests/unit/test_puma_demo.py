@@ -41,10 +41,15 @@ def test_error_is_that_of_the_newest_reference(demo: ModuleType, file: Path) -> 
     assert np.diff(steps).min() == 10, "a staircase of 50 Hz in steps of 500 Hz"
 
 
-def test_missed_cycles_are_counted(demo: ModuleType) -> None:
+def test_missed_cycles_are_those_that_were_counted(
+    demo: ModuleType, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     release = np.array([0, 2, 4, 10, 12, 16], dtype=np.int64) * 1_000_000
-    assert demo.missed(release, 2e6) == 3
-    assert demo.missed(release[:3], 2e6) == 0
+    assert demo.without_cycle(release, 2e6) == 3
+    assert demo.without_cycle(release[:3], 2e6) == 0
+    monkeypatch.setattr(Log, "missed", lambda _: {"qrdiff": 17})
+    words = [line.split() for line in demo.task_table(Log(file))[1:]]
+    assert {w[0]: w[3] for w in words if w[3] != "0"} == {"qrdiff": "17"}
 
 
 def test_tables_say_what_ran(demo: ModuleType, file: Path) -> None:

@@ -112,9 +112,16 @@ def test_missed_cycles_are_counted_and_those_at_a_swap_apart(demo: ModuleType) -
         begin_ns = 0
         tasks = ("damped_ls", "servo", "once")
 
+        def __init__(self, **counted: int) -> None:
+            self.counted = counted
+
+        def missed(self) -> dict[str, int]:
+            return self.counted
+
         def arrays(self, task: str) -> dict[str, np.ndarray]:
             release = {"damped_ls": [500, 900], "servo": [0, 10, 20, 50, 60, 70, 480,
                        490, 520, 530], "once": [0]}[task]  # fmt: skip
             return {"release_ns": np.array(release) * 1_000_000}
 
     assert demo.missed(demo.Result("", Fake())) == {"servo": (2 + 40 + 2, 42)}
+    assert demo.missed(demo.Result("", Fake(servo=50))) == {"servo": (50, 42)}

@@ -1,0 +1,56 @@
+"""The states of tasks over time, as the events of a log tell them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+
+import msgspec
+
+if TYPE_CHECKING:
+    from .reader import Log
+
+GONE: Final = "NOT-CREATED"
+ON: Final = "ON"
+
+
+class Stretch(NamedTuple):
+    """A time in which a task was in one state; nanoseconds since 1970."""
+
+    state: str
+    begin_ns: int
+    end_ns: int
+
+
+def timelines(log: Log) -> dict[str, list[Stretch]]:
+    """Return the states of each task, one behind the other, by name.
+
+    A task's first state is that behind its first event on record; its last one goes on
+    to the end of the log. A simulation has no events.
+    """
+    changes: dict[str, list[tuple[str, int]]] = {}
+    homes: dict[str, str] = {}
+    for one in log.messages("json", "/events"):
+        event = cast("dict[str, Any]", msgspec.json.decode(one.data)["event"])
+        task, state = event.get("task", ""), event.get("state", "")
+        if task and state:
+            homes[task] = event["rtpu"]
+            changes.setdefault(task, []).append((state, one.time_ns))
+        elif event["code"] == "STOPPED":
+            for name, rtpu in homes.items():
+                if rtpu == event["rtpu"]:
+                    changes[name].append((GONE, one.time_ns))
+    spans = [part.span_ns for part in log.parts]
+    end = max((span[1] for span in spans if span), default=0)
+    return {task: _stretches(found, end) for task, found in changes.items()}
+
+
+def _stretches(changes: list[tuple[str, int]], end_ns: int) -> list[Stretch]:
+    """Return what lies between the changes that are some."""
+    found: list[Stretch] = []
+    for state, at in changes:
+        if found and found[-1].state == state:
+            continue
+        if found:
+            found[-1] = found[-1]._replace(end_ns=at)
+        found.append(Stretch(state, at, end_ns))
+    return found
