@@ -63,12 +63,20 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     return news;
 }
 
-/* The first release of a task that arms now. A fallback makes up for a cycle that was
- * lost, where there is time for it; everybody else begins on the grid. */
+/* The first release of a task that arms now: a fallback's at once, for a cycle was lost;
+ * everybody else begins on the grid. */
 static inline int64_t rt_first(const struct rt_state *s, int64_t now, int replaces)
 {
     int64_t grid = (now + RT_LEAD_NS + s->period - 1) / s->period * s->period;
-    return replaces && grid - now > s->period / 2 ? now : grid;
+    return replaces ? now : grid;
+}
+
+/* The release behind another one: the next point of the grid that is more than half a
+ * period away. So a first release in the second half of a period stands for the point
+ * that it comes before, and nobody has two cycles in little more than none. */
+static inline int64_t rt_following(const struct rt_state *s, int64_t release)
+{
+    return ((release + s->period / 2) / s->period + 1) * s->period;
 }
 
 static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
@@ -244,7 +252,7 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     }
     s->ready = 1;
     s->missed += missed;
-    s->next_ns = (release / s->period + 1) * s->period;
+    s->next_ns = rt_following(s, release);
     rt_emit(t, RT_RELEASE, i, 0, release, s->dl_ns);
     if (missed)
         rt_emit(t, RT_MISS, i, (uint32_t)missed, 0, 0);

@@ -88,6 +88,8 @@ class Host:
         self._waiting_outside = False
         self.heir_of: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
+        self._engaged = b""
+        """What it says when it has come on, made beforehand: its first cycle waits."""
         self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         for which in (signal.SIGTERM, signal.SIGINT):
@@ -216,7 +218,7 @@ class Host:
     def _engage(self) -> None:
         """Come on, because others have ended; nobody has sent the signal."""
         failed: PbonetError | None = None
-        after, self.heir_of = self.heir_of, []
+        self.heir_of = []
         self.time.turned_on()
         try:
             with self.journal.doing(Did("on")):
@@ -227,12 +229,13 @@ class Host:
             self.local.heir_of([])
         if self.executor.state is State.ON:
             self.slot.arm()
-        else:
-            self._after_signal()
+            self.voice.send("ENGAGED", self._engaged)
+            return
+        self._after_signal()
         self.voice.notice(
             Severity.ERROR if failed else Severity.INFO,
             "ENGAGED",
-            f"in the place of {' and '.join(after)}: {failed or self.executor.state}",
+            str(failed or self.executor.state),
             state=self.executor.state,
             error=failed,
         )
@@ -421,6 +424,14 @@ class Host:
             self.local.heir_of([])
             raise
         self.heir_of = after
+        self._engaged = wire.encode(
+            wire.Notice(
+                severity=int(Severity.INFO),
+                code="ENGAGED",
+                text=f"in the place of {' and '.join(after)}",
+                state=State.ON,
+            )
+        )
 
     def _after_signal(self) -> None:
         """Bring the slot in line with the state."""

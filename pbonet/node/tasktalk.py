@@ -162,6 +162,13 @@ class Voice:
         names = " ".join(signal_names(notice.bits, self.own))
         return f"{names}: {notice.text}" if notice.text else names
 
+    def send(self, code: str, data: bytes) -> None:
+        """Tell what was encoded beforehand; what was lost is told the next time."""
+        try:
+            self.sock.send(data, socket.MSG_DONTWAIT)
+        except OSError:
+            self._lost[code] += 1
+
     def _post(self, notice: wire.Notice) -> None:
         notice.lost = dict(self._lost)
         try:

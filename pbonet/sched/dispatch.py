@@ -16,7 +16,8 @@ The rules (`docs/realtime.md` gives the reasons):
 - Failures and reserves are watched as `pbonet.sched.watch` says, behind the releases.
 - A task that stands by is engaged, that is, granted its `on`, when one of the tasks
   that it is the fallback of has fallen, or all that hand over to it are off. A fallback
-  that comes on with more than half a period left has its first release at once.
+  has its first release at once, as a cycle was lost, and its next one on the first
+  point of the grid that is more than half a period away.
 - Ready tasks are ranked by urgency and hold FIFO levels in that order. Under ``park``
   only the most urgent one is let run.
 """
@@ -195,8 +196,7 @@ class Dispatcher:
         state.armed = True
         if state.kind == Kind.PERIODIC:
             grid = -(-(now + LEAD_NS) // state.period) * state.period
-            early = replaces and grid - now > state.period // 2
-            state.next_ns = now if early else grid
+            state.next_ns = now if replaces else grid
             return
         state.ready, state.rel_ns, state.dl_ns = True, now, NEVER
         state.event_ns, state.left, state.mark = now, state.maxc, -1

@@ -230,7 +230,7 @@ class Watch:
             state.rel_ns = release
         state.ready, state.dl_ns = True, release + (state.deadline or period)
         state.missed += missed
-        state.next_ns = (release // period + 1) * period
+        state.next_ns = ((release + period // 2) // period + 1) * period
         self._decide(Event.RELEASE, self.slot, 0, release, state.dl_ns)
         if missed:
             self._decide(Event.MISS, self.slot, missed)
