@@ -35,6 +35,18 @@ UNITS none
 NELEM 2
 MAXAGE 0.2
 
+NAME TALLY
+TYPE double
+DESC what a reader of a link has judged
+UNITS none
+NELEM 8
+
+NAME MASS
+TYPE double
+DESC a constant
+UNITS kg
+NELEM 1
+
 EOF
 """
 
@@ -56,13 +68,26 @@ class Desk:
         self.epochs: dict[str, int] = {}
         key = keys.master(lab.domain, subsystem, self.name)
         self.token = lab.session(host).liveliness().declare_token(key)
-        text = svar().replace("\nEOF\n", AGED)
+        self._text = svar().replace("\nEOF\n", AGED)
         for rtpu in self.rtpus:
-            self.epochs[rtpu] = self.ask(rtpu, m.Claim(), m.Claimed).epoch
+            self.claim(rtpu)
         for rtpu in self.rtpus:
-            keep = rtpu == self.rtpus[0]
-            request = m.OpenTable(svar=text, svar_name="t.svar", keep=keep)
-            self.ask(rtpu, request, m.TableInfo)
+            self.open(rtpu)
+
+    def claim(self, rtpu):
+        self.epochs[rtpu] = self.ask(rtpu, m.Claim(), m.Claimed).epoch
+
+    def open(self, rtpu):
+        """Open the table on an RTPU's machine."""
+        keep = rtpu == self.rtpus[0]
+        request = m.OpenTable(svar=self._text, svar_name="t.svar", keep=keep)
+        self.ask(rtpu, request, m.TableInfo)
+
+    def join(self, rtpu):
+        """Have one more RTPU take part."""
+        self.rtpus.append(rtpu)
+        self.claim(rtpu)
+        self.open(rtpu)
 
     def ask(self, rtpu, request, result=object, *, limit=10.0, host=None):
         session = self.lab.session(host or self.host)
@@ -71,8 +96,8 @@ class Desk:
         request.epoch = self.epochs.get(rtpu, 0)
         return client.call(rtpu, request, result, timeout=limit)
 
-    def spawn(self, rtpu, task, module, **settings):
-        text = rmod(module, **settings)
+    def spawn(self, rtpu, task, module, *, gives="none", **settings):
+        text = rmod(module, **settings).replace("OUTCONST none", f"OUTCONST {gives}")
         request = m.Spawn(task=task, rmod=text, rmod_name=f"{task}.rmod")
         return self.ask(rtpu, request, m.TaskStatus)
 

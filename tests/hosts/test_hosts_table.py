@@ -62,6 +62,88 @@ def test_what_the_operator_sets_is_everywhere(cell):
         assert cell.value(rtpu, "X").values == [7.0, 8.0]
 
 
+def test_a_variable_is_carried_at_its_rate(cell):
+    """Written 200 times a second, carried 5 times, and told again twice a second."""
+    cell.spawn("arm0", "slow", "counts", out="Z1")
+    cell.on("arm0", "slow")
+    wait_for(lambda: cell.value("arm2", "Z1").cycle, "news")
+    first, before = cell.value("arm0", "Z1").cycle, carried(cell)
+    wait_for(lambda: cell.value("arm0", "Z1").cycle >= first + 300, "cycles")
+    after, last = carried(cell), cell.value("arm0", "Z1").cycle
+    commits, written = after.commits - before.commits, last - first
+    assert written / 80 <= commits <= written / 40 + written / 100 + 3
+    assert abs(commits + after.gaps - before.gaps - written) <= 80
+
+
+def carried(cell):
+    """Return what arm2's machine has got from arm0's."""
+    report = cell.look("arm2", m.Links(), m.LinkReport)
+    (news,) = [one for one in report.tables if one.host == "host-a"]
+    return news
+
+
+def test_who_comes_later_is_brought_up_to_date(lab):
+    """Values, constants, what an operator has set, the flag; and a master gets events."""
+    cell = Desk(lab, "cell", ("arm0", "arm1"))
+    try:
+        cell.spawn("arm0", "src", "counts", out="Y0")
+        cell.spawn("arm1", "lab", "gives", out="", gives="MASS", local={"mass": 2.5})
+        cell.on("arm0", "src")
+        cell.write("X", [7.0, 8.0])
+        cell.flag("arm1", "no hand on the wheel", up=True)
+        cell.join("arm2")
+        assert cell.value("arm2", "MASS").values == [2.5]
+        assert cell.value("arm2", "MASS").writer == "lab@host-b"
+        assert cell.value("arm2", "X").values == [7.0, 8.0]
+        assert cell.value("arm2", "Y0").writer == "src@host-a"
+        assert "no hand on the wheel" in cell.illegal("arm2")
+        first = cell.value("arm2", "Y0").cycle
+        wait_for(lambda: cell.value("arm2", "Y0").cycle > first, "news of src")
+        later = lab.client("c").call("arm0", m.Events(), list[m.Event])
+        assert [e.task for e in later if e.code == "STATE"], later
+    finally:
+        cell.close()
+
+
+def test_a_link_between_tasks_at_1_khz(cell, lab, lan):
+    """Each record is new, in order and as old as it says; each that is lost is counted.
+
+    The cable between the two hosts goes silent and comes back; meanwhile the agents go
+    by way of the third host.
+    """
+    khz = {"freq": 1000.0, "local": {"link": "cell:beat"}}
+    cell.spawn("arm0", "beat", "beats", out="Y0", **khz)
+    cell.spawn("arm2", "ear", "hears_beats", out="TALLY", **khz)
+    cell.on("arm0", "beat")
+    cell.on("arm2", "ear")
+    taken(cell, 1000)
+    lan.mute("a", "c")
+    try:
+        wait_for(lambda: tally(cell)["age"] > 0.2, "an old record")
+    finally:
+        lan.heal("a", "c")
+    silent = tally(cell)
+    wait_for(lambda: tally(cell)["lost"] > silent["lost"] + 100, "a gap", 20.0)
+    end = taken(cell, silent["taken"] + 500)
+    assert end["wrong"] == end["restarts"] == 0
+    assert end["taken"] + end["lost"] == end["last"] - end["first"] + 1
+    assert end["aged"] > 0.9 * end["taken"]
+    lab.wait_all()
+
+
+def tally(cell):
+    """Return what `hears_beats` has counted."""
+    names = ("first", "last", "taken", "lost", "wrong", "aged", "restarts", "age")
+    return dict(zip(names, cell.value("arm2", "TALLY").values, strict=True))
+
+
+def taken(cell, count):
+    """Wait until so many records have come."""
+    return wait_for(
+        lambda: (now := tally(cell))["taken"] >= count and now, "records", 20.0
+    )
+
+
 def test_a_swap_between_machines(cell):
     """When `off` is answered the others know, and `on` elsewhere is not refused."""
     cell.spawn("arm0", "one", "counts", out="Y0")
