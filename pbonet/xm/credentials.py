@@ -6,15 +6,23 @@ copies to a machine. `pbonet keys` makes it.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING, Final, cast
 
 from pbonet.errors import ConfigFileError
+
+if TYPE_CHECKING:
+    import ssl
 
 FILES = CA, CERT, KEY = "ca.pem", "cert.pem", "key.pem"
 VARIABLE = "PBONET_KEYS"
 """Names the key folder of masters and tools."""
+_RUN_OUT: Final = 10
+_NOT_YET: Final = 9
+"""Numbers that OpenSSL gives to certificates out of their time."""
 
 
 class Role(StrEnum):
@@ -64,3 +72,88 @@ def check(folder: Path) -> Path:
             remedy=f"chmod 600 {folder / KEY}",
         )
     return folder
+
+
+def prove(folder: Path, role: Role | None = None) -> None:
+    """Make sure that others will take the keys of `folder` for good.
+
+    Its certificate is shown to its own authority, as it will be to other machines.
+    A session with bad keys would only find that nobody answers.
+
+    Args:
+        folder: A key folder.
+        role: Whose it must be; anybody's if left out.
+
+    Raises:
+        ConfigFileError: A file is missing or damaged, the certificate has run out, is
+            not the authority's, or is that of another role.
+    """
+    import ssl
+
+    check(folder)
+    try:
+        common = _shown(*(folder / name for name in FILES))
+    except ssl.SSLCertVerificationError as error:
+        raise _refused(folder, error) from None
+    except ssl.SSLError as error:
+        raise ConfigFileError(
+            "the files of this key folder do not belong together",
+            where=str(folder),
+            expected=f"{CERT}, its {KEY}, and the {CA} of who signed it",
+            got=error.reason or str(error),
+            remedy="copy the whole folder that `pbonet keys` has made",
+        ) from None
+    if role and common != role.common_name:
+        raise ConfigFileError(
+            "these keys are for another role",
+            where=str(folder / CERT),
+            expected=role,
+            got=common.removeprefix("pbonet-"),
+            remedy=f"`pbonet keys {role} NAME` makes the right ones",
+        )
+
+
+def _shown(ca: Path, cert: Path, key: Path) -> str:
+    """Show a certificate to its authority, and return its common name."""
+    import ssl
+
+    judge = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    judge.verify_mode = ssl.CERT_REQUIRED
+    judge.load_verify_locations(ca)
+    holder = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    holder.check_hostname = False
+    holder.verify_mode = ssl.CERT_NONE  # who judges has no other certificate to show
+    for context in (judge, holder):
+        context.load_cert_chain(cert, key, password="")
+    here, there = ssl.MemoryBIO(), ssl.MemoryBIO()
+    shows = holder.wrap_bio(here, there)
+    sees = judge.wrap_bio(there, here, server_side=True)
+    for side in (shows, sees, shows, sees):
+        with contextlib.suppress(ssl.SSLWantReadError):
+            side.do_handshake()
+    found = (sees.getpeercert() or {}).get("subject", ())
+    subject = cast("tuple[tuple[tuple[str, str], ...], ...]", found)
+    return dict(pair for part in subject for pair in part).get("commonName", "")
+
+
+def _refused(folder: Path, error: ssl.SSLCertVerificationError) -> ConfigFileError:
+    """Return what is said of a certificate that its authority does not take."""
+    what, remedy = {
+        _RUN_OUT: (
+            "the certificate has run out",
+            "`pbonet keys agent|master|observer NAME` makes another",
+        ),
+        _NOT_YET: (
+            "the certificate is not good yet",
+            "set the clock of this machine, or of the one that made it",
+        ),
+    }.get(
+        error.verify_code,
+        (
+            "the certificate was not signed by the authority beside it",
+            "copy the whole folder that `pbonet keys` has made",
+        ),
+    )
+    return ConfigFileError(
+        what, where=str(folder / CERT), got=error.verify_message, remedy=remedy
+    )

@@ -290,6 +290,8 @@ def _config(
         },
         "queries_default_timeout": 2000,
     }
+    if key_folder:
+        credentials.prove(key_folder, credentials.Role.AGENT if listen else None)
     if listen is not None:
         settings["listen"] = listen
         if key_folder:
@@ -299,7 +301,6 @@ def _config(
 
 def _tls(folder: Path) -> dict[str, object]:
     """Return the settings of links with the keys of `folder`, and of no others."""
-    credentials.check(folder)
     ca, cert, key = (str(folder / name) for name in credentials.FILES)
     return {
         "protocols": ["tls", access.LOCAL],

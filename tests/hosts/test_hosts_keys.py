@@ -1,6 +1,9 @@
-"""A table and a link between machines over mutual TLS, and a cable that is pulled."""
+"""Machines over mutual TLS: a table, a link, a cable that is pulled, and wrong keys."""
 
 from __future__ import annotations
+
+import json
+import time
 
 import pytest
 from hostfleet import Desk
@@ -8,24 +11,56 @@ from hostkit import Lab
 from tbuf_rig import READER, WRITER, flows
 from watching import wait_for
 
+from pbonet.xm import keys as names
 from pbonet.xm import pki
-from pbonet.xm.credentials import Role
+from pbonet.xm.credentials import CA, CERT, KEY, Role
+
+STRANGER = """
+import json, sys, zenoh
+from pbonet.xm import keys, session
+told = json.loads(sys.argv[1])
+link, domain = zenoh.open(zenoh.Config.from_json5(told["config"])), told["domain"]
+token = link.liveliness().declare_token(keys.rtpu(domain, "fake", "alive"))
+asked = []
+queryable = link.declare_queryable(keys.rtpu(domain, "fake", "sbs"), asked.append)
+print("ready", flush=True)
+for line in sys.stdin:
+    steer = link.get(keys.rtpu(domain, "arm0", "sbs"), timeout=0.5)
+    print(json.dumps({
+        "names": session.rtpus(link, domain), "links": len(link.info.links()),
+        "answers": len(list(steer)), "asked": len(asked),
+    }), flush=True)
+"""
+"""A router that says nothing of its keys itself: it shows an agent, and asks others."""
 
 
-@pytest.fixture
-def lab(lan, tmp_path):
-    """Two hosts whose agents have keys of one authority."""
-    authority = tmp_path / "lab"
-    pki.make_authority(authority)
-    keys = {
-        host: pki.issue(
-            authority, Role.AGENT, f"agent-{host}", hosts=[lan[host].address(peer)]
-        )
-        for host, peer in (("a", "b"), ("b", "a"))
-    }
-    lan.heal_all()
-    made = Lab(lan, keys=keys)
+@pytest.fixture(scope="module")
+def folders(lan, tmp_path_factory):
+    """Key folders of two laboratories, by what is the matter with them."""
+    made = {}
+    for where in ("lab", "other"):
+        authority = tmp_path_factory.mktemp(where)
+        pki.make_authority(authority)
+
+        def issue(role, name, where=where, authority=authority, **more):
+            made[f"{where} {name}"] = pki.issue(authority, role, name, **more)
+
+        for host, peers in (("a", "bc"), ("b", "ac"), ("c", "ab")):
+            hosts = [lan[host].address(peer) for peer in peers]
+            issue(Role.AGENT, host, hosts=hosts)
+        issue(Role.OBSERVER, "observer")
+        issue(Role.AGENT, "old", hosts=[lan["c"].address("a")], days=-0.01)
+    return made
+
+
+@pytest.fixture(scope="module")
+def lab(lan, folders):
+    """Hosts a and b, whose agents have keys of one authority."""
+    made = Lab(lan, keys={host: folders[f"lab {host}"] for host in "abc"})
     try:
+        made.start("arm0", "a")
+        made.start("arm1", "b", connect=[made.endpoint("a", "b")])
+        made.wait_all()
         yield made
     finally:
         lan.heal_all()
@@ -33,9 +68,6 @@ def lab(lan, tmp_path):
 
 
 def test_a_table_and_a_link(lab, lan):
-    lab.start("arm0", "a")
-    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")])
-    lab.wait_all()
     assert lab.info("arm1", "a").dials == [f"tls/{lan['a'].address('b')}:{lab.port}"]
     cell = Desk(lab, "cell", ("arm0", "arm1"), host="b")
     cell.spawn("arm0", "src", "counts", out="Z0")
@@ -66,3 +98,81 @@ def comes(cell):
         lambda: (now := cell.value("arm1", "Z0")).cycle > before and now, "news", 20.0
     )
     assert found.writer == "src@host-a"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("lab old", "the certificate has run out"),
+        ("lab observer", "these keys are for another role (expected agent, got obser"),
+    ],
+)
+def test_an_agent_says_what_is_wrong_with_its_keys(lab, folders, keys, said):
+    words = ("agent", "--name", "arm2", "--connect", lab.endpoint("a", "c"))
+    got = lab.cli("c", *words, "--keys", str(folders[keys]))
+    assert got.returncode == 1
+    assert said in got.stderr
+    assert str(folders[keys]) in got.stderr
+
+
+def test_an_agent_of_another_authority_stays_alone(lab, folders):
+    """It dials, and is dialled, and neither sees the other."""
+    lab.keys["c"] = folders["other c"]
+    try:
+        both = [lab.endpoint("a", "c"), lab.endpoint("b", "c")]
+        lab.start("arm2", "c", connect=both)
+        refused(lab, "c", ["arm2"])
+    finally:
+        lab.stop("arm2")
+        lab.keys["c"] = folders["lab c"]
+
+
+def refused(lab, host, own):
+    """Make sure that a host sees its own agents alone, and is not seen."""
+    begin = time.monotonic()
+    while time.monotonic() < begin + 1.0:  # it dials again and again
+        assert lab.seen(host) == own
+        assert lab.seen("a") == ["arm0", "arm1"]
+
+
+@pytest.mark.parametrize("keys", ["lab old", "lab observer", "other c"])
+def test_a_router_whose_keys_are_no_agents(lab, folders, keys):
+    """An observer's sees names, what it passes on is dropped; others get no link."""
+    settings = router(lab.endpoint("a", "c"), folders[keys])
+    stranger = lab.program("c", STRANGER, config=settings)
+    try:
+        if keys == "lab observer":
+            wait_for(lambda: "arm1" in stranger.look()["names"], "its link", 20.0)
+        for _ in range(3):
+            found = stranger.look()
+            assert lab.seen("a") == lab.seen("b") == ["arm0", "arm1"]
+            assert found["answers"] == 0
+            if keys != "lab observer":
+                assert found["names"] == ["fake"]
+                assert not found["links"]
+        fake = names.rtpu(lab.domain, "fake", "sbs")
+        assert not list(lab.session("a").get(fake, timeout=0.5))
+        assert stranger.look()["asked"] == 0
+    finally:
+        stranger.kill()
+
+
+def router(endpoint, folder):
+    """Return zenoh's settings of a router that uses a key folder."""
+    ca, cert, key = (str(folder / name) for name in (CA, CERT, KEY))
+    return json.dumps({
+        "mode": "router",
+        "connect": {"endpoints": [endpoint], "exit_on_failure": False},
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "link": {
+                "tls": {
+                    "root_ca_certificate": ca,
+                    "enable_mtls": True,
+                    "connect_certificate": cert,
+                    "connect_private_key": key,
+                }
+            },
+        },
+    })

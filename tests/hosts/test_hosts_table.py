@@ -83,7 +83,7 @@ def carried(cell):
 
 
 def test_who_comes_later_is_brought_up_to_date(lab):
-    """Values, constants, what an operator has set, the flag; and a master gets events."""
+    """Values, constants, what an operator has set, the flag; a master gets events."""
     cell = Desk(lab, "cell", ("arm0", "arm1"))
     try:
         cell.spawn("arm0", "src", "counts", out="Y0")

@@ -1,5 +1,6 @@
 """Key folders: made, read, and refused when they cannot be used."""
 
+import datetime as dt
 import stat
 import subprocess
 
@@ -75,6 +76,61 @@ def test_folder_without_a_file_is_none(lab, missing):
         credentials.check(folder)
     assert str(caught.value).startswith(f"{folder}/{missing}: this is no key folder")
     assert "pbonet keys" in caught.value.remedy
+
+
+def refusal(folder, role=None):
+    """Return what is said of keys that nobody would take."""
+    with pytest.raises(ConfigFileError) as caught:
+        credentials.prove(folder, role)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("role", Role)
+def test_good_keys_are_proved(lab, role):
+    folder = pki.issue(lab, role, "anna", hosts=["h"])
+    credentials.prove(folder)
+    credentials.prove(folder, role)
+
+
+def test_a_certificate_that_has_run_out_is_told(lab):
+    folder = pki.issue(lab, Role.MASTER, "anna", days=-0.01)
+    assert refusal(folder) == (
+        f"{folder}/cert.pem: the certificate has run out (got certificate has expired);"
+        " `pbonet keys agent|master|observer NAME` makes another"
+    )
+    assert pki.read(folder).days < 0  # and is still shown
+
+
+def test_a_certificate_of_tomorrow_is_told(lab, monkeypatch):
+    monkeypatch.setattr(pki, "_EARLY", dt.timedelta(hours=-1))
+    folder = pki.issue(lab, Role.MASTER, "anna")
+    assert "not good yet" in refusal(folder)
+    assert "set the clock" in refusal(folder)
+
+
+def test_files_of_two_folders_are_told(lab, tmp_path):
+    anna, bert = (pki.issue(lab, Role.MASTER, name) for name in ("anna", "bert"))
+    (anna / "key.pem").write_bytes((bert / "key.pem").read_bytes())
+    assert "do not belong together (expected cert.pem, its key.pem" in refusal(anna)
+    pki.make_authority(tmp_path / "other")
+    (bert / "ca.pem").write_bytes((tmp_path / "other" / "ca.pem").read_bytes())
+    assert "not signed by the authority beside it" in refusal(bert)
+
+
+@pytest.mark.parametrize("name", credentials.FILES)
+def test_a_file_that_is_none_is_told(lab, name):
+    folder = pki.issue(lab, Role.MASTER, "anna")
+    (folder / name).write_text("what is this?")
+    assert "do not belong together" in refusal(folder)
+
+
+@pytest.mark.parametrize("role", [Role.MASTER, Role.OBSERVER])
+def test_an_agent_takes_no_other_keys(lab, role):
+    folder = pki.issue(lab, role, "anna")
+    assert refusal(folder, Role.AGENT) == (
+        f"{folder}/cert.pem: these keys are for another role (expected agent, got "
+        f"{role}); `pbonet keys agent NAME` makes the right ones"
+    )
 
 
 def test_nothing_is_written_over(lab):
