@@ -348,8 +348,9 @@ class StateError(TaskError):
 class MethodError(TaskError):
     """A method of the module raised an exception.
 
-    `number` is what the module gave ``fail()``, 0 for none; `place` is the line of the
-    module, ``file:line in method``. Neither travels: events have them.
+    `number` is what the module gave ``fail()``, 1 for any other error of a method, and
+    0 for what was raised elsewhere; `place` is the line of the module, ``file:line in
+    method``. Neither travels: events have them.
     """
 
     code = "METHOD"

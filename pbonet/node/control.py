@@ -9,6 +9,7 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import (
+    MethodError,
     NoAnswerError,
     PbonetError,
     Severity,
@@ -149,6 +150,9 @@ def note(
         f"{event}: {task.state}" + (f": {error}" if error else ""),
         subsystem=task.facts.subsystem,
         task=task.name,
+        cycle=rtpu.cycle_of(task),
+        errnum=error.number if isinstance(error, MethodError) else 0,
+        place=error.place if isinstance(error, MethodError) else "",
     )
 
 

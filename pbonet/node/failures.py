@@ -6,7 +6,7 @@ import traceback
 from typing import TYPE_CHECKING, TypeGuard
 
 from pbonet.errors import MethodError, PbonetError, SvarError
-from pbonet.pbo import Answer, Recovery, TaskFailure, place_of
+from pbonet.pbo import Answer, Recovery, TaskFailure, number_of, place_of
 
 if TYPE_CHECKING:
     from .lifecycle import Outcome, Rule, Step
@@ -130,7 +130,7 @@ def method_error(error: Raised, method: str, task: str) -> MethodError:
     """Return what a method raised as the error of the task, with its parts kept."""
     told = _method_error(error, f"{task}.{method}")
     cause = error.error if isinstance(error, TaskFailure) else error
-    told.number = cause.number if isinstance(cause, MethodError) else 0
+    told.number = number_of(cause)
     told.place = place_of(cause)
     return told
 

@@ -281,6 +281,13 @@ class Rtpu:
         made.stands_by = bool(task.stands_by)
         return made
 
+    def cycle_of(self, task: Task) -> int:
+        """Return how many cycles a task has completed since it was turned on."""
+        if task.last_status is not None:  # its slot may be another one's
+            return task.last_status.cycle
+        slot = self.core.snapshot(task.facts.slot)
+        return slot.cycles - slot.on_cycles
+
     def watch_life(self, task: Task) -> None:
         """Have the task's death, or its going to ERROR, known at once."""
         opened = self.tables.get(task.facts.subsystem)

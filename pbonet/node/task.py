@@ -22,7 +22,7 @@ import msgspec
 from pbonet.config import parse_rmod
 from pbonet.config.library import Library
 from pbonet.config.model import TaskType
-from pbonet.errors import PbonetError, RealTimeError, Severity
+from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did
 from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
 from pbonet.svar import Table
@@ -454,7 +454,10 @@ class Host:
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
         wired = error.to_wire() if error else None
         state = self.executor.state.value
-        self.voice.say(wire.Done(n=n, state=state, result=result, error=wired))
+        done = wire.Done(n=n, state=state, result=result, error=wired)
+        if isinstance(error, MethodError):
+            done.errnum, done.place = error.number, error.place
+        self.voice.say(done)
 
     # -- death -------------------------------------------------------------------------
 

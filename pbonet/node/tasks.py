@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from pbonet.errors import NoAnswerError, Severity, StateError, TaskDiedError, TaskError
+from pbonet.errors import (
+    MethodError,
+    NoAnswerError,
+    PbonetError,
+    Severity,
+    StateError,
+    TaskDiedError,
+    TaskError,
+)
 from pbonet.pbo import State
 
 from . import wire
@@ -29,7 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.config.model import Rmod
-    from pbonet.errors import PbonetError
     from pbonet.xm.messages import TaskStatus
 
     from .spawner import Child
@@ -353,9 +360,10 @@ class Task:
 
 def error_of(done: wire.Done) -> PbonetError:
     """Return the error of an answer as an exception."""
-    from pbonet.errors import PbonetError
-
-    return PbonetError.from_wire(done.error or {})
+    error = PbonetError.from_wire(done.error or {})
+    if isinstance(error, MethodError):
+        error.number, error.place = done.errnum, done.place
+    return error
 
 
 def crash_place(trace: str) -> str:

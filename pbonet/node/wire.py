@@ -287,6 +287,10 @@ class Done(Struct, tag="done", kw_only=True):
     state: str
     result: Any = None
     error: WireError | None = None
+    errnum: int = 0
+    """The number of an error of the module."""
+    place: str = ""
+    """Where it happened in the module's code."""
     lost: dict[str, int] = {}
     """Notices that found no room since the last message, by code."""
 

@@ -17,7 +17,7 @@ from ._describe import (
     render,
     source_version,
 )
-from ._handling import ErrorScope, Handling, Jump, place_of
+from ._handling import ErrorScope, Handling, Jump, number_of, place_of
 from ._object import METHODS, Interface, PortBasedObject, interface
 from ._param import Param, param
 from ._params import (
@@ -112,6 +112,7 @@ __all__ = [
     "local_text",
     "make_params",
     "memory",
+    "number_of",
     "param",
     "params_type",
     "place_of",

@@ -10,7 +10,37 @@ import pytest
 from nodekit import svar
 from watching import wait_for
 
-from pbonet.errors import Severity
+from pbonet.errors import MethodError, Severity
+
+NUMBERED = """
+    from typing import Annotated as A
+
+    from pbonet import Answer, OutVar, PortBasedObject, Vector
+
+
+    class Numbered(PortBasedObject):
+        '''Warns in its fourth cycle, fails in its fifth, and comes on once.'''
+
+        y: A[Vector, OutVar("Y", "2", "none", "nothing")]
+
+        def init(self) -> None:
+            self._been_on = False
+
+        def on(self) -> None:
+            if self._been_on:
+                raise ValueError("not twice")
+            self._been_on = True
+
+        def clear(self) -> Answer:
+            return Answer.OFF
+
+        def cycle(self, dt: float) -> None:
+            done = self.task.cyclecount
+            if done == 3:
+                self.task.warn(f"in {done}", 13)
+            elif done == 4:
+                self.task.fail(f"too hot in {done}", 42)
+"""
 
 
 def place(event):
@@ -55,8 +85,28 @@ def test_by_default_the_task_is_in_error_with_its_line(arm):
     assert event.severity == Severity.ERROR
     assert event.text == "a.cycle: no encoder: ERROR"
     assert place(event) == ("handles.py", "cycle")
+    assert (event.cycle, event.errnum) == (0, 1), "none completed, none given"
     assert arm.status("a").state == "ERROR"
     arm.wait_cycles("good", 10)
+
+
+def test_the_number_and_the_cycle_of_an_error(arm, nodes):
+    """The module's own number, and what it read as its cycle count."""
+    nodes.write_module("numbered", NUMBERED)
+    arm.spawn("a", "numbered")
+    arm.on("a")
+    warning = arm.wait_event("WARNING", "a")
+    assert (warning.cycle, warning.errnum, warning.text) == (3, 13, "in 3")
+    failed = arm.wait_event("METHOD", "a")
+    assert (failed.cycle, failed.errnum) == (4, 42)
+    assert failed.text == "a.cycle: too hot in 4: ERROR"
+    assert arm.status("a").cycle == 4
+    arm.control("a", "clear")
+    error = arm.refused(MethodError, arm.on, "a")
+    assert "a.on: ValueError: not twice" in str(error)
+    (refused,) = arm.events("SIGNAL_FAILED", "a")
+    assert refused.errnum == 1
+    assert place(refused) == ("numbered.py", "on")
 
 
 def test_a_crash_in_native_code_has_a_line_too(arm):
