@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING
 from pbonet.config.types import numpy_type
 from pbonet.config.words import MAX_NAME
 
+from .records import Code, Problem, Severity
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from .records import Configuration, Task
 
+BY_AGE = "join_first"
+"""The connector that takes an input for valid while it is not too old."""
 CONNECTORS = ("join_average", "join_first", "join_max", "join_min")
 """The join connectors of the library: `Z1` and `Z2` in, `Z` out, all of them double."""
 
@@ -47,6 +51,32 @@ def _chain(names: Sequence[str], variable: str, links: int) -> list[str]:
         lines.append(f"SVARALIAS Z1={first}, SVARALIAS Z2={second}, SVARALIAS Z={out}")
         first = out
     return lines
+
+
+def check_ages(configuration: Configuration) -> Iterator[Problem]:
+    """Yield inputs that a connector takes for valid even when nobody writes them.
+
+    Only the last connector of a chain may go on with a value of any age, its Z2: there
+    is nothing to fall back to behind it.
+    """
+    for task in configuration.tasks:
+        if task.rmod.module != BY_AGE:
+            continue
+        variable = task.rmod.svar_name("Z1")
+        known = configuration.table.get(variable)
+        if known is None or known.maxage is not None:
+            continue
+        yield Problem(
+            code=Code.NO_MAXAGE,
+            severity=Severity.WARN,
+            what=f"{variable} has no MAXAGE, so {task.name} takes it for valid even "
+            "when nobody writes it any more, and never falls back for that",
+            where=task.place("INVAR"),
+            remedy=f"write MAXAGE and seconds under NAME {variable} in the .svar file",
+            tasks=(task.name,),
+            ports=("Z1",),
+            variables=(variable,),
+        )
 
 
 def intermediate(variable: str, count: int) -> list[str]:

@@ -14,6 +14,7 @@ from msgspec import Struct, structs
 
 from pbonet.errors import VerificationError, did_you_mean
 
+from .joins import check_ages
 from .order import check_initialization
 from .parts import check_task
 from .records import Code, Configuration, Problem, Severity, Task
@@ -104,6 +105,7 @@ def check(configuration: Configuration) -> list[Problem]:
         check_writers,
         check_readers,
         check_constants,
+        check_ages,
         check_initialization,
         check_loads,
         check_traffic,

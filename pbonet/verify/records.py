@@ -60,6 +60,8 @@ class Code(StrEnum):
     """A server is larger than the tasks below it allow."""
     NOT_GUARANTEED = "not-guaranteed"
     """Some deadlines may be missed."""
+    NO_MAXAGE = "no-maxage"
+    """A join connector that goes by age reads a variable that never grows old."""
     RATE = "rate"
     """A frequency is outside MINFREQ and MAXFREQ."""
     BANDWIDTH = "bandwidth"

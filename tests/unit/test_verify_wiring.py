@@ -3,13 +3,14 @@
 import re
 
 import pytest
+from msgspec import structs
 from verify_parts import configuration, task, texts
 
 from pbonet import verify
 from pbonet.config.library import Library
 from pbonet.config.model import Variable
 from pbonet.errors import VerificationError
-from pbonet.verify.joins import CONNECTORS
+from pbonet.verify.joins import BY_AGE, CONNECTORS
 
 
 def test_the_pid_joint_control_of_figure_3_7_is_legal() -> None:
@@ -228,3 +229,32 @@ def test_several_faults_are_one_error() -> None:
         f"2 faults make the configuration illegal:\n1. {first}\n2. {second}"
     )
     assert str(verify.as_error(problems[:1])) == first
+
+
+def first_of(*variables, **alias):
+    """A join_first of X1 and X2, in a table with these variables."""
+    names = {"Z1": "X1", "Z2": "X2", "Z": "X"} | alias
+    one = task("join", invar="Z1 Z2", outvar="Z", alias=names)
+    one = structs.replace(one, rmod=structs.replace(one.rmod, module=BY_AGE))
+    others = (task("a", outvar="X1"), task("b", outvar="X2"))
+    return configuration(one, *others, variables=variables)
+
+
+def test_what_goes_by_age_needs_a_variable_that_grows_old() -> None:
+    (problem,) = verify.check(first_of())
+    assert problem.severity is verify.Severity.WARN
+    assert verify.as_text(problem) == (
+        "join.rmod: X1 has no MAXAGE, so join takes it for valid even when nobody "
+        "writes it any more, and never falls back for that; write MAXAGE and seconds "
+        "under NAME X1 in the .svar file"
+    )
+    assert (problem.tasks, problem.variables) == (("join",), ("X1",))
+
+
+def test_with_a_maxage_or_another_connector_there_is_nothing_to_say() -> None:
+    aged = Variable(name="X1", type="double", maxage=0.1)
+    assert verify.check(first_of(aged)) == []
+    config = first_of()
+    (one, *others) = config.tasks
+    one = structs.replace(one, rmod=structs.replace(one.rmod, module="join_max"))
+    assert verify.check(structs.replace(config, tasks=(one, *others))) == []
