@@ -61,7 +61,9 @@ class Lab:
         address = self.lan[host].address(seen_from, six=six)
         return f"{self.protocol}/{f'[{address}]' if six else address}:{self.port}"
 
-    def start(self, name, host, *, connect=(), listen=None, wait=True, **more):
+    def start(
+        self, name, host, *, connect=(), listen=None, wait=True, code=AGENT, **more
+    ):
         """Start an agent on a host; it listens on every address unless told."""
         more = {"core": CORE, "grace": 1.0, "domain": self.domain, **more}
         if self.keys:
@@ -77,7 +79,7 @@ class Lab:
         )
         text = msgspec.json.encode(config).decode()
         process = subprocess.Popen(
-            self.lan[host].command(sys.executable, "-c", AGENT, text),
+            self.lan[host].command(sys.executable, "-c", code, text),
             env=self.environment(host),
         )
         self.agents[name] = (host, process)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 from hostkit import PORT
-from nodekit import alive
+from nodekit import AGENT, alive
 from watching import wait_for
 
+import pbonet
 from pbonet.errors import PbonetError, ProtocolError
 from pbonet.xm import dialling, session
 from pbonet.xm import messages as m
@@ -147,6 +148,31 @@ def test_an_old_version_is_told(lab):
     assert "version 1" in text
     assert "version 0" in text
     assert "run the same pbonet version on every machine" in text
+
+
+TELLS = "from types import SimpleNamespace as Namespace\nfrom pbonet.node import agent"
+
+
+def test_doctor_tells_agents_of_other_versions(lab):
+    """One of an older release, and one that speaks another protocol."""
+    older = f"{TELLS}\nagent.pbonet = Namespace(__version__='0.0.1')\n{AGENT}"
+    newer = f"from pbonet.xm import codec\ncodec.VERSION = 2\n{AGENT}"
+    for name, code in (("older", older), ("newer", newer)):
+        lab.start(name, "b", listen=(), wait=False, code=code)
+    try:
+        lab.wait_all()
+        got = lab.cli("a", "doctor")
+    finally:
+        for name in ("older", "newer"):
+            lab.stop(name)
+    lines = got.stdout.splitlines()
+    (old,) = [line for line in lines if "older runs pbonet 0.0.1" in line]
+    (new,) = [line for line in lines if line.startswith("FAIL newer: ")]
+    assert old.startswith("WARN")
+    assert f"this is {pbonet.__version__}" in old
+    assert "another protocol version" in new
+    for line in (old, new):
+        assert "run the same" in line
 
 
 def test_nothing_beyond_the_machine_without_being_told(own_lab):
