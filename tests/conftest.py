@@ -56,6 +56,21 @@ def run_dir(monkeypatch):
 
 
 @pytest.fixture
+def call(capsys):
+    """Run a command line in this process; return status, output, errors."""
+
+    from pbonet.cli import main
+
+    def run(*argv):
+        with pytest.raises(SystemExit) as caught:
+            main([str(word) for word in argv])
+        told = capsys.readouterr()
+        return caught.value.code or 0, told.out, told.err
+
+    return run
+
+
+@pytest.fixture
 def nodes(monkeypatch, tmp_path):
     """Real agents in a domain of their own; see `nodekit.Nodes`."""
     from nodekit import Nodes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated as A
 
@@ -18,14 +19,17 @@ File = A[
 Out = A[Path, typer.Option("--out", "-o", help="The new file.")]
 
 
-def _written(out: Path, json_: bool, messages: int | None = None) -> None:
+def _written(
+    out: Path, json_: bool, messages: int | None = None, clocks: Sequence[str] = ()
+) -> None:
     import msgspec
 
     if json_:
-        data = {"file": str(out), "messages": messages}
+        data = {"file": str(out), "messages": messages, "clocks": clocks}
         print(msgspec.json.encode(data).decode())
     else:
         print(out if messages is None else f"{out}: {messages} messages")
+        print("\n".join(clocks), end="\n" * bool(clocks))
 
 
 @command.callback()
@@ -161,7 +165,10 @@ def merge(
     """Make one log of several, ordered by time."""
     from pbonet.log.rewrite import merge as do
 
-    _written(out, json_, do(files, out))
+    done = do(files, out)
+    _written(
+        out, json_, done.messages, [str(one) for one in done.clocks if one.matters]
+    )
 
 
 @command.command("recover")

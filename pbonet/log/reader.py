@@ -12,9 +12,10 @@ import numpy as np
 
 from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 
+from .clocks import common
 from .cycles import COLUMNS, Cycles
 from .part import Part
-from .records import Attached, Step, TaskAbout
+from .records import EPOCH, Attached, Step, TaskAbout
 from .rows import Rows
 from .schema import HEAD, TaskSchema, head
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
+
+    from .clocks import Clock
 
 
 _ABOUT: Final = msgspec.json.Decoder(TaskAbout)
@@ -42,11 +45,16 @@ class Life:
         about: What it was.
         part: The file in which it begins.
         keys: Its channels of cycles and of steps there.
+        epoch_ns: What is added to CLOCK_MONOTONIC of its machine to get nanoseconds
+            since 1970, by the clock of all.
     """
 
-    def __init__(self, about: TaskAbout, part: Part, keys: tuple[int, ...]) -> None:
+    def __init__(
+        self, about: TaskAbout, part: Part, keys: tuple[int, ...], epoch_ns: int
+    ) -> None:
         self.about = about
         self.part = part
+        self.epoch_ns = epoch_ns
         self.schema = TaskSchema(about)
         self._pieces = [(part, keys)]
 
@@ -81,11 +89,6 @@ class Life:
             found += [messages[i] for i in np.argsort(places)]
         return found
 
-    @property
-    def epoch_ns(self) -> int:
-        """What is added to CLOCK_MONOTONIC to get nanoseconds since 1970."""
-        return self.part.about.epoch_ns if self.part.about else 0
-
 
 class Log(Cycles):
     """A run that was recorded.
@@ -100,7 +103,7 @@ class Log(Cycles):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.parts = sorted(map(Part, files_of(self.path)), key=_place)
+        self.parts = sorted(map(Part, files_of(self.path)), key=place_of)
         runs = {part.about.run for part in self.parts if part.about}
         if len(runs) > 1:
             raise LogError(
@@ -110,7 +113,9 @@ class Log(Cycles):
                 got=", ".join(sorted(runs)),
                 remedy="name one of the files",
             )
-        self._lives = _lives(self.parts)
+        self.clocks = common(self.parts)
+        """What brings the times of each file to those of the first one."""
+        self._lives = _lives(self.parts, self.clocks)
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         first = next((part.about for part in self.parts if part.about), None)
         self.about = msgspec.to_builtins(first) if first is not None else {}
@@ -161,6 +166,7 @@ class Log(Cycles):
         """Return the columns and variables of a task's cycles, by name.
 
         Where a task was spawned again with other out-vars, its last ones count.
+        Instants are those of the first file's machine.
 
         Raises:
             UnknownTaskError: The log has no such task.
@@ -173,7 +179,7 @@ class Log(Cycles):
                 for one in self.lives(task)
                 if (one.about.outvar, one.about.hidden) == (last.outvar, last.hidden)
             ]
-            each = [one.schema.arrays(one.commits) for one in alike]
+            each = [self._in_time(one) for one in alike]
             whole = {name: np.concatenate([a[name] for a in each]) for name in names}
             chosen = whole["kind"] == Step.CYCLE
             self._arrays[task] = {n: values[chosen] for n, values in whole.items()}
@@ -182,6 +188,31 @@ class Log(Cycles):
                     values = self._arrays[task][name].astype(np.int64)
                     self._arrays[task][name] = values
         return self._arrays[task]
+
+    def _in_time(self, life: Life) -> dict[str, NDArray[Any]]:
+        """Return what a task did, its instants by the first file's clock."""
+        arrays = life.schema.arrays(life.commits)
+        for name in ("release_ns", "start_ns", "end_ns"):
+            arrays[name] += life.epoch_ns - self.epoch_ns
+        return arrays
+
+    @property
+    def epoch_ns(self) -> int:
+        """What is added to instants to get nanoseconds since 1970."""
+        return self.clocks[0].epoch_ns
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """The least and the greatest time of a message, in nanoseconds since 1970."""
+        pairs = zip(self.parts, self.clocks, strict=True)
+        spans = [
+            (part.span_ns[0] + clock.shift_ns, part.span_ns[1] + clock.shift_ns)
+            for part, clock in pairs
+            if part.span_ns is not None
+        ]
+        if not spans:
+            return 0, 0
+        return min(span[0] for span in spans), max(span[1] for span in spans)
 
     @cached_property
     def attached(self) -> dict[str, Attached]:
@@ -197,14 +228,17 @@ class Log(Cycles):
             part.load()
 
     def messages(self, encoding: str, ending: str = "") -> Iterator[Message]:
-        """Yield the messages of an encoding by time; of topics that end so, if told."""
+        """Yield the messages of an encoding by time; of topics that end so, if told.
+
+        Times are by the clock of the first file's machine.
+        """
         found: list[tuple[int, int, int, str, bytes]] = []
         for number, part in enumerate(self.parts):
             for key, channel in part.channels.items():
                 if channel.encoding == encoding and channel.topic.endswith(ending):
-                    rows = part.rows(key)
+                    rows, shift = part.rows(key), self.clocks[number].shift_ns
                     found += [
-                        (time_ns, number, at, channel.topic, data)
+                        (time_ns + shift, number, at, channel.topic, data)
                         for time_ns, at, data in zip(
                             rows.times.tolist(),
                             rows.places.tolist(),
@@ -311,25 +345,27 @@ def log_name(file: str, part: int) -> str:
     return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
 
 
-def _place(part: Part) -> tuple[str, int, str]:
+def place_of(part: Part) -> tuple[str, int, str]:
     """Return where a file comes among those of its run."""
     if part.about is None:
         return "", 0, part.path.name
     return part.about.rtpu, part.about.part, part.path.name
 
 
-def _lives(parts: list[Part]) -> list[Life]:
+def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
     """Return the tasks of all files, spawn by spawn."""
     found: list[Life] = []
     before: list[tuple[Part, Life]] = []
-    for part in parts:
+    for part, clock in zip(parts, clocks, strict=True):
         here: list[tuple[Part, Life]] = []
         for about, keys in _tasks(part):
             life = next(
                 (one for last, one in before if _follows(part, last, about, one)), None
             )
             if life is None:
-                life = Life(about, part, keys)
+                told = part.channels[keys[0]].metadata.get(EPOCH)
+                epoch = clock.epoch_ns if told is None else int(told) + clock.shift_ns
+                life = Life(about, part, keys, epoch)
                 found.append(life)
             else:
                 life.go_on(part, keys)

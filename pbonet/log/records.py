@@ -13,6 +13,10 @@ FORMAT = 1
 """The version of what pbonet writes into its logs."""
 METADATA = "pbonet"
 """The name of the metadata record that says which run this is."""
+CLOCKS = "pbonet clocks"
+"""That of the one that says, in a merged log, what times were brought together by."""
+EPOCH = "epoch_ns"
+"""Of a task's channel in a merged log: what is added to its CLOCK_MONOTONIC."""
 
 
 class Step(IntEnum):

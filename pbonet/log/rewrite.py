@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import heapq
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pbonet.errors import LogError
 
+from .clocks import Clock, common
 from .part import Part
-from .reader import files_of
+from .reader import files_of, place_of
+from .records import CLOCKS, EPOCH
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -17,26 +19,37 @@ if TYPE_CHECKING:
     from .part import Channel, Schema
 
 
-def merge(paths: Sequence[Path], out: Path) -> int:
+class Merged(NamedTuple):
+    """What became of several logs."""
+
+    messages: int
+    clocks: list[Clock]
+    """What brought the times of each file to those of the first."""
+
+
+def merge(paths: Sequence[Path], out: Path) -> Merged:
     """Write one log with what stands in several, ordered by time.
 
     What was cut short or damaged is left out. Where channels of several files are the
-    same, the new file has one.
+    same, the new file has one. Times of other machines become those of the first
+    file's, as far as their agents measured how far their clocks were apart.
 
     Args:
         paths: Logs, or folders of runs.
         out: The new file.
 
     Returns:
-        How many messages it has.
+        How many messages it has, and by which clocks.
 
     Raises:
         LogError: One of them is no log, or the new file stands or cannot be written.
     """
-    parts = [Part(path) for one in paths for path in files_of(one)]
+    each = [Part(path) for one in paths for path in files_of(one)]
+    parts = sorted(each, key=place_of)
+    clocks = common(parts)
     try:
         with out.open("xb") as file:
-            return _write(parts, file)
+            return Merged(_write(parts, clocks, file), clocks)
     except OSError as error:
         raise LogError(
             "the log cannot be written",
@@ -55,10 +68,14 @@ def recover(path: Path, out: Path) -> int:
     Raises:
         LogError: It is no log, or the new file stands or cannot be written.
     """
-    return merge([path], out)
+    return merge([path], out).messages
 
 
-def _write(parts: Sequence[Part], file: Any) -> int:  # noqa: ANN401 - a file
+def _write(
+    parts: Sequence[Part],
+    clocks: Sequence[Clock],
+    file: Any,  # noqa: ANN401 - a file
+) -> int:
     from mcap.writer import CompressionType, Writer
 
     writer = Writer(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
@@ -66,9 +83,32 @@ def _write(parts: Sequence[Part], file: Any) -> int:  # noqa: ANN401 - a file
     for part in parts[:1]:
         for name, values in part.metadata.items():
             writer.add_metadata(name, values)
+    if len(parts) > 1:
+        names = [f"{n} {part.path.name}" for n, part in enumerate(parts, 1)]
+        told = dict(zip(names, map(str, clocks), strict=True))
+        writer.add_metadata(CLOCKS, told)
     attached = {name: one for part in parts for name, one in part.attached.items()}
     for one in attached.values():
         writer.add_attachment(0, 0, one.name, one.media_type, one.data)
+    numbers = _channels(parts, clocks, writer)
+    count = 0
+    messages = [
+        _messages(place, part, clocks[place].shift_ns)
+        for place, part in enumerate(parts)
+    ]
+    for time_ns, place, _, key, data in heapq.merge(*messages):
+        writer.add_message(numbers[place, key], time_ns, data, time_ns, count)
+        count += 1
+    cast("Any", writer).finish()
+    return count
+
+
+def _channels(
+    parts: Sequence[Part],
+    clocks: Sequence[Clock],
+    writer: Any,  # noqa: ANN401 - the library's
+) -> dict[tuple[int, int], int]:
+    """Make the channels; return their numbers by file and number there."""
     schemas: dict[Schema, int] = {}
     channels: dict[tuple[Any, ...], int] = {}
     numbers: dict[tuple[int, int], int] = {}
@@ -79,18 +119,21 @@ def _write(parts: Sequence[Part], file: Any) -> int:  # noqa: ANN401 - a file
             known = _identity(channel, place)
             if known not in channels:
                 metadata = dict(channel.metadata)
+                if channel.encoding == "cdr":
+                    metadata[EPOCH] = _epoch(metadata, clocks[place])
                 if "of" in metadata:
                     metadata["of"] = str(numbers[place, int(metadata["of"])])
                 channels[known] = writer.register_channel(
                     channel.topic, channel.encoding, schemas[channel.schema], metadata
                 )
             numbers[place, key] = channels[known]
-    count = 0
-    for time_ns, place, _, key, data in heapq.merge(*map(_messages, enumerate(parts))):
-        writer.add_message(numbers[place, key], time_ns, data, time_ns, count)
-        count += 1
-    cast("Any", writer).finish()
-    return count
+    return numbers
+
+
+def _epoch(metadata: dict[str, str], clock: Clock) -> str:
+    """Return what is added to the instants of a task in the new file."""
+    told = metadata.get(EPOCH)
+    return str(clock.epoch_ns if told is None else int(told) + clock.shift_ns)
 
 
 def _identity(channel: Channel, place: int) -> tuple[Any, ...]:
@@ -101,17 +144,16 @@ def _identity(channel: Channel, place: int) -> tuple[Any, ...]:
 
 
 def _messages(
-    numbered: tuple[int, Part],
+    number: int, part: Part, shift_ns: int
 ) -> Iterator[tuple[int, int, int, int, bytes]]:
     """Yield time, file, place and channel of each message, by place in the file.
 
     Records of one task must stay in their order, though their times may repeat; so a
     time never goes back.
     """
-    number, part = numbered
     part.load()
     rows = [
-        (at, time_ns, key, data)
+        (at, time_ns + shift_ns, key, data)
         for key in part.channels
         for at, time_ns, data in zip(
             part.rows(key).places.tolist(),

@@ -39,8 +39,7 @@ def timelines(log: Log) -> dict[str, list[Stretch]]:
             for name, rtpu in homes.items():
                 if rtpu == event["rtpu"]:
                     changes[name].append((GONE, one.time_ns))
-    spans = [part.span_ns for part in log.parts]
-    end = max((span[1] for span in spans if span), default=0)
+    _, end = log.span_ns
     return {task: _stretches(found, end) for task, found in changes.items()}
 
 

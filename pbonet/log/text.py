@@ -8,6 +8,7 @@ import numpy as np
 
 from pbonet.errors import LogError
 
+from .records import CLOCKS
 from .scan import is_complete
 from .states import ON, timelines
 
@@ -26,11 +27,7 @@ JsonObject = dict[str, Any]
 def info(log: Log) -> JsonObject:
     """Return what a log holds: files, duration, and each task's figures."""
     log.load()
-    spans = [part.span_ns for part in log.parts if part.span_ns]
-    begin, end = (
-        min((s[0] for s in spans), default=0),
-        max((s[1] for s in spans), default=0),
-    )
+    begin, end = log.span_ns
     lost, missed, states = log.lost(), log.missed(), timelines(log)
     events = log.events()
     return {
@@ -46,6 +43,20 @@ def info(log: Log) -> JsonObject:
                 "damaged": part.damaged,
             }
             for part in log.parts
+        ],
+        "clocks": [
+            {
+                "file": str(part.path),
+                **clock._asdict(),
+                "matters": clock.matters,
+                "text": str(clock),
+            }
+            for part, clock in zip(log.parts, log.clocks, strict=True)
+        ],
+        "merged": [
+            text
+            for part in log.parts
+            for text in part.metadata.get(CLOCKS, {}).values()
         ],
         "tasks": {
             task: task_info(log, task, missed.get(task), states.get(task, []))
@@ -88,7 +99,7 @@ def task_info(
     gaps = np.diff(releases)
     period = float(np.median(gaps)) if len(gaps) else 0.0
     missed = np.maximum(np.round(gaps / period) - 1, 0) if period else np.zeros(0)
-    away = (missed > _BREAK) | _not_on(log, task, releases, stretches)
+    away = (missed > _BREAK) | _not_on(releases + log.epoch_ns, stretches)
     delays = (arrays["start_ns"] - releases) * 1e-9
     return {
         "module": about.module,
@@ -109,16 +120,12 @@ _BREAK = 1000
 """A gap of more periods than this is taken for a time in which the task was OFF."""
 
 
-def _not_on(
-    log: Log, task: str, releases: NDArray[Any], stretches: Sequence[Stretch]
-) -> NDArray[np.bool_]:
+def _not_on(releases: NDArray[Any], stretches: Sequence[Stretch]) -> NDArray[np.bool_]:
     """Tell of each distance of two releases whether the task was not ON in between."""
     found = np.zeros(max(len(releases) - 1, 0), bool)
-    epoch = log.lives(task)[-1].epoch_ns
     for one in stretches:
         if one.state != ON:
-            begin, end = one.begin_ns - epoch, one.end_ns - epoch
-            found |= (releases[:-1] < end) & (releases[1:] > begin)
+            found |= (releases[:-1] < one.end_ns) & (releases[1:] > one.begin_ns)
     return found
 
 
@@ -138,6 +145,8 @@ def info_text(data: JsonObject) -> str:
             f"{file['path']}: {file['bytes'] / 1e6:.2f} MB, "
             f"{file['messages']} messages in {file['chunks']} chunks{damaged}, {state}"
         )
+    lines += [one["text"] for one in data["clocks"] if one["matters"]]
+    lines += [f"merged: {text}" for text in data["merged"]]
     head = f"{'task':<16}{'rtpu':<10}{'cycles':>9}{'Hz':>9}{'missed':>8}{'lost':>7}"
     lines += ["", f"{head}{'gaps':>6}{'longest':>11}  variables"]
     for name, task in data["tasks"].items():

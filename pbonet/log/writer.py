@@ -198,6 +198,22 @@ class LogWriter:
         time_ns = now_ns + self.about.epoch_ns
         self._put(channel, time_ns, msgspec.json.encode(status), time_ns)
 
+    def add_clocks(self, now_ns: int, clocks: dict[str, Any]) -> None:
+        """Write how far clocks of other machines were apart from this one's.
+
+        Args:
+            now_ns: When.
+            clocks: ``machine``, and ``others`` with ``rtpu``, ``machine``, and by how
+                many nanoseconds each is ahead: ``offset_ns``, ``within_ns``.
+
+        Raises:
+            OSError: No room is left.
+        """
+        schema = {"type": "object", "title": "pbonet.Clocks"}
+        channel = self._channel(f"clocks/{self.about.rtpu}", "pbonet.Clocks", schema)
+        time_ns = now_ns + self.about.epoch_ns
+        self._put(channel, time_ns, msgspec.json.encode(clocks), time_ns)
+
     def _channel(self, what: str, name: str, schema: dict[str, Any]) -> int:
         if what not in self._json:
             text = msgspec.json.encode(schema)

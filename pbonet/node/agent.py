@@ -171,7 +171,7 @@ class Agent:
             self._met_twin,
         )
         self._twins.start()
-        self._ways = Ways(self._session, self.info)
+        self._ways = Ways(self._session, self.info, self._recorders.tell)
         self._ways.start()
         self._mirrors = Mirrors(self._session, self.config.domain, self._ways.offset)
         self._mirrors.start()
@@ -374,7 +374,7 @@ class Agent:
 
     def published(self, data: bytes) -> None:
         """Publish an event, and put it on record."""
-        self._recorders.happened(data)
+        self._recorders.tell(wire.Happened(data))
         if self._server is not None:
             self._server.publish(data)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import msgspec
+from msgspec.msgpack import Decoder
 
 from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import Attached, LogWriter, TaskAbout
@@ -84,7 +85,7 @@ class Recorder:
         self._flush = self._status = 0.0
         self._told: tuple[str, int] | None = None
         self._core: _rt.CoreTable | None = None
-        self._events = msgspec.msgpack.Decoder(Event)
+        self._events = Decoder(Event)
 
     # -- rings -------------------------------------------------------------------------
 
@@ -206,7 +207,16 @@ class Recorder:
 
     # -- what else is written ----------------------------------------------------------
 
-    def happened(self, data: bytes) -> None:
+    def take(self, message: wire.ToRecorder) -> None:
+        """Take what the agent says."""
+        if isinstance(message, wire.Clocks):
+            now, clocks = time.monotonic_ns(), msgspec.to_builtins(message)
+            del clocks["type"]
+            self._files.put(lambda writer: writer.add_clocks(now, clocks))
+        else:
+            self._happened(message.data)
+
+    def _happened(self, data: bytes) -> None:
         """Take a packed event."""
         event = self._events.decode(data)
         if event.subsystem in {"", self._wanted.subsystem}:
@@ -282,7 +292,7 @@ def _add(writer: LogWriter, followed: Followed, text: bytes) -> None:
 
 
 class Pipe:
-    """Events from a pipe that may end at any time.
+    """What the agent says, from a pipe that may end at any time.
 
     Args:
         fd: Its end for reading.
@@ -292,23 +302,23 @@ class Pipe:
         self._fd = fd
         self._data = bytearray()
         self.over = False
-        self._decoder = msgspec.msgpack.Decoder(wire.Happened)
+        self._decoder: Decoder[wire.ToRecorder] = Decoder(wire.ToRecorder)
         os.set_blocking(fd, False)
 
-    def take(self, timeout: float) -> list[bytes]:
+    def take(self, timeout: float) -> list[wire.ToRecorder]:
         """Return what has come; wait for at most `timeout` seconds."""
         if select.select([self._fd], [], [], timeout)[0]:
             with contextlib.suppress(BlockingIOError):
                 part = os.read(self._fd, 1 << 20)
                 self._data += part
                 self.over = not part
-        found: list[bytes] = []
+        found: list[wire.ToRecorder] = []
         head = wire.LENGTH.size
         while len(self._data) >= head:
             (size,) = wire.LENGTH.unpack_from(self._data)
             if len(self._data) < head + size:
                 break
-            found.append(self._decoder.decode(self._data[head : head + size]).data)
+            found.append(self._decoder.decode(self._data[head : head + size]))
             del self._data[: head + size]
         return found
 
@@ -331,8 +341,8 @@ def main(argv: list[str]) -> int:
     recorder, pipe = Recorder(wanted, _tell), Pipe(sys.stdin.fileno())
     while not stop and not pipe.over:
         recorder.turn()
-        for event in pipe.take(PERIOD):
-            recorder.happened(event)
+        for message in pipe.take(PERIOD):
+            recorder.take(message)
     recorder.end()
     return 0
 

@@ -72,9 +72,9 @@ class _Child:
                 os.close(fd)
             os.set_blocking(self._events, False)
 
-    def happened(self, data: bytes) -> None:
-        """Hand an event on; a recorder that takes none is started anew."""
-        frame = wire.frame(wire.Happened(data))
+    def tell(self, message: wire.ToRecorder) -> None:
+        """Hand something on; a recorder that takes nothing is started anew."""
+        frame = wire.frame(message)
         with self._guard:
             if self._ending or self._events < 0:
                 return
@@ -179,12 +179,12 @@ class Recorders:
                 if subsystem not in self._children:
                     self._children[subsystem] = _Child(one, self._tell)
 
-    def happened(self, data: bytes) -> None:
-        """Put a packed event on record."""
+    def tell(self, message: wire.ToRecorder) -> None:
+        """Have something put on record."""
         with self._guard:
             children = list(self._children.values())
         for child in children:
-            child.happened(data)
+            child.tell(message)
 
     def stop(self) -> None:
         """Finish every log."""

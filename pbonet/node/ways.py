@@ -21,6 +21,8 @@ from pbonet.errors import PbonetError
 from pbonet.xm import codec, dialling, keys, session
 from pbonet.xm import messages as m
 
+from . import wire
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -69,11 +71,18 @@ class Ways:
     Args:
         link: The agent's session.
         me: Who the agent is.
+        tell: Takes how far clocks are apart, every second.
     """
 
-    def __init__(self, link: zenoh.Session, me: Callable[[], m.AgentInfo]) -> None:
+    def __init__(
+        self,
+        link: zenoh.Session,
+        me: Callable[[], m.AgentInfo],
+        tell: Callable[[wire.Clocks], None] | None = None,
+    ) -> None:
         self._session = link
         self._me = me
+        self._tell = tell
         self._peers: dict[str, Peer] = {}
         self._guard = threading.Lock()
         self._over = threading.Event()
@@ -135,6 +144,23 @@ class Ways:
                 self._look(self._me().name)
             except zenoh.ZError as error:
                 log.debug("the ways cannot be measured: %s", error)
+            if self._tell is not None and (others := self._apart()):
+                self._tell(wire.Clocks(self._me().machine, others))
+
+    def _apart(self) -> list[wire.Apart]:
+        """Return how far the clocks of other machines are apart from this one's."""
+        mine = self._me().machine
+        with self._guard:
+            return [
+                wire.Apart(
+                    name, info.machine, best.offset_ns, round(best.seconds * 5e8)
+                )
+                for name, peer in sorted(self._peers.items())
+                if (info := peer.info) is not None
+                and info.machine != mine
+                and (best := peer.best) is not None
+                and not peer.error
+            ]
 
     def _look(self, me: str) -> None:
         """Make one round trip to each agent that can be seen."""

@@ -149,6 +149,25 @@ class Happened(Struct, tag="happened"):
     data: bytes
 
 
+class Apart(Struct):
+    """How far the clock of another agent's machine is from this one's."""
+
+    rtpu: str
+    machine: str
+    offset_ns: int
+    """By so many nanoseconds it is ahead."""
+    within_ns: int
+    """How wrong that may be."""
+
+
+class Clocks(Struct, tag="clocks"):
+    """How far the clocks of other machines are apart from this one's."""
+
+    machine: str
+    others: list[Apart]
+
+
+ToRecorder = Happened | Clocks
 FromRecorder = Note | Recorder
 
 

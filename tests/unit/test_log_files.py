@@ -165,7 +165,7 @@ def test_logs_of_one_run_are_read_as_one_and_merged_by_time(tmp_path) -> None:
     written(tmp_path / "r" / "a1.mcap", ["b", "c"])
     both = Log(tmp_path / "r")
     assert both.tasks == ["a", "b", "c"]
-    count = merge([tmp_path / "r"], tmp_path / "one.mcap")
+    count = merge([tmp_path / "r"], tmp_path / "one.mcap").messages
     one = Log(tmp_path / "one.mcap")
     assert count == one.parts[0].count == 3 * 500 + 2
     assert len(one.events()) == 2

@@ -81,9 +81,9 @@ def test_what_is_kept_outlasts_its_ring_and_a_disk_that_is_full(tmp_path) -> Non
     ring.put(b"", cycle=2, now_ns=2)
     ring.destroy()
     recorder.turn()
-    recorder.happened(happened(Severity.WARNING))
+    recorder.take(wire.Happened(happened(Severity.WARNING)))
     assert [one.code for one in said if isinstance(one, wire.Note)] == []
-    recorder.happened(happened(Severity.ERROR))
+    recorder.take(wire.Happened(happened(Severity.ERROR)))
     assert [one.code for one in said if isinstance(one, wire.Note)] == ["LOG_FULL"]
     blocked.unlink()
     recorder._files._retry = 0.0
