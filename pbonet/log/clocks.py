@@ -82,7 +82,7 @@ def common(parts: Sequence[Part]) -> list[Clock]:
 def _clock(part: Part, first: Part, known: dict[str, Apart]) -> Clock:
     about, base = part.about, first.about
     if about is None or base is None:
-        return Clock("?", "", UNKNOWN, 0, 0, 0)
+        return Clock("?", "", SAME, 0, 0, 0)  # of another program, or cut at once
     apart = known.get(about.machine)
     if apart is None or part is first:
         how = SAME if part is first else UNKNOWN

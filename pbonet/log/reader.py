@@ -20,7 +20,7 @@ from .rows import Rows
 from .schema import HEAD, TaskSchema, head
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -103,7 +103,7 @@ class Log(Cycles):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.parts = sorted(map(Part, files_of(self.path)), key=place_of)
+        self.parts = parts_of([self.path])
         runs = {part.about.run for part in self.parts if part.about}
         if len(runs) > 1:
             raise LogError(
@@ -298,6 +298,25 @@ class Log(Cycles):
         return found
 
 
+def parts_of(paths: Sequence[Path]) -> list[Part]:
+    """Return the files that some paths stand for, in the order of their runs.
+
+    Raises:
+        LogError: There is none, one is no log or of a newer version, or nothing stands
+            in any of them.
+    """
+    each = [Part(path) for one in paths for path in files_of(one)]
+    if not any(part.chunks or part.channels or part.metadata for part in each):
+        raise LogError(
+            "nothing stands in the log: it was cut before its first record was whole",
+            where=" ".join(map(str, paths)),
+            expected="a log that was written for half a second, or was finished",
+            got=", ".join(f"{part.size} bytes" for part in each),
+            remedy="name another one; nothing of this one can be recovered",
+        )
+    return sorted(each, key=_place_of)
+
+
 def files_of(path: Path) -> list[Path]:
     """Return the logs that a path stands for: itself, or those in the folder.
 
@@ -345,11 +364,11 @@ def log_name(file: str, part: int) -> str:
     return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
 
 
-def place_of(part: Part) -> tuple[str, int, str]:
-    """Return where a file comes among those of its run."""
+def _place_of(part: Part) -> tuple[bool, str, int, str]:
+    """Return where a file comes among those of its run, behind them if of none."""
     if part.about is None:
-        return "", 0, part.path.name
-    return part.about.rtpu, part.about.part, part.path.name
+        return True, "", 0, part.path.name
+    return False, part.about.rtpu, part.about.part, part.path.name
 
 
 def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:

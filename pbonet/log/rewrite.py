@@ -9,7 +9,7 @@ from pbonet.errors import LogError
 
 from .clocks import Clock, common
 from .part import Part
-from .reader import files_of, place_of
+from .reader import parts_of
 from .records import CLOCKS, EPOCH
 
 if TYPE_CHECKING:
@@ -44,8 +44,7 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
     Raises:
         LogError: One of them is no log, or the new file stands or cannot be written.
     """
-    each = [Part(path) for one in paths for path in files_of(one)]
-    parts = sorted(each, key=place_of)
+    parts = parts_of(paths)
     clocks = common(parts)
     try:
         with out.open("xb") as file:

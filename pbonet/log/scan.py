@@ -96,19 +96,19 @@ def scan(file: BinaryIO, where: str) -> Content:
 
 
 def _size(file: BinaryIO, where: str) -> int:
-    """Return the size of a file that begins as it should.
+    """Return the size of a file that begins as it should, as far as it goes.
 
     Raises:
         LogError: It is no MCAP file.
     """
     size = file.seek(0, 2)
     file.seek(0)
-    if file.read(len(MAGIC)) != MAGIC:
+    if not MAGIC.startswith(file.read(len(MAGIC))):
         raise LogError(
             "this is no log",
             where=where,
             expected="an MCAP file",
-            got=f"{size} bytes of something else" if size else "an empty file",
+            got=f"{size} bytes of something else",
             remedy="name a run.mcap, or the folder of a run",
         )
     return size
@@ -161,7 +161,8 @@ def is_complete(path: Path) -> bool:
     """Tell whether a log stands there that was finished."""
     try:
         with path.open("rb") as file:
-            return _ends_well(file, file.seek(0, 2))
+            size = file.seek(0, 2)
+            return size > 2 * len(MAGIC) and _ends_well(file, size)
     except OSError:
         return False
 

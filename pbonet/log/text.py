@@ -9,7 +9,6 @@ import numpy as np
 from pbonet.errors import LogError
 
 from .records import CLOCKS
-from .scan import is_complete
 from .states import ON, timelines
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ def info(log: Log) -> JsonObject:
             {
                 "path": str(part.path),
                 "bytes": part.size,
-                "complete": is_complete(part.path),
+                "complete": part.complete,
                 "messages": part.count,
                 "chunks": part.chunks,
                 "damaged": part.damaged,

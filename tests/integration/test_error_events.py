@@ -131,7 +131,9 @@ def test_a_flood_is_held_back_and_counted(arm):
     assert len(arm.events("HANDLED", "a")) < errors
 
 
-def test_events_with_debug_show_the_line(nodes, tmp_path):
+@pytest.fixture
+def told(nodes, tmp_path):
+    """Ask for events as somebody does who comes when all is over; return the text."""
     nodes.agent_process("arm0")
     (tmp_path / "s.svar").write_text(svar())
     (tmp_path / "s.sbs").write_text("SUBSYSTEM two\nSVARFILE s.svar\nRTPU arm0\nEOF\n")
@@ -140,17 +142,32 @@ def test_events_with_debug_show_the_line(nodes, tmp_path):
     arm.on("a")
     arm.wait_event("METHOD", "a")
 
-    def told(*words):
+    def run(*words):
         command = [sys.executable, "-m", "pbonet.cli", "events", tmp_path / "s.sbs"]
-        domain = ["--domain", nodes.domain]
         done = subprocess.run(
-            [*command, *domain, "--code", "METHOD", *words],
+            [*command, "--domain", nodes.domain, *words],
             capture_output=True, text=True, check=True,
         )  # fmt: skip
         return done.stdout
 
-    assert "handles.py" not in told()
-    assert "handles.py:" in told("--debug")
-    assert "in cycle)" in told("--debug")
-    (event,) = json.loads(told("--json"))["events"]
+    return run
+
+
+def test_events_are_asked_for_afterwards(told):
+    wanted = ("--json", "--since", "5m", "--task", "a")
+    every = json.loads(told(*wanted))["events"]
+    assert {"SPAWNED", "STATE", "METHOD"} <= {event["code"] for event in every}
+    bad = json.loads(told(*wanted, "--severity", "warning"))["events"]
+    assert bad == [event for event in every if event["severity"] >= 30]
+    assert "METHOD" in {event["code"] for event in bad}
+    assert {event["state"] for event in bad if event["code"] == "METHOD"} == {"ERROR"}
+    assert told("--since", "0s").strip() == "no events"
+
+
+def test_events_with_debug_show_the_line(told):
+    words = ("--code", "METHOD")
+    assert "handles.py" not in told(*words)
+    assert "handles.py:" in told(*words, "--debug")
+    assert "in cycle)" in told(*words, "--debug")
+    (event,) = json.loads(told(*words, "--json"))["events"]
     assert event["place"].endswith(" in cycle")

@@ -106,7 +106,7 @@ def test_a_log_that_was_cut_is_recovered(call, path, tmp_path) -> None:
     cut.write_bytes(path.read_bytes()[:5])
     status, _, err = call("log", "recover", cut, "-o", tmp_path / "b.mcap")
     assert status == 1
-    assert f"{cut}: this is no log" in err
+    assert f"{cut}: nothing stands in the log: it was cut before its first" in err
     assert not (tmp_path / "b.mcap").exists()
 
 

@@ -27,6 +27,7 @@ from pbonet.errors import LogError, UnknownTaskError
 from pbonet.log import (
     Log,
     LogWriter,
+    Part,
     Step,
     export,
     files_of,
@@ -127,6 +128,43 @@ def test_a_log_cut_anywhere_opens_up_to_its_last_whole_chunk(tmp_path) -> None:
     assert len(counts) > 20, "the places were all alike"
 
 
+def test_a_log_cut_before_its_first_chunk_says_so_or_has_no_cycles(tmp_path) -> None:
+    data = written(tmp_path / "run.mcap", flush=True).read_bytes()
+    cut, told = tmp_path / "cut.mcap", set()
+    first = chunks_of(tmp_path / "run.mcap")[0].at
+    for at in range(first):
+        cut.write_bytes(data[:at])
+        assert not is_complete(cut)
+        if not Part(cut).metadata:
+            told.add(at)
+            with pytest.raises(LogError, match=": nothing stands in the log") as caught:
+                Log(cut)
+            assert caught.value.got == f"{at} bytes"
+            continue
+        log = Log(cut)
+        assert log.tasks == []
+        assert log.about["run"] == "r1"
+        found = text.info(log)
+        assert (found["seconds"], found["tasks"]) == (0.0, {})
+        assert "not finished" in text.info_text(found)
+        with pytest.raises(UnknownTaskError, match="expected a log with tasks"):
+            log.arrays("pid")
+    assert told == set(range(len(told))), "up to the record that says which run it is"
+    assert 8 < len(told) < first
+
+
+def test_a_file_that_was_hardly_begun_keeps_nobody_from_the_others(tmp_path) -> None:
+    written(tmp_path / "run.mcap", count=200)
+    for size in (0, 5, 8, 30):
+        data = (tmp_path / "run.mcap").read_bytes()[:size]
+        (tmp_path / "run-2.mcap").write_bytes(data)
+        log = Log(tmp_path)
+        assert len(log.arrays("pid")["cycle"]) == 200
+        files = text.info(log)["files"]
+        assert sorted(file["complete"] for file in files) == [False, True]
+        assert merge([tmp_path], tmp_path / f"{size}.out").messages == 201
+
+
 def test_what_was_cut_is_recovered_for_everybody(tmp_path) -> None:
     whole = written(tmp_path / "run.mcap", count=2000, flush=True)
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
@@ -199,7 +237,7 @@ def test_what_is_no_log(tmp_path) -> None:
     (tmp_path / "b.mcap").touch()
     for path, got in (
         (tmp_path / "a.mcap", "14 bytes of something else"),
-        (tmp_path / "b.mcap", "an empty file"),
+        (tmp_path / "b.mcap", "0 bytes"),
         (tmp_path / "none.mcap", "No such file or directory"),
     ):
         with pytest.raises(LogError) as caught:
