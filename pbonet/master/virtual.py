@@ -29,7 +29,7 @@ from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member
 from pbonet.master.sim import REASON, Simulation
 from pbonet.master.simtask import must_be_simulated, status_of
-from pbonet.node.events import EventLog
+from pbonet.node.events import EventLog, by_task
 from pbonet.node.inspector import inspect
 from pbonet.node.taskparams import get_params, set_param
 from pbonet.pbo import PREDEFINED, Notice, Signal, State, signal_names
@@ -300,7 +300,7 @@ class VirtualRtpus(Simulation):
         found = next(one for one in self.status() if one.rtpu == rtpu)
         for status in found.tasks:
             status.signals = dict(self._signals[status.task])
-        found.events = self._logs[rtpu].counts(self._files.sbs.subsystem)
+        found.events = by_task(self._logs[rtpu].counts(), self._files.sbs.subsystem)
         return found
 
     def _one(self, task: SimTask) -> m.TaskStatus:

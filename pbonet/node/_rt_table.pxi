@@ -270,10 +270,15 @@ cdef _under_way(rt_view *v):
 def _thread_cpu(int pid, int tid) -> int:
     """Return a thread's CPU time out of schedstat; 0 when it is gone."""
     try:
-        with open(f"/proc/{pid}/task/{tid}/schedstat", encoding="utf-8") as file:
-            return int(file.read().split()[0])
+        fd = os.open(f"/proc/{pid}/task/{tid}/schedstat", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return 0
+    try:
+        return int(os.read(fd, 80).split()[0])
     except (OSError, ValueError, IndexError):
         return 0
+    finally:
+        os.close(fd)
 
 
 cdef class Dispatcher:

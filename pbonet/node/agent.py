@@ -35,6 +35,7 @@ from .ending import Ending
 from .links import Links
 from .mail import Mail
 from .mirrors import Mirrors
+from .overview import Overview, restarting
 from .recorders import Recorders
 from .server import Server
 from .supervise import RtpuLink, choose_core
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from pbonet.config.model import AgentConfig
+
+    from .known import Known
 
 log = logging.getLogger("pbonet.node")
 
@@ -97,6 +100,9 @@ class Agent:
         )
         limits = wire.LogLimits(config.log_mb, config.log_minutes, config.runs_mb)
         self._recorders = Recorders(self._note, limits)
+        self._overview = Overview(
+            config.domain, config.name, self._note, self._recorders.fares
+        )
         self._lock: rundir.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
@@ -157,10 +163,13 @@ class Agent:
         self._link = RtpuLink(self.places, self._rtpu_config, self)
         info = self._link.open()
         self._about = self._describe()
-        self._recorders.update(info.recordings)
         self._mail = Mail(self._session, self.places, self.config.files)
         self._server = Server(
-            self._session, self.config.domain, self.name, self, self._mail
+            self._session,
+            *(self.config.domain, self.name),
+            node=self,
+            mail=self._mail,
+            overview=self._overview,
         )
         self._server.start()
         self._refuse_duplicate()
@@ -272,6 +281,7 @@ class Agent:
         self._mirrors = self._ways = self._twins = None
         if self._restarter is not None:
             self._restarter.join()
+        self._overview.let_go()
         if self._server is not None:
             self._server.stop()
             self._server = None
@@ -314,17 +324,12 @@ class Agent:
         """
         link = self._link
         if link is None:
-            raise NodeError(
-                "the RTPU process has ended and is being started again",
-                where=self.name,
-                remedy="try again in a moment",
-            )
+            raise restarting(self.name)
         link.send(wire.Forward(n, data, masters))
 
     def info(self) -> AgentInfo:
         """Return who this is and what it can do."""
-        link = self._link
-        info = link.info if link is not None else None
+        info = self._link.info if self._link is not None else None
         if self._about is None or info is None:
             return self._describe()
         return msgspec.structs.replace(
@@ -381,8 +386,13 @@ class Agent:
     def informed(self, info: wire.RtpuInfo) -> None:
         """Carry the tables that are open now, and record what is to be recorded."""
         self._recorders.update(info.recordings)
+        self._overview.informed(info)
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)
+
+    def learned(self, news: Known) -> None:
+        """Take what the RTPU process knows now."""
+        self._overview.learn(news)
 
     def spread(self, subsystem: str, done: Callable[[], None]) -> None:
         """Call `done` when the other machines know the subsystem's table."""
@@ -393,6 +403,7 @@ class Agent:
 
     def let_go(self) -> None:
         """Carry no table any more, so that whoever comes next may make them anew."""
+        self._overview.let_go()
         if self._mirrors is not None:
             self._mirrors.carry({}, wait=LET_GO_TIME)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from pbonet.errors import ClaimError
 from pbonet.xm.messages import Standing
@@ -52,6 +52,10 @@ class Claims:
     def epochs(self) -> dict[str, int]:
         """Return the epoch of every subsystem that holds a claim."""
         return {name: entry.epoch for name, entry in self._entries.items()}
+
+    def entries(self) -> list[Entry]:
+        """Return all claims, without the jobs that stand."""
+        return [structs.replace(entry, job=None) for entry in self._entries.values()]
 
     def get(self, subsystem: str) -> Entry | None:
         """Return the claim of `subsystem`, if it has one."""
@@ -106,22 +110,7 @@ class Claims:
         Raises:
             ClaimError: Its subsystem has none, or another master took over.
         """
-        entry = self._entries.get(request.subsystem)
-        if entry is None:
-            raise ClaimError(
-                f"subsystem {request.subsystem!r} has not claimed the RTPU",
-                where=self._rtpu,
-                remedy="claim it first",
-            )
-        if entry.epoch != request.epoch:
-            raise ClaimError(
-                f"another master steers subsystem {request.subsystem} now",
-                where=self._rtpu,
-                expected=f"epoch {entry.epoch}, held by {entry.client}",
-                got=f"epoch {request.epoch} from {request.client or 'nobody'}",
-                remedy="claim again; with --take-over if that master still lives",
-            )
-        return entry
+        return check(self._rtpu, self._entries.get(request.subsystem), request)
 
     def stand(self, subsystem: str, job: Standing | None) -> None:
         """Note which job of `subsystem` stands; harmless when it has no claim."""
@@ -211,3 +200,31 @@ class Claims:
                     got=f"SCHEDULER {request.scheduler}",
                     remedy="give both the same SCHEDULER, or one of them another RTPU",
                 )
+
+
+def check(rtpu: str, entry: Entry | None, request: Request) -> Entry:
+    """Return the claim under which a request comes.
+
+    Args:
+        rtpu: Where it comes.
+        entry: The claim of its subsystem, if that has one.
+        request: What is asked.
+
+    Raises:
+        ClaimError: Its subsystem has none, or another master took over.
+    """
+    if entry is None:
+        raise ClaimError(
+            f"subsystem {request.subsystem!r} has not claimed the RTPU",
+            where=rtpu,
+            remedy="claim it first",
+        )
+    if entry.epoch != request.epoch:
+        raise ClaimError(
+            f"another master steers subsystem {request.subsystem} now",
+            where=rtpu,
+            expected=f"epoch {entry.epoch}, held by {entry.client}",
+            got=f"epoch {request.epoch} from {request.client or 'nobody'}",
+            remedy="claim again; with --take-over if that master still lives",
+        )
+    return entry

@@ -14,7 +14,7 @@ from pbonet.errors import Severity
 from pbonet.xm.messages import Event
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 KEPT = 4000
 LONGEST_TEXT = 8000
@@ -96,19 +96,9 @@ class EventLog:
         """Count events; those that are held back in a flood are counted only."""
         self._counts[subsystem, task, code] += number
 
-    def counts(self, subsystem: str = "") -> dict[str, dict[str, int]]:
-        """Return how often each code came, by task; ``""`` is the RTPU itself.
-
-        Args:
-            subsystem: Whose tasks; empty: of all subsystems.
-        """
-        found: dict[str, dict[str, int]] = {}
-        for (whose, task, code), count in self._counts.items():
-            if subsystem and whose not in {"", subsystem}:
-                continue
-            codes = found.setdefault(task, {})
-            codes[code] = codes.get(code, 0) + count
-        return found
+    def counts(self) -> list[tuple[str, str, str, int]]:
+        """Return how often each event came: subsystem, task, code and count."""
+        return [(*key, count) for key, count in self._counts.items()]
 
     def forget(self, subsystem: str) -> None:
         """Forget the counts of a subsystem."""
@@ -121,6 +111,24 @@ class EventLog:
             return []
         skip = max(0, number - self._kept[0].n)
         return [self._kept[i] for i in range(skip, min(len(self._kept), skip + limit))]
+
+
+def by_task(
+    counts: Iterable[tuple[str, str, str, int]], subsystem: str = ""
+) -> dict[str, dict[str, int]]:
+    """Return how often each code came, by task; ``""`` is the RTPU itself.
+
+    Args:
+        counts: As `EventLog.counts` returns them.
+        subsystem: Whose tasks; empty: of all subsystems.
+    """
+    found: dict[str, dict[str, int]] = {}
+    for whose, task, code, count in counts:
+        if subsystem and whose not in {"", subsystem}:
+            continue
+        codes = found.setdefault(task, {})
+        codes[code] = codes.get(code, 0) + count
+    return found
 
 
 class LineBudget:

@@ -30,7 +30,7 @@ from pbonet.svar.native import Watch
 from pbonet.xm import keys, rundir
 from pbonet.xm import messages as m
 
-from .tables import remove_unused
+from .tables import remove_unused, table_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,7 +70,7 @@ class Carried:
     def __init__(self, owner: Mirrors, subsystem: str, *, keep: bool) -> None:
         self._owner = owner
         self.subsystem = subsystem
-        self.table = Table.attach(f"{owner.domain}.{subsystem}")
+        self.table = Table.attach(table_name(owner.domain, subsystem))
         self.keep = keep
         self.mirror: Mirror | None = None
         self.next = 0.0
@@ -270,9 +270,7 @@ class Carried:
         try:
             owner.session.get(
                 keys.svar(owner.domain, self.subsystem, leaf, machine),
-                zenoh.handlers.Callback(
-                    replied, lambda: owner.do(done), indirect=False
-                ),
+                zenoh.handlers.Callback(replied, done, indirect=False),
                 payload=data,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
@@ -338,7 +336,10 @@ class Mirrors:
             done.wait(wait)
 
     def spread(self, subsystem: str, done: Callable[[], None]) -> None:
-        """Call `done` when the other machines know the subsystem's table."""
+        """Call `done` when the other machines know the subsystem's table.
+
+        It is called in a thread of zenoh's, or in the carrier's.
+        """
 
         def spread() -> None:
             carried = self._carried.get(subsystem)

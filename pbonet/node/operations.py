@@ -8,18 +8,14 @@ comes: the answer is kept, here and not in the agent, so that it survives the ag
 from __future__ import annotations
 
 import asyncio
-import traceback
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Any
 
-from pbonet import tbuf
 from pbonet.errors import (
-    NodeError,
     PbonetError,
     ProtocolError,
     Severity,
     StateError,
-    SvarFullError,
 )
 from pbonet.xm import codec
 from pbonet.xm import messages as m
@@ -31,9 +27,9 @@ from . import (
     reconfig,
     recordings,
     spawning,
-    status,
     wire,
 )
+from .answers import Answers, being_stopped
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable
@@ -46,10 +42,9 @@ LONGEST = 3600.0
 """Seconds that anybody may ask to wait."""
 LARGEST_LIST = 900_000
 """Bytes of events in one answer; the asker goes on from the last number it got."""
-_LOOKING = m.Hello | m.Status | m.Profile | m.Display | m.Modules | m.Events
+_LOOKING = m.Hello | m.Modules | m.Events
 _UNCLAIMED = _LOOKING | m.Claim | m.Stop
 _READING = _LOOKING | m.Get
-_DISK_FULL = 28
 
 Masters = list[tuple[str, str]] | None
 Result = tuple[object, list[str]]
@@ -65,6 +60,7 @@ class Operations:
     def __init__(self, rtpu: Rtpu) -> None:
         self._rtpu = rtpu
         self._codec = codec.Codec()
+        self._pack = Answers(rtpu.name, self._report)
         self._answers: OrderedDict[tuple[str, str], asyncio.Task[bytes]] = OrderedDict()
         self._masters: Masters = None
         self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
@@ -80,10 +76,6 @@ class Operations:
             m.Get: self._get,
             m.Set: self._set,
             m.Rank: self._rank,
-            m.Status: self._status,
-            m.Profile: self._profile,
-            m.Display: self._display,
-            m.Write: self._write,
             m.Modules: self._modules,
             m.Stop: self._stop,
             m.Flag: self._flag,
@@ -121,37 +113,12 @@ class Operations:
             else:
                 self._check(request)
                 result, warnings = await self._do[type(request)](request)
-            answer = m.Answer(id=request.id, ok=True, result=result, warnings=warnings)
-            data = self._codec.pack(answer)
-            self._check_size(data)
-        except PbonetError as error:
-            return self._codec.pack(codec.failure(error, request.id))
+            return self._pack.good(request, result, warnings)
         except Exception as error:  # noqa: BLE001 - the server outlives any request
-            return self._codec.pack(
-                codec.failure(self._fault(request, error), request.id)
-            )
-        return data
+            return self._pack.bad(request, error)
 
-    def _fault(self, request: m.Request, error: Exception) -> PbonetError:
-        """Return what to answer to a failure that no error of ours describes."""
-        if isinstance(error, OSError) and error.errno == _DISK_FULL:
-            return SvarFullError(
-                "no room is left in shared memory",
-                where=self._rtpu.name,
-                got=str(error),
-                remedy="make room in /dev/shm, or give the machine more of it",
-            )
-        op = type(request).__name__
-        text = f"{op} failed inside pbonet: {type(error).__name__}: {error}"
-        self._rtpu.events.add(
-            Severity.ERROR, "INTERNAL", f"{text}\n{traceback.format_exc()}"
-        )
-        return NodeError(
-            text,
-            where=self._rtpu.name,
-            remedy="report it, with the agent's events",
-            debug=traceback.format_exc(),
-        )
+    def _report(self, text: str) -> None:
+        self._rtpu.events.add(Severity.ERROR, "INTERNAL", text)
 
     def _check(self, request: m.Request) -> None:
         """Refuse what needs a claim and has none, and what comes during a stop."""
@@ -165,21 +132,7 @@ class Operations:
             return
         self._rtpu.claims.check(request)
         if request.subsystem in self._rtpu.stopping:
-            raise StateError(
-                f"subsystem {request.subsystem} is being stopped",
-                where=self._rtpu.name,
-                remedy="wait until the stop is done",
-            )
-
-    @staticmethod
-    def _check_size(data: bytes) -> None:
-        if len(data) > codec.Codec.MAX_BYTES:
-            raise NodeError(
-                "the answer is too long",
-                expected=f"at most {codec.Codec.MAX_BYTES} bytes",
-                got=f"{len(data)} bytes",
-                remedy="ask for less at once, by name",
-            )
+            raise being_stopped(self._rtpu.name, request.subsystem)
 
     # -- claims and tables -------------------------------------------------------------
 
@@ -252,13 +205,6 @@ class Operations:
         self._must_be_idle(request.subsystem, "closed")
         self._rtpu.tables.close(request.subsystem)
         return None, []
-
-    async def _display(self, request: m.Display) -> Result:
-        return self._rtpu.tables.display(request.subsystem, request.names), []
-
-    async def _write(self, request: m.Write) -> Result:
-        value = self._rtpu.tables.write(request.subsystem, request.name, request.values)
-        return value, []
 
     async def _flag(self, request: m.Flag) -> Result:
         table = self._rtpu.tables.need(request.subsystem).table
@@ -345,58 +291,6 @@ class Operations:
             self._rtpu.told[request.subsystem, name] = (crit, priority)
         self._rtpu.rank()
         return None, []
-
-    async def _status(self, request: m.Status) -> Result:
-        rtpu = self._rtpu
-        found = [
-            rtpu.status_of(task)
-            for key, task in rtpu.tasks.items()
-            if request.subsystem in {"", key[0]} and request.task in {None, key[1]}
-        ]
-        found += [
-            tomb
-            for key, tomb in rtpu.tombs.items()
-            if request.subsystem in {"", key[0]} and request.task in {None, key[1]}
-        ]
-        if request.task is not None and not found:
-            rtpu.need(request.subsystem, request.task)
-        spent = sum(
-            rtpu.core.snapshot(task.facts.slot).cpu_total_ns
-            for task in rtpu.tasks.values()
-        )
-        entry = rtpu.claims.get(request.subsystem)
-        illegal = rtpu.tables.causes(request.subsystem)
-        core = rtpu.core.status()
-        scheduler = entry.scheduler if entry else ""
-        return (
-            status.rtpu_status(
-                rtpu.name,
-                scheduler,
-                core,
-                tasks=found,
-                spent_ns=spent,
-                illegal=illegal,
-                events=rtpu.events.counts(request.subsystem),
-                tbufs=tbuf.seen(rtpu.config.domain),
-                recorder=rtpu.recorders.get(request.subsystem),
-            ),
-            [],
-        )
-
-    async def _profile(self, request: m.Profile) -> Result:
-        rtpu = self._rtpu
-        found = [
-            status.task_profile(
-                rtpu.status_of(task),
-                rtpu.core.snapshot(task.facts.slot),
-                rtpu.core.histograms(task.facts.slot),
-            )
-            for key, task in rtpu.tasks.items()
-            if request.subsystem in {"", key[0]} and request.task in {None, key[1]}
-        ]
-        if request.task is not None and not found:
-            rtpu.need(request.subsystem, request.task)
-        return found, []
 
     async def _stop(self, request: m.Stop) -> Result:
         names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())

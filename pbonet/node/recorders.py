@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from typing import BinaryIO
 
-    Tell = Callable[[msgspec.Struct], None]
+    Tell = Callable[[wire.Note], None]
 
 END_TIME: Final = 10.0
 """Seconds that a recorder may take to finish its log."""
@@ -39,7 +39,9 @@ class _Child:
         tell: Takes what it says.
     """
 
-    def __init__(self, wanted: wire.Recording, tell: Tell) -> None:
+    def __init__(
+        self, wanted: wire.Recording, tell: Callable[[wire.FromRecorder], None]
+    ) -> None:
         self.wanted = wanted
         self._tell = tell
         self._guard = threading.Lock()
@@ -151,13 +153,14 @@ class Recorders:
     """Keeps a recorder for each subsystem that is to be recorded.
 
     Args:
-        tell: Hands a message to the RTPU process.
+        tell: Hands a note to the RTPU process.
         limits: Of the logs on this machine.
     """
 
     def __init__(self, tell: Tell, limits: wire.LogLimits) -> None:
         self._tell = tell
         self._limits = limits
+        self._fares: dict[str, wire.Recorder] = {}
         self._children: dict[str, _Child] = {}
         self._ended: list[_Child] = []
         self._guard = threading.Lock()
@@ -173,11 +176,22 @@ class Recorders:
             for subsystem, child in list(self._children.items()):
                 if wanted.get(subsystem) != child.wanted:
                     del self._children[subsystem]
+                    self._fares.pop(subsystem, None)
                     child.end()
                     self._ended.append(child)
             for subsystem, one in wanted.items():
                 if subsystem not in self._children:
-                    self._children[subsystem] = _Child(one, self._tell)
+                    self._children[subsystem] = _Child(one, self._said)
+
+    def fares(self, subsystem: str) -> wire.Recorder | None:
+        """Return how the recorder of a subsystem fares; None without one."""
+        return self._fares.get(subsystem)
+
+    def _said(self, message: wire.FromRecorder) -> None:
+        if isinstance(message, wire.Recorder):
+            self._fares[message.subsystem] = message
+        else:
+            self._tell(message)
 
     def tell(self, message: wire.ToRecorder) -> None:
         """Have something put on record."""

@@ -60,7 +60,6 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
 
 def end(rtpu: Rtpu, subsystem: str) -> None:
     """Have the recording of a subsystem finished."""
-    rtpu.recorders.pop(subsystem, None)
     if rtpu.recordings.pop(subsystem, None) is not None:
         rtpu.tell_claims()
 

@@ -26,6 +26,7 @@ from pbonet.xm import live_on, rundir, sweep
 from . import control, forkserver, leftovers, orphans, runtime, wire
 from .events import EventLog
 from .inlets import Inlets
+from .known import Teller
 from .operations import Operations
 from .spawner import Server
 from .state import Rtpu
@@ -55,6 +56,9 @@ class AgentLink:
         self._grace = rtpu.config.grace
         self._grace_timer: asyncio.TimerHandle | None = None
         self._published = 0
+        self._teller = Teller(rtpu)
+        self._outbox: list[bytes] = []
+        self._due = False
         self.end_time = END_TIME
         self._server: asyncio.Server | None = None
         self._running: set[asyncio.Task[None]] = set()
@@ -63,6 +67,7 @@ class AgentLink:
         )
         rtpu.events.publish = self._publish
         rtpu.claims_changed = lambda: self._send(rtpu.info())
+        rtpu.changed = self._soon
 
     async def listen(self, places: rundir.Places) -> None:
         """Listen on the runtime folder's socket, and wait for an agent at most grace.
@@ -81,6 +86,7 @@ class AgentLink:
             self._server.close()
         if self._writer is not None:
             self._send(wire.Ending(reason))
+            self._flush()
             with contextlib.suppress(OSError, TimeoutError):
                 await asyncio.wait_for(self._writer.drain(), 0.5)
             self._writer.close()
@@ -111,7 +117,10 @@ class AgentLink:
         back = self._agent_pid != 0
         self._agent_pid = hello.agent_pid
         self._writer = writer
-        self._send(self._rtpu.info())
+        self._teller.forget()
+        self._outbox.clear()
+        writer.write(wire.frame(self._rtpu.info()))
+        self._soon()
         for event in self._rtpu.events.since(self._published + 1):
             self._publish(event)
         if back:
@@ -153,8 +162,6 @@ class AgentLink:
                 self._rtpu.events.add(
                     Severity(message.severity), message.code, message.text
                 )
-            case wire.Recorder():
-                self._rtpu.recorders[message.subsystem] = message
             case wire.Arrived():
                 self._inlets.put(message)
             case wire.Shutdown():
@@ -173,8 +180,22 @@ class AgentLink:
             self._send(wire.Published(wire.encode(event)))
 
     def _send(self, message: msgspec.Struct) -> None:
+        self._outbox.append(wire.frame(message))
+        self._soon()
+
+    def _soon(self) -> None:
+        """Send behind what the loop does now, so that nothing half done is told."""
+        if not self._due:
+            self._due = True
+            asyncio.get_running_loop().call_soon(self._flush)
+
+    def _flush(self) -> None:
+        """Send what has changed, then what may make others ask for it."""
+        self._due = False
+        out, self._outbox = self._outbox, []
         if self._writer is not None and not self._writer.is_closing():
-            self._writer.write(wire.frame(message))
+            news = self._teller.news()
+            self._writer.write(b"".join([wire.framed(news) if news else b"", *out]))
 
 
 async def run(config: wire.RtpuConfig, forks: Server) -> int:

@@ -12,6 +12,7 @@ import contextlib
 import itertools
 import logging
 import queue
+import secrets
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -24,16 +25,21 @@ from pbonet.xm import codec, keys, roles, session
 from pbonet.xm import messages as m
 from pbonet.xm.resources import XmRequest
 
+from .overview import HANDLED
+from .repeats import Repeats
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.xm.messages import AgentInfo, LinkReport
 
+    from .overview import Handled, Overview
+
 log = logging.getLogger("pbonet.node")
 
-HELLO = b"hello"
+AT_ONCE = (b"hello", b"status")
 SHORT = 1024
-"""Bytes of a request that asks who the agent is, at the most."""
+"""Bytes of a request that is answered at once, at the most."""
 PENDING = 2000
 """Requests that wait for their answers; more are refused."""
 
@@ -45,7 +51,6 @@ CHANGES = (
     m.Spawn,
     m.Control,
     m.Reconfig,
-    m.Write,
     m.Flag,
     m.Stop,
 )
@@ -89,17 +94,26 @@ class Server:
         name: The RTPU's name.
         node: Who carries requests out.
         mail: Who carries out those about semaphores and queues.
+        overview: Who carries out those that need no RTPU process.
     """
 
     def __init__(
-        self, session: zenoh.Session, domain: str, name: str, node: Node, mail: Mail
+        self,
+        session: zenoh.Session,
+        domain: str,
+        name: str,
+        *,
+        node: Node,
+        mail: Mail,
+        overview: Overview,
     ) -> None:
         self._session = session
         self._domain = domain
-        self._node, self._mail = node, mail
+        self._node, self._mail, self._overview = node, mail, overview
         self._keys = [keys.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
+        self._repeats = Repeats()
         self._count = itertools.count(1)
         self._pending: dict[int, tuple[zenoh.Query, str, str]] = {}
         """Queries, their ids, and the subsystem whose table they change."""
@@ -164,14 +178,18 @@ class Server:
     def _arrive(self, query: zenoh.Query) -> None:
         """Take a query from zenoh's own thread, which nothing may hold up.
 
-        Only who the agent is can be told at once; another thread does the rest.
+        Only who the agent is and how few tasks stand can be told at once; another
+        thread does the rest.
         """
         data = query.payload.to_bytes() if query.payload is not None else b""
-        if len(data) <= SHORT and HELLO in data:
+        if len(data) <= SHORT and any(word in data for word in AT_ONCE):
             with contextlib.suppress(PbonetError):
                 request = self._codec.request(data)
                 if isinstance(request, m.Hello):
                     self._introduce(query, request)
+                    return
+                if isinstance(request, m.Status) and self._overview.short:
+                    self._reply(query, self._overview.answer(request))
                     return
         self._arrived.put(query)
 
@@ -198,6 +216,9 @@ class Server:
             if isinstance(request, m.Links):
                 self._pool.submit(self._measure, query, request.id)
                 return
+            if isinstance(request, HANDLED):
+                self._handle(query, request)
+                return
             if isinstance(request, XmRequest):
                 self._mail.take(request, partial(self._reply, query))
                 return
@@ -215,6 +236,17 @@ class Server:
             self._pool.submit(self._claim, query, request, data)
         else:
             self._forward(query, request, data, None)
+
+    def _handle(self, query: zenoh.Query, request: Handled) -> None:
+        """Have a request carried out in this process; what changes something, once."""
+        reply = partial(self._reply, query)
+        if roles.only_looks(request):
+            reply(self._overview.answer(request))
+            return
+        who = request.client, request.id or secrets.token_hex(8)
+        if self._repeats.begin(who, reply):
+            data = self._overview.answer(request)
+            self._node.spread(request.subsystem, partial(self._repeats.end, who, data))
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

@@ -214,6 +214,7 @@ async def _fork(rtpu: Rtpu, request: Spawn, plan: Plan) -> Task:
         child,
         wake=lambda last: rtpu.core.request(slot, last=last),
         tell=rtpu.told_by,
+        heard=rtpu.heard,
         ended=rtpu.ended,
     )
     task.freq = freq

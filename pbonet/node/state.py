@@ -15,13 +15,11 @@ from pbonet.errors import (
     PbonetError,
     RealTimeError,
     Severity,
-    UnknownTaskError,
-    did_you_mean,
 )
 from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
-from . import _rt, leftovers, ranking, runtime, status, wire
+from . import _rt, known, leftovers, ranking, runtime, status, wire
 from ._ring import Ring
 from .claims import Claims
 from .fallbacks import Fallbacks
@@ -85,8 +83,6 @@ class Rtpu:
         self.ranks: dict[Key, ranking.Ranked] = {}
         self.recordings: dict[str, wire.Recording] = {}
         """What the agent is to have recorded, by subsystem."""
-        self.recorders: dict[str, wire.Recorder] = {}
-        """What the agent said about that last."""
         self.stopping: set[str] = set()
         self.lists: dict[str, list[tuple[str, str]]] = {}
         """What is being carried out of lists of signals, by subsystem."""
@@ -103,6 +99,8 @@ class Rtpu:
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
         self.claims_changed: Callable[[], None] | None = None
+        self.changed: Callable[[], None] | None = None
+        """Called when something may have changed that `pbonet.node.known` tells."""
 
     async def start(self) -> None:
         """Take the core, start dispatching, start the fork server.
@@ -216,14 +214,9 @@ class Rtpu:
         task = self.tasks.get((subsystem, name))
         if task is not None:
             return task
-        known = [task.name for task in self.of(subsystem)]
+        names = [task.name for task in self.of(subsystem)]
         tomb = self.tombs.get((subsystem, name))
-        raise UnknownTaskError(
-            f"subsystem {subsystem} has no task {name} here",
-            where=self.name,
-            got=f"it has died: {tomb.error}" if tomb else "",
-            remedy="spawn it again" if tomb else did_you_mean(name, known),
-        )
+        raise known.no_task(self.name, subsystem, name, names, tomb)
 
     def rank(self, *joining: Task) -> None:
         """Rank all tasks anew and tell the dispatcher what has changed.
@@ -272,14 +265,9 @@ class Rtpu:
 
     def status_of(self, task: Task) -> TaskStatus:
         """Return a task's status from shared memory."""
-        key = (task.facts.subsystem, task.name)
-        rank = self.ranks.get(key, ranking.Ranked(0, 0, assumed=True))
         slot = self.core.snapshot(task.facts.slot)
         signals = self.core.signals(task.facts.slot)
-        made = status.task_status(self.name, task, slot, rank, signals)
-        made.fallback_of = self.fallbacks.of(task)
-        made.stands_by = bool(task.stands_by)
-        return made
+        return status.task_status(self.name, known.of(self, task), slot, signals)
 
     def cycle_of(self, task: Task) -> int:
         """Return how many cycles a task has completed since it was turned on."""
@@ -301,6 +289,11 @@ class Rtpu:
         )
 
     # -- what happens unasked ----------------------------------------------------------
+
+    def heard(self) -> None:
+        """Take note that a task has sent something, or has ended."""
+        if self.changed is not None:
+            self.changed()
 
     def told_by(self, task: Task, notice: wire.Notice) -> None:
         """Take what a task reports: an event, and perhaps an error or a warning."""
@@ -486,6 +479,7 @@ class Rtpu:
                     cut or "the table's file was removed; tasks that run go on",
                     subsystem=subsystem,
                 )
+            self.heard()
             if led and not self.dispatcher.running:
                 led = False
                 self.events.add(

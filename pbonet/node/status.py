@@ -24,26 +24,18 @@ from .signalling import by_name
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.config.model import Rmod
     from pbonet.sched.records import CoreStatus, Histograms, SlotStatus
 
-    from .ranking import Ranked
-    from .tasks import Task
+    from .known import KnownTask
     from .wire import Recorder
 
 TICK = 1e-9
 """Resolution of the profile in seconds: the CPU clock counts nanoseconds."""
-LETTERS = {"periodic": "P", "synchronous": "Y", "sporadic": "S", "deferrable": "D"}
 _NS = 1e-9
 
 
-def letter(rmod: Rmod) -> str:
-    """Return the thesis's letter for how a task is timed."""
-    return LETTERS.get(rmod.tasktype.value, "B")
-
-
 def task_status(
-    rtpu: str, task: Task, slot: SlotStatus, rank: Ranked, signals: Sequence[int]
+    rtpu: str, task: KnownTask, slot: SlotStatus, signals: Sequence[int]
 ) -> TaskStatus:
     """Return everything that is known of a task.
 
@@ -51,7 +43,6 @@ def task_status(
         rtpu: The RTPU's name.
         task: What the RTPU process knows of it.
         slot: What stands in the core table.
-        rank: What it was ranked by.
         signals: How often it has sent each signal.
     """
     cycles = slot.cycles - slot.on_cycles
@@ -59,18 +50,18 @@ def task_status(
     spent = (slot.cpu_total_ns - slot.on_cpu_ns) * _NS
     ptime = _profile_ns(task.state, slot) * _NS
     return TaskStatus(
-        rmod=task.facts.rmod.name,
-        task=task.name,
+        rmod=task.rmod,
+        task=task.task,
         rtpu=rtpu,
-        tid=task.child.pid,
-        S=letter(task.facts.rmod),
+        tid=task.tid,
+        S=task.S,
         crit=slot.crit,
-        crit_assumed=rank.assumed,
+        crit_assumed=task.crit_assumed,
         priority=slot.priority,
-        state=task.state.value,
+        state=task.state,
         cycle=cycles,
         miss=missed,
-        ref_f=task.freq,
+        ref_f=task.ref_f,
         mez_f=cycles / ptime if ptime > 0 else 0.0,
         mez_t=ptime / (cycles + missed) if cycles + missed else 0.0,
         ptime=ptime,
@@ -81,20 +72,20 @@ def task_status(
         last_c=slot.cpu_last_ns * _NS,
         first_c=slot.cpu_first_ns * _NS,
         now_c=slot.cpu_now_ns * _NS,
-        warn=task.warnings,
+        warn=task.warn,
         warning=task.warning,
         error=task.error,
         jitter_max=slot.jitter_max_ns * _NS,
         jitter=list(slot.jitter),
         faults=slot.faults - slot.on_faults,
         retries=slot.torn,
-        module=task.ready.module if task.ready else task.facts.rmod.module,
-        version=task.ready.version if task.ready else "",
+        module=task.module,
+        version=task.version,
         transfer_in=slot.copy_in_ns * _NS / slot.cycles if slot.cycles else 0.0,
         transfer_out=slot.copy_out_ns * _NS / slot.cycles if slot.cycles else 0.0,
         on_ns=slot.on_ns,
         now=slot.now_ns,
-        ring=task.facts.ring,
+        ring=task.ring,
         lost=slot.ring_lost,
         rank=slot.rank,
         reserve=slot.maxc_ns * _NS,
@@ -105,7 +96,9 @@ def task_status(
         handlers=slot.handlers,
         delivery_max=slot.delivery_max_ns * _NS,
         held_off=slot.held_off,
-        signals=by_name(signals, task.signals),
+        signals=by_name(signals, task.own),
+        fallback_of=task.fallback_of,
+        stands_by=task.stands_by,
         sections={
             one.name: SectionStatus(
                 count=one.count,
@@ -118,11 +111,11 @@ def task_status(
     )
 
 
-def _profile_ns(state: State, slot: SlotStatus) -> int:
+def _profile_ns(state: str, slot: SlotStatus) -> int:
     """Return the time over which cycles were counted: since the task was turned on."""
     if slot.on_ns == 0:
         return 0
-    end = slot.now_ns if state is State.ON else max(slot.release_ns, slot.on_ns)
+    end = slot.now_ns if state == State.ON else max(slot.release_ns, slot.on_ns)
     return max(end - slot.on_ns, 0)
 
 

@@ -24,11 +24,14 @@ import pbonet
 from pbonet.errors import NodeError, PbonetError, ProtocolError
 
 from . import leftovers, runtime, wire
+from .known import Known
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pbonet.xm import rundir
+
+FromRtpu = wire.FromRtpu | Known
 
 START_TIME = 30.0
 """Seconds that an RTPU process may take to come up on a busy machine."""
@@ -48,6 +51,9 @@ class Listener(Protocol):
 
     def informed(self, info: wire.RtpuInfo) -> None:
         """Take who the RTPU process is, as it has changed."""
+
+    def learned(self, news: Known) -> None:
+        """Take what the RTPU process knows now."""
 
     def let_go(self) -> None:
         """Let go of its tables: what it has left is about to be removed."""
@@ -76,8 +82,8 @@ class RtpuLink:
         self._write_lock = threading.Lock()
         self._thread: threading.Thread | None = None
         self._closing = False
-        self._decoder: msgspec.msgpack.Decoder[wire.FromRtpu] = msgspec.msgpack.Decoder(
-            wire.FromRtpu
+        self._decoder: msgspec.msgpack.Decoder[FromRtpu] = msgspec.msgpack.Decoder(
+            FromRtpu
         )
         self.taken_over = False
         self.info: wire.RtpuInfo | None = None
@@ -105,6 +111,7 @@ class RtpuLink:
             cleaned = []
         info = self._attach(self._sock)
         self.info = info
+        self._listener.informed(info)
         self._thread = threading.Thread(
             target=self._read, args=(self._sock,), name="pbonet rtpu link", daemon=True
         )
@@ -310,7 +317,7 @@ class RtpuLink:
                 self._describe_end(reason, orderly=orderly), orderly=orderly
             )
 
-    def _hand_over(self, message: wire.FromRtpu) -> None:
+    def _hand_over(self, message: FromRtpu) -> None:
         match message:
             case wire.Answered():
                 self._listener.answered(message.n, message.data)
@@ -319,6 +326,8 @@ class RtpuLink:
             case wire.RtpuInfo():
                 self.info = message
                 self._listener.informed(message)
+            case Known():
+                self._listener.learned(message)
             case wire.Ending():
                 pass
 

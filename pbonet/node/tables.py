@@ -11,31 +11,26 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from pbonet.config import parse_svar
 from pbonet.errors import (
     SvarDamagedError,
-    SvarError,
     SvarExistsError,
     SvarLayoutError,
     SvarMissingError,
 )
-from pbonet.svar import Flags, Table
+from pbonet.svar import Table
 from pbonet.xm import rundir
-from pbonet.xm.messages import TableInfo, VarValue
-from pbonet.xm.values import plain
+from pbonet.xm.messages import TableInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from pbonet.config.model import SvarFile
-    from pbonet.svar import LocalTable
     from pbonet.xm.messages import OpenTable
 
 
@@ -91,10 +86,7 @@ class Tables:
         """
         opened = self._open.get(subsystem)
         if opened is None:
-            raise SvarMissingError(
-                f"the table of subsystem {subsystem!r} is not open here",
-                remedy="the master opens it when it starts the subsystem",
-            )
+            raise no_table(subsystem)
         opened.table.must_be_whole()
         return opened
 
@@ -125,7 +117,7 @@ class Tables:
         rundir.check_name("a subsystem", request.subsystem)
         file = parse_svar(request.svar, request.svar_name)
         layout = Table.layout_of(file.variables)
-        name = f"{self._domain}.{request.subsystem}"
+        name = table_name(self._domain, request.subsystem)
         held = self._open.get(request.subsystem)
         if held is not None:
             if held.table.layout != layout:
@@ -195,43 +187,6 @@ class Tables:
             for cause in one.table.illegal
         ]
 
-    def display(self, subsystem: str, names: Sequence[str] | None) -> list[VarValue]:
-        """Return values of variables with their provenance, without owning any.
-
-        All values are those of one instant; where that is not proven, they say so.
-
-        Raises:
-            UnknownVariableError: The table has no variable of that name.
-            SvarDamagedError: Its file was truncated.
-        """
-        table = self.need(subsystem).table
-        wanted = list(names or table.names())
-        with table.local("display", os.getpid(), invar=wanted) as local:
-            flags = local.copy_in()
-            if flags & Flags.COPY_LOST:
-                return [_value(table, name) for name in wanted]
-            whole = not flags & Flags.COPY_TORN
-            values = [_of_cut(table, local, name, whole=whole) for name in wanted]
-        table.must_be_whole()  # else zeros were read for values
-        return values
-
-    def write(self, subsystem: str, name: str, values: Sequence[float]) -> VarValue:
-        """Set a variable that no task writes.
-
-        Raises:
-            SvarOwnerError: A task writes it.
-            SvarError: This RTPU is not the keeper, or the values do not fit.
-        """
-        opened = self.need(subsystem)
-        if not opened.keep:
-            raise SvarError(
-                "this RTPU does not keep the table",
-                where=opened.table.name,
-                remedy="send it to the RTPU that MASTER names, or the first one",
-            )
-        opened.table.write(name, values)
-        return _value(opened.table, name)
-
     def _create(self, name: str, file: SvarFile) -> Table:
         try:
             return Table.create(name, file.variables)
@@ -252,6 +207,19 @@ class Tables:
             layout=opened.table.layout,
             machine=rundir.machine(),
         )
+
+
+def table_name(domain: str, subsystem: str) -> str:
+    """Return the name of a subsystem's table, as its file bears it."""
+    return f"{domain}.{subsystem}"
+
+
+def no_table(subsystem: str) -> SvarMissingError:
+    """Return the error for a subsystem whose table is not open."""
+    return SvarMissingError(
+        f"the table of subsystem {subsystem!r} is not open here",
+        remedy="the master opens it when it starts the subsystem",
+    )
 
 
 def remove_unused(path: Path) -> bool:
@@ -282,36 +250,4 @@ def _other_layout(name: str, wanted: str, got: str) -> SvarLayoutError:
         expected=f"layout {wanted}",
         got=f"layout {got}",
         remedy="stop the subsystem that uses it, or give this one another name",
-    )
-
-
-def _value(table: Table, name: str) -> VarValue:
-    """Return a variable by itself."""
-    info = table.info(name)
-    return _shown(table, name, table.read(name), stale=info.stale, whole=False)
-
-
-def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
-    """Return a variable as it stood in a copy of several."""
-    stale = local.stale(name)
-    return _shown(table, name, local.array(name), stale=stale, whole=whole)
-
-
-def _shown(
-    table: Table, name: str, value: NDArray[Any], *, stale: bool, whole: bool
-) -> VarValue:
-    variable = table.variable(name)
-    info = table.info(name)
-    return VarValue(
-        name=name,
-        index=table.index(name),
-        values=plain(value),
-        units=variable.units,
-        desc=variable.desc,
-        writer=info.writer,
-        age=None if info.age_ns is None else info.age_ns * 1e-9,
-        cycle=info.cycle,
-        seq=info.seq,
-        stale=stale,
-        whole=whole,
     )

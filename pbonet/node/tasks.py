@@ -87,6 +87,7 @@ class Task:
         wake: Tells the task, through its slot, that a message waits; when told so, that
             it is to look behind its next cycle.
         tell: Takes what the task reports unasked, and what it prints.
+        heard: Called when the task has said anything, or has ended.
         ended: Called once, with the exit code, when the process is gone.
     """
 
@@ -97,6 +98,7 @@ class Task:
         *,
         wake: Callable[[bool], None],
         tell: Callable[[Task, wire.Notice], None],
+        heard: Callable[[], None],
         ended: Callable[[Task, int], None],
     ) -> None:
         self.facts = facts
@@ -127,6 +129,7 @@ class Task:
         self.gone = asyncio.Event()
         self._wake = wake
         self._tell = tell
+        self._heard = heard
         self._ended = ended
         self._count = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[wire.Done]] = {}
@@ -272,6 +275,7 @@ class Task:
             if not data:
                 break
             self._take(data)
+            self._heard()
         code = await self.child.exited
         loop.remove_reader(self.child.out)
         self._read_output()
@@ -281,6 +285,7 @@ class Task:
             self._ended(self, code)
         finally:
             self._bury(code)
+            self._heard()
 
     def _bury(self, code: int) -> None:
         """Tell whoever waits that the task is gone, and close its files."""
@@ -351,6 +356,7 @@ class Task:
                     asyncio.get_running_loop().remove_reader(self.child.out)
                     return
                 self._lines.feed(data)
+                self._heard()
 
     def _printed(self, line: str) -> None:
         self._tell(

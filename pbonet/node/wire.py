@@ -103,7 +103,7 @@ class Recorder(Struct, tag="recorder", kw_only=True):
     """Records that could not be written."""
 
 
-FromAgent = Attach | Forward | Note | Shutdown | Arrived | Recorder
+FromAgent = Attach | Forward | Note | Shutdown | Arrived
 
 
 # -- agent to recorder, and back ------------------------------------------------------
@@ -372,7 +372,11 @@ def encode(message: Struct) -> bytes:
 
 def frame(message: Struct) -> bytes:
     """Return `message` with its length before it."""
-    body = encode(message)
+    return framed(encode(message))
+
+
+def framed(body: bytes) -> bytes:
+    """Return a packed message with its length before it."""
     return LENGTH.pack(len(body)) + body
 
 

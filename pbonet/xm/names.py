@@ -169,8 +169,11 @@ def rtpus(domain: str) -> set[str]:
 def standing(kind: str, domain: str) -> list[str]:
     """Return the names of the resources of a kind that stand on this machine."""
     prefix, suffix = f"pbonet.{os.geteuid()}.{domain}:", f".{kind}"
-    found = (path.name for path in folder().glob(f"{prefix}*{suffix}"))
-    return sorted(name.removeprefix(prefix).removesuffix(suffix) for name in found)
+    return sorted(
+        name.removeprefix(prefix).removesuffix(suffix)
+        for name in os.listdir(folder())  # noqa: PTH208 - three times as fast
+        if name.startswith(prefix) and name.endswith(suffix)
+    )
 
 
 def missing(name: Name, kind: str) -> XmMissingError:

@@ -12,7 +12,7 @@ from pbonet.errors import MethodError, Severity
 from pbonet.master import render
 from pbonet.master.choice import Choice
 from pbonet.node import wire
-from pbonet.node.events import EventLog
+from pbonet.node.events import EventLog, by_task
 from pbonet.node.tasks import crash_place
 from pbonet.node.tasktalk import Voice
 from pbonet.pbo import Notice, State, place_of
@@ -81,7 +81,7 @@ def test_counts_that_come_with_a_message_are_added():
     events = EventLog("arm0")
     events.add(Severity.WARNING, "HANDLED", "x", subsystem="s", task="t")
     events.count("HANDLED", 40, subsystem="s", task="t")
-    assert Counter(events.counts("s")["t"]) == {"HANDLED": 41}
+    assert Counter(by_task(events.counts(), "s")["t"]) == {"HANDLED": 41}
 
 
 def event(**more):

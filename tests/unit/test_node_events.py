@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pbonet.errors import Severity
-from pbonet.node.events import KEPT, LONGEST_TEXT, EventLog, LineBudget
+from pbonet.node.events import (
+    KEPT,
+    LONGEST_TEXT,
+    EventLog,
+    LineBudget,
+    by_task,
+)
 from pbonet.node.output import LONGEST_LINE, DroppingWriter, Lines
 
 SECOND = 1_000_000_000
@@ -56,13 +62,13 @@ def test_counts_by_task_and_code_with_what_is_held_back():
     events.add(Severity.INFO, "CLAIM", "s", subsystem="s")
     events.add(Severity.INFO, "ENDING", "the process")
     events.add(Severity.INFO, "STATE", "on", subsystem="other", task="t")
-    assert events.counts("s") == {
+    assert by_task(events.counts(), "s") == {
         "t": {"STATE": KEPT + 1, "WARNING": 1},
         "": {"CLAIM": 1, "ENDING": 1},
     }
-    assert events.counts()["t"]["STATE"] == KEPT + 2
+    assert by_task(events.counts())["t"]["STATE"] == KEPT + 2
     events.forget("s")
-    assert events.counts("s") == {"": {"ENDING": 1}}
+    assert by_task(events.counts(), "s") == {"": {"ENDING": 1}}
 
 
 def test_long_texts_are_cut():

@@ -1,0 +1,278 @@
+"""An agent's view of its RTPU: out of shared memory, without waking anybody.
+
+What the core's table and the state variable tables say is read there; the little that
+only the RTPU process knows it has told before (`pbonet.node.known`). So status,
+profiles and values of variables are given, and variables set as an operator does,
+by the agent alone (Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import TYPE_CHECKING, Any
+
+from pbonet import tbuf
+from pbonet.errors import NodeError, Severity, SvarError
+from pbonet.svar import Table
+from pbonet.xm import messages as m
+
+from . import _rt, claims, events, known, status, values
+from .answers import Answers, being_stopped
+from .known import Known, KnownTask
+from .tables import no_table, remove_unused, table_name
+from .wire import Note
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.sched.records import SlotStatus
+
+    from .wire import Recorder, RtpuInfo
+
+log = logging.getLogger("pbonet.node")
+
+FEW = 8
+"""Tasks whose status takes less time than to wake a thread for it."""
+NEWS_TIME = 0.5
+"""Seconds in which the RTPU process tells of a task that it has just begun or ended."""
+
+Handled = m.Status | m.Profile | m.Display | m.Write
+HANDLED = (m.Status, m.Profile, m.Display, m.Write)
+"""Requests that the agent carries out itself."""
+
+
+class Overview:
+    """How one RTPU, its tasks and its tables stand.
+
+    Args:
+        domain: The agent's domain.
+        rtpu: The RTPU's name.
+        note: Takes note of a fault of pbonet itself.
+        recorder: Tells how a subsystem's recorder fares.
+    """
+
+    def __init__(
+        self,
+        domain: str,
+        rtpu: str,
+        note: Callable[[Note], None],
+        recorder: Callable[[str], Recorder | None],
+    ) -> None:
+        self._recorder = recorder
+        self._domain, self._rtpu = domain, rtpu
+        self._answers = Answers(
+            rtpu, lambda text: note(Note(int(Severity.ERROR), "INTERNAL", text))
+        )
+        self._news = threading.Condition()
+        self._told = 0
+        self._known = Known()
+        self._core: _rt.CoreTable | None = None
+        self._tables: dict[str, tuple[Table, bool]] = {}
+        self._do: dict[type[m.Request], Callable[[Any], object]] = {
+            m.Status: self._status,
+            m.Profile: self._profile,
+            m.Display: self._display,
+            m.Write: self._write,
+        }
+
+    # -- what the RTPU process says ----------------------------------------------------
+
+    def informed(self, info: RtpuInfo) -> None:
+        """Look at the core of the RTPU process, and at the tables that it has open."""
+        if self._core is None:
+            self._core = _rt.CoreTable(info.core, member=False)
+        for subsystem in self._tables.keys() - info.tables.keys():
+            self._let_go(subsystem)
+        for subsystem, keep in info.tables.items():
+            if subsystem not in self._tables:
+                self._attach(subsystem, keep=keep)
+
+    def learn(self, news: Known) -> None:
+        """Take what has changed."""
+        with self._news:
+            for name in news.__struct_fields__:
+                if (part := getattr(news, name)) is not None:
+                    setattr(self._known, name, part)
+            self._told += 1
+            self._news.notify_all()
+
+    def let_go(self) -> None:
+        """Let go of everything: the RTPU process has ended."""
+        for subsystem in list(self._tables):
+            self._let_go(subsystem)
+        core, self._core, self._known = self._core, None, Known()
+        if core is not None:
+            core.close()
+
+    def _attach(self, subsystem: str, *, keep: bool) -> None:
+        try:
+            table = Table.attach(table_name(self._domain, subsystem))
+        except SvarError as error:
+            log.warning("the table of %s cannot be seen: %s", subsystem, error)
+        else:
+            self._tables[subsystem] = table, keep
+
+    def _let_go(self, subsystem: str) -> None:
+        table, _ = self._tables.pop(subsystem)
+        path = table.path
+        table.close()
+        remove_unused(path)
+
+    # -- requests ----------------------------------------------------------------------
+
+    def answer(self, request: Handled) -> bytes:
+        """Return the packed answer to a request of those in `HANDLED`."""
+        try:
+            result = self._do[type(request)](request)
+            return self._answers.good(request, result, [])
+        except Exception as error:  # noqa: BLE001 - the server outlives any request
+            return self._answers.bad(request, error)
+
+    @property
+    def short(self) -> bool:
+        """Whether a status can be given without waiting, and of a few tasks only."""
+        tasks = self._known.tasks
+        if tasks is None or len(tasks) > FEW or self._core is None:
+            return False
+        return len(self._match(tasks)) == len(tasks)
+
+    def _status(self, request: m.Status) -> m.RtpuStatus:
+        seen = self._look()
+        whose = request.subsystem
+        entry = self._claim(whose)
+        return status.rtpu_status(
+            self._rtpu,
+            entry.scheduler if entry else "",
+            self._open().status(),
+            tasks=[
+                *(self._shown(task, slot) for task, slot in self._of(request, seen)),
+                *self._died(request),
+            ],
+            spent_ns=sum(slot.cpu_total_ns for _, slot in seen),
+            illegal=self._causes(whose),
+            events=events.by_task(self._known.counts or [], whose),
+            tbufs=tbuf.seen(self._domain),
+            recorder=self._recorder(whose),
+        )
+
+    def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
+        core = self._open()
+        return [
+            status.task_profile(
+                self._shown(task, slot), slot, core.histograms(task.slot)
+            )
+            for task, slot in self._of(request, self._look())
+        ]
+
+    def _display(self, request: m.Display) -> list[m.VarValue]:
+        return values.display(self._table(request.subsystem)[0], request.names)
+
+    def _write(self, request: m.Write) -> m.VarValue:
+        claims.check(self._rtpu, self._claim(request.subsystem), request)
+        if request.subsystem in (self._known.stopping or []):
+            raise being_stopped(self._rtpu, request.subsystem)
+        table, keep = self._table(request.subsystem)
+        return values.write(table, request.name, request.values, keep=keep)
+
+    # -- what is seen ------------------------------------------------------------------
+
+    def _look(self) -> list[tuple[KnownTask, SlotStatus]]:
+        """Return all tasks with what stands in the core's table about them.
+
+        A slot that has another task than is known was given away this moment: the
+        RTPU process is about to tell, and is waited for a little.
+        """
+        while True:
+            with self._news:
+                told, tasks = self._told, self._known.tasks
+            found = [] if tasks is None else self._match(tasks)
+            if tasks is not None and len(found) == len(tasks):
+                return found
+            if not self._more(told):
+                return found
+
+    def _more(self, told: int) -> bool:
+        """Wait until more has been told; return whether it came in time."""
+        with self._news:
+            return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
+
+    def _match(self, tasks: list[KnownTask]) -> list[tuple[KnownTask, SlotStatus]]:
+        core, found = self._open(), []
+        owner = f"{self._domain}/{self._rtpu}"
+        for task in tasks:
+            try:
+                slot = core.snapshot(task.slot)
+            except NodeError:  # it has been given back
+                continue
+            if (slot.rtpu, slot.task) == (owner, f"{task.subsystem}/{task.task}"):
+                found.append((task, slot))
+        return found
+
+    def _of(
+        self,
+        request: m.Status | m.Profile,
+        seen: list[tuple[KnownTask, SlotStatus]],
+    ) -> list[tuple[KnownTask, SlotStatus]]:
+        """Return the tasks that are asked for.
+
+        Raises:
+            UnknownTaskError: There is none of that name, nor was one.
+        """
+        whose, name = request.subsystem, request.task
+        own = [(t, slot) for t, slot in seen if whose in {"", t.subsystem}]
+        found = [(t, slot) for t, slot in own if name in {None, t.task}]
+        if name is None or found:
+            return found
+        tombs = self._died(request)
+        if isinstance(request, m.Profile) or not tombs:
+            tomb = tombs[0] if tombs else None
+            names = [t.task for t, _ in own]
+            raise known.no_task(self._rtpu, whose, name, names, tomb)
+        return []
+
+    def _died(self, request: m.Status | m.Profile) -> list[m.TaskStatus]:
+        """Return the last status of the tasks asked for that have died."""
+        return [
+            tomb
+            for whose, tomb in self._known.tombs or []
+            if request.subsystem in {"", whose} and request.task in {None, tomb.task}
+        ]
+
+    def _shown(self, task: KnownTask, slot: SlotStatus) -> m.TaskStatus:
+        signals = self._open().signals(task.slot)
+        return status.task_status(self._rtpu, task, slot, signals)
+
+    def _causes(self, subsystem: str) -> list[str]:
+        """Return why the illegal-configuration flag is up."""
+        whose = [subsystem] if subsystem else list(self._tables)
+        return [
+            f"{cause.cause} ({cause.raiser})"
+            for table, _ in filter(None, map(self._tables.get, whose))
+            for cause in table.illegal
+        ]
+
+    def _claim(self, subsystem: str) -> claims.Entry | None:
+        entries = self._known.claims or []
+        return next((one for one in entries if one.subsystem == subsystem), None)
+
+    def _table(self, subsystem: str) -> tuple[Table, bool]:
+        found = self._tables.get(subsystem)
+        if found is None:
+            raise no_table(subsystem)
+        found[0].must_be_whole()
+        return found
+
+    def _open(self) -> _rt.CoreTable:
+        if self._core is None:
+            raise restarting(self._rtpu)
+        return self._core
+
+
+def restarting(rtpu: str) -> NodeError:
+    """Return the error for an RTPU whose process is being started again."""
+    return NodeError(
+        "the RTPU process has ended and is being started again",
+        where=rtpu,
+        remedy="try again in a moment",
+    )

@@ -1,0 +1,93 @@
+"""Values of a table's variables, as they are shown to people, and set by them."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from pbonet.errors import SvarError
+from pbonet.svar import Flags
+from pbonet.xm.messages import VarValue
+from pbonet.xm.values import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.svar import LocalTable, Table
+
+
+def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
+    """Return values of variables with their provenance, without owning any.
+
+    All values are those of one instant; where that is not proven, they say so.
+
+    Raises:
+        UnknownVariableError: The table has no variable of that name.
+        SvarDamagedError: Its file was truncated.
+    """
+    wanted = list(names or table.names())
+    with table.local("display", os.getpid(), invar=wanted) as local:
+        flags = local.copy_in()
+        if flags & Flags.COPY_LOST:
+            return [_value(table, name) for name in wanted]
+        whole = not flags & Flags.COPY_TORN
+        values = [_of_cut(table, local, name, whole=whole) for name in wanted]
+    table.must_be_whole()  # else zeros were read for values
+    return values
+
+
+def write(table: Table, name: str, values: Sequence[float], *, keep: bool) -> VarValue:
+    """Set a variable that no task writes.
+
+    Args:
+        table: The table.
+        name: The variable.
+        values: All its elements.
+        keep: Whether this RTPU keeps the table, and so may.
+
+    Raises:
+        SvarOwnerError: A task writes it.
+        SvarError: This RTPU is not the keeper, or the values do not fit.
+    """
+    if not keep:
+        raise SvarError(
+            "this RTPU does not keep the table",
+            where=table.name,
+            remedy="send it to the RTPU that MASTER names, or the first one",
+        )
+    table.write(name, values)
+    return _value(table, name)
+
+
+def _value(table: Table, name: str) -> VarValue:
+    """Return a variable by itself."""
+    info = table.info(name)
+    return _shown(table, name, table.read(name), stale=info.stale, whole=False)
+
+
+def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
+    """Return a variable as it stood in a copy of several."""
+    stale = local.stale(name)
+    return _shown(table, name, local.array(name), stale=stale, whole=whole)
+
+
+def _shown(
+    table: Table, name: str, value: NDArray[Any], *, stale: bool, whole: bool
+) -> VarValue:
+    variable = table.variable(name)
+    info = table.info(name)
+    return VarValue(
+        name=name,
+        index=table.index(name),
+        values=plain(value),
+        units=variable.units,
+        desc=variable.desc,
+        writer=info.writer,
+        age=None if info.age_ns is None else info.age_ns * 1e-9,
+        cycle=info.cycle,
+        seq=info.seq,
+        stale=stale,
+        whole=whole,
+    )
