@@ -198,7 +198,8 @@ class Overview:
             return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
 
     def _match(self, tasks: list[KnownTask]) -> list[tuple[KnownTask, SlotStatus]]:
-        core, found = self._open(), []
+        core = self._open()
+        found: list[tuple[KnownTask, SlotStatus]] = []
         owner = f"{self._domain}/{self._rtpu}"
         for task in tasks:
             try:
