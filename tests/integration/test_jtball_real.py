@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from magellan import Magellan
 from nodekit import Nodes
-from test_jtball_pty import Magellan
 from watching import wait_for
 
 import pbonet.modules
