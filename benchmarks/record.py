@@ -1,19 +1,23 @@
-"""What recording costs: a task, the recorder, the disk; and how fast a log is verified.
+"""What recording costs: a task, the recorder, the disk; and how fast logs are read.
 
 * CPU time that the record of each cycle adds to a 1 kHz task of six inputs and six
-  outputs, in turns without a ring, with one, and with the inputs of every cycle.
-* CPU time of the recorder for 20 tasks of 1 kHz with six numbers each, fed through
-  their rings at that rate, and bytes on disk per sample: random walks, without what a
-  cycle has read.
+  outputs, in turns without a ring, with one, and with the inputs of every cycle; a
+  recorder empties the rings all the while.
+* CPU time of the recorder for 20 tasks of 1 kHz in a line, each reading the six numbers
+  of the one before it and writing six of its own, random walks; bytes on disk a sample.
 * Time to open a log of a size, to read one of its 20 tasks, and to open it cut short.
-* The PUMA example is run for some seconds and verified, task by task.
+* The PUMA example is run for some seconds; each task is verified, and the servo played
+  into a table, as fast as that goes and at its own times.
 
     python -m benchmarks.record [--seconds 2] [--blocks 5] [--core 1] [--megabytes 1000]
+
+Status 3: a goal was missed.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import statistics
@@ -31,16 +35,55 @@ from benchmarks import rtbench
 from pbonet.config.model import Variable
 from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run
 from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.master.player import Span, play
 from pbonet.node import _rt, wire
+from pbonet.svar import Table
 from pbonet.testing import verify
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
 
 PERIOD = 1_000_000
 TASKS = 20
 PUMA = Path(__file__).parents[1] / "examples" / "puma" / "puma.job"
-WAYS = ("no ring", "outputs", "all")
+SERVO = "puma_pidg"
+WAYS = ("none", "outputs", "all")
+MISSED = 3
+MOST_ADDED, MOST_CORE, MOST_OPEN, LEAST_SPEED = 1.0, 0.5, 1.0, 20.0
+"""Goals: us a cycle, share of a core, s to open a log, x real time of the servo."""
+
+
+@contextlib.contextmanager
+def recording(core: int, folder: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Have a recorder follow the rings of subsystem ``rec``, and finish its log."""
+    wanted = wire.Recording(
+        domain="bench",
+        rtpu="r0",
+        subsystem="rec",
+        core=core,
+        folder=folder,
+        file="run",
+        run="bench",
+        job="bench",
+        mode="outputs",
+        tasks={"all": "all"},
+    )
+    memory = os.memfd_create("recording")
+    os.write(memory, wire.encode(wanted))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pbonet.node.recorder", str(memory)],
+        pass_fds=[memory],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+    )
+    try:
+        rtbench.wait_for(Path(folder, "run.mcap").exists, "the log", 10.0)
+        yield process
+    finally:
+        process.communicate()
+        os.close(memory)
 
 
 def cycle_cost(
@@ -49,21 +92,24 @@ def cycle_cost(
     """Return the CPU microseconds of a cycle of an empty module."""
     slot = core.alloc("bench", "record")
     core.configure(slot, period_ns=PERIOD, crit=5)
-    ring = None if way == "no ring" else _rt.Ring.create("record", 1 << 24)
-    if ring is not None and way == "all":
-        ring.want(always=True)
+    ring = None
+    if way != "none":
+        out = [Variable(name="O0_0", type="double", nelem=6)]
+        about = msgspec.json.encode(_about(way, out))
+        ring = _rt.Ring.create(f"bench.rec.{way}", 1 << 20, about)
 
     def body(end: _rt.Slot) -> None:
         end.run(lambda _dt: None, tables.local(0), ring=ring)
 
     pid = rtbench.start_task(core, slot, body)
-    rtbench.wait_for(lambda: core.snapshot(slot).cycles > 20, "cycles", 10.0)
+    rtbench.wait_for(lambda: core.snapshot(slot).cycles > 200, "cycles", 10.0)
     first, spent = core.snapshot(slot).cycles, rtbench.thread_cpu_ns(pid)
     time.sleep(seconds)
     cycles = core.snapshot(slot).cycles - first
     spent = rtbench.thread_cpu_ns(pid) - spent
     rtbench.end_task(core, slot, pid)
     if ring is not None:
+        assert not ring.lost, "nobody has emptied the ring"
         ring.destroy()
     return spent / cycles * 1e-3
 
@@ -71,90 +117,102 @@ def cycle_cost(
 def costs(core_number: int, seconds: float, blocks: int) -> dict[str, list[float]]:
     """Return the cost of a cycle, block by block, for each way."""
     found: dict[str, list[float]] = {way: [] for way in WAYS}
-    core = _rt.CoreTable(core_number, member=True)
-    dispatcher = _rt.Dispatcher(core, "auto")
-    dispatcher.start()
-    tables = rtbench.Tables(1, arrays=1)
-    try:
-        for _ in range(blocks):
-            for way in WAYS:
-                found[way].append(cycle_cost(core, tables, way, seconds))
-    finally:
-        dispatcher.stop()
-        tables.table.destroy()
-        core.close()
+    with _dispatched(core_number) as core, tempfile.TemporaryDirectory() as folder:
+        tables = rtbench.Tables(1, arrays=1)
+        try:
+            with recording(core_number, folder):
+                for _ in range(blocks):
+                    for way in WAYS:
+                        found[way].append(cycle_cost(core, tables, way, seconds))
+        finally:
+            tables.table.destroy()
     return found
 
 
-def feed(rings: Sequence[_rt.Ring], walks: Any, seconds: float) -> int:  # noqa: ANN401
-    """Put records into the rings at 1 kHz each, in real time; return how many."""
-    begun, sent = time.monotonic_ns(), 0
-    while (now := time.monotonic_ns() - begun) < seconds * 1e9:
-        while sent * PERIOD < now:
-            data = walks[sent % len(walks)]
-            stamp = begun + sent * PERIOD
-            for k, ring in enumerate(rings):
-                ring.put(
-                    data[k].tobytes(),
-                    cycle=sent + 1,
-                    now_ns=stamp,
-                    uid=k + 1,
-                    number=sent,
-                )
-            sent += 1
-        time.sleep(0.01)
-    return sent * len(rings)
+@contextlib.contextmanager
+def _dispatched(core_number: int) -> Iterator[_rt.CoreTable]:
+    """Have tasks of a core released."""
+    core = _rt.CoreTable(core_number, member=True)
+    dispatcher = _rt.Dispatcher(core, "auto")
+    dispatcher.start()
+    try:
+        yield core
+    finally:
+        dispatcher.stop()
+        core.close()
 
 
-def recorder(core: int, seconds: float) -> dict[str, float]:
+def _walk(table: Table, number: int, ring: _rt.Ring, walk: NDArray[np.float64]) -> Any:  # noqa: ANN401 - what a process does
+    """Return what a task does that reads the one before it and walks at random."""
+
+    def body(end: _rt.Slot) -> None:
+        names = [f"Y{(number - 1) % TASKS}"], [f"Y{number}"]
+        local = table.local(f"t{number}", os.getpid(), invar=names[0], outvar=names[1])
+        local.claim()
+        out, steps = local.array(f"Y{number}"), iter(range(1 << 62))
+
+        def cycle(_dt: float) -> None:
+            out[:] = walk[next(steps) % len(walk)]
+
+        end.run(cycle, local, ring=ring)
+
+    return body
+
+
+def recorder(core_number: int, seconds: float) -> dict[str, float]:
     """Return what the recorder took, in all and for each sample."""
     random = np.random.default_rng(1)
-    walks = random.normal(size=(4000, TASKS, 6)).cumsum(axis=0)
-    out = [Variable(name="Y", type="double", nelem=6, units="rad")]
-    with tempfile.TemporaryDirectory() as folder:
-        names = [f"bench.rec.t{k}" for k in range(TASKS)]
-        rings: list[_rt.Ring] = []
-        for k, name in enumerate(names):
-            about = _about(f"t{k}", out)
-            rings.append(_rt.Ring.create(name, about=msgspec.json.encode(about)))
-        wanted = wire.Recording(
-            domain="bench",
-            rtpu="r0",
-            subsystem="rec",
-            core=core,
-            folder=folder,
-            file="run",
-            run="bench",
-            job="bench",
-            mode="outputs",
+    walks = random.normal(size=(TASKS, 4000, 6)).cumsum(axis=1)
+    outs = [Variable(name=f"Y{k}", type="double", nelem=6) for k in range(TASKS)]
+    table = Table.create(f"bench{os.getpid()}", outs)
+    rings = [
+        _rt.Ring.create(
+            f"bench.rec.t{k}", 1 << 20, msgspec.json.encode(_about(f"t{k}", [out]))
         )
-        memory = os.memfd_create("recording")
-        os.write(memory, wire.encode(wanted))
-        process = subprocess.Popen(
-            [sys.executable, "-m", "pbonet.node.recorder", str(memory)],
-            pass_fds=[memory],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-        )
-        path = Path(folder, "run.mcap")
-        rtbench.wait_for(path.exists, "the log", 10.0)
-        spent = rtbench.thread_cpu_ns(process.pid)
-        samples = feed(rings, walks, seconds)
-        spent = rtbench.thread_cpu_ns(process.pid) - spent
-        lost = sum(ring.lost for ring in rings)
-        process.communicate()
+        for k, out in enumerate(outs)
+    ]
+    try:
+        with (
+            _dispatched(core_number) as core,
+            tempfile.TemporaryDirectory() as folder,
+        ):
+            with recording(core_number, folder) as process:
+                running: list[tuple[int, int]] = []
+                for k, ring in enumerate(rings):
+                    slot = core.alloc("bench/r0", f"rec/t{k}")
+                    core.configure(slot, period_ns=PERIOD, crit=5)
+                    body = _walk(table, k, ring, walks[k])
+                    running.append((slot, rtbench.start_task(core, slot, body)))
+                last = running[-1][0]
+                rtbench.wait_for(
+                    lambda: core.snapshot(last).cycles > 500, "cycles", 20.0
+                )
+                first = sum(core.snapshot(slot).cycles for slot, _ in running)
+                spent, begun = rtbench.thread_cpu_ns(process.pid), time.monotonic()
+                time.sleep(seconds)
+                spent = rtbench.thread_cpu_ns(process.pid) - spent
+                passed = time.monotonic() - begun
+                cycles = [core.snapshot(slot).cycles for slot, _ in running]
+                samples = sum(cycles) - first
+                for slot, pid in running:
+                    rtbench.end_task(core, slot, pid)
+                lost = sum(ring.lost for ring in rings)
+            path = Path(folder, "run.mcap")
+            log = Log(path)
+            kept = sum(len(log.arrays(task)["cycle"]) for task in log.tasks)
+            return {
+                "samples": samples,
+                "of which were due": passed * 1e9 / PERIOD * TASKS,
+                "lost": lost,
+                "share of a core": spent / (passed * 1e9),
+                "CPU us a sample": spent / samples * 1e-3,
+                "on record, in all": kept,
+                "bytes a sample": path.stat().st_size / kept,
+            }
+    finally:
         for ring in rings:
             ring.destroy()
-        log = Log(path)
-        kept = sum(len(log.arrays(task)["cycle"]) for task in log.tasks)
-        return {
-            "samples": samples,
-            "on record": kept,
-            "lost": lost,
-            "share of a core": spent / (seconds * 1e9),
-            "CPU us a sample": spent / samples * 1e-3,
-            "bytes a sample": path.stat().st_size / samples,
-        }
+        table.destroy()
 
 
 def opening(megabytes: float) -> dict[str, float]:
@@ -181,6 +239,7 @@ def opening(megabytes: float) -> dict[str, float]:
         cycles = len(log.arrays("t7")["cycle"])
         found["s to one task's arrays"] = time.perf_counter() - begun
         found["cycles of it"] = cycles
+        found["cycles read a second"] = cycles / found["s to one task's arrays"]
         begun = time.perf_counter()
         Log(cut)
         found["s to open it cut"] = time.perf_counter() - begun
@@ -219,30 +278,57 @@ def _about(task: str, out: list[Variable]) -> TaskAbout:
     )
 
 
-def verified(seconds: float) -> list[dict[str, Any]]:
-    """Run the PUMA example, and verify it; return figures by task."""
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "pbonet.cli", "run", str(PUMA)]
-        command += ["--seconds", f"{seconds:g}", "--runs", folder]
-        command += ["--domain", f"record{os.getpid()}"]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        log = Log(last_run(folder))
-        rows: list[dict[str, Any]] = []
-        for one in verify(log):
-            cpu = log.arrays(one.task)["cpu_ns"].mean() * 1e-3
-            rows.append({
-                "task": one.task,
-                "identical": one.cycles,
-                "recorded": one.recorded,
-                "x real time": one.seconds / one.took,
-                "us a cycle": one.took / max(one.cycles, 1) * 1e6,
-                "CPU us a cycle in the task": float(cpu),
-            })
-        return rows
+def puma(seconds: float, folder: str) -> Log:
+    """Run the PUMA example; return its log."""
+    command = [sys.executable, "-m", "pbonet.cli", "run", str(PUMA)]
+    command += ["--seconds", f"{seconds:g}", "--runs", folder]
+    command += ["--domain", f"record{os.getpid()}"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return Log(last_run(folder))
 
 
-def main() -> None:
-    """Measure, and print."""
+def verified(log: Log) -> list[dict[str, Any]]:
+    """Verify a run; return figures by task."""
+    rows: list[dict[str, Any]] = []
+    for one in verify(log):
+        cpu = log.arrays(one.task)["cpu_ns"].mean() * 1e-3
+        rows.append({
+            "task": one.task,
+            "identical": one.cycles,
+            "recorded": one.recorded,
+            "x real time": one.seconds / one.took,
+            "us a cycle": one.took / max(one.cycles, 1) * 1e6,
+            "CPU us a cycle in the task": float(cpu),
+        })
+    return rows
+
+
+def played(log: Log) -> dict[str, float]:
+    """Play what the servo wrote into a table, as fast as it goes and at its times."""
+    about = log.task_about(SERVO)
+    table = Table.create("bench.play", [*about.outvar, *about.outconst])
+    try:
+        begun = time.perf_counter()
+        (fast,) = play(
+            log.path, [SERVO], Span(rate=1e9), domain="bench", subsystem="play"
+        )
+        took = time.perf_counter() - begun
+        (true,) = play(
+            log.path, [SERVO], Span(end=2.0), domain="bench", subsystem="play"
+        )
+    finally:
+        table.destroy()
+    seconds = float(np.ptp(log.arrays(SERVO)["release_ns"])) * 1e-9
+    return {
+        "commits": fast.commits,
+        "us a commit, all at once": took / fast.commits * 1e6,
+        "x real time at most": seconds / took,
+        "ms late at rate 1, the latest": true.late * 1e3,
+    }
+
+
+def main() -> int:
+    """Measure, and print; return 3 when a goal is missed."""
     words = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     words.add_argument("--seconds", type=float, default=2.0)
     words.add_argument("--blocks", type=int, default=5)
@@ -255,26 +341,68 @@ def main() -> None:
     print("\nCPU us of a cycle at 1 kHz: median [least, greatest] of blocks")
     for way, values in found.items():
         print(f"{way:12} {rtbench.spread(values, 2)}")
-    for way in WAYS[1:]:
-        pairs = zip(found[way], found["no ring"], strict=True)
-        added = [one - none for one, none in pairs]
-        print(f"{way:12} adds {statistics.median(added):.2f}")
-    took = {"recorder": recorder(told.core, 5.0 * told.seconds)}
-    print(f"\nrecorder, {TASKS} tasks of 1 kHz and 6 numbers")
-    for name, value in took["recorder"].items():
-        print(f"{name:18} {value:12.4g}")
-    took["opening"] = opening(told.megabytes)
-    print("\nreading a log")
-    for name, value in took["opening"].items():
-        print(f"{name:22} {value:12.4g}")
-    rows = verified(5.0)
+    added = {
+        way: statistics.median(
+            one - none for one, none in zip(found[way], found["none"], strict=True)
+        )
+        for way in WAYS[1:]
+    }
+    for way, value in added.items():
+        print(f"{way:12} adds {value:.2f}")
+    kept = recorder(told.core, 5.0 * told.seconds)
+    _table(f"recorder, {TASKS} tasks of 1 kHz and 6 numbers", kept)
+    opened = opening(told.megabytes)
+    _table("reading a log", opened)
+    with tempfile.TemporaryDirectory() as folder:
+        log = puma(5.0, folder)
+        rows = verified(log)
+        speed = played(log)
     print("\nverified:")
     for row in rows:
         print("  ".join(f"{k} {v:.4g}" if k != "task" else v for k, v in row.items()))
+    _table(f"{SERVO} played", speed)
     if told.json:
-        data = {"cycle": found, **took, "verify": rows}
+        data = {"cycle": found, "recorder": kept, "opening": opened}
+        data |= {"verify": rows, "play": speed}
         told.json.write_text(json.dumps(data), encoding="utf-8")
+    goals = _judged(added["outputs"], kept, opened, rows)
+    print("\ngoals")
+    for text, (got, met) in goals.items():
+        print(f"{'met   ' if met else 'MISSED'} {text}: {got:.3g}")
+    return 0 if all(met for _, met in goals.values()) else MISSED
+
+
+def _judged(
+    added: float,
+    kept: dict[str, float],
+    opened: dict[str, float],
+    rows: list[dict[str, Any]],
+) -> dict[str, tuple[float, bool]]:
+    """Return what was asked: what was measured, and whether that is good."""
+    servo = next(row["x real time"] for row in rows if row["task"] == SERVO)
+    share, opens = kept["share of a core"], opened["s to open it"]
+    return {
+        f"a record adds at most {MOST_ADDED:g} us a cycle": (
+            added,
+            added <= MOST_ADDED,
+        ),
+        f"the recorder takes at most {MOST_CORE:g} of a core, and loses nothing": (
+            share,
+            share <= MOST_CORE and not kept["lost"],
+        ),
+        f"a log opens within {MOST_OPEN:g} s": (opens, opens <= MOST_OPEN),
+        f"the servo is verified at {LEAST_SPEED:g} x real time or more": (
+            servo,
+            servo >= LEAST_SPEED,
+        ),
+    }
+
+
+def _table(title: str, values: dict[str, float]) -> None:
+    print(f"\n{title}")
+    for name, value in values.items():
+        print(f"{name:32} {value:12.4g}")
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,16 +1,20 @@
 """Run every benchmark in turn, as ``make bench`` does.
 
 With ``--quick`` each does the least that it can: the numbers mean nothing then, but
-that every benchmark still runs is seen in some minutes. A benchmark that ran and missed
-its goal ends with status 3; that is a failure but for a quick run.
+that every benchmark still runs is seen in some minutes. At the end stands what each
+took, and whether it met its goals; a benchmark that ran and missed one ends with status
+3. So does this: 3 when goals were missed, which in a quick run means nothing, and 1
+when a benchmark failed.
 
 python -m benchmarks.run [--quick] [NAME ...]
 """
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 RUNS = {
@@ -74,17 +78,54 @@ def main() -> int:
         there = ", ".join(RUNS)
         sys.stderr.write(f"no benchmark {', '.join(unknown)}; there are {there}\n")
         return 2
-    failed: list[str] = []
+    results: dict[str, tuple[float, int]] = {}
+    with contextlib.suppress(KeyboardInterrupt):
+        for name in wanted:
+            print(f"\n== {name}", flush=True)
+            begun = time.monotonic()
+            status = run(name, quick=quick)
+            results[name] = time.monotonic() - begun, status
+    lines, status = summary(wanted, results, quick=quick)
+    print("", *lines, sep="\n")
+    return status
+
+
+def run(name: str, *, quick: bool) -> int:
+    """Run one; return its status."""
+    module, *arguments = RUNS[name].split()
+    arguments += QUICK.get(name, "").split() if quick else []
+    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
+    return subprocess.run(command, cwd=ROOT, check=False).returncode
+
+
+def summary(
+    wanted: list[str], results: dict[str, tuple[float, int]], *, quick: bool
+) -> tuple[list[str], int]:
+    """Return what is printed at the end, and the status of all.
+
+    Args:
+        wanted: The benchmarks that were to run.
+        results: Of those that did, the seconds and the status.
+        quick: Missed goals mean nothing.
+    """
+    lines: list[str] = []
     for name in wanted:
-        print(f"\n== {name}", flush=True)
-        module, *arguments = RUNS[name].split()
-        arguments += QUICK[name].split() if quick else []
-        command = [sys.executable, "-m", f"benchmarks.{module}", *arguments]
-        status = subprocess.run(command, cwd=ROOT, check=False).returncode
-        if status and not (quick and status == MISSED):
-            failed.append(name)
-    print(f"\n{len(wanted)} run, failed: {' '.join(failed) or 'none'}")
-    return len(failed)
+        seconds, status = results.get(name, (0.0, -1))
+        if name not in results:
+            told = "not run"
+        elif status == MISSED:
+            told = "goal missed" + ", which says nothing here" * quick
+        else:
+            told = f"FAILED with status {status}" if status else "good"
+        lines.append(f"{name:<18}{seconds:>7.0f} s  {told}")
+    each = [status for _, status in results.values()]
+    missed = each.count(MISSED)
+    failed = len(wanted) - each.count(0) - missed
+    lines.append(
+        f"{len(wanted)} benchmarks: {each.count(0)} good, {missed} missed a goal, "
+        f"{failed} failed or not run"
+    )
+    return lines, 1 if failed else MISSED if missed and not quick else 0
 
 
 if __name__ == "__main__":
