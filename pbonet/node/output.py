@@ -46,7 +46,7 @@ class DroppingWriter(io.TextIOBase):
             self._part = rest
             return len(text)
         self._part = rest if newline else ""
-        self._send(whole + newline if newline else rest + "\n")
+        self._send(whole + newline if newline else rest)
         return len(text)
 
     def flush(self) -> None:
@@ -94,13 +94,18 @@ class Lines:
         self._clock_ns = clock_ns
         self._budget = budget or LineBudget()
         self._part = b""
+        self._cut = False
+        """The last line was passed before its end came."""
 
     def feed(self, data: bytes) -> None:
         """Take bytes as they came out of the pipe."""
         *lines, self._part = (self._part + data).split(b"\n")
+        if self._cut and lines and not lines[0]:
+            del lines[0]  # no line of its own
+        self._cut = self._cut and not data
         if len(self._part) > 4 * LONGEST_LINE:
             lines.append(self._part)
-            self._part = b""
+            self._part, self._cut = b"", True
         for line in lines:
             self._pass(line)
 

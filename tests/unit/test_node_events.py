@@ -2,6 +2,7 @@
 
 import os
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -115,6 +116,30 @@ def test_bytes_that_are_no_text():
 def test_endless_lines_are_cut():
     (text,) = lines(b"a" * (5 * LONGEST_LINE))
     assert text == "a" * LONGEST_LINE + f" ... ({4 * LONGEST_LINE} more)"
+
+
+@pytest.mark.parametrize("parts", [[b"\n"], [b"", b"\n"], [b"\nnext\n"], [b"b\n"]])
+def test_the_end_of_a_line_that_was_cut_is_no_empty_line(parts):
+    first, *more = lines(b"a" * (5 * LONGEST_LINE), *parts)
+    assert first.endswith("more)")
+    assert more == [one for one in (b"".join(parts).decode().split("\n")) if one]
+
+
+def test_an_empty_line_behind_one_that_was_cut_is_there():
+    assert lines(b"a" * (5 * LONGEST_LINE), b"\n", b"\nb\n")[1:] == ["", "b"]
+
+
+def test_what_is_printed_without_an_end_is_one_line():
+    read, write = os.pipe()
+    try:
+        os.set_blocking(write, False)
+        print("x" * (3 * LONGEST_LINE), file=DroppingWriter(write))
+        assert lines(os.read(read, 1 << 16)) == [
+            "x" * LONGEST_LINE + f" ... ({2 * LONGEST_LINE} more)"
+        ]
+    finally:
+        os.close(read)
+        os.close(write)
 
 
 def test_lines_held_back_are_counted():
