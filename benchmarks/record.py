@@ -41,7 +41,7 @@ from pbonet.svar import Table
 from pbonet.testing import verify
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Generator
 
     from numpy.typing import NDArray
 
@@ -56,7 +56,7 @@ MOST_ADDED, MOST_CORE, MOST_OPEN, LEAST_SPEED = 1.0, 0.5, 1.0, 20.0
 
 
 @contextlib.contextmanager
-def recording(core: int, folder: str) -> Iterator[subprocess.Popen[bytes]]:
+def recording(core: int, folder: str) -> Generator[subprocess.Popen[bytes]]:
     """Have a recorder follow the rings of subsystem ``rec``, and finish its log."""
     wanted = wire.Recording(
         domain="bench",
@@ -130,7 +130,7 @@ def costs(core_number: int, seconds: float, blocks: int) -> dict[str, list[float
 
 
 @contextlib.contextmanager
-def _dispatched(core_number: int) -> Iterator[_rt.CoreTable]:
+def _dispatched(core_number: int) -> Generator[_rt.CoreTable]:
     """Have tasks of a core released."""
     core = _rt.CoreTable(core_number, member=True)
     dispatcher = _rt.Dispatcher(core, "auto")

@@ -13,6 +13,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import mounting
 import pytest
 from hypothesis import settings
 from watching import clean_folder
@@ -21,6 +22,14 @@ settings.register_profile("pbonet", deadline=None)  # no test asserts how long i
 settings.load_profile("pbonet")
 
 SHM = Path("/dev/shm")  # noqa: S108 - where shared memory is
+
+
+def pytest_pyfunc_call(pyfuncitem):
+    """Run a test that mounts where it may."""
+    if pyfuncitem.get_closest_marker("mounts") and mounting.refused():
+        mounting.run_elsewhere(pyfuncitem)
+        return True
+    return None
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ import resource
 import subprocess
 import sys
 
+import mounting
 import pytest
 
 from pbonet.errors import PbonetError, RealTimeError, SvarFullError
@@ -23,14 +24,9 @@ def small(shared_memory, monkeypatch):
     """A shared memory with room for little, as a file system of its own."""
     folder = shared_memory / "small"
     folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(folder)]
-    made = subprocess.run(mount, capture_output=True, text=True, check=False)
-    if made.returncode:
-        folder.rmdir()
-        pytest.skip(f"no file system can be mounted here: {made.stderr.strip()}")
-    monkeypatch.setenv("PBONET_SHM_DIR", str(folder))
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+    with mounting.tmpfs(folder, "6m"):
+        monkeypatch.setenv("PBONET_SHM_DIR", str(folder))
+        yield folder
     folder.rmdir()
 
 
@@ -44,6 +40,7 @@ def fill(folder, spare):
     return path
 
 
+@pytest.mark.mounts
 def test_full_shared_memory(small, nodes):
     """Whatever finds no room says so, and works when there is."""
     filler = fill(small, 4096)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mounting
 import pytest
 
 from pbonet.errors import NodeError, RealTimeError
@@ -152,24 +153,15 @@ def _poke(path: Path, at: int, data: bytes) -> None:
         file.write(data)
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount")
+@pytest.mark.mounts
 def test_a_full_disk_is_said(shm) -> None:
-    done = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=256k", "none", shm],
-        capture_output=True,
-        check=False,
-    )
-    if done.returncode:
-        pytest.skip(f"mount is refused: {done.stderr!r}")
-    try:
+    with mounting.tmpfs(shm, "256k"):
         with pytest.raises(RealTimeError, match=r"shared memory is full .*free space"):
             _rt.CoreTable(1)
         assert list(shm.iterdir()) == []
         with pytest.raises(RealTimeError, match=r"ring cannot be made .*No space left"):
             _rt.Ring.create("a", 1 << 20)
         assert list(shm.iterdir()) == []
-    finally:
-        subprocess.run(["umount", shm], check=True)
 
 
 def test_slots_are_given_and_taken_back(table) -> None:
