@@ -32,6 +32,7 @@ import msgspec
 import numpy as np
 import zenoh
 
+from benchmarks import rtbench
 from pbonet.config.model import AgentConfig
 from pbonet.svar import Table
 from pbonet.testing.lan import Lan, missing
@@ -43,6 +44,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
 DOMAIN, SUBSYSTEM = "bench", "cell"
+SOLO = "solo"
+"""A subsystem with a table on one machine only."""
+QUERYABLE = "queryable"
+RELAY = "queryable that asks another one first"
+SPREAD = "write, known to the other machine"
 GROUPS = 20
 SHM = "/dev/shm"  # noqa: S108 - where shared memory is
 SVAR = "".join(
@@ -76,11 +82,16 @@ PLAIN = """
 import json, sys, time, zenoh
 config = zenoh.Config.from_json5(sys.argv[1])
 session = zenoh.open(config)
-if sys.argv[2] == "echo":
-    def answer(query):
-        with query: query.reply("bench/echo", query.payload)
-    q = session.declare_queryable("bench/echo", zenoh.handlers.Callback(answer))
-    print("there", flush=True)
+def answer(query):
+    with query: query.reply(str(query.key_expr), query.payload)
+def relay(query):
+    done = zenoh.handlers.Callback(
+        lambda reply: None, lambda: answer(query), indirect=False)
+    session.get("bench/echo", done, payload=query.payload)
+if sys.argv[2] in ("echo", "relay"):
+    what = {"echo": answer, "relay": relay}[sys.argv[2]]
+    handler = zenoh.handlers.Callback(what)
+    q = session.declare_queryable("bench/" + sys.argv[2], handler)
     time.sleep(1e6)
 rate, seconds = float(sys.argv[3]), float(sys.argv[4])
 pub = session.declare_publisher("bench/put")
@@ -116,12 +127,13 @@ class Side:
         folders = {"PBONET_RUN_DIR": self.run_dir, "PBONET_SHM_DIR": self.shm_dir}
         return {**os.environ, **{key: str(path) for key, path in folders.items()}}
 
-    def start(self, listen: str = "", connect: str = "") -> None:
+    def start(self, listen: str = "", connect: str = "", library: str = "") -> None:
         """Start its agent."""
         config = AgentConfig(
             name=self.name, domain=DOMAIN, grace=20.0, insecure=True,
             listen=(listen,) if listen else (), connect=(connect,) if connect else (),
             core=max(os.sched_getaffinity(0)),
+            libraries=(library,) if library else (),
         )  # fmt: skip
         text = msgspec.json.encode(config).decode()
         self.agent = self.run(AGENT, text, stdout=subprocess.DEVNULL)
@@ -166,9 +178,12 @@ class Pair:
         ways: By side, what is put before its commands.
         listen: What the first one listens on.
         connect: What the second one dials.
+        library: Where both have modules.
     """
 
-    def __init__(self, ways: list[list[str]], listen: str, connect: str) -> None:
+    def __init__(
+        self, ways: list[list[str]], listen: str, connect: str, library: str = ""
+    ) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="pbench-", dir=SHM)
         folder = Path(self._folder.name)
         names = ("one", "two")
@@ -176,26 +191,33 @@ class Pair:
             Side(n, folder, w) for n, w in zip(names, ways, strict=True)
         )
         self.listen, self.connect = listen, connect
-        self.one.start(listen=listen)
+        self.one.start(listen=listen, library=library)
         wait(self.one.socket_there, "agent one")
-        self.two.start(connect=connect)
+        self.two.start(connect=connect, library=library)
         wait(self.two.socket_there, "agent two")
         self.link = session.client(
             DOMAIN, connect=[self.two.socket], timeout=20.0, local=False
         )
         self.client = Client(self.link, DOMAIN, "bench")
         wait(lambda: len(self.client.rtpus()) == len(names), "both agents")
-        key = keys.master(DOMAIN, SUBSYSTEM, "bench")
-        self._token = self.link.liveliness().declare_token(key)
-        self.epochs: dict[str, int] = {}
-        for name in names:
-            claim = m.Claim(subsystem=SUBSYSTEM)
-            self.epochs[name] = self.client.call(name, claim, m.Claimed).epoch
-            table = m.OpenTable(
-                subsystem=SUBSYSTEM, epoch=self.epochs[name], svar=SVAR + "EOF\n",
-                svar_name="b.svar", keep=name == "one",
-            )  # fmt: skip
-            self.client.call(name, table, m.TableInfo)
+        self._tokens = [
+            self.link.liveliness().declare_token(keys.master(DOMAIN, name, "bench"))
+            for name in (SUBSYSTEM, SOLO)
+        ]
+        self.epochs: dict[tuple[str, str], int] = {}
+        self.open(SUBSYSTEM, "one", keep=True)
+        self.open(SUBSYSTEM, "two", keep=False)
+
+    def open(self, subsystem: str, name: str, *, keep: bool) -> None:
+        """Claim an RTPU for a subsystem, and open its table there."""
+        claim = m.Claim(subsystem=subsystem, usage="shared")
+        epoch = self.client.call(name, claim, m.Claimed).epoch
+        self.epochs[subsystem, name] = epoch
+        table = m.OpenTable(
+            subsystem=subsystem, epoch=epoch, svar=SVAR + "EOF\n",
+            svar_name="b.svar", keep=keep,
+        )  # fmt: skip
+        self.client.call(name, table, m.TableInfo)
 
     def close(self) -> None:
         """End everything."""
@@ -240,15 +262,32 @@ def watch(table: Table, seconds: float) -> list[float]:
 
 @contextlib.contextmanager
 def raw(mode: str, *words: str) -> Generator[zenoh.Session, None, None]:
-    """Yield a session linked to a process that puts or answers."""
-    listen = {"mode": "router", "listen": {"endpoints": ["tcp/127.0.0.1:17461"]}}
-    connect = {"mode": "client", "connect": {"endpoints": ["tcp/127.0.0.1:17461"]}}
+    """Yield a session linked to a process that puts or answers, or to two of them.
+
+    The second one relays: it asks the first one before it answers, as an agent asks
+    the other machine's.
+    """
+    there = {"endpoints": ["tcp/127.0.0.1:17461"]}
+    listen: dict[str, Any] = {"mode": "router", "listen": there}
+    connect = {"mode": "client", "connect": there}
     off = {
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {"shared_memory": {"enabled": False}},
     }
-    config = json.dumps(listen | off)
-    process = subprocess.Popen([sys.executable, "-c", PLAIN, config, mode, *words])
+    roles: list[tuple[str, dict[str, Any]]] = [(mode, listen)]
+    if mode == "echo":
+        roles.append(("relay", {"mode": "router", "connect": there}))
+    processes = [
+        subprocess.Popen([
+            sys.executable,
+            "-c",
+            PLAIN,
+            json.dumps(config | off),
+            role,
+            *words,
+        ])
+        for role, config in roles
+    ]
     link = None
     end = time.monotonic() + 10
     while link is None:
@@ -261,8 +300,9 @@ def raw(mode: str, *words: str) -> Generator[zenoh.Session, None, None]:
         yield link
     finally:
         link.close()  # type: ignore[no-untyped-call]
-        process.kill()
-        process.wait()
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def latency(pair: Pair, seconds: float) -> dict[str, Any]:
@@ -299,35 +339,42 @@ def commands(pair: Pair, seconds: float) -> dict[str, Any]:
     def status() -> None:
         pair.client.call("two", m.Status(subsystem=SUBSYSTEM), m.RtpuStatus)
 
+    def display() -> None:
+        request = m.Display(subsystem=SUBSYSTEM, names=["V19"])
+        pair.client.call("two", request, list[m.VarValue])
+
     def hello() -> None:
         pair.client.call("two", m.Hello(), m.AgentInfo)
 
+    pair.open(SOLO, "two", keep=True)
     with raw("echo") as link:
 
-        def echo() -> None:
-            assert list(link.get("bench/echo", payload=bytes(100), timeout=2.0))
+        def ask(key: str) -> bool:
+            return bool(list(link.get(key, payload=bytes(100), timeout=2.0)))
 
-        wait(lambda: list(link.get("bench/echo", payload=b"", timeout=1.0)), "echo")
-        asked: dict[str, Callable[[], None]] = {
-            "queryable": echo,
+        wait(lambda: ask("bench/echo") and ask("bench/relay"), "echo and relay")
+        asked: dict[str, Callable[[], object]] = {
+            QUERYABLE: lambda: ask("bench/echo"),
             "hello": hello,
             "status": status,
-            "write, known to the other machine": lambda: _write(pair),
+            "display": display,
+            "write": lambda: _write(pair, SOLO, "two"),
+            RELAY: lambda: ask("bench/relay"),
+            SPREAD: lambda: _write(pair, SUBSYSTEM, "one"),
         }
         taken: dict[str, list[float]] = {name: [] for name in asked}
-        for name, ask in [*asked.items(), *asked.items()]:
+        for name, call in [*asked.items(), *asked.items()]:
             for _ in range(round(70 * seconds)):
                 begin = time.perf_counter()
-                ask()
+                call()
                 taken[name].append(time.perf_counter() - begin)
     return {name: quantiles(values) for name, values in taken.items()}
 
 
-def _write(pair: Pair) -> None:
-    request = m.Write(
-        subsystem=SUBSYSTEM, epoch=pair.epochs["one"], name="V19", values=[1.0] * 6
-    )
-    pair.client.call("one", request, m.VarValue)
+def _write(pair: Pair, subsystem: str, rtpu: str) -> None:
+    epoch = pair.epochs[subsystem, rtpu]
+    request = m.Write(subsystem=subsystem, epoch=epoch, name="V19", values=[1.0] * 6)
+    pair.client.call(rtpu, request, m.VarValue)
 
 
 def cpu(pair: Pair, seconds: float) -> dict[str, Any]:
@@ -395,6 +442,25 @@ def fresh(table: Table) -> bool:
     return not table.illegal and info.owner is not None and not info.stale
 
 
+def goals(found: dict[str, Any]) -> Generator[str, None, None]:
+    """Yield a line for each goal whose part was measured."""
+    asked = found.get("commands", {})
+    for name in asked.keys() - {QUERYABLE, RELAY}:
+        rival = RELAY if name == SPREAD else QUERYABLE
+        ratio = asked[name]["p50"] / asked[rival]["p50"]
+        yield rtbench.verdict(f"{name}, in round trips of a {rival},", ratio, 1.5)
+    for who, share in found.get("cpu", {}).get("idle", {}).items():
+        yield rtbench.verdict(f"idle agent that {who}, % of a core,", 100 * share, 1.0)
+    for name, most in (
+        ("agent killed", 0.05), ("cable pulled", 0.5), ("packets vanish", 0.5),
+    ):  # fmt: skip
+        if name in found.get("loss", {}):
+            longest = found["loss"][name]["longest"]
+            yield rtbench.verdict(
+                f"{name}, seconds until the flag is up,", longest, most
+            )
+
+
 def main() -> None:
     """Measure, print, and write a file where one is named."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -409,7 +475,7 @@ def main() -> None:
         pair = Pair([[], []], "tcp/127.0.0.1:17460", "tcp/127.0.0.1:17460")
         try:
             for name, measure in (
-                ("latency", latency), ("commands", commands), ("cpu", cpu),
+                ("latency", latency), ("cpu", cpu), ("commands", commands),
             ):  # fmt: skip
                 if name in options.only:
                     found[name] = measure(pair, options.seconds)
@@ -421,6 +487,7 @@ def main() -> None:
     print(text)
     if options.json:
         options.json.write_text(text, encoding="utf-8")
+    rtbench.judge(goals(found))
 
 
 if __name__ == "__main__":

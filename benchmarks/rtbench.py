@@ -20,7 +20,7 @@ from pbonet.node import _rt
 from pbonet.svar import LocalTable, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -185,3 +185,17 @@ def machine() -> str:
         f"Linux {platform.release()} {_rt.probe().preempt}, "
         f"Python {platform.python_version()}, load {load}"
     )
+
+
+def verdict(what: str, got: float, most: float) -> str:
+    """Return a line that says whether a goal is met."""
+    met = "met" if got <= most else "NOT met"
+    return f"- {what} at most {most:g}: {got:.3g}, **{met}**"
+
+
+def judge(lines: Iterable[str]) -> None:
+    """Print the verdicts; end with status 3 when a goal is missed (see run.py)."""
+    lines = list(lines)
+    print("\n".join(lines))
+    if any("NOT met" in line for line in lines):
+        sys.exit(3)

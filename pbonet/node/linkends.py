@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import zenoh
 
-from pbonet.errors import PbonetError, ProtocolError, XmError
+from pbonet.errors import PbonetError, XmError
 from pbonet.tbuf import layout, places
-from pbonet.tbuf.native import READER, WRITER, In, Out
+from pbonet.tbuf.native import READER, WRITER, In, Out, parts
 
-from . import linkwire
+from . import runtime
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 LOOK_NS = 100_000_000
 """How long a sender sleeps at most before it looks whether it shall end."""
+CLOCKS_NS = 200_000_000
+"""For so long a receiver goes by what it knows of the other machine's clock."""
 
 
 class Sender:
@@ -50,7 +52,6 @@ class Sender:
         self._end.enter(READER, who)
         raw = layout.room(kept)
         self._end.hold(raw, raw, raw)
-        self._text = self._end.text
         self._publisher = session.declare_publisher(
             key,
             priority=zenoh.Priority.REAL_TIME,
@@ -77,24 +78,13 @@ class Sender:
         places.leave(self._end)
 
     def _work(self) -> None:
+        runtime.go_before_others()
         end = self._end
         with contextlib.suppress(XmError, zenoh.ZError):  # destroyed, or cut off
             while not self._over:
-                if end.read():
-                    self._send(end)
-                else:
-                    end.wait(time.monotonic_ns() + LOOK_NS)
-
-    def _send(self, end: In) -> None:
-        packet = linkwire.Packet(
-            end.number,
-            end.source,
-            end.stamp_ns,
-            end.age_ns() or 0,
-            self._text,
-            end.data(),
-        )
-        self._publisher.put(linkwire.pack(packet))  # pyright: ignore[reportUnknownMemberType]
+                message = end.message(time.monotonic_ns() + LOOK_NS)
+                if message is not None:
+                    self._publisher.put(message)  # pyright: ignore[reportUnknownMemberType]
 
 
 class Receiver:
@@ -129,13 +119,14 @@ class Receiver:
         self._end.enter(WRITER, who)
         self._raw = layout.room(self._dtype)
         self._end.hold(self._raw, self._raw, self._raw)
-        self._bytes = self._raw.reshape(-1).view(np.uint8).data
         self._offset = offset
         self._misfit = misfit
         self._told = False
-        self._text, self._same = self._end.text, True
+        self._text = b""
         self._theirs: np.dtype[Any] = self._dtype
-        self._guard = threading.Lock()
+        self._over = False
+        self._again = 0
+        self._ahead: int | None = None
         self._subscriber = session.declare_subscriber(
             key, zenoh.handlers.Callback(self._take, indirect=False)
         )
@@ -144,59 +135,41 @@ class Receiver:
         """Take no more, and let another writer have the buffer."""
         with contextlib.suppress(zenoh.ZError):
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
-        with self._guard:  # a record may be on its way in
-            places.leave(self._end)
+        self._over = True  # a record may be on its way in
+        places.leave(self._end)
 
     def _take(self, sample: zenoh.Sample) -> None:
         """Take a record; runs in zenoh's own thread, for a few microseconds."""
         now = time.monotonic_ns()
+        if self._over:
+            return
+        if now > self._again:
+            self._look(now)
+        message = sample.payload.to_bytes()
         try:
-            packet = linkwire.unpack(sample.payload.to_bytes())
-            with self._guard:
-                self._store(packet, now)
+            if not self._end.take(message, now, self._ahead):
+                self._turn(message, now)
         except (PbonetError, OverflowError) as error:
             if not self._told:
                 self._told = True
                 self._misfit(error)
 
-    def _store(self, packet: linkwire.Packet, now: int) -> None:
-        if self._end.fileno < 0:
-            return
-        if packet.text != self._text:
-            self._learn(packet.text)
-        if len(packet.data) != self._raw.nbytes:
-            raise ProtocolError(
-                "the record is cut short",
-                where=self._name,
-                remedy="run the same pbonet version on every machine",
-            )
-        self._fill(packet.data)
-        written = written_ns(now, packet.stamp_ns, packet.age_ns, self._offset())
-        self._end.put(packet.number, packet.source, written, packet.stamp_ns)
+    def _look(self, now: int) -> None:
+        """Find out how far the clocks are apart; have this thread go before others."""
+        self._again = now + CLOCKS_NS
+        self._ahead = self._offset()
+        runtime.go_before_others()
 
-    def _learn(self, text: bytes) -> None:
-        """Take note of what records look like from now on."""
-        theirs = layout.parse(text)
-        if not layout.same_values(theirs, self._dtype):
-            raise layout.refuse(self._name, self._dtype, theirs)
-        self._theirs, self._same = theirs, theirs == self._dtype
-        self._text = text
-
-    def _fill(self, data: bytes) -> None:
-        if self._same:
-            self._bytes[:] = data
-        else:
+    def _turn(self, message: bytes, now: int) -> None:
+        """Take a record that is described in other words, as of another byte order."""
+        text, data = parts(message)[-2:]
+        if text != self._text:
+            theirs = layout.parse(text)
+            if not layout.same_values(theirs, self._dtype):
+                raise layout.refuse(self._name, self._dtype, theirs)
+            self._theirs, self._text = theirs, text
+        if len(data) == self._raw.nbytes:
             base, shape = self._theirs.subdtype or (self._theirs, ())
             values: NDArray[Any] = np.frombuffer(data, base).reshape(shape)
             self._raw[...] = values
-
-
-def written_ns(now: int, stamp_ns: int, age_ns: int, offset: int | None) -> int:
-    """Return when a record that arrives now was written, by this machine's clock.
-
-    The age at sending is exact, and the way here is not in it. The measured offset of
-    the clocks has the way in it and an error; it cannot make a record younger than it
-    was when it was sent.
-    """
-    sent = now - age_ns
-    return sent if offset is None else min(sent, stamp_ns + offset)
+        self._end.take(message, now, self._ahead, turned=True)

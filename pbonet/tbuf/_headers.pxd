@@ -1,6 +1,6 @@
 """The C headers of this folder, as far as _tbuf.pyx uses them."""
 
-from libc.stdint cimport int64_t, uint32_t, uint64_t
+from libc.stdint cimport int64_t, uint8_t, uint16_t, uint32_t, uint64_t
 
 cdef extern from "doze.h" nogil:
     enum: TB_VERSION, TB_TEXT, TB_WHO, TB_ROLES, TB_ALIGN
@@ -23,6 +23,10 @@ cdef extern from "doze.h" nogil:
         uint32_t bell
     struct tb_bells:
         int defer
+    struct tb_pace:
+        int64_t last_ns, period_ns
+    void tb_paced(tb_pace *pace, int64_t time_ns, uint64_t lost)
+    int tb_doze_paced(tb_buffer *b, tb_pace *pace, int64_t until_ns)
     uint64_t tb_size(uint64_t bytes)
     void tb_make(tb_buffer *b, uint64_t bytes, uint64_t source, const char *text,
                  uint32_t text_bytes)
@@ -36,3 +40,17 @@ cdef extern from "doze.h" nogil:
     int tb_doze(tb_buffer *b, int64_t until_ns)
     void tb_ring(tb_bells *later, uint32_t *bell)
     void tb_ring_all(tb_bells *later)
+
+cdef extern from "message.h" nogil:
+    enum: TB_NO_MESSAGE, TB_OTHER_MESSAGE, TB_NO_TIME, TB_MESSAGE_VERSION
+    struct tb_head:
+        uint16_t version, text_bytes
+        uint64_t number, source
+        int64_t stamp_ns, age_ns
+    uint64_t tb_message_bytes(const tb_buffer *b)
+    void tb_pack(const tb_buffer *b, const tb_stamp *stamp, const void *data,
+                 int64_t now_ns, uint8_t *to)
+    int tb_unpack(const uint8_t *message, uint64_t bytes, tb_head *head)
+    int tb_written(const tb_head *head, int64_t now_ns, bint known, int64_t offset_ns,
+                   int64_t *time_ns)
+    bint tb_fits(const tb_buffer *b, const uint8_t *message, const tb_head *head)

@@ -17,6 +17,17 @@ LONGEST_TEXT: int
 def size_for(record: int) -> int:
     """Return the size of the file for records of so many bytes."""
 
+def parts(message: bytes) -> tuple[int, int, int, int, bytes, bytes]:
+    """Return what a message between machines carries.
+
+    Returns:
+        Counter, whose it is, time and age at sending in nanoseconds, the description of
+        the record, and its bytes.
+
+    Raises:
+        ProtocolError: It is malformed, or of another version.
+    """
+
 class Buffer:
     """A buffer's file, mapped whole."""
 
@@ -99,8 +110,29 @@ class Out(End):
         Raises:
             XmError: The link is closed, or was destroyed.
         """
-    def put(self, number: int, source: int, time_ns: int, stamp_ns: int) -> None:
-        """Write `value` as a record of another machine, under its own counter."""
+    def take(
+        self,
+        message: bytes,
+        now_ns: int,
+        offset_ns: int | None,
+        *,
+        turned: bool = False,
+    ) -> bool:
+        """Write a record of another machine, under its own counter.
+
+        Args:
+            message: What came from there.
+            now_ns: When it came, CLOCK_MONOTONIC.
+            offset_ns: From the other machine's clock to this one's; None: not known.
+            turned: Its values stand in the array that was held, turned round.
+
+        Returns:
+            Whether it was written; not if it describes records in other words.
+
+        Raises:
+            ProtocolError: It is no message, or its record is cut short.
+            XmError: The link is closed, or was destroyed.
+        """
 
 class In(End):
     """Reads records."""
@@ -130,10 +162,19 @@ class In(End):
     @property
     def stamp_ns(self) -> int:
         """When the last record was written, by the clock of the writer's machine."""
-    @property
-    def source(self) -> int:
-        """Whose counter `number` is."""
     def age_ns(self, now_ns: int = 0) -> int | None:
         """Return the age of the last record read; None if none was."""
-    def data(self) -> bytes:
-        """Return the last record as it stood in the buffer."""
+    def message(self, until_ns: int) -> bytes | None:
+        """Wait for a record and return it as it goes to another machine.
+
+        Records that come regularly are awaited awake, for some 50 microseconds each.
+
+        Args:
+            until_ns: When to give up.
+
+        Returns:
+            The newest record; None when none came.
+
+        Raises:
+            XmError: The link is closed, or was destroyed.
+        """

@@ -1,19 +1,21 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = triple.h doze.h
+# distutils: depends = triple.h doze.h message.h
 """Thin skin over the C headers of this folder; `_tbuf.pyi` says what everything does."""
 
 import os
 
-from cpython.bytes cimport PyBytes_FromStringAndSize
+from cpython.bytes cimport PyBytes_AS_STRING, PyBytes_FromStringAndSize
 from cpython.exc cimport PyErr_CheckSignals
-from libc.stdint cimport int64_t, uint64_t, uintptr_t
+from libc.stdint cimport int64_t, uint8_t, uint64_t, uintptr_t
 from libc.string cimport strncpy
 from posix.mman cimport MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_WRITE
 from posix.mman cimport madvise, mmap, munmap
 from posix.unistd cimport close
 
-from pbonet.errors import XmDamagedError, XmDestroyedError, XmError, XmLayoutError
+from pbonet.errors import (
+    ProtocolError, XmDamagedError, XmDestroyedError, XmError, XmLayoutError,
+)
 from pbonet.tbuf._headers cimport *
 
 WRITER, READER, CARER = TB_WRITER, TB_READER, TB_CARER
@@ -28,6 +30,29 @@ cdef void c_defer_bells() noexcept nogil:
 
 cdef void c_ring_bells() noexcept nogil:
     tb_ring_all(&later)
+
+
+cdef _refuse_message(int code, tb_head *head, Py_ssize_t got):
+    same = "run the same pbonet version on every machine"
+    if code == TB_OTHER_MESSAGE:
+        raise ProtocolError("the record is of another version",
+                            expected=f"version {TB_MESSAGE_VERSION}",
+                            got=f"version {head.version}", remedy=same)
+    if code == TB_NO_TIME:
+        raise ProtocolError("the record's time cannot be", got=f"age {head.age_ns} ns",
+                            remedy=same)
+    raise ProtocolError("this is no record of a link", got=f"{got} bytes", remedy=same)
+
+
+def parts(bytes message) -> tuple:
+    cdef tb_head head
+    cdef int code = tb_unpack(<const uint8_t *>PyBytes_AS_STRING(message), len(message),
+                              &head)
+    if code:
+        _refuse_message(code, &head, len(message))
+    end = sizeof(tb_head) + head.text_bytes
+    return (head.number, head.source, head.stamp_ns, head.age_ns,
+            message[sizeof(tb_head):end], message[end:])
 
 
 def size_for(uint64_t bytes) -> int:
@@ -169,17 +194,32 @@ cdef class Out(End):
         if tb_write(b, &self.stamp, self.copy):
             tb_ring(&later, &b.bell)
 
-    def put(self, uint64_t number, uint64_t source, int64_t time_ns,
-            int64_t stamp_ns) -> None:
+    def take(self, bytes message, int64_t now_ns, offset_ns, *, bint turned=False) -> bool:
         cdef tb_buffer *b = self.ready()
-        self.stamp = tb_stamp(number=number & 0xffffffffffffff, source=source,
-                              time_ns=time_ns, stamp_ns=stamp_ns)
-        if tb_write(b, &self.stamp, self.copy):
+        cdef const uint8_t *at = <const uint8_t *>PyBytes_AS_STRING(message)
+        cdef tb_head head
+        cdef int64_t written, offset = 0 if offset_ns is None else offset_ns
+        cdef int code = tb_unpack(at, len(message), &head)
+        if not code:
+            code = tb_written(&head, now_ns, offset_ns is not None, offset, &written)
+        if code:
+            _refuse_message(code, &head, len(message))
+        if not turned and not tb_fits(b, at, &head):
+            return False
+        if <uint64_t>len(message) != sizeof(tb_head) + head.text_bytes + b.bytes:
+            raise ProtocolError("the record is cut short", where=self.path,
+                                remedy="run the same pbonet version on every machine")
+        self.stamp = tb_stamp(number=head.number & 0xffffffffffffff, source=head.source,
+                              time_ns=written, stamp_ns=head.stamp_ns)
+        if tb_write(b, &self.stamp,
+                    self.copy if turned else at + sizeof(tb_head) + head.text_bytes):
             tb_wake(&b.bell)
+        return True
 
 
 cdef class In(End):
     cdef bint met               # it has read something
+    cdef tb_pace pace
     cdef readonly unsigned long long lost, restarts
 
     def read(self) -> bool:
@@ -213,18 +253,25 @@ cdef class In(End):
             elif look == until:
                 return False
 
+    def message(self, int64_t until_ns):
+        cdef tb_buffer *b = self.ready()
+        cdef uint64_t lost = self.lost
+        if not self.read():
+            with nogil:
+                tb_doze_paced(b, &self.pace, until_ns)
+            if not self.read():
+                return None
+        tb_paced(&self.pace, self.stamp.time_ns, self.lost - lost)
+        packed = PyBytes_FromStringAndSize(NULL, tb_message_bytes(b))
+        tb_pack(b, &self.stamp, self.copy, tb_now(),
+                <uint8_t *>PyBytes_AS_STRING(packed))
+        return packed
+
     @property
     def stamp_ns(self) -> int:
         return self.stamp.stamp_ns
-
-    @property
-    def source(self) -> int:
-        return self.stamp.source
 
     def age_ns(self, int64_t now_ns=0):
         if not self.stamp.number:
             return None
         return (now_ns if now_ns else tb_now()) - self.stamp.time_ns
-
-    def data(self) -> bytes:
-        return PyBytes_FromStringAndSize(<char *>self.copy, self.b.bytes)

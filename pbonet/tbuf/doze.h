@@ -38,6 +38,41 @@ static inline int tb_doze(struct tb_buffer *b, int64_t until_ns) {
     }
 }
 
+/* When the next record is to be expected, for a reader that may spend a little processor time
+ * to have it sooner: waking a process takes longer than all else on a record's way. */
+struct tb_pace {
+    int64_t last_ns, period_ns;
+    int rest; /* records for which nothing is expected: the last guess was wrong */
+};
+
+enum { TB_EARLY = 50000, TB_LATE = 30000, TB_SHORTEST = 800000, TB_REST = 16 };
+
+/* Take note of a record; `lost` were missed before it. */
+static inline void tb_paced(struct tb_pace *pace, int64_t time_ns, uint64_t lost) {
+    int64_t period = (time_ns - pace->last_ns) / (int64_t)(lost + 1);
+    bool steady = pace->period_ns && period > pace->period_ns / 2 &&
+                  period < pace->period_ns * 2;
+    pace->period_ns = steady ? (7 * pace->period_ns + period) / 8 : period;
+    if (!steady) pace->rest = TB_REST;
+    if (pace->rest) pace->rest--;
+    pace->last_ns = time_ns;
+}
+
+/* As tb_doze. Awake a little before the next record is due, and for a little behind that, so
+ * that a writer that is on time need wake nobody. */
+static inline int tb_doze_paced(struct tb_buffer *b, struct tb_pace *pace, int64_t until_ns) {
+    int64_t due = pace->last_ns + pace->period_ns;
+    if (pace->rest || pace->period_ns < TB_SHORTEST || due - TB_EARLY >= until_ns)
+        return tb_doze(b, until_ns);
+    int code = tb_doze(b, due - TB_EARLY);
+    if (code != TB_TIMED_OUT) return code; /* it came sooner */
+    atomic_store(&b->bell, 0);             /* who writes now need not ring */
+    while (tb_now() < due + TB_LATE)
+        if (tb_news(b) || atomic_load(&b->destroyed)) return 0;
+    pace->rest = TB_REST;
+    return tb_doze(b, until_ns);
+}
+
 /* Bells to be rung behind the present cycle of this process, by its one thread. */
 enum { TB_BELLS = 32 };
 struct tb_bells {

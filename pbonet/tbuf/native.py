@@ -1,5 +1,5 @@
 """The native half, for what is built on it; modules use `Reader` and `Writer`."""
 
-from ._tbuf import CARER, READER, WRITER, Buffer, In, Out
+from ._tbuf import CARER, READER, WRITER, Buffer, In, Out, parts
 
-__all__ = ["CARER", "READER", "WRITER", "Buffer", "In", "Out"]
+__all__ = ["CARER", "READER", "WRITER", "Buffer", "In", "Out", "parts"]

@@ -1,12 +1,17 @@
 """Links between two machines: two real agents, each with shared memory of its own."""
 
 import json
+import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from tbuf_rig import END, Pair, flows
 from watching import wait_for
+
+from pbonet.node import _rt, runtime
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -48,6 +53,28 @@ def test_records_arrive_whole_whoever_comes_first(pair):
     wait_for(lambda: pair.a.links() == [], "the buffer of the dead writer to go")
     pair.a.writer(dtype="(64,)f8")
     assert flows(reader)["restarts"] == 1
+
+
+def levels(pid):
+    """Return the real-time levels of a process's threads."""
+    threads = [int(path.name) for path in Path(f"/proc/{pid}/task").iterdir()]
+    real_time = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    return {
+        os.sched_getparam(thread).sched_priority
+        for thread in threads
+        if os.sched_getscheduler(thread) == real_time
+    }
+
+
+def test_who_carries_records_goes_before_all_but_tasks_and_commands(pair):
+    assert levels(pair.a.agent.pid) == levels(pair.b.agent.pid) == set()
+    pair.a.writer()
+    flows(pair.b.reader("vision0:x"))
+    with ThreadPoolExecutor(1) as pool:
+        allowed = pool.submit(runtime.go_before_others).result()
+    expected = {runtime.LINK_LEVEL} if allowed else set()
+    assert levels(pair.a.agent.pid) == levels(pair.b.agent.pid) == expected
+    assert runtime.LINK_LEVEL < _rt.COMMAND_LEVEL
 
 
 def test_killed_agents_come_back_without_anybody(pair):

@@ -9,7 +9,7 @@ from tbuf_rig import Pair
 from watching import wait_for
 
 from pbonet.errors import NodeError
-from pbonet.node import linkwire
+from pbonet.tbuf.native import parts
 from pbonet.xm import keys, session
 
 pytestmark = pytest.mark.timeout(150)
@@ -154,7 +154,7 @@ def test_a_cycle_wakes_the_agent_when_it_is_over(linked):
     numbers = []
     key = keys.link(pair.domain, "vision:count", "data", "vision0", "arm0")
     subscriber = vision.nodes.session.declare_subscriber(
-        key, lambda one: numbers.append(linkwire.unpack(one.payload.to_bytes()).number)
+        key, lambda one: numbers.append(parts(one.payload.to_bytes())[0])
     )
     wait_for(lambda: len(numbers) > 100, "a hundred records")
     subscriber.undeclare()
