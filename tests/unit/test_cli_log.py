@@ -149,3 +149,26 @@ def test_the_newest_run_is_taken_where_none_is_named(call, runs) -> None:
     make(runs / "2026-05-04T10-00-00.000-j" / "run.mcap", count=3)
     make(runs / "2026-05-05T10-00-00.000-j" / "run.mcap", count=7)
     assert json.loads(call("log", "info", "--json")[1])["tasks"]["pid"]["cycles"] == 7
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("log", "info"), ("log", "events"), ("replay",), ("replay", "--verify")],
+    ids=" ".join,
+)
+def test_what_cannot_be_read_is_told_by_every_verb(call, tmp_path, words) -> None:
+    verb, *more = words
+    for name, run_, wanted in (
+        ("newer", run(format=2, pbonet="9.1"), "the log was written by a newer pbonet"),
+        ("two", run("tuesday"), "the folder holds logs of several runs"),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        LogWriter(folder / "run.mcap", run_).close()
+        if name == "two":
+            LogWriter(folder / "run-2.mcap", run("monday")).close()
+        place = (*more, folder) if verb == "log" else (folder, *more)
+        status, out, err = call(verb, *place)
+        assert (status, out) == (1, "")
+        assert wanted in err
+        assert "Traceback" not in err
