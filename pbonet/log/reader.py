@@ -379,7 +379,12 @@ def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
         here: list[tuple[Part, Life]] = []
         for about, keys in _tasks(part):
             life = next(
-                (one for last, one in before if _follows(part, last, about, one)), None
+                (
+                    one
+                    for last, one in before
+                    if goes_on(part, last) and one.about == about
+                ),
+                None,
             )
             if life is None:
                 told = part.channels[keys[0]].metadata.get(EPOCH)
@@ -393,15 +398,15 @@ def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
     return found
 
 
-def _follows(part: Part, last: Part, about: TaskAbout, life: Life) -> bool:
-    """Tell whether a task of a file is one of the file before it."""
+def goes_on(part: Part, last: Part) -> bool:
+    """Tell whether a file goes on where the one before it ended."""
     if part.about is None or last.about is None or not part.about.goes_on:
         return False
     next_one = (part.about.rtpu, part.about.part) == (
         last.about.rtpu,
         last.about.part + 1,
     )
-    return next_one and last.complete and life.about == about
+    return next_one and last.complete
 
 
 def _tasks(part: Part) -> Iterator[tuple[TaskAbout, tuple[int, ...]]]:

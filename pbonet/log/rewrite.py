@@ -9,7 +9,7 @@ from pbonet.errors import LogError
 
 from .clocks import Clock, common
 from .part import Part
-from .reader import parts_of
+from .reader import goes_on, parts_of
 from .records import CLOCKS, EPOCH
 
 if TYPE_CHECKING:
@@ -111,17 +111,20 @@ def _channels(
     schemas: dict[Schema, int] = {}
     channels: dict[tuple[Any, ...], int] = {}
     numbers: dict[tuple[int, int], int] = {}
+    origin = 0
     for place, part in enumerate(parts):
+        if not place or not goes_on(part, parts[place - 1]):
+            origin = place
         for key, channel in part.channels.items():
             if channel.schema not in schemas:
                 schemas[channel.schema] = writer.register_schema(*channel.schema)
-            known = _identity(channel, place)
+            metadata = dict(channel.metadata)
+            if channel.encoding == "cdr":
+                metadata[EPOCH] = _epoch(metadata, clocks[place])
+            if "of" in metadata:
+                metadata["of"] = str(numbers[place, int(metadata["of"])])
+            known = _identity(channel, metadata, origin)
             if known not in channels:
-                metadata = dict(channel.metadata)
-                if channel.encoding == "cdr":
-                    metadata[EPOCH] = _epoch(metadata, clocks[place])
-                if "of" in metadata:
-                    metadata["of"] = str(numbers[place, int(metadata["of"])])
                 channels[known] = writer.register_channel(
                     channel.topic, channel.encoding, schemas[channel.schema], metadata
                 )
@@ -135,10 +138,15 @@ def _epoch(metadata: dict[str, str], clock: Clock) -> str:
     return str(clock.epoch_ns if told is None else int(told) + clock.shift_ns)
 
 
-def _identity(channel: Channel, place: int) -> tuple[Any, ...]:
-    """Return what two channels share that may become one; a task's never do."""
+def _identity(
+    channel: Channel, metadata: dict[str, str], origin: int
+) -> tuple[Any, ...]:
+    """Return what two channels share that may become one.
+
+    A task's may only in files of which each goes on where the one before it ended.
+    """
     if channel.encoding == "cdr":
-        return (place, channel.topic, *sorted(channel.metadata.items()))
+        return (origin, channel.topic, *sorted(metadata.items()))
     return (channel.topic, channel.encoding, channel.schema)
 
 

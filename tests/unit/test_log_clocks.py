@@ -187,3 +187,30 @@ def test_a_wall_clock_that_was_set_moves_nothing(tmp_path) -> None:
     assert log.span_ns == (EPOCH + 100 * MS, EPOCH + 120 * MS)
     assert np.diff(log.arrays("left")["release_ns"]).tolist() == [10 * MS, 10 * MS]
     assert log.begin_time_ns == EPOCH + 100 * MS
+
+
+def test_a_log_that_went_on_in_another_file_is_one_when_merged(tmp_path) -> None:
+    """A task has one life then, and can be verified like in the files."""
+    folder = tmp_path / "r"
+    folder.mkdir()
+    for part in (1, 2, 3):
+        name = "run.mcap" if part == 1 else f"run-{part}.mcap"
+        told = run("r", part=part, goes_on=part == 2, machine="boot")
+        writer = LogWriter(folder / name, told)
+        writer.add_event({"time": 0, "severity": 10, "code": "X", "text": ""})
+        others = ["other"] * (part == 2)  # so that channels have other numbers
+        for task in (*others, "pid"):
+            number = writer.add_task(about(task, PLAIN))
+            for n in range(10 * part, 10 * part + 5):
+                at = n * MS
+                writer.add(number, record(DATA, cycle=n, release_ns=at, end_ns=at))
+            writer.add(number, record(b"{}", kind=7, end_ns=at))
+        writer.close()
+    both = Log(folder)
+    merge([folder], tmp_path / "one.mcap")
+    one = Log(tmp_path / "one.mcap")
+    for log in (both, one):
+        lives = log.lives("pid")
+        assert [len(life.commits) for life in lives] == [10, 5], "it stopped behind 2"
+        assert [len(life.steps) for life in lives] == [2, 1]
+    assert list(one.lives("pid")[0].records) == list(both.lives("pid")[0].records)
