@@ -5,9 +5,10 @@
 #   sudo deploy/host-setup.sh --apply     does it
 #   sudo deploy/host-setup.sh --remove    takes it back; /etc/pbonet stays
 #
-# RTPUs follow as words: `--apply arm0 arm1` also enables their agents. A file that stands
-# is never written over; what changes is copied from this folder, so that a second run
-# after an update brings the machine up to date.
+# RTPUs follow as words: `--apply arm0=3 arm1` also enables their agents, arm0 on core 3.
+# One without a core gets a core that the kernel keeps free (isolcpus), if there is one
+# left. A configuration that stands is never written over; what changes is copied from this
+# folder, so that a second run after an update brings the machine up to date.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 top=$(dirname "$here")
@@ -25,13 +26,52 @@ run() {
 # the files all the same; its services begin when systemd next starts it.
 service() { if [ -d /run/systemd/system ]; then run systemctl "$@"; fi }
 
-for rtpu in ${rtpus[@]+"${rtpus[@]}"}; do
+# What stands in a file of the kernel such as 0,2-3, as lines.
+cores() {
+  local part
+  for part in $(tr , ' ' <"/sys/devices/system/cpu/$1"); do seq "${part%-*}" "${part#*-}"; done
+}
+among() { grep -qx "$1" <<<"$2"; }
+# What comes in is put into the file $1.
+put() {
+  local text
+  text=$(cat)
+  printf '  %s:\n' "$1"
+  printf '    %s\n' "${text//$'\n'/$'\n'    }"
+  if [ "$mode" != --show ]; then
+    mkdir -p "$(dirname "$1")"
+    printf '%s\n' "$text" >"$1"
+    chmod 0644 "$1"
+  fi
+}
+
+# The core that configurations name.
+said() { sed -n 's/^core *= *\([0-9]*\).*/\1/p' "$@" 2>/dev/null || true; }
+
+units=/etc/systemd/system etc=/etc/pbonet
+online=$(cores online) isolated=$(cores isolated)
+declare -A core=() # what is each RTPU's own: as told, as its configuration says, or one that is free
+for word in ${rtpus[@]+"${rtpus[@]}"}; do
+  rtpu=${word%%=*}
   [[ $rtpu =~ ^[A-Za-z_][A-Za-z0-9_-]{0,30}$ ]] || die "'$rtpu' is no name of an RTPU: a letter or _ first, then letters, digits, _ and -"
+  core[$rtpu]=$(said "$etc/$rtpu.toml")
+  if [ "$rtpu" = "$word" ]; then continue; fi
+  told=${word#*=}
+  among "$told" "$online" || die "'$word': this machine has the cores ${online//$'\n'/ }"
+  [ "${core[$rtpu]:-$told}" = "$told" ] || die "'$word': $etc/$rtpu.toml says core = ${core[$rtpu]}; change it there, or leave =$told away"
+  core[$rtpu]=$told
 done
+rtpus=(${rtpus[@]+"${rtpus[@]%%=*}"})
+for rtpu in ${rtpus[@]+"${rtpus[@]}"}; do
+  if [ -n "${core[$rtpu]}" ] || [ -e "$etc/$rtpu.toml" ]; then continue; fi
+  taken=$(said "$etc"/*.toml; printf '%s\n' "${core[@]}")
+  core[$rtpu]=$(grep -vxF "$taken" <<<"$isolated" | head -n 1 || true)
+done
+taken=$(said "$etc"/*.toml; printf '%s\n' "$isolated" ${core[@]+"${core[@]}"})
+others=$(grep -vxF "$taken" <<<"$online" || true)
 if [ "$mode" != --show ] && [ "$(id -u)" != 0 ]; then die "$mode needs root: sudo $0 $mode"; fi
 command -v systemctl >/dev/null || die "this machine has no systemd; docs/deployment.md says what an agent needs"
 
-units=/etc/systemd/system
 if [ "$mode" = --remove ]; then
   step "stop the agents; each turns its tasks off first"
   service stop 'pbonet-agent@*'
@@ -39,7 +79,7 @@ if [ "$mode" = --remove ]; then
   step "remove what --apply has put there"
   run rm -f "$units/pbonet-agent@.service" /etc/sysusers.d/pbonet.conf \
     /etc/tmpfiles.d/pbonet.conf /etc/security/limits.d/pbonet.conf
-  run rm -rf /opt/pbonet /run/pbonet
+  run rm -rf /opt/pbonet /run/pbonet "$units"/pbonet-agent@*.service.d
   service daemon-reload
   exit 0
 fi
@@ -62,13 +102,23 @@ run install -D -m 0644 "$here/limits.conf" /etc/security/limits.d/pbonet.conf
 
 step "the service"
 run install -D -m 0644 "$here/systemd/pbonet-agent@.service" "$units/pbonet-agent@.service"
-run install -d -m 0755 /etc/pbonet
+run install -d -m 0755 "$etc"
 service daemon-reload
 
 for rtpu in ${rtpus[@]+"${rtpus[@]}"}; do
   step "the agent of RTPU $rtpu"
-  if [ ! -e "/etc/pbonet/$rtpu.toml" ]; then
-    run install -m 0644 "$here/agent.toml" "/etc/pbonet/$rtpu.toml"
+  own=${core[$rtpu]}
+  if [ ! -e "$etc/$rtpu.toml" ]; then
+    sed "${own:+s/^# core = .*/core = $own/}" "$here/agent.toml" | put "$etc/$rtpu.toml"
+  elif [ -n "$own" ] && [ -z "$(said "$etc/$rtpu.toml")" ]; then
+    printf '  # write this into %s: core = %s\n' "$etc/$rtpu.toml" "$own"
+  fi
+  if [ -n "$own" ] && [ -n "$others" ]; then # else it may use them all
+    put "$units/pbonet-agent@$rtpu.service.d/cores.conf" <<END
+# Core $own is the RTPU's own; the others are for its agent and all that is not real time.
+[Service]
+CPUAffinity=${others//$'\n'/ } $own
+END
   fi
   service enable --now "pbonet-agent@$rtpu"
 done

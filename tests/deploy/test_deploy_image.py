@@ -7,6 +7,7 @@ what the steps expect is all that it cannot show.
 
 import faulthandler
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -32,15 +33,16 @@ AS_ROOT = """
 mkdir -p /etc/pbonet
 echo '# mine' > /etc/pbonet/arm0.toml
 cd /mnt/deploy
-./host-setup.sh --apply arm0 arm1
+./host-setup.sh --apply arm0=0 arm1
 cat /etc/pbonet/arm0.toml
+cat /etc/systemd/system/pbonet-agent@arm0.service.d/cores.conf
 systemd-analyze verify --man=no pbonet-agent@arm0.service
 stat -c '%a %U' /run/pbonet
 su -s /bin/sh pbonet -c '/opt/pbonet/bin/pbonet --version'
 ./host-setup.sh --remove
 ls /etc/pbonet
 test ! -e /opt/pbonet
-test ! -e /etc/systemd/system/pbonet-agent@.service
+find /etc/systemd/system -name 'pbonet-agent@*' -printf 'left behind: %p\n'
 """
 
 
@@ -116,5 +118,6 @@ def test_image_and_host_as_their_files_say(tmp_path):
     assert any(line.startswith("job teleop ended after") for line in lines)
     assert not [line for line in lines if line.startswith("left behind")]
     assert "# mine" in lines
+    assert any(re.fullmatch(r"CPUAffinity=[1-9][\d ]* 0", line) for line in lines)
     assert "700 pbonet" in lines
     assert lines[-2:] == ["arm0.toml", "arm1.toml"]

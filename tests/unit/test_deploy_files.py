@@ -1,6 +1,7 @@
 """The files in deploy/: each judged by its own tool, and their commands by pbonet's."""
 
 import os
+import re
 import shlex
 import shutil
 import socket
@@ -19,6 +20,7 @@ from pbonet.xm.session import check_endpoint
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
+CORES = Path("/sys/devices/system/cpu")
 UNIT = DEPLOY / "systemd" / "pbonet-agent@.service"
 
 
@@ -68,16 +70,20 @@ def test_scripts_have_no_fault():
     judge("shellcheck", DEPLOY / "host-setup.sh")
 
 
+def unit_in(folder):
+    """Return the unit, with a program that is there."""
+    program = folder / "pbonet"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    unit = folder / UNIT.name
+    unit.write_text(UNIT.read_text().replace("/opt/pbonet/bin/pbonet", str(program)))
+    return unit
+
+
 @pytest.mark.slow
 def test_unit_is_valid(tmp_path):
     """Its program is put where the host's set-up would, in a root of its own."""
-    text = UNIT.read_text()
-    program = tmp_path / "pbonet"
-    program.write_text("#!/bin/sh\n")
-    program.chmod(0o755)
-    unit = tmp_path / UNIT.name
-    unit.write_text(text.replace("/opt/pbonet/bin/pbonet", str(program)))
-    assert judge("systemd-analyze", "verify", "--man=no", unit) == ""
+    assert judge("systemd-analyze", "verify", "--man=no", unit_in(tmp_path)) == ""
 
 
 def test_unit_starts_an_agent():
@@ -123,20 +129,82 @@ def test_image_runs_as_nobody_special():
     assert int(users[-1]) > 0
 
 
-def test_host_setup_shows_and_does_nothing(tmp_path):
-    shown = subprocess.run(
-        [DEPLOY / "host-setup.sh", "arm0", "arm-1"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
+def host_setup(*words, **kernel):
+    """Have the set-up script say what it would do; skip where it has nothing to set up.
+
+    Args:
+        words: Its words.
+        kernel: What it shall read of this machine's cores.
+    """
+    command = [str(DEPLOY / "host-setup.sh"), *words]
+    if kernel:
+        if os.geteuid():
+            pytest.skip("only root may show a script other cores")
+        binds = [
+            f"mount --bind '{file}' {CORES / name}" for name, file in kernel.items()
+        ]
+        shell = " && ".join([*binds, 'exec "$@"'])
+        command = ["unshare", "--mount", "sh", "-ec", shell, "sh", *command]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False)
     if "has no systemd" in shown.stderr:
         pytest.skip("this machine has no systemd")
+    return shown
+
+
+def test_host_setup_shows_and_does_nothing():
+    shown = host_setup("arm0", "arm-1")
     assert shown.returncode == 0, shown.stderr
     assert "/etc/pbonet/arm-1.toml" in shown.stdout
     assert "Nothing was done" in shown.stdout
     assert not Path("/etc/pbonet").exists()
+
+
+@pytest.fixture
+def eight(tmp_path):
+    """What the kernel says of a machine with eight cores, of which it keeps three."""
+    files = {"online": "0-7", "isolated": "2,6-7"}
+    for name, text in files.items():
+        (tmp_path / name).write_text(f"{text}\n")
+    return {name: tmp_path / name for name in files}
+
+
+def test_rtpus_get_the_cores_that_are_kept_free(eight):
+    """Unless a word names another; each leaves the others' cores alone."""
+    lines = host_setup("arm0", "eye0=5", "arm1", "arm2", "desk", **eight).stdout.split(
+        "\n"
+    )
+    own = [line.strip() for line in lines if line.startswith("    core = ")]
+    assert own == ["core = 2", "core = 5", "core = 6", "core = 7"]
+    cores = [line.strip() for line in lines if "CPUAffinity=" in line]
+    assert cores == [f"CPUAffinity=0 1 3 4 {core}" for core in (2, 5, 6, 7)]
+    assert "desk.service.d" not in "".join(lines)  # nothing is kept for it
+
+
+def test_without_cores_that_are_kept_nothing_is_said_of_them(eight):
+    eight["isolated"].write_text("\n")
+    assert "CPUAffinity" not in host_setup("arm0", **eight).stdout
+
+
+def test_a_core_that_is_not_there_is_refused(eight):
+    shown = host_setup("arm0=8", **eight)
+    assert shown.returncode == 2
+    assert "'arm0=8': this machine has the cores 0 1 2 3 4 5 6 7" in shown.stderr
+
+
+@pytest.mark.slow
+def test_cores_of_an_rtpu_are_valid(tmp_path):
+    """systemd reads what the set-up puts beside the unit, and would refuse nonsense."""
+    said = host_setup("arm0=0").stdout
+    if "CPUAffinity" not in said:
+        pytest.skip("this machine has one core")
+    unit = unit_in(tmp_path)
+    beside = tmp_path / f"{unit.name}.d"
+    beside.mkdir()
+    cores = re.search(r"CPUAffinity=.*", said)[0]
+    (beside / "cores.conf").write_text(f"[Service]\n{cores}\n")
+    assert judge("systemd-analyze", "verify", "--man=no", unit) == ""
+    (beside / "cores.conf").write_text("[Service]\nCPUAffinity=none\n")
+    assert "CPU affinity" in judge("systemd-analyze", "verify", "--man=no", unit)
 
 
 @pytest.mark.parametrize("name", ["0arm", "../arm", "a" * 32, ""])
