@@ -10,7 +10,7 @@ As root two network namespaces with a cable take the place of the loopback for w
 lost: the agent of the writer is killed, the cable is pulled and plugged in again, or
 all vanishes that it shall carry.
 
-    python -m benchmarks.hosts [--only latency commands cpu loss] [--seconds 6]
+    python -m benchmarks.hosts [--only latency commands cpu flag loss] [--seconds 6]
         [--times 5] [--json FILE]
 """
 
@@ -436,6 +436,24 @@ def loss(times: int) -> dict[str, Any]:
     }
 
 
+def flag(pair: Pair, seconds: float) -> dict[str, Any]:
+    """Measure how soon a flag that is raised on one machine stands on the other."""
+    here, there = pair.one.attach(), pair.two.attach()
+    taken: dict[str, list[float]] = {"raised": [], "cleared": []}
+    for number in range(round(20 * seconds)):
+        time.sleep(0.02 + number % 7 * 0.003)  # not in step with anybody's looks
+        here.raise_illegal("a flag", "bench")
+        taken["raised"].append(wait(lambda: there.illegal, "flag"))
+        here.clear_illegal("bench", "a flag")
+        taken["cleared"].append(wait(lambda: not there.illegal, "no flag"))
+    here.close()
+    there.close()
+    return {
+        name: {"median": float(np.median(values)), "longest": max(values)}
+        for name, values in taken.items()
+    }
+
+
 def fresh(table: Table) -> bool:
     """Tell whether the other machine's variable is brought up to date."""
     info = table.info("V0")
@@ -451,11 +469,12 @@ def goals(found: dict[str, Any]) -> Generator[str, None, None]:
         yield rtbench.verdict(f"{name}, in round trips of a {rival},", ratio, 1.5)
     for who, share in found.get("cpu", {}).get("idle", {}).items():
         yield rtbench.verdict(f"idle agent that {who}, % of a core,", 100 * share, 1.0)
-    for name, most in (
-        ("agent killed", 0.05), ("cable pulled", 0.5), ("packets vanish", 0.5),
+    for part, name, most in (
+        ("flag", "raised", 0.05), ("loss", "agent killed", 0.05),
+        ("loss", "cable pulled", 0.5), ("loss", "packets vanish", 0.5),
     ):  # fmt: skip
-        if name in found.get("loss", {}):
-            longest = found["loss"][name]["longest"]
+        if name in found.get(part, {}):
+            longest = found[part][name]["longest"]
             yield rtbench.verdict(
                 f"{name}, seconds until the flag is up,", longest, most
             )
@@ -464,7 +483,7 @@ def goals(found: dict[str, Any]) -> Generator[str, None, None]:
 def main() -> None:
     """Measure, print, and write a file where one is named."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parts = ("latency", "commands", "cpu", "loss")
+    parts = ("latency", "commands", "cpu", "flag", "loss")
     parser.add_argument("--only", nargs="+", choices=parts, default=parts)
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--times", type=int, default=5)
@@ -476,6 +495,7 @@ def main() -> None:
         try:
             for name, measure in (
                 ("latency", latency), ("cpu", cpu), ("commands", commands),
+                ("flag", flag),
             ):  # fmt: skip
                 if name in options.only:
                     found[name] = measure(pair, options.seconds)
