@@ -29,7 +29,7 @@ service() { if [ -d /run/systemd/system ]; then run systemctl "$@"; fi }
 # What stands in a file of the kernel such as 0,2-3, as lines.
 cores() {
   local part
-  for part in $(tr , ' ' <"/sys/devices/system/cpu/$1"); do seq "${part%-*}" "${part#*-}"; done
+  for part in $(tr , ' ' <"/sys/devices/system/cpu/$1" || true); do seq "${part%-*}" "${part#*-}"; done
 }
 among() { grep -qx "$1" <<<"$2"; }
 # What comes in is put into the file $1.

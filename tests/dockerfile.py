@@ -65,6 +65,7 @@ class Stage:
         mount("-t", "overlay", "overlay", "-o", layers, self.root)
         mount("-t", "proc", "proc", self.root / "proc")
         mount("--rbind", "/dev", self.root / "dev")
+        mount("--rbind", "/sys", self.root / "sys")
         mount("-t", "tmpfs", "shm", self.root / "dev/shm")
         mount("-t", "tmpfs", "run", self.root / "run")
         self.env = {

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 PORT = 7447
-PULLED, PLUGGED, SECONDS = 4.0, 6.0, 10.0
-"""When the cable is pulled and plugged in, and how long all lasts, s."""
+PULLED, PLUGGED, AFTER, LONGEST = 3.0, 5.0, 2.0, 30.0
+"""When the cable is pulled and plugged in, how long all goes on behind that, and how
+long it lasts at most, s."""
 FRESH = 0.25
 """A target younger than this is seen, s."""
 READY = 30.0
@@ -45,7 +46,7 @@ class Hosts:
     def __init__(self, lan: Lan) -> None:
         self._lan = lan
         self._folders: dict[str, tuple[Path, Path]] = {}
-        self._agents: list[subprocess.Popen[str]] = []
+        self._agents: list[tuple[str, subprocess.Popen[str]]] = []
         for name in lan.hosts:
             run = Path(tempfile.mkdtemp(prefix=f"pbonet-host-{name}-"))
             shared = Path(tempfile.mkdtemp(prefix=f"pbonet-host-{name}-", dir=_shm()))
@@ -66,20 +67,23 @@ class Hosts:
         )
 
     def agent(self, name: str, host: str, *more: str) -> None:
-        """Start an agent on a host and wait until it takes commands."""
+        """Start an agent on a host."""
         words = ("-m", "pbonet.cli", "agent", "--name", name, *more)
-        process = self.start(host, *words)
-        self._agents.append(process)
-        told = process.stdout.readline() if process.stdout else ""
-        if "ready" not in told:
-            raise SystemExit(f"the agent {name} did not start: {told}")
-        sys.stdout.write(f"host {host}: {told}")
+        self._agents.append((host, self.start(host, *words)))
+
+    def wait_ready(self) -> None:
+        """Wait until every agent takes commands."""
+        for host, process in self._agents:
+            told = process.stdout.readline() if process.stdout else ""
+            if "ready" not in told:
+                raise SystemExit(f"an agent on host {host} did not start: {told}")
+            sys.stdout.write(f"host {host}: {told}")
 
     def close(self) -> None:
         """End every agent, and remove what hosts had."""
-        for process in self._agents:
+        for _, process in self._agents:
             process.terminate()
-        for process in self._agents:
+        for _, process in self._agents:
             process.wait(READY)
             if process.stdout:
                 process.stdout.close()
@@ -103,6 +107,7 @@ def hosts() -> Generator[tuple[Lan, Hosts], None, None]:
         made.agent(
             "eye0", "b", *anywhere, "--connect", f"tcp/{lan['a'].address('b')}:{PORT}"
         )
+        made.wait_ready()
         yield lan, made
     finally:
         made.close()
@@ -124,6 +129,8 @@ class Timeline:
         """The greatest age of the target that was seen, s."""
         self.healed: float | None = None
         """Seconds from the plug to a fresh target."""
+        self.over = False
+        """Whether there is nothing more to be seen."""
 
     def pass_by(self, line: str) -> None:
         """Print a line, and do what is due at its time."""
@@ -145,6 +152,8 @@ class Timeline:
         elif self._stage == 2 and age < FRESH:  # noqa: PLR2004 - plugged in
             self.healed = time.monotonic() - self._plugged
             self._next(f"-- the arm sees its target again, after {self.healed:.1f} s")
+        elif self._stage == len(("pulled", "plugged", "seen")):
+            self.over = time.monotonic() > self._plugged + AFTER
 
     def _next(self, text: str) -> None:
         self._stage += 1
@@ -158,12 +167,14 @@ def main() -> None:
         sys.exit(f"demo: {why}")
     with hosts() as (lan, made):
         here = f"tcp/{lan['a'].address('c')}:{PORT}"
-        words = (str(HERE / "steer.py"), "--connect", here, "--seconds", f"{SECONDS}")
+        words = (str(HERE / "steer.py"), "--connect", here, "--seconds", f"{LONGEST}")
         master = made.start("c", *words)
         timeline = Timeline(lan)
         try:
             for line in master.stdout or ():
                 timeline.pass_by(line)
+                if timeline.over:
+                    break
         finally:
             master.terminate()
             status = master.wait(READY)
