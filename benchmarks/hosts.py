@@ -17,7 +17,6 @@ all vanishes that it shall carry.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import os
 import signal
@@ -33,6 +32,7 @@ import numpy as np
 import zenoh
 
 from benchmarks import rtbench
+from benchmarks.plain import raw
 from pbonet.config.model import AgentConfig
 from pbonet.svar import Table
 from pbonet.testing.lan import Lan, missing
@@ -77,31 +77,6 @@ while due < end:
     n += 1
     for task in tasks:
         task.commit(time.monotonic_ns(), n)
-"""
-PLAIN = """
-import json, sys, time, zenoh
-config = zenoh.Config.from_json5(sys.argv[1])
-session = zenoh.open(config)
-def answer(query):
-    with query: query.reply(str(query.key_expr), query.payload)
-def relay(query):
-    done = zenoh.handlers.Callback(
-        lambda reply: None, lambda: answer(query), indirect=False)
-    session.get("bench/echo", done, payload=query.payload)
-if sys.argv[2] in ("echo", "relay"):
-    what = {"echo": answer, "relay": relay}[sys.argv[2]]
-    handler = zenoh.handlers.Callback(what)
-    q = session.declare_queryable("bench/" + sys.argv[2], handler)
-    time.sleep(1e6)
-rate, seconds = float(sys.argv[3]), float(sys.argv[4])
-pub = session.declare_publisher("bench/put")
-time.sleep(0.5)
-due = time.monotonic()
-end = due + seconds
-while due < end:
-    due += 1 / rate
-    time.sleep(max(due - time.monotonic(), 0))
-    pub.put(time.monotonic_ns().to_bytes(8, "little") + bytes(40))
 """
 
 
@@ -260,51 +235,6 @@ def watch(table: Table, seconds: float) -> list[float]:
     return ages
 
 
-@contextlib.contextmanager
-def raw(mode: str, *words: str) -> Generator[zenoh.Session, None, None]:
-    """Yield a session linked to a process that puts or answers, or to two of them.
-
-    The second one relays: it asks the first one before it answers, as an agent asks
-    the other machine's.
-    """
-    there = {"endpoints": ["tcp/127.0.0.1:17461"]}
-    listen: dict[str, Any] = {"mode": "router", "listen": there}
-    connect = {"mode": "client", "connect": there}
-    off = {
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-        "transport": {"shared_memory": {"enabled": False}},
-    }
-    roles: list[tuple[str, dict[str, Any]]] = [(mode, listen)]
-    if mode == "echo":
-        roles.append(("relay", {"mode": "router", "connect": there}))
-    processes = [
-        subprocess.Popen([
-            sys.executable,
-            "-c",
-            PLAIN,
-            json.dumps(config | off),
-            role,
-            *words,
-        ])
-        for role, config in roles
-    ]
-    link = None
-    end = time.monotonic() + 10
-    while link is None:
-        try:
-            link = zenoh.open(zenoh.Config.from_json5(json.dumps(connect | off)))
-        except zenoh.ZError:
-            assert time.monotonic() < end
-            time.sleep(0.05)
-    try:
-        yield link
-    finally:
-        link.close()  # type: ignore[no-untyped-call]
-        for process in processes:
-            process.kill()
-            process.wait()
-
-
 def latency(pair: Pair, seconds: float) -> dict[str, Any]:
     """Measure a mirrored table beside a put and its callback, 48 bytes."""
     found: dict[str, Any] = {}
@@ -430,6 +360,11 @@ def loss(times: int) -> dict[str, Any]:
     finally:
         pair.close()
         lan.close()
+    return summed(found)
+
+
+def summed(found: dict[str, list[float]]) -> dict[str, Any]:
+    """Return medians and maxima."""
     return {
         name: {"median": float(np.median(values)), "longest": max(values)}
         for name, values in found.items()
@@ -440,18 +375,15 @@ def flag(pair: Pair, seconds: float) -> dict[str, Any]:
     """Measure how soon a flag that is raised on one machine stands on the other."""
     here, there = pair.one.attach(), pair.two.attach()
     taken: dict[str, list[float]] = {"raised": [], "cleared": []}
-    for number in range(round(20 * seconds)):
-        time.sleep(0.02 + number % 7 * 0.003)  # not in step with anybody's looks
+    for n in range(round(20 * seconds)):
+        time.sleep(0.02 + n % 7 * 0.003)  # not in step with anybody's looks
         here.raise_illegal("a flag", "bench")
         taken["raised"].append(wait(lambda: there.illegal, "flag"))
         here.clear_illegal("bench", "a flag")
         taken["cleared"].append(wait(lambda: not there.illegal, "no flag"))
-    here.close()
-    there.close()
-    return {
-        name: {"median": float(np.median(values)), "longest": max(values)}
-        for name, values in taken.items()
-    }
+    for table in (here, there):
+        table.close()
+    return summed(taken)
 
 
 def fresh(table: Table) -> bool:
