@@ -63,14 +63,16 @@ def run_elsewhere(item: pytest.Item) -> None:
     if tried.returncode:
         pytest.skip(f"nobody may mount: {why}; {tried.stderr.strip()}")
     plain = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
-    done = subprocess.run(
-        [*ENTER, sys.executable, "-m", "pytest", "-p", "no:cacheprovider", item.nodeid],
-        cwd=item.config.rootpath,
-        env=plain | {ENTERED: "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    with tempfile.TemporaryDirectory() as base:  # root's own is another user's there
+        options = ["-p", "no:cacheprovider", f"--basetemp={base}/t"]
+        done = subprocess.run(
+            [*ENTER, sys.executable, "-m", "pytest", *options, item.nodeid],
+            cwd=item.config.rootpath,
+            env=plain | {ENTERED: "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     if "1 skipped" in done.stdout:
         pytest.skip(done.stdout.strip().splitlines()[-2])
     if done.returncode or "1 passed" not in done.stdout:
