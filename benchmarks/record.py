@@ -256,7 +256,7 @@ def _records(seed: int, count: int) -> bytes:
     heads["release_ns"] = heads["end_ns"] = np.arange(count) * PERIOD
     heads["cycle"] = np.arange(count) + 1
     size = RECORD.size + HEAD_DTYPE.itemsize + walks[0].nbytes
-    head = RECORD.pack(size, 0, walks[0].nbytes, 0)
+    head = RECORD.pack(size, 0, walks[0].nbytes, 0, 0, 0)
     return b"".join([
         head + one.tobytes() + walk.tobytes()
         for one, walk in zip(heads, walks, strict=True)

@@ -36,15 +36,15 @@ def run(name="r1", **more) -> RunAbout:
     return RunAbout(run=name, job="j", subsystem="arm", domain="d", rtpu="arm0", **more)
 
 
-def record(data=b"", pairs=(), inputs=b"", **head) -> bytes:
+def record(data=b"", pairs=(), inputs=b"", heard=b"", **head) -> bytes:
     """Return a record as a ring has it."""
     row = np.zeros(1, HEAD_DTYPE)
     for name, value in head.items():
         row[name] = value
     body = row.tobytes() + data + np.array(pairs, np.uint64).tobytes() + inputs
-    size = RECORD.size + len(body)
-    parts = RECORD.pack(size, len(pairs) // 2, len(data), len(inputs))
-    return parts + body
+    body += heard
+    size, counts = RECORD.size + len(body), (len(data), len(inputs), len(heard))
+    return RECORD.pack(size, len(pairs) // 2, *counts, 0) + body
 
 
 def group(variables, pick) -> tuple[bytes, dict[str, np.ndarray]]:

@@ -22,6 +22,7 @@ from pbonet.node._ring import Ring
 from pbonet.node.executor import Executor
 from pbonet.node.taskparams import set_param
 from pbonet.node.taskports import local_table
+from pbonet.outside import Outside, Tape, using
 from pbonet.pbo import Counted, TaskContext, bind, decode_params
 from pbonet.svar import Table
 
@@ -82,7 +83,12 @@ class Task:
         )
         self.about = journal.about(spec, rmod, self.info, library, table)
         self.ring = Ring.create(spec.ring)
-        self.journal = journal.Journal(self.local, self.ring, self.about, self.time)
+        self.tape = Tape()
+        with using(self.tape):
+            Outside("task")
+        self.journal = journal.Journal(
+            self.local, self.ring, self.about, self.time, self.tape
+        )
         self.source = Counted(lambda: self.time.now)
         context = TaskContext(task, freq=100.0, source=self.source)
         arrays = {
@@ -144,7 +150,7 @@ class Task:
         head["register"], head["number"] = self.local.out_uid, self.local.out_number
         data = pack(self.about.outvar, self.local.array)
         body = head.tobytes() + data + np.array(pairs, np.uint64).tobytes() + inputs
-        sizes = (RECORD.size + len(body), len(pairs), len(data), len(inputs))
+        sizes = (RECORD.size + len(body), len(pairs), len(data), len(inputs), 0, 0)
         self.records.append(RECORD.pack(*sizes) + body)
 
 

@@ -18,7 +18,9 @@ it is, so that the same code runs in real time, in simulation and in replay.
     Whether devices may be opened at all; the simulator says no.
 """
 
+from pbonet.outside import Outside
+
 from .policy import devices_allowed, no_devices
 from .serial_line import SerialLine
 
-__all__ = ["SerialLine", "devices_allowed", "no_devices"]
+__all__ = ["Outside", "SerialLine", "devices_allowed", "no_devices"]

@@ -13,16 +13,19 @@ import os
 import termios
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar, cast
 
 from pbonet.errors import DeviceError
+from pbonet.outside import Outside
 
 from .policy import require_devices
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import TracebackType
 
 Parity = Literal["N", "E", "O"]
+T = TypeVar("T")
 
 
 class _Port(Protocol):
@@ -69,11 +72,13 @@ class SerialLine:
             "timeout": 0,
         }
         self._port: _Port | None = None
+        self._outside = Outside(f"serial line {path}")
+        self._opened = False
 
     @property
     def is_open(self) -> bool:
         """Whether bytes can be moved."""
-        return self._port is not None
+        return self._opened
 
     def open(self) -> None:
         """Open and configure the line; return at once if it is open already.
@@ -82,9 +87,13 @@ class SerialLine:
             DeviceError: The line is missing, not a serial line, forbidden, or taken;
                 or pyserial is not installed.
         """
-        if self._port is not None:
+        if self._opened:
             return
         require_devices(self.path)
+        self._outside.ask(self._open, default=None)
+        self._opened = True
+
+    def _open(self) -> None:
         try:
             serial = import_module("serial")
         except ImportError:
@@ -101,7 +110,7 @@ class SerialLine:
         try:
             _tell_silence_from_hangup(self._port.fd)
         except (OSError, termios.error) as error:
-            self.close()
+            self._close()
             raise self._refused(error) from None
 
     def read_available(self, limit: int = 256) -> bytes:
@@ -110,14 +119,15 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
+        return self._ask(self._read, limit, default=b"")
+
+    def _read(self, limit: int) -> bytes:
         try:
             data = os.read(self._descriptor(), limit)
         except BlockingIOError:
             return b""
-        except OSError as error:
-            raise self._lost(error) from None
         if not data and limit:
-            raise self._lost(OSError(errno.EIO, "the line hung up"))
+            raise OSError(errno.EIO, "the line hung up")
         return data
 
     def write_nowait(self, data: bytes) -> int:
@@ -126,12 +136,13 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
+        return self._ask(self._write, data, default=len(data))
+
+    def _write(self, data: bytes) -> int:
         try:
             return os.write(self._descriptor(), data)
         except BlockingIOError:
             return 0
-        except OSError as error:
-            raise self._lost(error) from None
 
     def discard_input(self) -> None:
         """Forget the bytes that have arrived and were not read.
@@ -139,13 +150,20 @@ class SerialLine:
         Raises:
             DeviceError: The line is not open, or the device is gone.
         """
+        self._ask(self._discard, default=None)
+
+    def _discard(self) -> None:
         try:
             termios.tcflush(self._descriptor(), termios.TCIFLUSH)
         except termios.error as error:
-            raise self._lost(OSError(*error.args)) from None
+            raise OSError(*error.args) from None
 
     def close(self) -> None:
         """Close the line and drop what was not sent; closing twice is allowed."""
+        self._opened = False
+        self._close()
+
+    def _close(self) -> None:
         port, self._port = self._port, None
         if port is None:
             return
@@ -168,13 +186,22 @@ class SerialLine:
         """Close the line."""
         self.close()
 
-    def _descriptor(self) -> int:
-        if self._port is None:
+    def _ask(self, call: Callable[..., T], *args: object, default: T) -> T:
+        """Return what the open line answers; it is closed when the device is gone."""
+        if not self._opened:
             raise DeviceError(
                 "the serial line is not open",
                 where=self.path,
                 remedy="call open() and wait for it to succeed",
             )
+        try:
+            return self._outside.ask(call, *args, default=default)
+        except OSError as error:
+            raise self._lost(error) from None
+
+    def _descriptor(self) -> int:
+        if self._port is None:
+            raise OSError(errno.EBADF, "the line is closed")
         return self._port.fd
 
     def _refused(self, error: Exception) -> DeviceError:

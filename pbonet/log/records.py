@@ -42,6 +42,11 @@ class Step(IntEnum):
     """Out-vars were committed outside a cycle, behind `off`."""
     DID = 7
     """A signal, a new parameter or the like, as JSON text (`Did`)."""
+    HEARD = 8
+    """What a method heard from outside, before the copy that follows
+    (`pbonet.outside`); cycles have it in their own records."""
+    SYNC = 9
+    """What ``sync`` heard, which was called then; it stands before its cycle."""
 
 
 class Did(Struct, omit_defaults=True):
@@ -88,6 +93,8 @@ class TaskAbout(Struct, kw_only=True):
     """The module's own file first."""
     hidden: list[str] = []
     """Out-vars that are not recorded."""
+    hears: bool = False
+    """What it hears from outside is on record."""
 
     @property
     def topic(self) -> str:

@@ -1,8 +1,9 @@
 """One message a cycle: ``ros2msg`` schemas, and CDR bytes put together by hand.
 
 A message begins with what is known of the cycle (`HEAD`, as a ring's record has it);
-then come the out-vars, then two byte sequences: the (register, number) pairs of the
-groups that were copied in, and the in-vars where they do not follow from those.
+then come the out-vars, then three byte sequences: the (register, number) pairs of the
+groups that were copied in, the in-vars where they do not follow from those, and what
+was heard from outside, which older logs lack.
 Foxglove, PlotJuggler and rerun read this without a plug-in.
 """
 
@@ -44,7 +45,8 @@ HEAD: Final[tuple[tuple[str, str, str], ...]] = (
 HEAD_DTYPE: Final = np.dtype([(name, kind) for name, kind, _ in HEAD])
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
-RECORD: Final = struct.Struct("<IIII")
+RECORD: Final = struct.Struct("<IIIIII")
+"""Size, pairs, bytes of out-vars, of inputs, of what was heard, and a spare."""
 _HEAD_BYTES: Final = HEAD_DTYPE.itemsize
 _LENGTH: Final = struct.Struct("<I")
 _TIMES: Final = struct.Struct("<qqq")
@@ -106,6 +108,7 @@ class TaskSchema:
             lines.append(f"{_ros_type(v)} {field_name(v.name)}  # {told}")
         lines += ["uint8[] consumed  # pairs of register and number, as uint64"]
         lines += ["uint8[] inputs  # in-vars as they stand in a group of the table"]
+        lines += ["uint8[] heard  # what it heard from outside; see pbonet.outside"]
         return "\n".join([*lines, ""])
 
     def metadata(self) -> dict[str, str]:
@@ -129,9 +132,11 @@ class TaskSchema:
 
     def encode(self, text: memoryview) -> bytes:
         """Return the message for one record of a ring."""
-        _, n_consumed, n_bytes, n_inputs = RECORD.unpack_from(text)
+        _, n_consumed, n_bytes, n_inputs, n_heard, _ = RECORD.unpack_from(text)
         head = RECORD.size + _HEAD_BYTES
         data, pairs = head + n_bytes, head + n_bytes + 16 * n_consumed
+        inputs = pairs + n_inputs
+        gap = bytes(-n_inputs % 4)
         return b"".join((
             CDR,
             text[RECORD.size : head],
@@ -139,7 +144,10 @@ class TaskSchema:
             _LENGTH.pack(16 * n_consumed),
             text[data:pairs],
             _LENGTH.pack(n_inputs),
-            text[pairs : pairs + n_inputs],
+            text[pairs:inputs],
+            gap,
+            _LENGTH.pack(n_heard),
+            text[inputs : inputs + n_heard],
         ))
 
     def _variables(self, data: memoryview) -> memoryview | bytes:
@@ -166,8 +174,8 @@ class TaskSchema:
             out[place : place + size] = message[first : first + size]
         return bytes(out)
 
-    def rest(self, message: bytes) -> tuple[bytes, bytes]:
-        """Return the pairs and the inputs of a message, as bytes."""
+    def rest(self, message: bytes) -> tuple[bytes, bytes, bytes]:
+        """Return the pairs, the inputs and what was heard of a message, as bytes."""
         return _sequences(message, self.prefix)
 
     def arrays(self, messages: Rows) -> dict[str, NDArray[Any]]:
@@ -197,7 +205,7 @@ class StepSchema:
     @staticmethod
     def encode(text: memoryview) -> bytes:
         """Return the message for one record of a ring."""
-        _, _, n_bytes, _ = RECORD.unpack_from(text)
+        n_bytes = RECORD.unpack_from(text)[2]
         head = RECORD.size + _HEAD_BYTES
         return b"".join((
             CDR,
@@ -237,13 +245,16 @@ def times(text: memoryview) -> tuple[int, int, int]:
     return release, end, kind
 
 
-def _sequences(message: bytes, at: int) -> tuple[bytes, bytes]:
-    first = _LENGTH.unpack_from(message, at)[0]
-    at += _LENGTH.size
-    middle = at + first
-    second = _LENGTH.unpack_from(message, middle)[0]
-    middle += _LENGTH.size
-    return message[at : at + first], message[middle : middle + second]
+def _sequences(message: bytes, at: int) -> tuple[bytes, bytes, bytes]:
+    (size,) = _LENGTH.unpack_from(message, at)
+    pairs = at + _LENGTH.size
+    middle = pairs + size
+    (size,) = _LENGTH.unpack_from(message, middle)
+    inputs = middle + _LENGTH.size
+    end = inputs + size
+    last = end + -size % _LENGTH.size + _LENGTH.size
+    # An older log ends behind the inputs.
+    return message[pairs:middle], message[inputs:end], message[last:]
 
 
 def _is_struct(variable: Variable) -> bool:

@@ -100,7 +100,11 @@ class TaskRecord:
                 head[name] = value
             head["end_ns"] = max(row[0], row[3])
             data = self._data[number * self.size : (number + 1) * self.size]
-            parts += [RECORD.pack(size, 0, self.size, 0), head.tobytes(), bytes(data)]
+            parts += [
+                RECORD.pack(size, 0, self.size, 0, 0, 0),
+                head.tobytes(),
+                bytes(data),
+            ]
         return b"".join(parts)
 
     def about(self, subsystem: str, libraries: Sequence[str]) -> TaskAbout:

@@ -28,6 +28,8 @@ class Record:
     """The out-group as committed."""
     inputs: bytes
     """The in-vars as copied in, where they do not follow from `consumed`."""
+    heard: bytes
+    """What the cycle heard from outside; see `pbonet.outside`."""
 
 def parse(text: bytes) -> list[Record]:
     """Return the records in what `Ring.take` returned.

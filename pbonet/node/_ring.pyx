@@ -26,7 +26,7 @@ class Record:
     """One record, out of a ring; `_ring.pyi` says what the fields are."""
 
     __slots__ = ("cycle", "release_ns", "start_ns", "end_ns", "dt_ns", "cpu_ns", "uid",
-                 "number", "lost", "flags", "kind", "stable", "consumed", "data", "inputs")
+                 "number", "lost", "flags", "kind", "stable", "consumed", "data", "inputs", "heard")
 
 
 def parse(const unsigned char[::1] text not None) -> list:
@@ -41,7 +41,8 @@ cdef uint64_t _parse(const char *text, uint64_t n, list records) except 0:
     cdef const ring_record *r = <const ring_record *>text
     cdef const uint64_t *pairs
     cdef uint64_t k, head = sizeof(ring_record)
-    if n < head or r.size > n or r.size < head + 16 * r.n_consumed + r.bytes + r.in_bytes:
+    if n < head or r.size > n or r.size < (head + 16 * r.n_consumed + r.bytes +
+                                           r.in_bytes + r.heard_bytes):
         raise NodeError("the ring is damaged")
     pairs = <const uint64_t *>(text + head + r.bytes)
     record = Record()
@@ -60,7 +61,9 @@ cdef uint64_t _parse(const char *text, uint64_t n, list records) except 0:
     record.consumed = tuple([(pairs[2 * k], pairs[2 * k + 1])
                              for k in range(r.n_consumed)])
     record.data = (text + head)[:r.bytes]
-    record.inputs = (text + head + r.bytes + 16 * r.n_consumed)[:r.in_bytes]
+    text += head + r.bytes + 16 * r.n_consumed
+    record.inputs = text[:r.in_bytes]
+    record.heard = (text + r.in_bytes)[:r.heard_bytes]
     records.append(record)
     return r.size
 
@@ -136,7 +139,7 @@ cdef class Ring:
         r.cycle, r.kind, r.uid, r.number = cycle, kind, uid, number
         r.release_ns = r.start_ns = r.end_ns = now_ns
         r.bytes = data.shape[0]
-        return bool(ring_put(self.open(), &r, NULL, &data[0] if r.bytes else NULL))
+        return bool(ring_put(self.open(), &r, NULL, &data[0] if r.bytes else NULL, NULL))
 
     def want(self, *, bint always=False) -> None:
         ring_want(self.open(), RING_WANT_ALL if always else RING_WANT_NEW)

@@ -10,6 +10,7 @@ from typing import Final
 from pbonet.node._ring import Record as Record
 from pbonet.node._ring import Ring as Ring
 from pbonet.node._ring import parse as parse
+from pbonet.outside import Tape
 from pbonet.sched.records import (
     CoreStatus,
     Decision,
@@ -261,6 +262,8 @@ class Slot:
 
     index: int
     failures: Failures
+    tape: Tape | None
+    """What the module hears from outside; each record takes it along."""
     stamp_ns: int
     """When the outputs that are committed were measured; 0: at the commit."""
     def __init__(self, table: CoreTable, i: int) -> None: ...

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = layout.h state.h watch.h device.h muf.h standby.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+# distutils: depends = ../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -14,10 +14,11 @@ from libc.string cimport memset, strdup, strncat
 from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node import _ring, rights
 from pbonet.node._ring cimport (
-    RING_STABLE, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record, ring_stage,
-    ring_wanted, ring_wants,
+    RING_STABLE, RING_SYNC, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record,
+    ring_stage, ring_wanted, ring_wants,
 )
 from pbonet.node._rt_headers cimport *
+from pbonet.outside._tape cimport Tape, tape_empty, tape_ready
 from pbonet.sched.histogram import octaves
 from pbonet.sched.records import (
     CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
@@ -66,6 +67,7 @@ cdef class Slot:
     cdef uint64_t cpu_mark, fault_mark
     cdef public int64_t stamp_ns
     cdef ring_record record
+    cdef public Tape tape
     cdef readonly Failures failures
     cdef bint vowed, is_aged
     cdef object aged
@@ -104,7 +106,7 @@ cdef class Slot:
                     return why
                 else:
                     served = 1
-                    if not periodic and not self.wait_outside(sync):
+                    if not periodic and not self.wait_outside(sync, ring):
                         continue
                     self.once(cycle, local, stable, ring, leave)
                     if self.cost.aborted:
@@ -119,7 +121,7 @@ cdef class Slot:
             if not last:
                 rt_leave(&self.task, RT_COMMAND)
 
-    cdef bint wait_outside(self, sync) except -1:
+    cdef bint wait_outside(self, sync, Ring ring) except -1:
         """Wait as the module says; whether its event came."""
         try:
             if rt_enter(RT_IN_SYNC):
@@ -131,7 +133,21 @@ cdef class Slot:
             return False
         finally:
             rt_exit()
+        if ring is not None and self.tape is not None and tape_ready(&self.tape.t):
+            self.put_sync(ring)
         return True
+
+    cdef int put_sync(self, Ring ring) except -1:
+        """Record what the module heard while it waited: a replay waits so again."""
+        cdef ring_record *r = &self.record
+        memset(r, 0, sizeof(ring_record))
+        r.kind = RING_SYNC
+        r.cycle = rt_cycles(self.task.slot)
+        r.release_ns = r.start_ns = r.end_ns = rt_now()
+        r.bytes = self.tape.t.used
+        ring_put(ring.r, r, NULL, self.tape.t.bytes, NULL)
+        tape_empty(&self.tape.t)
+        return 0
 
     cdef int raise_error(self) except -1:
         """Raise what the module's failure handler failed with."""
@@ -239,7 +255,7 @@ cdef class Slot:
         cdef size_t n, at = 0
         cdef const void *value
         cdef int i
-        r.n_consumed = r.bytes = r.in_bytes = r.kind = 0
+        r.n_consumed = r.bytes = r.in_bytes = r.heard_bytes = r.kind = 0
         r.uid = r.number = 0
         if local is None:
             return
@@ -256,7 +272,11 @@ cdef class Slot:
     cdef bint end_record(self, LocalTable local, Ring ring) noexcept:
         cdef ring_record *r = &self.record
         cdef rt_cost *cost = &self.cost
+        cdef const void *heard = NULL
         cdef bint kept
+        if self.tape is not None and tape_ready(&self.tape.t):
+            heard, r.heard_bytes = self.tape.t.bytes, self.tape.t.used
+            tape_empty(&self.tape.t)
         r.cycle = rt_cycles(self.task.slot) + 1
         r.release_ns = self.task.rel_ns
         r.start_ns = cost.called_ns
@@ -265,9 +285,10 @@ cdef class Slot:
         r.cpu_ns = cost.cpu_ns
         r.flags = <uint32_t>self.flags | (RING_STABLE if cost.stable else 0)
         if local is None:
-            return ring_put(ring.r, r, NULL, NULL)
+            return ring_put(ring.r, r, NULL, NULL, heard)
         r.uid, r.number = local.out_uid, local.out_number
-        kept = ring_put(ring.r, r, <const uint64_t *>local.consumed, local.out_data)
+        kept = ring_put(ring.r, r, <const uint64_t *>local.consumed, local.out_data,
+                        heard)
         if kept and r.in_bytes:
             local.c_stored()
             if ring_wants(ring.r) & RING_WANT_NEW:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from pbonet.config.library import Library
     from pbonet.config.model import Rmod, Variable
+    from pbonet.outside import Tape
     from pbonet.pbo import ModuleInfo
     from pbonet.svar import LocalTable, Table
 
@@ -43,11 +44,18 @@ class Journal:
         ring: Where records go.
         about: Whose they are.
         time: The task's time, which stands still from one record to the next.
+        tape: What the module hears from outside.
     """
 
     def __init__(
-        self, local: LocalTable, ring: Ring, about: TaskAbout, time: SlotTime
+        self,
+        local: LocalTable,
+        ring: Ring,
+        about: TaskAbout,
+        time: SlotTime,
+        tape: Tape,
     ) -> None:
+        self._tape = tape
         self._local = local
         self._ring = ring
         self._about = about
@@ -58,7 +66,10 @@ class Journal:
         """Put on record what is about to be done, and have time stand still."""
         with self._time.held():
             self._put(Step.DID, msgspec.json.encode(did))
-            yield
+            try:
+                yield
+            finally:
+                self._put_heard(Step.HEARD)
 
     @property
     def blamed(self) -> tuple[str, int]:
@@ -120,7 +131,16 @@ class Journal:
             self._put(step, pack(variables, self._local.array))
         return flags
 
+    def broken_off(self) -> None:
+        """Put on record what `sync` heard before a command broke it off."""
+        self._put_heard(Step.SYNC)
+
+    def _put_heard(self, step: Step) -> None:
+        if heard := self._tape.take():
+            self._put(step, heard)
+
     def _put(self, step: Step, data: bytes) -> None:
+        self._put_heard(Step.HEARD)
         committed = step in {Step.CLAIM, Step.COMMIT}
         self._ring.put(
             data,
@@ -158,6 +178,7 @@ def about(
         outconst=variables(rmod.outconst),
         outvar=variables(rmod.outvar),
         code=code_of(_files(rmod, library)),
+        hears=True,
     )
 
 

@@ -12,8 +12,9 @@
 #include <string.h>
 
 #define RING_MAGIC UINT64_C(0x676e69726f6e6270)
-enum { RING_VERSION = 2 };
+enum { RING_VERSION = 3 };
 enum { RING_WANT_NEW = 1, RING_WANT_ALL = 2 };  /* inputs: of the next record, of all */
+enum { RING_SYNC = 9 };                         /* a kind: pbonet.log.Step.SYNC */
 #define RING_STABLE (UINT32_C(1) << 31)
 
 /* The text `about` stands behind the data: whose ring this is, for whoever drains it. */
@@ -28,10 +29,11 @@ struct ring {
     _Alignas(64) unsigned char data[];
 };
 
-/* What stands before the data, the consumed pairs and the inputs of one record. From
- * `cycle` on it goes into a log as it is (pbonet.log.schema). */
+/* What stands before the data, the consumed pairs, the inputs and what was heard from
+ * outside, of one record. From `cycle` on it goes into a log as it is
+ * (pbonet.log.schema). */
 struct ring_record {
-    uint32_t size, n_consumed, bytes, in_bytes;
+    uint32_t size, n_consumed, bytes, in_bytes, heard_bytes, spare;
     uint64_t cycle;
     int64_t release_ns, start_ns, end_ns, dt_ns;
     uint64_t cpu_ns;
@@ -75,7 +77,7 @@ static inline void ring_copy_out(const struct ring *r, uint64_t at, void *to, ui
 static inline uint64_t ring_size(const struct ring_record *record)
 {
     return (sizeof *record + record->bytes + (uint64_t)record->n_consumed * 16 +
-            record->in_bytes + 7) & ~UINT64_C(7);
+            record->in_bytes + record->heard_bytes + 7) & ~UINT64_C(7);
 }
 
 /* Whether a record finds room; what it needs is known before it is filled. */
@@ -115,7 +117,8 @@ static inline void ring_stage(struct ring *r, const struct ring_record *record, 
 /* Append a record; 0 when the ring is full. Sets `size` and `lost`; the inputs were
  * staged. */
 static inline int ring_put(struct ring *r, struct ring_record *record,
-                           const uint64_t *consumed, const void *data)
+                           const uint64_t *consumed, const void *data,
+                           const void *heard)
 {
     uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
     uint64_t lost = atomic_load_explicit(&r->lost, memory_order_relaxed);
@@ -129,6 +132,9 @@ static inline int ring_put(struct ring *r, struct ring_record *record,
     ring_copy_in(r, head + sizeof *record, data, record->bytes);
     ring_copy_in(r, head + sizeof *record + record->bytes, consumed,
                  (uint64_t)record->n_consumed * 16);
+    ring_copy_in(r, head + sizeof *record + record->bytes +
+                 (uint64_t)record->n_consumed * 16 + record->in_bytes, heard,
+                 record->heard_bytes);
     /* SYNC POINT: ring_ready loads `head` before it looks at records. */
     atomic_store_explicit(&r->head, head + record->size, memory_order_release);
     return 1;

@@ -24,6 +24,7 @@ from pbonet.config.library import Library
 from pbonet.config.model import TaskType
 from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did
+from pbonet.outside import Outside, Tape, use
 from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
 from pbonet.svar import Table
 from pbonet.xm import live_on
@@ -120,8 +121,13 @@ class Host:
         self.local = local_table(self.table, spec.task, self.rmod)
         told = journal.about(spec, self.rmod, self.info, library, self.table)
         self.ring = Ring.create(spec.ring, about=msgspec.json.encode(told))
-        self.time = SlotTime(self.slot)
-        self.journal = journal.Journal(self.local, self.ring, told, self.time)
+        self.tape = self.slot.tape = Tape()
+        use(self.tape)
+        outside = Outside("task")
+        self.time = SlotTime(self.slot, outside)
+        self.journal = journal.Journal(
+            self.local, self.ring, told, self.time, self.tape
+        )
         self.context = Context(
             spec.task,
             rmod=self.rmod.name,
@@ -131,7 +137,7 @@ class Host:
             handler=self.rmod.handler,
             watch=self.watch,
         )
-        self.context.slot = self.slot
+        self.context.slot, self.context.outside = self.slot, outside
         self.voice.own = {one.name: one.bit for one in self.info.signals}
         self.watch.task = self.context
         self.context.on_off = lambda: self.core.request(spec.slot)
@@ -146,7 +152,8 @@ class Host:
             subsystem=spec.subsystem,
         )
         instance = bind(loaded.cls, params, arrays, self.context)
-        self.context.is_stale = ages(self.rmod, self.info, self.local.stale)
+        stale = ages(self.rmod, self.info, self.local.stale)
+        self.context.is_stale = lambda port: outside.ask(stale, port, default=False)
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.journal, illegal=illegal)
         self.executor.cycling = self._method
@@ -263,6 +270,7 @@ class Host:
                 self._begin_anew()
         except tasktalk.Interrupted:
             self._waiting_outside = False
+            self.journal.broken_off()
         except RAISED as error:
             self.time.cycling = False
             self._fault(contained(error))

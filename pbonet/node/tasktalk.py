@@ -21,6 +21,8 @@ from .signalling import severity
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
+    from pbonet.outside import Outside
+
     from ._rt import Slot
     from .executor import Executor
     from .failures import Raised
@@ -180,10 +182,18 @@ class Voice:
 
 
 class SlotTime:
-    """Time, cycle count and criticality of a slot; see `pbonet.pbo.Schedule`."""
+    """Time, cycle count and criticality of a slot; see `pbonet.pbo.Schedule`.
 
-    def __init__(self, slot: Slot) -> None:
+    Args:
+        slot: The task's.
+        outside: Keeps on record what the module is told of it that is in no cycle's
+            record.
+    """
+
+    def __init__(self, slot: Slot, outside: Outside) -> None:
         self._slot = slot
+        self._outside = outside
+        self._crit = 0
         self._base = slot.cycles
         self._held = 0
         self.cycling = False
@@ -226,7 +236,9 @@ class SlotTime:
     @property
     def crit(self) -> int:
         """The criticality that the dispatcher ranks the task by."""
-        return self._slot.failures.own_criticality
+        now = self._slot.failures.own_criticality
+        self._crit = self._outside.ask(lambda: now, default=self._crit)
+        return self._crit
 
 
 class Context(TaskContext):
@@ -237,6 +249,8 @@ class Context(TaskContext):
 
     on_off: Callable[[], None] | None = None
     slot: Slot
+    outside: Outside
+    _sigmask = 0
 
     @property
     def stamp_ns(self) -> int:
@@ -250,7 +264,9 @@ class Context(TaskContext):
     @property
     def sigmask(self) -> int:
         """Signals that the master does not want from this task, as bits."""
-        return self.slot.sigmask
+        now = self.slot.sigmask
+        self._sigmask = self.outside.ask(lambda: now, default=self._sigmask)
+        return self._sigmask
 
     def signal(self, signal: Signal | int, text: str = "") -> None:
         """Send `signal` to the master; see `TaskContext.signal`."""

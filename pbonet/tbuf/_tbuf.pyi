@@ -7,6 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from pbonet.outside import Outside
+
 WRITER: int
 READER: int
 CARER: int
@@ -79,13 +81,22 @@ class End(Buffer):
 
     value: NDArray[Any]
     """The process's own copy of a record, at one address for life."""
-    def hold(self, raw: NDArray[Any], own: NDArray[Any], value: NDArray[Any]) -> None:
+    outside: Outside | None
+    """Keeps what is read on record, or plays it; None: nothing does."""
+    def hold(
+        self,
+        raw: NDArray[Any],
+        own: NDArray[Any],
+        value: NDArray[Any],
+        outside: Outside | None = None,
+    ) -> None:
         """Say where records are copied from or to, and what the process has of it.
 
         Args:
             raw: A record as it stands in the buffer.
             own: A record in the process's own byte order; `raw` if that is the same.
             value: `own`, as the user shall see it.
+            outside: What the module that has this end is recorded by, if it is.
         """
     @property
     def number(self) -> int:

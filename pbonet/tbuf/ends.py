@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pbonet.outside import Outside, active
 from pbonet.svar.closing import Closing
 from pbonet.xm import files
 
@@ -14,7 +15,10 @@ from ._tbuf import READER, WRITER, End, In, Out
 if TYPE_CHECKING:
     from typing import Any
 
+    import numpy as np
     from numpy.typing import DTypeLike, NDArray
+
+    from pbonet.xm.names import Name
 
 
 class _Attached(Closing, End):
@@ -29,9 +33,45 @@ class _Attached(Closing, End):
 
     def destroy(self) -> None:
         """Remove the buffer; who else uses it is told (``tbufDestroy``)."""
+        if self.outside is not None and self.outside.plays:
+            return
         files.unlink_same(Path(self.path), self.fileno)
         self.mark_destroyed()
         self.unmap()
+
+    @property
+    def written(self) -> int:
+        """The counter of the newest record; 0 before the first."""
+        if self.outside is None:
+            return super().written
+        return self.outside.ask(lambda: super(_Attached, self).written)
+
+    @property
+    def last_ns(self) -> int:
+        """When the newest record was written; 0 before the first."""
+        if self.outside is None:
+            return super().last_ns
+        return self.outside.ask(lambda: super(_Attached, self).last_ns)
+
+    @property
+    def destroyed(self) -> bool:
+        """Whether somebody destroyed it."""
+        if self.outside is None:
+            return super().destroyed
+        return self.outside.ask(lambda: super(_Attached, self).destroyed, default=False)
+
+    def _attach(
+        self, name: Name, wanted: np.dtype[Any] | None, role: int
+    ) -> tuple[Outside | None, np.dtype[Any]]:
+        """Return what records this end, and what a record looks like in the buffer."""
+        if not active():
+            return None, places.attach(name, wanted, role, self)
+        outside = Outside(f"link {name}")
+
+        def attach() -> bytes:
+            return layout.describe(places.attach(name, wanted, role, self))
+
+        return outside, layout.parse(outside.ask(attach))
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.name}, record {self.number}>"
@@ -61,10 +101,11 @@ class Writer(_Attached, Out):
         found = places.name_to_write(name)
         self.name = str(found)
         wanted = layout.as_dtype(dtype)
-        kept = places.attach(found, wanted, WRITER, self)
+        outside, kept = self._attach(found, wanted, WRITER)
         own = layout.room(wanted) if data is None else data
         try:
-            self.hold(own if kept == wanted else layout.room(kept), own, own)
+            raw = own if kept == wanted else layout.room(kept)
+            self.hold(raw, own, own, outside)
             self.begin()
         except BaseException:
             self.close()
@@ -93,9 +134,9 @@ class Reader(_Attached, In):
         found = places.name_to_read(name)
         self.name = str(found)
         wanted = None if dtype is None else layout.as_dtype(dtype)
-        kept = places.attach(found, wanted, READER, self)
+        outside, kept = self._attach(found, wanted, READER)
         raw = layout.room(kept)
         own = raw if wanted is None or wanted == kept else layout.room(wanted)
         value = own[...]
         value.flags.writeable = False
-        self.hold(raw, own, value)
+        self.hold(raw, own, value, outside)

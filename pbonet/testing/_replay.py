@@ -10,7 +10,6 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import LogError
-from pbonet.io import no_devices
 from pbonet.log import Log
 
 from ._inputs import Commits
@@ -76,8 +75,7 @@ def _again(
         verdict.gaps.append(why)
         return
     begun = time.perf_counter()
-    with no_devices("this is a replay"):
-        Run(life, commits, libraries, verdict, rtol).go()
+    Run(life, commits, libraries, verdict, rtol).go()
     verdict.took += time.perf_counter() - begun
 
 

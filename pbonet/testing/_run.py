@@ -6,6 +6,7 @@ bring what was recorded, and hand on what the module made of it.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,13 +24,16 @@ from pbonet.node.executor import Executor
 from pbonet.node.failures import RAISED
 from pbonet.node.taskparams import set_param
 from pbonet.node.taskports import check_ports
-from pbonet.pbo import Counted, TaskContext, bind, decode_params
+from pbonet.outside import BrokenOffError, NotRecordedError, Player
+from pbonet.pbo import bind, decode_params
 
+from . import _outside
 from ._inputs import Commits, Inputs, Key
 from ._verdict import Divergence, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
     from pbonet.log import Life
 
 _HEAD: Final = struct.Struct("<QqqqqQQQQII")
+_KIND: Final = struct.Struct("<I")
+_KIND_AT: Final = len(CDR) + _HEAD.size - _KIND.size
 _DID: Final = msgspec.json.Decoder(Did)
 _END: Final = frozenset({"abort", "fault"})
 """Behind these the module's state is not known: what failed is not on record."""
@@ -127,7 +133,8 @@ class Run:
     ) -> None:
         self.about = life.about
         self._schema = life.schema
-        self._records = life.records
+        self._player = Player() if life.about.hears else None
+        self._records = self._listen(life)
         self._at = 0
         self._verdict = verdict
         self._rtol = rtol
@@ -140,6 +147,22 @@ class Run:
         self._inputs = Inputs(self.about, self.arrays.__getitem__, commits)
         self._limited = [v for v in self.about.outvar if v.limit is Limit.CLIP]
         self._make(libraries)
+
+    def _listen(self, life: Life) -> list[bytes]:
+        """Take what methods heard from outside; return the other records."""
+        if self._player is None:
+            return life.records
+        heard = [one for one in life.steps if kind_of(one) == Step.HEARD]
+        for one in heard:
+            self._player.feed(StepSchema.data(one))
+        rest = life.records
+        if heard:
+            rest = [one for one in rest if kind_of(one) != Step.HEARD]
+        return rest
+
+    def outside(self) -> AbstractContextManager[None]:
+        """Return what lets the module hear what is on record, and nothing else."""
+        return _outside.only(self._player, self.about)
 
     def _lay_out(self) -> None:
         """Make the arrays; each group in one piece, as in a local table."""
@@ -168,8 +191,10 @@ class Run:
         loaded = Library(folders).load_rmod(rmod)
         check_ports(rmod, loaded.info)
         params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
-        self._source = Counted(lambda: self._now)
-        self._context = TaskContext(
+        heard = _outside.of_task(self._player)
+        self._source = _outside.Time(heard, lambda: self._now)
+        self._context = _outside.Context(
+            heard,
             about.task,
             rmod=rmod.name,
             freq=about.freq,
@@ -190,8 +215,9 @@ class Run:
     def go(self) -> None:
         """Run it all again; what comes of it is in the verdict."""
         try:
-            while self._at < len(self._records):
-                self.step()
+            with self.outside():
+                while self._at < len(self._records):
+                    self.step()
         except Stop as stop:
             if self._verdict.divergence is None:
                 self._verdict.gaps.append(str(stop))
@@ -202,6 +228,12 @@ class Run:
         Raises:
             Stop: Nothing behind it can be run again.
         """
+        try:
+            self._step()
+        except (NotRecordedError, BrokenOffError) as error:
+            raise Stop(f"{self._place()}: {error}") from None
+
+    def _step(self) -> None:
         message = self._records[self._at]
         head = _HEAD.unpack_from(message, len(CDR))
         if head[8] != self._lost:
@@ -214,14 +246,20 @@ class Run:
             self._at += 1
             self._now = head[1]
             self._obey(_DID.decode(StepSchema.data(message)))
+        elif head[10] == Step.SYNC:
+            self._at += 1
+            self._wait(StepSchema.data(message))
         else:
             self._diverged(f"the module did not get to {Step(head[10]).name}")
 
     def _run_cycle(self, message: bytes, head: tuple[int, ...]) -> None:
         number, release, _, _, dt, _, register, commit, _, flags, _ = head
         self._cycle, self._where, self._key = number, "cycle", (register, commit)
-        if why := self._inputs.bring(*self._schema.rest(message)):
+        consumed, inputs, heard = self._schema.rest(message)
+        if why := self._inputs.bring(consumed, inputs):
             raise Stop(f"cycle {number}: {why}")
+        if heard and self._player is not None:
+            self._player.feed(heard)
         self._source.release = release
         instance = self._instance
         try:
@@ -236,6 +274,19 @@ class Run:
         recorded, made = self._schema.group(message), self.group.tobytes()
         self._verdict.cycles += self.compare(self.about.outvar, recorded, made)
         self._verdict.seconds += dt * 1e-9
+
+    def _wait(self, heard: bytes) -> None:
+        """Have the module wait for its event, as it did then."""
+        self._where = "sync"
+        if self._player is not None:
+            self._player.feed(heard)
+        with contextlib.suppress(BrokenOffError):
+            self._instance.sync()
+
+    def _place(self) -> str:
+        if self._where == "cycle":
+            return f"cycle {self._cycle}"
+        return f"{self._where} behind cycle {self._cycle}"
 
     def _obey(self, did: Did) -> None:
         """Do what the task did between two cycles."""
@@ -372,11 +423,16 @@ def not_again(life: Life) -> str:
     return ""
 
 
+def kind_of(message: bytes) -> int:
+    """Return the kind of a record."""
+    return int(_KIND.unpack_from(message, _KIND_AT)[0])
+
+
 def _from_birth(life: Life) -> bool:
     if not life.records:
         return False
-    first = life.records[0]
-    if _HEAD.unpack_from(first, len(CDR))[10] != Step.DID:
+    first = next((one for one in life.records if kind_of(one) != Step.HEARD), None)
+    if first is None or kind_of(first) != Step.DID:
         return False
     return _DID.decode(StepSchema.data(first)).what == "spawn"
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from pbonet.io import no_devices
 from pbonet.log import Log, LogWriter, RunAbout
 from pbonet.log.groups import size
 from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
@@ -117,7 +116,8 @@ class _Part(Run):
         """Run what belongs to the next record."""
         self._busy = True
         try:
-            self.step()
+            with self.outside():
+                self.step()
         except Stop as stop:
             self.stopped = True
             if str(stop):
@@ -209,19 +209,18 @@ def rerun(
     made: dict[str, _Made] = {}
     parts: list[_Part] = []
     begun = time.perf_counter()
-    with no_devices("this is a replay"):
-        for task in names:
-            for life in log.lives(task):
-                verdicts[task].recorded += cycles_of(life)
-                machine = life.part.about.machine if life.part.about else ""
-                if machine not in made:
-                    made[machine] = _Made(log, machine)
-                if why := not_again(life):
-                    verdicts[task].gaps.append(why)
-                    continue
-                one = made[machine]
-                parts.append(_Part(life, one, libraries, verdicts[task], rtol))
-        _go(parts)
+    for task in names:
+        for life in log.lives(task):
+            verdicts[task].recorded += cycles_of(life)
+            machine = life.part.about.machine if life.part.about else ""
+            if machine not in made:
+                made[machine] = _Made(log, machine)
+            if why := not_again(life):
+                verdicts[task].gaps.append(why)
+                continue
+            one = made[machine]
+            parts.append(_Part(life, one, libraries, verdicts[task], rtol))
+    _go(parts)
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
     _sum_up(found, parts)
     if out is not None:
@@ -275,6 +274,7 @@ def _records(life: Life, made: dict[Key, bytes]) -> list[bytes]:
         if data is None:
             data = life.schema.group(message)
         text = message[len(CDR) : _HEAD_END]
-        parts += [RECORD.pack(RECORD.size + len(text) + len(data), 0, len(data), 0)]
+        total = RECORD.size + len(text) + len(data)
+        parts += [RECORD.pack(total, 0, len(data), 0, 0, 0)]
         parts += [text, data]
     return parts

@@ -19,6 +19,7 @@ from posix.unistd cimport close
 
 from pbonet.errors import (XmDamagedError, XmDestroyedError, XmError, XmFullError,
                            XmLayoutError, XmQueueFullError, XmTooLongError)
+from pbonet.outside import active
 from pbonet.xm import files, names
 from pbonet.xm._headers cimport *
 
@@ -47,6 +48,12 @@ class Full(IntEnum):
 
 
 cdef object _TAKEN = Taken.TAKEN, _DIED = Taken.HOLDER_DIED, _TIMED_OUT = Taken.TIMED_OUT
+
+
+def _heard(make, name, **settings):
+    """Return it for a module whose log says what it was answered."""
+    from pbonet.xm import heard
+    return heard.opened(make, name, settings)
 
 
 def _forked():
@@ -213,6 +220,9 @@ cdef class Semaphore(Shared):
         if not 1 <= highest <= 0x7fffffff or not 0 <= initial <= highest:
             raise ValueError(f"initial {initial} and maximum {highest} are not "
                              "0 <= initial <= maximum < 2**31")
+        if active():
+            return _heard(Semaphore.create, name, initial=initial, maximum=maximum,
+                          binary=binary)
         found, here = names.find(name)
         if not here:
             from pbonet.xm import far
@@ -234,6 +244,8 @@ cdef class Semaphore(Shared):
 
     @staticmethod
     def attach(name):
+        if active():
+            return _heard(Semaphore.attach, name)
         found, here = names.find(name)
         if not here:
             from pbonet.xm import far

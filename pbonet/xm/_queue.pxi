@@ -11,6 +11,9 @@ cdef class Queue(Shared):
         for what, value, least in ("messages", messages, 1), ("blocks", n, 1), ("block", block, 8):
             if not least <= value <= MOST:
                 raise ValueError(f"{what} {value} is not within {least} to {MOST}")
+        if active():
+            return _heard(Queue.create, name, policy=policy, messages=messages, blocks=n,
+                          block=block)
         found, here = names.find(name)
         if not here:
             from pbonet.xm import far
@@ -36,6 +39,8 @@ cdef class Queue(Shared):
 
     @staticmethod
     def attach(name):
+        if active():
+            return _heard(Queue.attach, name)
         found, here = names.find(name)
         if not here:
             from pbonet.xm import far

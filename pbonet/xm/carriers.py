@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import msgspec
 
 from pbonet.errors import NoAnswerError, UnreachableError, XmError
+from pbonet.outside import Outside, active
 
 from . import codec, keys, names, rundir
 from .letters import Letter, read_names, read_result
@@ -228,6 +229,12 @@ def alive(rtpu: str) -> bool:
         UnreachableError: No agent at all can be reached.
     """
     rundir.check_name("an RTPU", rtpu)
+    if active():
+        return Outside(f"agent {rtpu}").ask(_alive, rtpu)
+    return _alive(rtpu)
+
+
+def _alive(rtpu: str) -> bool:
     domain = names.home().domain
     if rtpu in rundir.live_agents(domain):
         return True

@@ -22,6 +22,7 @@ from pbonet.errors import (
     XmExistsError,
     XmNameError,
 )
+from pbonet.outside import refuse
 
 from . import carriers, names
 from . import filing as f
@@ -78,6 +79,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
 
     def ask(self, path: str, request: XmRequest, result: type[T]) -> T:
         """Return an agent's answer; `path` begins with the RTPU."""
+        refuse(f"the file pbonet://{path}")
         carrier = self._carrier or carriers.carrier()
         rtpu = _split(path)[0]
         return carrier.call(rtpu, request, result, timeout=ANSWER_TIME)

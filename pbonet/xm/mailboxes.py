@@ -23,6 +23,7 @@ from pbonet.errors import (
     XmTakenError,
     did_you_mean,
 )
+from pbonet.outside import Outside, active, using
 from pbonet.svar.closing import Closing
 
 from . import carriers, names
@@ -235,8 +236,16 @@ def interrupt(name: str | int, value: int = 1) -> None:
     if not -(1 << 63) <= value < 1 << 63:
         raise ValueError(f"the value {value} has more than 64 bits")
     box = _resource(name)
+    if active():
+        Outside(f"mailbox {_shown(box)}").ask(_interrupt, box, value, default=None)
+    else:
+        _interrupt(box, value)
+
+
+def _interrupt(box: Name, value: int) -> None:
     if names.is_here(box):
-        interrupt_here(box, value)
+        with using(None):
+            interrupt_here(box, value)
         return
     request = Interrupt(name=box.resource.removeprefix(PREFIX), value=value)
     carriers.carrier().call(box.rtpu, request, type(None), timeout=2.0)

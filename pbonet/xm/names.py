@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +17,7 @@ from pbonet.errors import UnreachableError, XmMissingError, XmNameError, did_you
 from . import rundir
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Generator
 
 NOWHERE = "local"
 """The RTPU of a process that belongs to none."""
@@ -77,6 +78,17 @@ def live_on(
     rundir.check_name("an RTPU", rtpu)
     rundir.check_name("a domain", domain)
     _home = Home(domain, rtpu, priority, subsystem)
+
+
+@contextmanager
+def living_on(rtpu: str, *, domain: str, subsystem: str = "") -> Generator[None]:
+    """Have this process be at home there in this block, as a task whose log is run."""
+    global _home  # noqa: PLW0603 - a process has one home
+    before, _home = _home, Home(domain, rtpu, _no_priority, subsystem)
+    try:
+        yield
+    finally:
+        _home = before
 
 
 def home() -> Home:

@@ -23,6 +23,7 @@ from pbonet.errors import (
     XmFullError,
     XmLayoutError,
 )
+from pbonet.outside import refuse
 from pbonet.svar.closing import Closing
 
 from . import files, names
@@ -80,6 +81,7 @@ class Segment(Closing):
         """
         if size <= 0:
             raise ValueError(f"a segment has at least one byte, not {size}")
+        refuse(f"the shared memory segment {name}")
         found = names.resolve(name, remedy=_ELSEWHERE)
         fd, fresh = files.make(found.path(KIND), _START + size)
         self = cls(found, fd, _START + size)
@@ -104,6 +106,7 @@ class Segment(Closing):
             XmFullError: Too many processes are attached.
             XmError: Its file cannot be used.
         """
+        refuse(f"the shared memory segment {name}")
         found = names.resolve(name, remedy=_ELSEWHERE)
         fd, size = files.open_file(found, KIND)
         if size < _START:

@@ -36,7 +36,7 @@ def record(values, **head) -> bytes:
         row[name] = value
     data = pack([VARIABLES["Y0"]], lambda _: np.array(values, float))
     body = row.tobytes() + data
-    return RECORD.pack(RECORD.size + len(body), 0, len(data), 0) + body
+    return RECORD.pack(RECORD.size + len(body), 0, len(data), 0, 0, 0) + body
 
 
 @pytest.fixture

@@ -47,7 +47,7 @@ static void *task_main(void *arg)
             cost.cpu_ns = 1000;
             rt_account(&task, &cost);
             struct ring_record record = {.cycle = (uint64_t)cycles, .bytes = 8};
-            ring_put(rings[i], &record, NULL, &cycles);
+            ring_put(rings[i], &record, NULL, &cycles, NULL);
             rt_end(&task);
             if (++cycles >= wanted)
                 break;

@@ -55,7 +55,8 @@ def test_values_of_every_type_come_back(tmp_path) -> None:
         rows.append(values)
         head = {"cycle": n + 1, "release_ns": n, "cpu_ns": 3 * n, "flags": n % 3}
         pairs, inputs = (7, n, 8, n) if n % 2 else (), b"in" * (n % 5)
-        assert writer.add(number, record(data, pairs, inputs, **head)) == 1
+        heard = b"heard" * (n % 3)
+        assert writer.add(number, record(data, pairs, inputs, heard, **head)) == 1
     step = record(b'{"what":"on"}', kind=Step.DID, release_ns=9)
     assert writer.add(number, step + record(b"abc", kind=Step.ON_IN)) == 2
     writer.close()
@@ -77,7 +78,11 @@ def test_values_of_every_type_come_back(tmp_path) -> None:
     assert life.schema.rest(life.commits[3]) == (
         np.array([7, 3, 8, 3], np.uint64).tobytes(),
         b"ininin",
+        b"",
     )
+    assert life.schema.rest(life.commits[2])[1:] == (b"inin", b"heard" * 2)
+    assert life.schema.rest(life.commits[3])[1:] == (b"ininin", b"")
+    assert life.schema.rest(life.commits[4])[1:] == (b"inininin", b"heard")
 
 
 def test_channels_say_units_and_descriptions(tmp_path) -> None:
@@ -98,7 +103,7 @@ def test_channels_say_units_and_descriptions(tmp_path) -> None:
     lines = [line.split("  #")[0] for line in schema.splitlines()]
     assert lines[11:] == [
         *("bool[3] flag", "float64[2] q_x5e", "int16 count", "uint8[5] raw"),
-        *("float32[3] w", "uint8[] consumed", "uint8[] inputs"),
+        *("float32[3] w", "uint8[] consumed", "uint8[] inputs", "uint8[] heard"),
     ]
 
 

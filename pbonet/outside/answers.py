@@ -1,0 +1,86 @@
+"""Answers and exceptions as bytes, so that a replay can give them again."""
+
+from __future__ import annotations
+
+import builtins
+from typing import Any, Final
+
+import msgspec
+
+from pbonet.errors import DeviceError, PbonetError
+
+ALWAYS: Final = object()
+"""The default of who has none."""
+_KINDS: Final[frozenset[type]] = frozenset({
+    *(type(None), bool, int, float, str, list, dict, tuple)
+})
+_PLAIN, _PACKED, _TUPLE = 0, 1, 2
+
+
+class NotRecordedError(BaseException):
+    """A module asks for what is not on record; nothing behind it can be run again.
+
+    No `Exception`, so that a module which catches those does not go on without it.
+    """
+
+
+def pack(answer: object, where: str) -> tuple[int, bytes]:
+    """Return the kind of an answer, and the answer as bytes.
+
+    Raises:
+        DeviceError: It cannot be recorded.
+    """
+    if type(answer) is bytes:
+        return _PLAIN, answer
+    plain: type = type(answer)
+    try:
+        if plain in _KINDS or issubclass(plain, int):
+            kind = _TUPLE if plain is tuple else _PACKED
+            return kind, msgspec.msgpack.encode(answer)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise DeviceError(
+        "this answer cannot be recorded",
+        where=where,
+        expected="None, a number, text, bytes, or a tuple, list or dictionary of these",
+        got=plain.__name__,
+        remedy="ask for the plain values, and make what the module wants of them",
+    )
+
+
+def unpack(kind: int, data: bytes) -> Any:  # noqa: ANN401 - whatever was answered
+    """Return an answer."""
+    if kind == _PLAIN:
+        return data
+    found = msgspec.msgpack.decode(data)
+    return tuple(found) if kind == _TUPLE else found
+
+
+def pack_error(error: Exception) -> bytes:
+    """Return an exception as bytes."""
+    if isinstance(error, PbonetError):
+        return msgspec.msgpack.encode({"pbonet": error.to_wire()})
+    first = error.args[0] if len(error.args) == 1 else None
+    number, text = None, first if isinstance(first, str) else str(error)
+    if isinstance(error, OSError) and error.errno is not None:
+        number, text = error.errno, error.strerror or text
+    name = type(error).__name__
+    return msgspec.msgpack.encode({"name": name, "text": text, "errno": number})
+
+
+def unpack_error(data: bytes) -> BaseException:
+    """Return an exception as it was raised; the nearest of Python's own, if need be."""
+    found: dict[str, Any] = msgspec.msgpack.decode(data)
+    if "pbonet" in found:
+        return PbonetError.from_wire(found["pbonet"])
+    if found["errno"] is not None:
+        return OSError(found["errno"], found["text"])
+    kind = getattr(builtins, found["name"], None)
+    if isinstance(kind, type) and issubclass(kind, Exception):
+        try:
+            return kind(found["text"])
+        except TypeError:
+            pass
+    return NotRecordedError(
+        f"it raised {found['name']}: {found['text']}, which cannot be made again"
+    )

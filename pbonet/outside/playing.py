@@ -1,0 +1,95 @@
+"""What a log says that a module heard, given to it again."""
+
+from __future__ import annotations
+
+import struct
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from ._tape import BROKEN, LOST, RAISED, plays, use
+from .answers import ALWAYS, NotRecordedError, unpack, unpack_error
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from ._tape import Outside, Tape
+
+_ENTRY: Final = struct.Struct("<IIQ")
+_CALL: Final = (1 << 56) - 1
+
+
+class BrokenOffError(BaseException):
+    """A command broke the wait off when it was recorded; it does so again."""
+
+
+class Player:
+    """Answers as a log has them, by source and call."""
+
+    def __init__(self) -> None:
+        self._heard: dict[tuple[int, int], tuple[int, bytes]] = {}
+        self._opened = 0
+        self._lost = False
+
+    def feed(self, data: bytes) -> None:
+        """Take entries of a tape."""
+        at = 0
+        while at < len(data):
+            size, source, both = _ENTRY.unpack_from(data, at)
+            at += _ENTRY.size
+            kind = both >> 56
+            self._lost = self._lost or kind == LOST
+            self._heard[source, both & _CALL] = kind, data[at : at + size]
+            at += -(-size // 8) * 8
+
+    def open(self, name: str) -> int:
+        """Return the number of the next source, which must be this.
+
+        Raises:
+            NotRecordedError: Something else was opened then, or nothing.
+        """
+        self._opened += 1
+        found = self._heard.pop((self._opened, 0), None)
+        if found is not None and found[1].decode() == name:
+            return self._opened
+        then = "nothing more" if found is None else found[1].decode()
+        raise NotRecordedError(f"it opens {name}, recorded is {then}")
+
+    def answer(self, source: Outside, default: object) -> Any:  # noqa: ANN401
+        """Return what a call was answered, or raise what it raised.
+
+        Raises:
+            NotRecordedError: Nothing is on record, and there is no default.
+            BrokenOffError: A command broke it off.
+        """
+        found = self._heard.pop((source.number, source.calls), None)
+        if found is None:
+            if default is ALWAYS or self._lost:
+                why = "found no room" if self._lost else "is not on record"
+                raise NotRecordedError(f"what it heard of {source.name} {why}")
+            return default
+        kind, data = found
+        if kind == RAISED:
+            raise unpack_error(data)
+        if kind == BROKEN:
+            raise BrokenOffError
+        return unpack(kind, data)
+
+
+@contextmanager
+def using(tape: Tape | Player | None) -> Generator[None]:
+    """Have what is opened in this block be kept by a tape, or played."""
+    before = use(tape)
+    try:
+        yield
+    finally:
+        use(before)
+
+
+def refuse(what: str) -> None:
+    """Return unless a log is run again; what it is stands in no log.
+
+    Raises:
+        NotRecordedError: One is.
+    """
+    if plays():
+        raise NotRecordedError(f"it uses {what}, and what that gives is in no log")
