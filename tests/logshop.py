@@ -184,7 +184,10 @@ class Shop:
         path = self.folder / "run.mcap"
         writer = LogWriter(path, about)
         for task in self.tasks:
-            task.about.hidden = list(hidden) if task is self.a else []
+            one = task.about
+            each = (one.inconst, one.invar, one.outconst, one.outvar)
+            names = {variable.name for variables in each for variable in variables}
+            task.about.hidden = [name for name in hidden if name in names]
             if task.task != without:
                 writer.add(writer.add_task(task.about), b"".join(task.records))
         if attached:

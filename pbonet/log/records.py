@@ -92,7 +92,7 @@ class TaskAbout(Struct, kw_only=True):
     code: list[CodeFile] = []
     """The module's own file first."""
     hidden: list[str] = []
-    """Out-vars that are not recorded."""
+    """Its variables that are not recorded: no columns, and 0 in what is copied."""
     hears: bool = False
     """What it hears from outside is on record."""
 

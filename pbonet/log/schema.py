@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from pbonet.svar.layout import group_of
+from pbonet.svar.layout import group_of, var_bytes
 
 from .fields import field_name
+from .records import Step
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -92,6 +93,7 @@ class TaskSchema:
                 at += _bytes_of(variable)
         self._end = _align(at, 4)
         self._plain = plain and at == _HEAD_BYTES + self._group.bytes
+        self._blanks = _blanks(about)
         self.prefix = len(CDR) + self._end
         """Bytes of a message before its byte sequences."""
 
@@ -144,11 +146,32 @@ class TaskSchema:
             _LENGTH.pack(16 * n_consumed),
             text[data:pairs],
             _LENGTH.pack(n_inputs),
-            text[pairs:inputs],
+            self._shown_of(Step.CYCLE, text[pairs:inputs]),
             gap,
             _LENGTH.pack(n_heard),
             text[inputs : inputs + n_heard],
         ))
+
+    def encode_step(self, text: memoryview, kind: int) -> bytes:
+        """Return the message for a record between cycles."""
+        n_bytes = RECORD.unpack_from(text)[2]
+        head = RECORD.size + _HEAD_BYTES
+        return b"".join((
+            CDR,
+            text[RECORD.size : head],
+            _LENGTH.pack(n_bytes),
+            self._shown_of(kind, text[head : head + n_bytes]),
+        ))
+
+    def _shown_of(self, kind: int, data: memoryview) -> memoryview | bytes:
+        """Return copied values with zeros for the variables that are not recorded."""
+        places = self._blanks.get(kind)
+        if not places or not data:
+            return data
+        out = bytearray(data)
+        for first, size in places:
+            out[first : first + size] = bytes(size)
+        return bytes(out)
 
     def _variables(self, data: memoryview) -> memoryview | bytes:
         """Return the group as CDR has it."""
@@ -203,18 +226,6 @@ class StepSchema:
         return "\n".join([*lines, "uint8[] data  # by kind; see pbonet.log.Step", ""])
 
     @staticmethod
-    def encode(text: memoryview) -> bytes:
-        """Return the message for one record of a ring."""
-        n_bytes = RECORD.unpack_from(text)[2]
-        head = RECORD.size + _HEAD_BYTES
-        return b"".join((
-            CDR,
-            text[RECORD.size : head],
-            _LENGTH.pack(n_bytes),
-            text[head : head + n_bytes],
-        ))
-
-    @staticmethod
     def data(message: bytes) -> bytes:
         """Return the data of a message."""
         at = StepSchema.PREFIX + _LENGTH.size
@@ -255,6 +266,25 @@ def _sequences(message: bytes, at: int) -> tuple[bytes, bytes, bytes]:
     last = end + -size % _LENGTH.size + _LENGTH.size
     # An older log ends behind the inputs.
     return message[pairs:middle], message[inputs:end], message[last:]
+
+
+def _blanks(about: TaskAbout) -> dict[int, list[tuple[int, int]]]:
+    """Return where variables that are not recorded stand in what is copied, by kind."""
+    copied = {
+        Step.CYCLE: about.invar,
+        Step.VARS_IN: about.invar,
+        Step.ON_IN: [*about.invar, *about.outvar],
+        Step.CONSTS_IN: about.inconst,
+        Step.CONSTS_OUT: about.outconst,
+    }
+    found: dict[int, list[tuple[int, int]]] = {}
+    for kind, variables in copied.items():
+        at = 0
+        for variable in variables:
+            if variable.name in about.hidden:
+                found.setdefault(int(kind), []).append((at, var_bytes(variable)))
+            at += var_bytes(variable)
+    return found
 
 
 def _is_struct(variable: Variable) -> bool:

@@ -170,7 +170,7 @@ class LogWriter:
             if kind in _COMMITS:
                 self._put(one.cycles, end + epoch, encode(record), release + epoch)
             else:
-                step = StepSchema.encode(record)
+                step = one.schema.encode_step(record, kind)
                 self._put(one.steps, end + epoch, step, release + epoch)
             at += size
             count += 1

@@ -179,7 +179,8 @@ class Recorder:
 
     def _begin(self, key: tuple[str, int], ring: Ring, about: TaskAbout) -> None:
         first = ring.take()
-        names = {variable.name for variable in about.outvar}
+        each = (about.inconst, about.invar, about.outconst, about.outvar)
+        names = {variable.name for variables in each for variable in variables}
         about.hidden = [name for name in self._wanted.hidden if name in names]
         followed = self._rings[key] = Followed(ring, about)
         self._files.write(lambda writer: _enter(writer, followed))

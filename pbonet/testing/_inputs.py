@@ -90,6 +90,8 @@ class Inputs:
         self._size, self._pairs = 0, struct.Struct("<")
         self._pieces: dict[int, list[Piece]] = {}
         self._hidden: dict[int, str] = {}
+        self._unseen = {v.name for v in about.invar if v.name in about.hidden}
+        """In-vars that are 0 where inputs are stored."""
 
     def bring(self, consumed: bytes, stored: bytes) -> str:
         """Bring in what one cycle read.
@@ -108,16 +110,22 @@ class Inputs:
         if stored:
             unpack(self._about.invar, stored, self._array)
             self._read = dict(zip(pairs[::2], pairs[1::2], strict=True))
-            if self._commits.fresh:
-                for register, number in self._read.items():
-                    self._apply(register, number)
-            return ""
+            return self._renew() if self._commits.fresh or self._unseen else ""
         for register, number in zip(pairs[::2], pairs[1::2], strict=True):
             if self._read.get(register) != number:
                 if why := self._apply(register, number):
                     return why
                 self._read[register] = number
         return ""
+
+    def _renew(self) -> str:
+        """Have what is made now in the place of stored values, where there is such."""
+        unseen = set(self._unseen)
+        for register, number in self._read.items():
+            if not self._apply(register, number):
+                life = self._commits.find((register, number))
+                unseen -= {v.name for v in life[0].about.outvar} if life else set()
+        return f"{min(unseen)} is not recorded" if unseen else ""
 
     def _apply(self, register: int, number: int) -> str:
         found = self._commits.find((register, number))

@@ -143,6 +143,8 @@ class Run:
         """The commit that is being compared; of constants, (0, 0)."""
         self._where = "init"
         self._stable = False
+        self._unseen: set[str] = set()
+        """Out-vars that `on` copied in, and that are not recorded."""
         self._lay_out()
         self._inputs = Inputs(self.about, self.arrays.__getitem__, commits)
         self._limited = [v for v in self.about.outvar if v.limit is Limit.CLIP]
@@ -335,9 +337,25 @@ class Run:
         self._key = (0, 0)
         return StepSchema.data(message)
 
-    def arrived(self, _variables: Sequence[Variable], data: bytes) -> bytes:
-        """Return what a copy in brings, where this was recorded."""
+    def arrived(self, variables: Sequence[Variable], data: bytes) -> bytes:
+        """Return what a copy in brings, where this was recorded.
+
+        Raises:
+            Stop: An input is not recorded.
+        """
+        self.unseen({v.name for v in variables} & set(self.about.hidden))
         return data
+
+    def unseen(self, names: set[str]) -> None:
+        """Take note of variables whose values no record and no task gives.
+
+        Raises:
+            Stop: One of them is an input.
+        """
+        own = {variable.name for variable in self.about.outvar}
+        if inputs := names - own:
+            raise Stop(f"{self._place()}: {min(inputs)} is not recorded")
+        self._unseen |= names
 
     # -- comparing ---------------------------------------------------------------------
 
@@ -382,6 +400,7 @@ class Run:
                 continue
             other = np.flatnonzero(~alike(then, now, self._rtol))
             if len(other):
+                self._may_differ(variable.name)
                 element = int(other[0])
                 return Divergence(
                     cycle=self._cycle,
@@ -392,6 +411,18 @@ class Run:
                     computed=now[element].item(),
                 )
         return None
+
+    def _may_differ(self, name: str) -> None:
+        """Return unless the module began from values that are not recorded.
+
+        Raises:
+            Stop: It did, so nothing can be said.
+        """
+        if self._unseen:
+            raise Stop(
+                f"{self._place()}: {name} differs, but {min(self._unseen)}, which `on` "
+                "copies in, is not recorded"
+            )
 
     def _diverged(self, reason: str) -> None:
         self._verdict.divergence = Divergence(

@@ -158,16 +158,20 @@ class _Part(Run):
     def arrived(self, variables: Sequence[Variable], data: bytes) -> bytes:
         """Return recorded values with those in place that are made now."""
         parts: list[bytes] = []
+        unseen: set[str] = set()
         at = 0
         for variable in variables:
             end = at + size([variable])
             value = data[at:end]
             by = self._made.consts.get(variable.name)
             last = by.given(variable.name) if by is not None else None
+            if last is None and variable.name in self.about.hidden:
+                unseen.add(variable.name)
             # What stood there then came from that task if it is what it had given.
             same = last is not None and last[0] == value
             parts.append(last[1] if last is not None and same else value)
             at = end
+        self.unseen(unseen)
         return b"".join(parts)
 
 
@@ -259,10 +263,16 @@ def _write(log: Log, made: dict[Key, bytes], out: Path) -> None:
     for file in log.attached.values():
         writer.attach(file)
     for life in log.all_lives():
-        shown = msgspec.structs.replace(life.about, hidden=[])
-        number = writer.add_task(shown)
+        hidden = life.about.hidden if _partly(life, made) else []
+        number = writer.add_task(msgspec.structs.replace(life.about, hidden=hidden))
         writer.add(number, b"".join(_records(life, made)))
     writer.close()
+
+
+def _partly(life: Life, made: dict[Key, bytes]) -> bool:
+    """Tell whether some commits of a task stand as they were recorded."""
+    heads = map(head, life.commits)
+    return any((int(row["register"]), int(row["number"])) not in made for row in heads)
 
 
 def _records(life: Life, made: dict[Key, bytes]) -> list[bytes]:

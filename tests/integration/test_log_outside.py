@@ -212,6 +212,7 @@ def test_what_a_serial_line_gave_and_that_it_was_lost(line, nodes):
     name = os.ttyname(slave)
 
     def lose_it():
+        assert os.read(master, 5) == b"hello", "it is open"
         os.write(master, b"abc")
         wait_for(lambda: line.value("Y2").values[0] != 0.0, "the bytes")
         os.close(slave)
@@ -230,16 +231,17 @@ def test_what_a_serial_line_gave_and_that_it_was_lost(line, nodes):
 def test_what_a_server_received_and_the_values_of_a_semaphore(line, nodes):
     def send():
         xm.live_on("arm0", domain=nodes.domain)
+        queue = xm.queue("arm0:numbers", policy=xm.Policy.HPF)
         try:
-            with xm.queue("arm0:numbers", policy=xm.Policy.HPF) as queue:
-                for n in range(8):
-                    queue.send(str(n).encode(), priority=n % 3)
-                    wait_for(lambda n=n: line.status("hears").cycle > n, "an event")
-                    if n == 4:
-                        line.off("hears")
-                        line.on("hears")
+            for n in range(8):
+                queue.send(str(n).encode(), priority=n % 3)
+                wait_for(lambda n=n: line.status("hears").cycle > n, "an event")
+                if n == 4:
+                    line.off("hears")
+                    line.on("hears")
         finally:
-            xm.live_on("local", domain="default")
+            queue.close()
+            xm.live_on("local")
 
     log = run(line, nodes, SERVER, send, tasktype="synchronous")
     verdict = identical(log, "hears", 8)
