@@ -20,6 +20,7 @@ from pbonet.log import Log, field_name
 from pbonet.log.schema import StepSchema, head
 
 Channels = dict[str, list[dict[str, Any]]]
+_BYTES = ("consumed", "inputs", "heard")
 
 
 def ours(log: Log) -> Channels:
@@ -32,7 +33,7 @@ def ours(log: Log) -> Channels:
         for n, message in enumerate(life.commits):
             row: dict[str, Any] = {field_name(k): v[n] for k, v in _upper(arrays)}
             parts = [np.frombuffer(one, "u1") for one in life.schema.rest(message)]
-            rows.append(row | dict(zip(("consumed", "inputs"), parts, strict=True)))
+            rows.append(row | dict(zip(_BYTES, parts, strict=True)))
         steps = found.setdefault(f"{topic}/steps", [])
         for step in life.steps:
             values = head(step)
