@@ -170,7 +170,7 @@ class TaskSchema:
             return data
         out = bytearray(data)
         for first, size in places:
-            out[first : first + size] = bytes(size)
+            out[first : first + size] = bytes(len(out[first : first + size]))
         return bytes(out)
 
     def _variables(self, data: memoryview) -> memoryview | bytes:
