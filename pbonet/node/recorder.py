@@ -146,8 +146,8 @@ class Recorder:
     def _follow(self, key: tuple[str, int], name: str) -> None:
         try:
             ring = Ring.attach(name)
-        except (NodeError, OSError):
-            return  # not ready, or gone already: the next look will see
+        except (NodeError, OSError, ValueError):
+            return  # empty yet, not ready, or gone: the next look will see
         try:
             about = msgspec.json.decode(ring.about, type=TaskAbout)
             mode = self._mode(about)
