@@ -400,7 +400,7 @@ def simulate(
     begin = time.monotonic()
     with interrupts.caught():
         simulation.start()
-        names = ", ".join(simulation.states())
+        names = ", ".join(n for n, now in simulation.states().items() if now == "ON")
         view.say(f"job {simulation.job.name} is ON in virtual time: {names}")
         try:
             passed = _advance(simulation, wanted, interrupts)

@@ -10,7 +10,6 @@ take, and what a late cycle does, only a run in real time shows.
 
 from __future__ import annotations
 
-from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,6 +18,7 @@ from pbonet.config.library import Library
 from pbonet.config.model import JobTask, TaskType
 from pbonet.errors import (
     PbonetError,
+    Severity,
     StateError,
     UnknownTaskError,
     did_you_mean,
@@ -30,8 +30,15 @@ from pbonet.master.failures import stuck
 from pbonet.master.files import Files
 from pbonet.master.picture import Member
 from pbonet.master.recording import Recording
+from pbonet.master.simstandby import Standbys, members
 from pbonet.master.simtable import MemoryCopies, MemoryTable
-from pbonet.master.simtask import SimTask, Turns, must_be_simulated, status_of
+from pbonet.master.simtask import (
+    SimTask,
+    Turns,
+    must_be_simulated,
+    rtpu_status,
+    unwritten,
+)
 from pbonet.node.executor import Executor
 from pbonet.node.taskports import ages, check_ports
 from pbonet.pbo import (
@@ -92,6 +99,9 @@ class Simulation:
         self.events: list[str] = []
         self._tasks: dict[str, SimTask] = {}
         self._turns = {rtpu.name: Turns() for rtpu in files.sbs.rtpus}
+        self._standbys = Standbys(
+            self._tasks, self._turns, signal=self.signal, tell=self._engaged
+        )
 
     # -- the job ----------------------------------------------------------------------
 
@@ -104,25 +114,23 @@ class Simulation:
             PbonetError: A module is missing, or its `init` or `on` failed; everything
                 is undone.
         """
-        members = {m.name: m for m in map(self._member, self.job.tasks)}
-        tasks = [member.task for member in members.values()]
+        wanted = [one for task in self.job.tasks for one in self._members(task)]
+        by_name = {member.name: member for member in wanted}
+        tasks = [member.task for member in wanted]
         self._check(verify.job(tasks))
         variables = self._files.table.variables
         conditions.must_be_answerable(self.job, variables)
         asked = [conditions.Asked("PRE", self.job.name, one) for one in self.job.pre]
         conditions.must_hold(asked, variables, self.display)
-        self.events += [
-            f"the fallback {task.fallback} of {task.rmod} is not simulated"
-            for task in self.job.tasks
-            if task.fallback
-        ]
         with no_devices(REASON):
             try:
                 for name in verify.spawn_order(tasks):
-                    self._spawn(members[name])
+                    self._spawn(by_name[name])
                 self._rank()
-                for name in verify.on_order(tasks):
+                originals = [task for task in tasks if not task.fallback_of]
+                for name in verify.on_order(originals):
                     self.signal(name, "on")
+                self._standbys.begin(wanted)
             except BaseException:
                 self._end()
                 raise
@@ -174,6 +182,7 @@ class Simulation:
             PbonetError: A method of the module failed.
         """
         found = self.task(task)
+        self._standbys.dismiss(found)
         found.copies.replaces = replaces
         with no_devices(REASON):
             try:
@@ -279,20 +288,9 @@ class Simulation:
 
     def status(self) -> list[m.RtpuStatus]:
         """Return what `pbonet status` would show; CPU times are not simulated."""
-        return [
-            m.RtpuStatus(
-                rtpu=entry.name,
-                backend="inline",
-                scheduler=entry.scheduler,
-                tasks=[
-                    status_of(task, self.now_ns)
-                    for task in self._tasks.values()
-                    if task.member.rtpu == entry.name
-                ],
-                illegal=sorted(self.table.illegal),
-            )
-            for entry in self._files.sbs.rtpus
-        ]
+        tasks, illegal = [*self._tasks.values()], sorted(self.table.illegal)
+        rtpus = self._files.sbs.rtpus
+        return [rtpu_status(rtpu, tasks, illegal, self.now_ns) for rtpu in rtpus]
 
     # -- assembling -------------------------------------------------------------------
 
@@ -308,6 +306,10 @@ class Simulation:
         return Member(
             source=source, rtpu=rtpu, freq=freq or 0.0, info=info, told=wanted.told
         )
+
+    def _members(self, task: JobTask) -> list[Member]:
+        """Return a task of the job, and its fallback."""
+        return members(self._member, task)
 
     def _has_heir(self, task: str, rest: Sequence[tuple[str, str]]) -> bool:
         """Tell whether a list goes on to turn on who writes what `task` writes."""
@@ -403,8 +405,11 @@ class Simulation:
     def _turn(self, turns: Turns) -> None:
         """Let every task run that has a release now, the most urgent one first."""
         while task := turns.next(self.now_ns):
-            self._cycle(task)
-            turns.done(task)
+            if task.stands_by:
+                self._standbys.engage(task)
+            else:
+                self._cycle(task)
+                turns.done(task)
 
     def _cycle(self, task: SimTask) -> None:
         dt = (self.now_ns - task.last_ns) * 1e-9 if task.last_ns else None
@@ -429,7 +434,8 @@ class Simulation:
         """Take note of what a task said and of the state it is in now."""
         state = task.executor.state
         on = state is State.ON
-        if self._turns[task.member.rtpu].mode(task, on=on) and on:
+        fell = state is State.ERROR
+        if self._turns[task.member.rtpu].mode(task, on=on, fell=fell) and on:
             task.on_ns, task.last_ns = self.now_ns, 0
             task.warnings, task.warning = 0, ""
         for notice in notices:
@@ -438,21 +444,17 @@ class Simulation:
                 task.warning = task.warning or notice.text
             if notice.text:
                 self.events.append(f"{self._clock()} {task.name}: {notice.text}")
-        self._judge()
+        self.table.causes = unwritten(self._tasks.values())
+        self._standbys.look()
 
-    def _judge(self) -> None:
-        """Raise or clear the illegal-configuration flag: equation 2 of 3.3.1."""
-        on = [task for task in self._tasks.values() if task.executor.state is State.ON]
-        written = Counter(name for task in on for name in task.member.task.outputs)
-        self.table.causes = {
-            f"{task.name} reads {name}, which nobody writes"
-            for task in on
-            for name in task.member.task.inputs
-            if not written[name]
-        }
+    def _engaged(self, task: SimTask, severity: Severity, text: str) -> None:
+        """Tell that a standby was engaged."""
+        del task, severity  # the text has them
+        self.events.append(f"{self._clock()} {text}")
 
     def _end(self) -> None:
         """Turn off and kill whatever is there; failures are events."""
+        self._standbys.forget()
         on = [task for task in self._tasks.values() if task.executor.state is State.ON]
         order = verify.off_order([t.member.task for t in on], self.job.off_order)
         steps = [(name, "off") for name in order]

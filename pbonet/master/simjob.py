@@ -26,6 +26,9 @@ from pbonet.pbo import State
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from pbonet.config.model import JobTask
+    from pbonet.master.picture import Member
+
 _LOADS = frozenset({
     verify.Code.OVERLOAD,
     verify.Code.SERVER,
@@ -131,6 +134,13 @@ class Timed(Simulation):
         TaskType.SPORADIC,
         TaskType.BACKGROUND,
     )
+
+    def _members(self, task: JobTask) -> list[Member]:
+        """Return a task; nothing of a schedule depends on its fallback."""
+        if task.fallback is not None:
+            told = f"the fallback {task.fallback} of {task.rmod} is not simulated"
+            self.events.append(told)
+        return [self._member(task)]
 
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
         """Run a cycle on the inputs of this instant; its outputs are held."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from msgspec import Struct
 
 from pbonet.config.model import Rmod, TaskType
@@ -12,9 +14,18 @@ from pbonet.master.simtable import MemoryCopies
 from pbonet.node.executor import Executor
 from pbonet.pbo import BoundedOutbox, Counted, State
 from pbonet.sched.dispatch import Dispatcher
-from pbonet.sched.events import Event, pack
+from pbonet.sched.events import After, Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
 from pbonet.xm import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.config.model import RtpuEntry
+
+_BITS = 64
+_WORD = (1 << _BITS) - 1
+"""Slots are named by bits, in two words."""
 
 
 class SimTask(Struct, kw_only=True, eq=False):
@@ -42,6 +53,8 @@ class SimTask(Struct, kw_only=True, eq=False):
     """As the number of a process: another one for each task, 0 where nobody asks."""
     told_state: State = State.NOT_CREATED
     """The last one that became an event."""
+    stands_by: str = ""
+    """The task that this one is the fallback of, while it stands by for it."""
 
     @property
     def name(self) -> str:
@@ -75,16 +88,34 @@ class Turns:
         arg = pack(task.crit, task.priority, int(Kind.PERIODIC))
         self._tell(Event.CONFIG, task, arg, task.period_ns)
 
-    def mode(self, task: SimTask, *, on: bool) -> bool:
-        """Arm or disarm a task; False when it was so before."""
+    def mode(self, task: SimTask, *, on: bool, fell: bool = False) -> bool:
+        """Arm or disarm a task, which fell by ERROR; False when it was so before."""
         armed = bool(task.arms % 2)
         if armed == on:
             return False
-        task.arms += 1
-        word = (Mode.ON if on else Mode.OFF) | (task.arms & 0x7FFF) << 2
-        self._tell(Event.MODE, task, word)
-        self.due_ns = self.due_ns or 1  # as soon as time goes on
+        self._arm(task, Mode.ON if on else Mode.OFF, 1, fell=fell)
+        if fell:
+            self.due_ns = 1  # who stands by for it is engaged at this instant
         return True
+
+    def stand_by(self, task: SimTask, original: SimTask) -> None:
+        """Have a task that is OFF wait until another one falls."""
+        mask = 1 << original.slot
+        kind = int(After.FALLBACK)
+        self._tell(Event.AFTER, task, kind, mask & _WORD, mask >> _BITS)
+        self._arm(task, Mode.STANDS, 2)
+
+    def rest(self, task: SimTask) -> None:
+        """Have it wait no longer."""
+        self._tell(Event.AFTER, task, int(After.ALONE))
+        self._arm(task, Mode.OFF, 2)
+
+    def _arm(self, task: SimTask, mode: Mode, more: int, *, fell: bool = False) -> None:
+        """Tell the dispatcher a mode; an odd number of armings is ON."""
+        task.arms += more
+        word = mode | (task.arms & 0x7FFF) << 2
+        self._tell(Event.MODE, task, word, int(fell))
+        self.due_ns = self.due_ns or 1  # as soon as time goes on
 
     def next(self, now_ns: int) -> SimTask | None:
         """Take a turn; return the task that is let run, None when nobody is."""
@@ -99,8 +130,10 @@ class Turns:
         """Tell the dispatcher that a granted cycle has ended."""
         self._tell(Event.DONE, task)
 
-    def _tell(self, event: Event, task: SimTask, arg: int = 0, a: int = 0) -> None:
-        self._inputs.append(Decision(int(event), task.slot, arg, a, 0))
+    def _tell(
+        self, event: Event, task: SimTask, arg: int = 0, a: int = 0, b: int = 0
+    ) -> None:
+        self._inputs.append(Decision(int(event), task.slot, arg, a, b))
 
 
 def status_of(task: SimTask, now_ns: int) -> m.TaskStatus:
@@ -138,6 +171,8 @@ def status_of(task: SimTask, now_ns: int) -> m.TaskStatus:
         module=info.name if info else "",
         version=info.version if info else "",
         now=now_ns,
+        fallback_of=task.member.fallback_of,
+        stands_by=bool(task.stands_by),
     )
 
 
@@ -158,3 +193,30 @@ def must_be_simulated(
             got=f"TASKTYPE {record.tasktype}",
             remedy="run it in real time",
         )
+
+
+def rtpu_status(
+    entry: RtpuEntry, tasks: Iterable[SimTask], illegal: list[str], now_ns: int
+) -> m.RtpuStatus:
+    """Return the status of an RTPU and of those of the tasks that it runs."""
+    return m.RtpuStatus(
+        rtpu=entry.name,
+        backend="inline",
+        scheduler=entry.scheduler,
+        tasks=[
+            status_of(task, now_ns) for task in tasks if task.member.rtpu == entry.name
+        ],
+        illegal=illegal,
+    )
+
+
+def unwritten(tasks: Iterable[SimTask]) -> set[str]:
+    """Return what raises the illegal-configuration flag: equation 2 of 3.3.1."""
+    on = [task for task in tasks if task.executor.state is State.ON]
+    written = {name for task in on for name in task.member.task.outputs}
+    return {
+        f"{task.name} reads {name}, which nobody writes"
+        for task in on
+        for name in task.member.task.inputs
+        if name not in written
+    }

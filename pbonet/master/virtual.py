@@ -83,6 +83,7 @@ class VirtualRtpus(Simulation):
             m.Spawn: self._spawned,
             m.Control: self._control,
             m.Reconfig: self._reconfig,
+            m.Standby: self._stand_by,
             m.Freq: self._freq,
             m.Get: self._get,
             m.Set: self._set,
@@ -276,6 +277,15 @@ class VirtualRtpus(Simulation):
             found.done += 1
         return found
 
+    def _stand_by(self, _rtpu: str, request: m.Standby) -> m.TaskStatus:
+        original = self.task(request.original) if request.original else None
+        self._standbys.pair(self.task(request.task), original)
+        return self._one(self.task(request.task))
+
+    def _engaged(self, task: SimTask, severity: Severity, text: str) -> None:
+        """Tell that a standby was engaged, as an event of its own."""
+        self._tell(task, severity, "FALLBACK", text)
+
     def _freq(self, rtpu: str, request: m.Freq) -> float:
         task = self.task(request.task)
         if request.hz is not None:
@@ -352,6 +362,7 @@ class VirtualRtpus(Simulation):
         here = [n for n, task in self._tasks.items() if task.member.rtpu == rtpu]
         names = [name for name in request.order if name in here]
         names += [name for name in reversed(here) if name not in names]
+        self._standbys.forget(set(names))
         stopped = m.Stopped(off=[], killed=[])
         for name in names:
             if self.task(name).executor.state is State.ON:

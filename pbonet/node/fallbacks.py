@@ -82,17 +82,18 @@ class Fallbacks:
             PbonetError: The standby could not take over: why.
         """
         task = self._rtpu.need(subsystem, standby)
-        await self.withdraw(task)
-        self._pairs.pop((subsystem, standby), None)
-        if not original:
-            return
-        self._rtpu.need(subsystem, original)
+        if original:
+            self._rtpu.need(subsystem, original)
         if original == standby:
             raise StateError(
                 f"the task {standby} cannot be its own fallback",
                 where=self._rtpu.name,
                 remedy="name another task",
             )
+        await self.withdraw(task)
+        self._pairs.pop((subsystem, standby), None)
+        if not original:
+            return
         made = self._pairs[subsystem, standby] = Pair(subsystem, original, standby)
         await self._arrange(made)
 

@@ -1,0 +1,224 @@
+"""Standbys in virtual time: engaged at the instant of an error, as on an RTPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from textwrap import dedent
+
+import numpy as np
+import pytest
+
+from pbonet import State
+from pbonet.errors import Severity, StateError
+from pbonet.master.sim import BEGIN_NS, Simulation
+from pbonet.master.simjob import simulate
+from pbonet.master.subsystem import Subsystem
+from pbonet.xm import messages as m
+
+MS = 1_000_000
+SOURCE = '''
+"""Counts, until it fails."""
+
+from typing import Annotated as A
+
+from pbonet import OutVar, Params, PortBasedObject, param
+
+
+class Ends(Params):
+    """When."""
+
+    cycles: A[int, param("none", "that go well; 0 for all")] = 0
+    refuses: A[bool, param("none", "whether `on` raises")] = False
+
+
+class Source(PortBasedObject[Ends]):
+    """Count."""
+
+    y: A[float, OutVar("Y", "1", "none", "count")]
+
+    def on(self) -> None:
+        self._left = self.params.cycles
+        if self.params.refuses:
+            raise ValueError("not today")
+
+    def cycle(self, dt: float) -> None:
+        self._left -= 1
+        if self._left == 0:
+            self.task.fail("enough")
+        self.y += 1.0
+'''
+SINK = '''
+"""Remembers."""
+
+from typing import Annotated as A
+
+from pbonet import InVar, OutVar, PortBasedObject
+
+
+class Sink(PortBasedObject):
+    """z = y; -1 while something is wrong."""
+
+    x: A[float, InVar("Y", "1", "none", "count")]
+    z: A[float, OutVar("Z", "1", "none", "count, later")]
+
+    def cycle(self, dt: float) -> None:
+        self.z = self.x
+
+    def stable(self, dt: float) -> None:
+        self.z = -1.0
+'''
+RMOD = """\
+MODULE   {module}
+DESC     test
+INCONST  none
+OUTCONST none
+INVAR    {invar}
+OUTVAR   {outvar}
+TASKTYPE periodic
+FREQ     {freq}
+{more}EOF
+"""
+JOB = "JOB j\nDESC test\nSBS s.sbs\nTASK first FALLBACK second\nTASK sink\nEOF\n"
+
+
+def source(folder: Path, name: str, freq: float = 100, **local: object) -> None:
+    lines = "".join(f"{key} {value}\n" for key, value in local.items())
+    more = f"LOCAL\n{lines}" if lines else ""
+    text = RMOD.format(module="source", invar="none", outvar="Y", freq=freq, more=more)
+    (folder / f"{name}.rmod").write_text(text)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    variable = "NAME {}\nTYPE double\nDESC v\nUNITS none\nNELEM 1\n\n"
+    text = "".join(map(variable.format, "YZ")) + "EOF\n"
+    (tmp_path / "s.svar").write_text(text)
+    (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU arm0\nEOF\n")
+    (tmp_path / "j.job").write_text(JOB)
+    (tmp_path / "source.py").write_text(dedent(SOURCE))
+    (tmp_path / "sink.py").write_text(dedent(SINK))
+    sink = RMOD.format(
+        module="sink", invar="Y", outvar="Z", freq=50, more="CRITICAL yes\n"
+    )
+    (tmp_path / "sink.rmod").write_text(sink)
+    source(tmp_path, "first", CYCLES=7)
+    source(tmp_path, "second")
+    return tmp_path
+
+
+def started(folder: Path) -> Simulation:
+    simulation = Simulation(folder / "j.job", [folder])
+    simulation.start()
+    return simulation
+
+
+def releases(simulation: Simulation, task: str) -> list[float]:
+    """Return the releases of a task, ms after the beginning."""
+    arrays = simulation.recording.arrays(task)
+    return [round((one - BEGIN_NS) / MS, 3) for one in arrays["release_ns"].tolist()]
+
+
+def test_at_the_instant_of_the_error_it_runs_in_the_lost_cycle_s_place(folder):
+    simulation = started(folder)
+    assert simulation.states()["second"] is State.OFF
+    assert [one.stands_by for one in simulation.status()[0].tasks] == [
+        False,
+        True,
+        False,
+    ]
+    simulation.advance(0.1)
+    last = releases(simulation, "first")[-1]
+    assert releases(simulation, "second")[:3] == [last + 10, last + 20, last + 30]
+    assert simulation.states() == {
+        "first": State.ERROR,
+        "second": State.ON,
+        "sink": State.ON,
+    }
+    counts = simulation.recording.arrays("second")["Y"].ravel()
+    assert counts[0] == simulation.recording.arrays("first")["Y"].ravel()[-1] + 1
+    assert np.all(np.diff(counts) == 1)
+    assert not simulation.table.illegal
+    assert [event.split(" ", 2)[2] for event in simulation.events][-1:] == [
+        "first is in ERROR: its fallback second was released by the dispatcher; "
+        "state ON, time 1 of 3"
+    ]
+
+
+def test_a_slower_one_begins_at_once_and_goes_on_with_its_own_grid(folder):
+    source(folder, "second", freq=40)  # 25 ms; the error comes 10 ms into a period
+    simulation = started(folder)
+    simulation.advance(0.2)
+    at = releases(simulation, "first")[-1] + 10
+    first, second, *_ = releases(simulation, "second")
+    assert first == at
+    assert second % 25 == 0
+    assert 12.5 < second - first <= 37.5
+
+
+def test_one_that_fails_too_leaves_the_flag_up_and_others_their_turns(folder):
+    source(folder, "second", REFUSES="yes")
+    simulation = started(folder)
+    simulation.advance(0.2)
+    assert simulation.states()["second"] is State.ERROR
+    assert simulation.table.illegal
+    assert simulation.display(["Z"])[0].values == [-1.0]
+    assert len(releases(simulation, "sink")) >= 9
+    assert "state ERROR" in simulation.events[-1]
+    assert "nobody writes its variables: second.on: " in simulation.events[-1]
+    simulation.stop()
+
+
+def test_nothing_flaps(folder):
+    simulation = started(folder)
+    for time in (1, 2, 3):
+        simulation.advance(0.1)
+        assert f"time {time} of 3" in simulation.events[-1]
+        simulation.signal("first", "clear")
+        assert simulation.states()["second"] is State.ON, "nobody takes its place back"
+        simulation.reconfig([("second", "off"), ("first", "on")])
+    assert simulation.events[-1].endswith("second will not stand by again")
+    simulation.advance(0.1)
+    assert simulation.states()["first"] is State.ERROR
+    assert simulation.states()["second"] is State.OFF
+
+
+def test_what_is_ended_in_order_is_not_replaced(folder):
+    simulation = started(folder)
+    simulation.advance(0.02)
+    simulation.signal("first", "off")
+    simulation.advance(0.1)
+    assert simulation.states()["second"] is State.OFF
+    assert not any(one.stands_by for one in simulation.status()[0].tasks)
+    simulation.signal("first", "on")
+    simulation.signal("second", "kill")
+    simulation.advance(0.1)
+    assert simulation.states()["first"] is State.ERROR
+
+
+def test_a_program_in_virtual_time_sees_the_same(folder):
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        assert arm.status("second").stands_by
+        assert arm.status("second").fallback_of == "first"
+        arm.wait(0.1)
+        assert {one.task: one.state for one in arm.status_all()} == {
+            "first": "ERROR",
+            "second": "ON",
+            "sink": "ON",
+        }
+        (told,) = [event for event in arm.events() if event.code == "FALLBACK"]
+        assert (told.task, told.severity) == ("second", Severity.WARNING)
+        assert arm.display(["Y"])[0].writer == "second"
+        same = m.Standby(task="second", original="second")
+        with pytest.raises(StateError, match="cannot be the fallback of second"):
+            arm.fleet.call("arm0", same, m.TaskStatus)
+        arm.control("first", "clear")
+        arm.swap("second", "first")
+        assert arm.status("second").stands_by
+        arm.stop()
+        assert arm.status_all() == []
+
+
+def test_a_schedule_says_that_it_has_none(folder):
+    _, told = simulate(folder / "j.job", 0.05, [folder], assume=0.1, code=True)
+    assert "the fallback second of first is not simulated" in told
