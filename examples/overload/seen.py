@@ -99,7 +99,7 @@ class Watcher:
         self.trace: list[Decision] = []
         self.lost = 0
         self.slots: dict[int, SlotStatus] = {}
-        """The last status of each slot; its name, period, criticality, priority."""
+        """Name, period, criticality, priority, as they were while all tasks were ON."""
         self._core = core
         self._table: _rt.CoreTable | None = None
         self._next = 0
@@ -128,9 +128,13 @@ class Watcher:
                 self._take(self._table)
 
     def _take(self, table: _rt.CoreTable) -> None:
+        found: dict[int, SlotStatus] = {}
         for slot in table.slots():
             with contextlib.suppress(NodeError):  # it was given back just now
-                self.slots[slot] = table.snapshot(slot)
+                found[slot] = table.snapshot(slot)
+        # Those that are left when the first is off are ranked anew.
+        whole = all(status.mode is Mode.ON for status in found.values())
+        self.slots = self.slots | found if whole else found | self.slots
         self._next, lost, records = table.trace(self._next)
         self.lost += lost
         self.trace += records
