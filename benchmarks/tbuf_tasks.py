@@ -8,8 +8,9 @@ writes a record in every cycle of every second block of cycles, so that what wri
 adds is seen against the same task in the same minute. The reader on the other machine
 is a synchronous task, awake when a record has come.
 
-    added       to the processor time of the writer's median cycle, as its ring has it:
-                without a reader, with one on the same machine, with one on the other
+    added       to the writer's median cycle, from its call to the end of its commit:
+                without a reader, with one on the same machine, with one on the other;
+                and to its processor time, what is behind the cycle included
     latency     from the writer's cycle to the reader's, beside raw zenoh's put and
                 callback between two processes in the same rounds
 """
@@ -171,26 +172,35 @@ class Tasks:
         )  # fmt: skip
         self.begin(name, "sink", text)
 
-    def added(self, size: int, where: str, seconds: float) -> list[float]:
-        """Return by how many nanoseconds each block's median cycle is longer."""
+    def added(
+        self, size: int, where: str, seconds: float
+    ) -> tuple[list[float], list[float]]:
+        """Return by how many nanoseconds each block's median cycle is longer.
+
+        Returns:
+            By the clock, from its begin to its end; and by its processor time.
+        """
         if where:
             self.sink(where, size)
         text = rmod("link_source", "periodic", link="x", size=size, blocks=BLOCK)
         made = self.begin("one", "source", text)
         os.environ["PBONET_SHM_DIR"] = str(self._pair.one.shm_dir)
         ring = Ring.attach(made.ring)
-        cycles: list[float] = []
+        cycles: list[tuple[int, int]] = []
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             time.sleep(0.1)
-            cycles += [r.cpu_ns for r in ring.drain() if not r.kind]
+            cycles += [
+                (r.end_ns - r.start_ns, r.cpu_ns) for r in ring.drain() if not r.kind
+            ]
         ring.close()
         self.end("one", "source")
         if where:
             self.end(where, "sink")
         whole = np.array(cycles[: len(cycles) // (2 * BLOCK) * 2 * BLOCK])
-        blocks = np.median(whole.reshape(-1, 2, BLOCK), axis=2)
-        return list(blocks[1:, 1] - blocks[1:, 0])
+        blocks = np.median(whole.reshape(-1, 2, BLOCK, 2), axis=2)
+        more = blocks[1:, 1] - blocks[1:, 0]
+        return list(more[:, 0]), list(more[:, 1])
 
     def latencies(self, size: int, seconds: float) -> list[float]:
         """Return how late records were for the reader on the other machine, in us."""
@@ -236,10 +246,12 @@ def measure(rounds: int, seconds: float) -> dict[str, list[float]]:
             for _ in range(rounds):
                 for size in SIZES:
                     for name, reader in READERS.items():
-                        key = f"added, {size} B, {name}"
-                        found.setdefault(key, []).extend(
-                            tasks.added(size, reader, seconds)
-                        )
+                        both = tasks.added(size, reader, seconds)
+                        for what, more in zip(
+                            ("added", "CPU added"), both, strict=True
+                        ):
+                            key = f"{what}, {size} B, {name}"
+                            found.setdefault(key, []).extend(more)
                     for who, late in (
                         ("pbonet", tasks.latencies(size, seconds)),
                         ("raw zenoh", raw(size, seconds)),
@@ -275,7 +287,7 @@ def main() -> None:
     print(rtbench.machine())
     for name, values in found.items():
         p50, p99 = np.quantile(values, [0.5, 0.99])
-        unit = "ns" if name.startswith("added") else "us"
+        unit = "us" if name.startswith("latency") else "ns"
         print(f"{name:32} p50 {p50:7.0f}  p99 {p99:7.0f} {unit}  n {len(values)}")
     if options.json:
         options.json.write_text(json.dumps(found), encoding="utf-8")

@@ -29,6 +29,7 @@ cdef extern from "layout.h" nogil:
 cdef extern from "sys.h" nogil:
     int64_t rt_now()
     uint64_t rt_thread_cpu()
+    int64_t rt_cpu_of(int pid, int tid)
     int rt_pin(int tid, int core)
 
 cdef extern from "table.h" nogil:

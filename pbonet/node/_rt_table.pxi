@@ -209,8 +209,8 @@ cdef class CoreTable:
             releases=v.releases, level_changes=v.level_changes, errors=v.errors,
             late_max_ns=v.late_max_ns, takeovers=v.takeovers,
             stalls=v.stalls, stalled_ns=v.stalled_ns, spared=v.spared,
-            cpu_ns=_thread_cpu(v.leader_pid, v.leader_tid)
-            + (_thread_cpu(v.leader_pid, v.look_tid) if v.look_tid else 0),
+            cpu_ns=rt_cpu_of(v.leader_pid, v.leader_tid)
+            + (rt_cpu_of(v.leader_pid, v.look_tid) if v.look_tid else 0),
             members=[(v.members[k], bool(v.lives[k])) for k in range(RT_MEMBERS)
                      if v.members[k]])
 
@@ -264,21 +264,7 @@ cdef _under_way(rt_view *v):
     """Return the CPU time that the cycle under way has used; 0 without one."""
     if v.mode != RT_ON or not v.cpu_mark_ns:
         return 0
-    return max(_thread_cpu(v.pid, v.pid) - <int64_t>v.cpu_mark_ns, 0)
-
-
-def _thread_cpu(int pid, int tid) -> int:
-    """Return a thread's CPU time out of schedstat; 0 when it is gone."""
-    try:
-        fd = os.open(f"/proc/{pid}/task/{tid}/schedstat", os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return 0
-    try:
-        return int(os.read(fd, 80).split()[0])
-    except (OSError, ValueError, IndexError):
-        return 0
-    finally:
-        os.close(fd)
+    return max(rt_cpu_of(v.pid, v.pid) - <int64_t>v.cpu_mark_ns, 0)
 
 
 cdef class Dispatcher:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.svar import LocalTable, Table
+    from pbonet.svar import LocalTable, Table, VarInfo
 
 
 def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
@@ -64,20 +64,25 @@ def write(table: Table, name: str, values: Sequence[float], *, keep: bool) -> Va
 def _value(table: Table, name: str) -> VarValue:
     """Return a variable by itself."""
     info = table.info(name)
-    return _shown(table, name, table.read(name), stale=info.stale, whole=False)
+    return _shown(table, name, table.read(name), info, stale=info.stale, whole=False)
 
 
 def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
     """Return a variable as it stood in a copy of several."""
-    stale = local.stale(name)
-    return _shown(table, name, local.array(name), stale=stale, whole=whole)
+    info, stale = table.info(name), local.stale(name)
+    return _shown(table, name, local.array(name), info, stale=stale, whole=whole)
 
 
 def _shown(
-    table: Table, name: str, value: NDArray[Any], *, stale: bool, whole: bool
+    table: Table,
+    name: str,
+    value: NDArray[Any],
+    info: VarInfo,
+    *,
+    stale: bool,
+    whole: bool,
 ) -> VarValue:
     variable = table.variable(name)
-    info = table.info(name)
     return VarValue(
         name=name,
         index=table.index(name),

@@ -109,6 +109,8 @@ class Outbox:
         """A variable that stands where operators set them, and the commit there."""
         self._kept_seq = -1
         self._kept_room = np.zeros(0, np.uint8)
+        self._unset: list[tuple[int, NDArray[np.uint8]]] = []
+        """Variables that an operator may set and has not set yet."""
 
     def look(self, epochs: Epochs) -> bool:
         """Take in who owns what now; return whether that has changed."""
@@ -117,9 +119,9 @@ class Outbox:
         except SvarDamagedError:  # the RTPU process tells of it
             return False
         generation = self._table.generation
-        if generation == self.generation and not self._keep_changed():
+        if generation == self.generation and not self._keep_grown():
             return False
-        self.generation, self._kept = generation, None
+        self.generation, self._kept, self._unset = generation, None, []
         found: dict[int, tuple[str, bool, list[int]]] = {}
         registers: dict[int, int] = {}
         for number, variable in enumerate(self._table.variables):
@@ -127,6 +129,8 @@ class Outbox:
             seen = self._table.peek(number, room)
             if seen is not None and seen[0] == 0 and self._keep:
                 self._kept, self._kept_seq, self._kept_room = number, seen[5], room
+                if seen[2] == 0:
+                    self._unset.append((number, room))
             if seen is None or not self._is_own(seen):
                 continue
             uid = seen[4] if seen[0] else KEPT + number
@@ -208,12 +212,18 @@ class Outbox:
             return self._keep and time_ns != 0
         return MARK not in task
 
-    def _keep_changed(self) -> bool:
-        """Whether an operator has set a variable, perhaps for the first time."""
+    def _keep_grown(self) -> bool:
+        """Whether an operator has set a variable for the first time."""
         if self._kept is None:
             return False
         seen = self._table.peek(self._kept, self._kept_room)
-        return seen is not None and seen[5] != self._kept_seq
+        if seen is None or seen[5] == self._kept_seq:
+            return False
+        looks = [self._table.peek(number, room) for number, room in self._unset]
+        if any(look is None or look[2] for look in looks):
+            return True
+        self._kept_seq = seen[5]
+        return False
 
 
 def room_of(table: Table, number: int) -> NDArray[np.uint8]:

@@ -45,7 +45,7 @@ struct tb_pace {
     int rest; /* records for which nothing is expected: the last guess was wrong */
 };
 
-enum { TB_EARLY = 50000, TB_LATE = 30000, TB_SHORTEST = 800000, TB_REST = 16 };
+enum { TB_EARLY = 50000, TB_LATE = 30000, TB_SHORTEST = 800000, TB_REST = 4 };
 
 /* Take note of a record; `lost` were missed before it. */
 static inline void tb_paced(struct tb_pace *pace, int64_t time_ns, uint64_t lost) {
@@ -53,8 +53,8 @@ static inline void tb_paced(struct tb_pace *pace, int64_t time_ns, uint64_t lost
     bool steady = pace->period_ns && period > pace->period_ns / 2 &&
                   period < pace->period_ns * 2;
     pace->period_ns = steady ? (7 * pace->period_ns + period) / 8 : period;
-    if (!steady) pace->rest = TB_REST;
     if (pace->rest) pace->rest--;
+    if (!steady) pace->rest = 1;
     pace->last_ns = time_ns;
 }
 

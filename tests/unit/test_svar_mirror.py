@@ -187,6 +187,25 @@ def test_what_an_operator_sets(sides):
     assert carry(b, a, full=True).full.groups == []
 
 
+def test_what_an_operator_sets_again_is_news_and_no_new_state(sides):
+    a, b = sides
+    a.table.write("MODE", [9])
+    meet(a, b)
+    a.table.write("MODE", [10])
+    packet = carry(a, b)
+    assert packet.full is None
+    assert b.table.read("MODE").tolist() == [10]
+    assert carry(a, b) is None, "once"
+    a.table.write("SLOW", [1.5])
+    assert carry(a, b).full is not None, "set for the first time: one group more"
+    assert b.table.read("SLOW").tolist() == [1.5]
+    a.table.write("MODE", [11])
+    a.table.write("QD", [1, 2, 3])
+    assert carry(a, b).full is not None
+    assert b.table.read("MODE").tolist() == [11]
+    assert b.table.read("QD").tolist() == [1, 2, 3]
+
+
 def test_a_part_of_a_group_that_another_took(sides):
     a, b = sides
     both = on(a, "both", "Q", "QD", value=1.0)
