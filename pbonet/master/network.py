@@ -342,7 +342,7 @@ def _decode(data: bytes) -> Order:
         )
     try:
         order = msgspec.msgpack.decode(data, type=Order)
-    except msgspec.MsgspecError as error:
+    except codec.MALFORMED as error:
         raise ProtocolError(
             "the message is not understood",
             got=str(error),

@@ -18,7 +18,7 @@ from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, convert
 from pbonet.master.subsystem import Subsystem
 from pbonet.master.words import sequence
-from pbonet.xm import keys
+from pbonet.xm import codec, keys
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Listener:
     def _take(self, sample: zenoh.Sample) -> None:
         try:
             event = msgspec.msgpack.decode(sample.payload.to_bytes(), type=m.Event)
-        except msgspec.MsgspecError:
+        except codec.MALFORMED:
             return  # of another version; `events` tells of it
         if not self.wants(event):
             return

@@ -126,7 +126,7 @@ class Relay:
                     self._pool.submit(self._carry, wire, letter)
         except (OSError, EOFError):
             pass  # it has ended
-        except (msgspec.MsgspecError, PbonetError, RuntimeError) as error:
+        except (*codec.MALFORMED, PbonetError, RuntimeError) as error:
             log.warning(
                 "%s: a task's letter is not taken: %s", self._client.name, error
             )

@@ -27,6 +27,7 @@ from pbonet.errors import (
     TaskError,
 )
 from pbonet.pbo import State
+from pbonet.xm import codec
 
 from . import wire
 from .events import LineBudget
@@ -303,7 +304,7 @@ class Task:
     def _take(self, data: bytes) -> None:
         try:
             message = self._decoder.decode(data)
-        except msgspec.MsgspecError as error:
+        except codec.MALFORMED as error:
             text = f"the task sent what is no message: {error}"
             self._tell(
                 self,

@@ -81,6 +81,6 @@ def unpack(data: bytes) -> Packet | None:
     """Return the packet; None when it is none, or of another version."""
     try:
         packet = _decoder.decode(data)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, UnicodeDecodeError):
         return None
     return packet if packet.v == VERSION else None

@@ -22,6 +22,10 @@ class _Version(Struct):
     id: str = ""
 
 
+MALFORMED = (msgspec.MsgspecError, UnicodeDecodeError)
+"""What decoding raises: msgspec lets text that is no UTF-8 out as it is."""
+
+
 class Codec:
     """Packs and unpacks messages; refuses what it does not understand."""
 
@@ -48,7 +52,7 @@ class Codec:
         self._check(data)
         try:
             return self._request.decode(data)
-        except msgspec.MsgspecError as error:
+        except MALFORMED as error:
             raise ProtocolError(
                 "the request is not understood",
                 got=str(error),
@@ -64,7 +68,7 @@ class Codec:
         self._check(data)
         try:
             return self._answer.decode(data)
-        except msgspec.MsgspecError as error:
+        except MALFORMED as error:
             raise ProtocolError(
                 "the answer is not understood",
                 got=str(error),
@@ -81,7 +85,7 @@ class Codec:
             )
         try:
             version = self._version.decode(data).v
-        except msgspec.MsgspecError as error:
+        except MALFORMED as error:
             raise ProtocolError(
                 "the message is not msgpack",
                 got=str(error),
@@ -105,5 +109,5 @@ def request_id(data: bytes) -> str:
     """Return the id of a request that is otherwise not understood, if it has one."""
     try:
         return msgspec.msgpack.decode(data, type=_Version).id
-    except msgspec.MsgspecError:
+    except MALFORMED:
         return ""

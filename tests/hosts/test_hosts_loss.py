@@ -18,6 +18,7 @@ from hostfleet import Desk
 from nodekit import alive, fork_server_of
 from watching import wait_for
 
+from pbonet.errors import UnknownTaskError
 from pbonet.testing.lan import Lan
 from pbonet.xm import messages as m
 
@@ -232,12 +233,20 @@ def test_the_recorder_is_killed(cell, lab):
 
 def bring_back(desk, rtpu, task):
     """Spawn a task once more, and turn it on."""
-    wait_for(lambda: desk.status(rtpu, task).state == "NOT-CREATED", "its end")
+    wait_for(lambda: has_ended(desk, rtpu, task), "its end")
     if task == "src":
         desk.spawn(rtpu, task, "counts", out="Z0")
     else:
         spawn_critical(desk, rtpu)
     desk.on(rtpu, task)
+
+
+def has_ended(desk, rtpu, task):
+    """Tell whether a task has died; its last status may not be there yet."""
+    try:
+        return desk.status(rtpu, task).state == "NOT-CREATED"
+    except UnknownTaskError:
+        return True
 
 
 def test_another_agent_of_the_machine_carries_on(pair, runs):

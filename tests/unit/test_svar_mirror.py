@@ -321,6 +321,7 @@ def test_news_of_an_unknown_state_are_asked_for(sides):
 
 def test_what_is_no_packet():
     assert packets.unpack(b"") is None
+    assert packets.unpack(b"\x91\xa1\xff") is None  # text that is no UTF-8
     assert packets.unpack(b"\x93\x01\x02\x03") is None
     other = packets.Packet(packets.VERSION + 1, "a", "host-a", 1, 0, 0, [])
     assert packets.unpack(packets.pack(other)) is None

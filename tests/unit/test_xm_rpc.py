@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pbonet.errors import NodeError
+from pbonet.errors import NodeError, ProtocolError
+from pbonet.xm import codec
+from pbonet.xm import messages as m
 from pbonet.xm.rpc import placed
 
 
@@ -22,3 +24,18 @@ from pbonet.xm.rpc import placed
 )
 def test_place_of_an_error_begins_with_its_rtpu(where, whole):
     assert placed("arm0", NodeError("it failed", where=where)).where == whole
+
+
+@pytest.mark.parametrize(
+    "message", [m.Hello(id="i", client="anna"), m.Answer(id="anna", ok=True)]
+)
+def test_text_that_is_no_utf8_is_refused_like_all_that_is_malformed(message):
+    """msgspec tells of it by an exception of its own."""
+    packed = codec.Codec().pack(message).replace(b"anna", b"an\xffa")
+    read = (
+        codec.Codec().answer if isinstance(message, m.Answer) else codec.Codec().request
+    )
+    with pytest.raises(ProtocolError) as caught:
+        read(packed)
+    assert "utf-8" in str(caught.value)
+    assert codec.request_id(packed) in {"i", ""}
