@@ -30,7 +30,7 @@ def start(nodes, tmp_path):
     """Start the job with these modules as the original and the standby."""
     opened = []
 
-    def one(first, second="counts", freq=200.0):
+    def one(first, second="counts", freq=200.0, text=None):
         nodes.agent_process("arm0", grace=20.0)
         nodes.agent_process("arm1")
         (tmp_path / "t.sbs").write_text(SBS)
@@ -38,12 +38,12 @@ def start(nodes, tmp_path):
         (tmp_path / "watch.job").write_text(JOB)
         hold = {"invar": "Y0", "critical": True, "local": {"LEVEL": 3}}
         texts = {
-            "first": rmod(first, freq=freq),
-            "second": rmod(second, freq=freq),
+            "first": text or rmod(first, freq=freq),
+            "second": text or rmod(second, freq=freq),
             "hold": rmod("holds", "Y1", freq, **hold),
         }
-        for name, text in texts.items():
-            (tmp_path / f"{name}.rmod").write_text(text)
+        for name, lines in texts.items():
+            (tmp_path / f"{name}.rmod").write_text(lines)
         arm = Subsystem(
             tmp_path / "t.sbs",
             domain=nodes.domain,
@@ -183,3 +183,75 @@ def test_a_standby_obeys_while_it_stands_by(start):
     assert states(arm) == {"first": "ON", "hold": "ON"}
     arm.control("first", "kill")
     assert states(arm) == {"hold": "ON"}
+
+
+@pytest.mark.parametrize("kind", ["synchronous", "sporadic", "deferrable"])
+def test_a_standby_that_is_timed_from_outside_takes_the_events_over(
+    start, tmp_path, kind
+):
+    device = tmp_path / "device"
+    os.mkfifo(device)
+    fd = os.open(device, os.O_RDWR)
+    lines = rmod("overruns", freq=20.0, local={"FIFO": device, "EVERY": 1000})
+    capacity = "CAPACITY 0.02\n" * (kind != "synchronous")
+    text = lines.replace("periodic", kind).replace("LOCAL", f"{capacity}LOCAL")
+    try:
+        arm = start("overruns", text=text)
+
+        def served(count, whom):
+            os.write(fd, b"x")
+            wait_for(
+                lambda: (
+                    (now := arm.display(["Y0"])[0]).values[0] == count
+                    and now.writer == whom
+                ),
+                f"event {count} served by {whom}",
+            )
+
+        served(1, "first")
+        served(2, "first")
+        wait_standing(arm)
+        os.kill(arm.status("first").tid, signal.SIGKILL)
+        told(arm)
+        served(3, "second")  # it goes on from the value in the table
+        served(4, "second")
+        wait_for(lambda: len(events(arm, "TASK_DIED")) == 1, "the news of its death")
+        wanted = {"first": "NOT-CREATED", "second": "ON", "hold": "ON"}
+        assert states(arm) == wanted
+    finally:
+        os.close(fd)
+
+
+def test_a_standby_that_died_stands_by_again_once_it_is_spawned_anew(start):
+    arm = start("counts")
+    wait_standing(arm)
+    dead = arm.status("second").tid
+    os.kill(dead, signal.SIGKILL)
+    wait_gone([dead])
+    wait_for(lambda: len(events(arm, "TASK_DIED")) == 1, "the news of its death")
+    assert states(arm) == {"first": "ON", "second": "NOT-CREATED", "hold": "ON"}
+    assert not causes(arm)  # nobody depends on it
+    arm.spawn("second", "arm0")
+    wait_standing(arm)
+    os.kill(arm.status("first").tid, signal.SIGKILL)
+    assert "state ON, time 1 of 3" in told(arm)[-1]
+    assert states(arm)["second"] == "ON"
+
+
+def test_when_both_die_the_flag_is_up_and_the_rest_goes_on(start):
+    arm = start("counts")
+    wait_standing(arm)
+    both = [arm.status(name).tid for name in ("second", "first")]
+    for pid in both:
+        os.kill(pid, signal.SIGKILL)
+    wait_gone(both)
+    wait_for(lambda: len(events(arm, "TASK_DIED")) == 2, "the news of both")
+    wait_for(lambda: "first has died (arm0/first)" in causes(arm), "the flag")
+    wait_for(lambda: arm.display(["Y1"])[0].values[0] == -1.0, "stable")
+    assert states(arm) == {
+        **dict.fromkeys(("first", "second"), "NOT-CREATED"),
+        "hold": "ON",
+    }
+    arm.spawn("second", "arm0")
+    arm.control("second", "on")
+    wait_for(lambda: not causes(arm), "the flag to go down")
