@@ -395,7 +395,7 @@ def fresh(table: Table) -> bool:
 def goals(found: dict[str, Any]) -> Generator[str, None, None]:
     """Yield a line for each goal whose part was measured."""
     asked = found.get("commands", {})
-    for name in asked.keys() - {QUERYABLE, RELAY}:
+    for name in [name for name in asked if name not in {QUERYABLE, RELAY}]:
         rival = RELAY if name == SPREAD else QUERYABLE
         ratio = asked[name]["p50"] / asked[rival]["p50"]
         yield rtbench.verdict(f"{name}, in round trips of a {rival},", ratio, 1.5)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from pbonet import tbuf
 from pbonet.errors import NodeError, Severity, SvarError
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 FEW = 8
-"""Tasks whose status takes less time than to wake a thread for it."""
+"""So many tasks or variables are looked at in less time than a thread is woken."""
 NEWS_TIME = 0.5
 """Seconds in which the RTPU process tells of a task that it has just begun or ended."""
 
@@ -129,9 +129,12 @@ class Overview:
         except Exception as error:  # noqa: BLE001 - the server outlives any request
             return self._answers.bad(request, error)
 
-    @property
-    def short(self) -> bool:
-        """Whether a status can be given without waiting, and of a few tasks only."""
+    def at_once(self, request: object) -> TypeGuard[m.Status | m.Display]:
+        """Tell whether a request looks at little, and is answered without waiting."""
+        if isinstance(request, m.Display):
+            return request.names is not None and 0 < len(request.names) <= FEW
+        if not isinstance(request, m.Status):
+            return False
         tasks = self._known.tasks
         if tasks is None or len(tasks) > FEW or self._core is None:
             return False

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-AT_ONCE = (b"hello", b"status")
+AT_ONCE = (b"hello", b"status", b"display")
 SHORT = 1024
 """Bytes of a request that is answered at once, at the most."""
 PENDING = 2000
@@ -178,8 +178,8 @@ class Server:
     def _arrive(self, query: zenoh.Query) -> None:
         """Take a query from zenoh's own thread, which nothing may hold up.
 
-        Only who the agent is and how few tasks stand can be told at once; another
-        thread does the rest.
+        Only who the agent is and how a few tasks or variables stand can be told at
+        once; another thread does the rest.
         """
         data = query.payload.to_bytes() if query.payload is not None else b""
         if len(data) <= SHORT and any(word in data for word in AT_ONCE):
@@ -188,7 +188,7 @@ class Server:
                 if isinstance(request, m.Hello):
                     self._introduce(query, request)
                     return
-                if isinstance(request, m.Status) and self._overview.short:
+                if self._overview.at_once(request):
                     self._reply(query, self._overview.answer(request))
                     return
         self._arrived.put(query)

@@ -105,13 +105,13 @@ def test_a_status_of_many_tasks_is_whole(arm):
 
 
 def test_an_agent_that_takes_over_knows_all_at_once(nodes):
-    process = nodes.agent_process("arm0")
+    process = nodes.agent_process("arm0", grace=30.0)
     arm = nodes.master("arm0", "arm")
     arm.spawn("a", "counts")
     nodes.forget_session()
     process.kill()
     process.wait()
-    nodes.agent_process("arm0")
+    nodes.agent_process("arm0", grace=30.0)
     status = nodes.client().call("arm0", m.Status(), m.RtpuStatus)
     assert [(one.task, one.state) for one in status.tasks] == [("a", "OFF")]
     (value,) = nodes.client().call(
