@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pbonet.errors import ConfigFileError
 
-from .agent import parse_agent, read_agent
+from .agent import agent_text, parse_agent, read_agent
 from .bundle import Section, bundled
 from .combining import info_of
 from .job import parse_job, read_job, write_job
@@ -24,6 +24,7 @@ from .svar import parse_svar, read_svar, write_svar
 __all__ = [
     "Missing",
     "Section",
+    "agent_text",
     "bundled",
     "info_of",
     "missing_methods",

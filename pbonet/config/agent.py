@@ -79,6 +79,25 @@ def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:
     return config
 
 
+def agent_text(config: AgentConfig) -> str:
+    """Return an ``agent.toml`` that says what an agent goes by, defaults included."""
+    fields: dict[str, Any] = msgspec.to_builtins(config)
+    events: dict[str, str] = fields.pop("events")
+    lines = [f"{k} = {_value(v)}" for k, v in fields.items() if v is not None]
+    if events:
+        lines += [
+            "",
+            "[events]",
+            *(f"{_value(k)} = {_value(v)}" for k, v in events.items()),
+        ]
+    return "\n".join([*lines, ""])
+
+
+def _value(value: object) -> str:
+    """Return a value as TOML has it; strings, numbers and lists are JSON's there."""
+    return msgspec.json.encode(value).decode()
+
+
 def _toml(text: str, file: str) -> dict[str, Any]:
     """Return the table that the text is."""
     _refuse_long_lines(text, file)

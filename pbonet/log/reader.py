@@ -15,7 +15,7 @@ from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 from .clocks import common
 from .cycles import COLUMNS, Cycles
 from .part import Part
-from .records import EPOCH, Attached, Step, TaskAbout
+from .records import EPOCH, Attached, Step, TaskAbout, free_name
 from .rows import Rows
 from .schema import HEAD, TaskSchema, head
 
@@ -216,10 +216,14 @@ class Log(Cycles):
 
     @cached_property
     def attached(self) -> dict[str, Attached]:
-        """The files that the run carries, by name."""
+        """The files that the run carries, by name; others of one name get numbers."""
         found: dict[str, Attached] = {}
+        contents: dict[str, bytes] = {}
         for part in self.parts:
-            found = part.attached | found
+            for one in part.attached.values():
+                name = free_name(one.name, one.data, contents)
+                contents[name] = one.data
+                found.setdefault(name, one)
         return found
 
     def load(self) -> None:
@@ -256,6 +260,15 @@ class Log(Cycles):
             msgspec.json.decode(one.data) for one in self.messages("json", "/events")
         ]
         return [cast("dict[str, Any]", one["event"]) for one in found]
+
+    def commands(self) -> list[dict[str, Any]]:
+        """Return the commands to the subsystem, by the time of their answers.
+
+        Each has ``op``, ``client``, ``asked``, ``ok``, ``error``, ``warnings``,
+        ``result``, ``begun_ns`` and ``ended_ns``.
+        """
+        found = self.messages("json", "/commands")
+        return [msgspec.json.decode(one.data, type=dict[str, Any]) for one in found]
 
     @property
     def begin_time_ns(self) -> int:

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from msgspec import Struct
 
 from pbonet.config.model import Variable
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+T = TypeVar("T")
 
 FORMAT = 1
 """The version of what pbonet writes into its logs."""
@@ -118,7 +123,8 @@ class RunAbout(Struct, kw_only=True):
     numpy: str = ""
     kernel: str = ""
     config_hash: str = ""
-    """SHA-256 over the `.job`, `.sbs` and `.svar` files."""
+    """SHA-256 over what the log carried when it began: `.job`, `.sbs`, `.svar`, the
+    `.rmod` files of the job, `agent.toml`."""
     begun: str = ""
     """Date and time, for people to read."""
     epoch_ns: int = 0
@@ -138,6 +144,19 @@ class Attached(Struct, frozen=True):
     name: str
     data: bytes
     media_type: str = "text/plain"
+
+
+def free_name(name: str, content: T, taken: Mapping[str, T]) -> str:
+    """Return the name for a file: ``a.rmod``, or ``a-2.rmod`` where it is another one.
+
+    A name that is in `taken` is of the same content.
+    """
+    stem, dot, suffix = name.rpartition(".")
+    first, number = name, 1
+    while taken.get(name, content) != content:
+        number += 1
+        name = f"{stem}-{number}.{suffix}" if dot else f"{first}-{number}"
+    return name
 
 
 JsonObject = dict[str, Any]

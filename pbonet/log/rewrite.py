@@ -10,11 +10,13 @@ from pbonet.errors import LogError
 from .clocks import Clock, common
 from .part import Part
 from .reader import goes_on, parts_of
-from .records import CLOCKS, EPOCH
+from .records import CLOCKS, EPOCH, free_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from mcap.writer import Writer
 
     from .part import Channel, Schema
 
@@ -75,9 +77,10 @@ def _write(
     clocks: Sequence[Clock],
     file: Any,  # noqa: ANN401 - a file
 ) -> int:
-    from mcap.writer import CompressionType, Writer
+    from mcap.writer import CompressionType
+    from mcap.writer import Writer as McapWriter
 
-    writer = Writer(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
+    writer = McapWriter(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
     writer.start(profile="", library="pbonet")
     for part in parts[:1]:
         for name, values in part.metadata.items():
@@ -86,9 +89,7 @@ def _write(
         names = [f"{n} {part.path.name}" for n, part in enumerate(parts, 1)]
         told = dict(zip(names, map(str, clocks), strict=True))
         writer.add_metadata(CLOCKS, told)
-    attached = {name: one for part in parts for name, one in part.attached.items()}
-    for one in attached.values():
-        writer.add_attachment(0, 0, one.name, one.media_type, one.data)
+    _attach(parts, writer)
     numbers = _channels(parts, clocks, writer)
     count = 0
     messages = [
@@ -100,6 +101,17 @@ def _write(
         count += 1
     cast("Any", writer).finish()
     return count
+
+
+def _attach(parts: Sequence[Part], writer: Writer) -> None:
+    """Attach what the files carry; others of one name get numbers behind it."""
+    taken: dict[str, bytes] = {}
+    for part in parts:
+        for one in part.attached.values():
+            name = free_name(one.name, one.data, taken)
+            if name not in taken:
+                writer.add_attachment(0, 0, name, one.media_type, one.data)
+            taken[name] = one.data
 
 
 def _channels(

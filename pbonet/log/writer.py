@@ -6,6 +6,7 @@ behind the last record that was written whole.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 from pathlib import Path
@@ -16,7 +17,7 @@ import msgspec
 from pbonet.errors import LogError
 
 from .events import LOG_SCHEMA, log_message
-from .records import METADATA, Attached, RunAbout, Step, TaskAbout
+from .records import METADATA, Attached, RunAbout, Step, TaskAbout, free_name
 from .schema import StepSchema, TaskSchema, record_size, times
 
 if TYPE_CHECKING:
@@ -109,7 +110,8 @@ class LogWriter:
         self._json: dict[str, int] = {}
         self._step_schema = 0
         self._counts: dict[int, int] = {}
-        self._names: set[str] = set()
+        self._names: dict[str, bytes] = {}
+        """What was attached: digests by name."""
         self._writer.start(profile="", library=f"pbonet {about.pbonet}")
         fields = msgspec.to_builtins(about)
         self._writer.add_metadata(METADATA, {k: str(v) for k, v in fields.items()})
@@ -122,16 +124,18 @@ class LogWriter:
         return self._stream.tell()
 
     def attach(self, file: Attached) -> None:
-        """Attach a file, unless one of that name is there.
+        """Attach a file; another one of that name gets a number behind its own.
 
         Raises:
             OSError: No room is left.
         """
-        if file.name in self._names:
+        digest = hashlib.sha256(file.data).digest()
+        name = free_name(file.name, digest, self._names)
+        if name in self._names:
             return
-        self._names.add(file.name)
+        self._names[name] = digest
         now = time.time_ns()
-        self._writer.add_attachment(now, now, file.name, file.media_type, file.data)
+        self._writer.add_attachment(now, now, name, file.media_type, file.data)
 
     def add_task(self, about: TaskAbout) -> int:
         """Return a number for `add`, under which a task's records are written."""
@@ -186,6 +190,17 @@ class LogWriter:
         data = log_message(event, time_ns, self.about.subsystem)
         channel = self._channel("events", "foxglove.Log", LOG_SCHEMA)
         self._put(channel, time_ns, msgspec.json.encode(data), time_ns)
+
+    def add_command(self, command: dict[str, Any]) -> None:
+        """Write a command and its answer, at the time of that.
+
+        Raises:
+            OSError: No room is left.
+        """
+        schema = {"type": "object", "title": "pbonet.Command"}
+        channel = self._channel("commands", "pbonet.Command", schema)
+        time_ns = int(command["ended_ns"]) + self.about.epoch_ns
+        self._put(channel, time_ns, msgspec.json.encode(command), time_ns)
 
     def add_status(self, now_ns: int, status: dict[str, Any]) -> None:
         """Write numbers about the run, as they stand at an instant.

@@ -5,6 +5,7 @@ Recording never stands in the way of a run: what cannot be recorded is a warning
 
 from __future__ import annotations
 
+import contextlib
 import re
 import time
 from pathlib import Path
@@ -190,6 +191,19 @@ class Logbook:
                 found[Path(path).name] = load(path)
             except PbonetError:
                 continue  # it was read when the subsystem was opened
+        return found | self._rmods(files)
+
+    def _rmods(self, files: Files) -> dict[str, str]:
+        """Return the RMODs of the job's tasks, by the names under which logs have them.
+
+        Of one that cannot be read its task says so when it is spawned.
+        """
+        tasks = self._job.tasks if self._job is not None else ()
+        names = {name for one in tasks for name in (one.rmod, one.fallback) if name}
+        found: dict[str, str] = {}
+        for name in sorted(names):
+            with contextlib.suppress(PbonetError):
+                found[f"{name}.rmod"] = files.rmod(name).text
         return found
 
 

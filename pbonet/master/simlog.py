@@ -51,7 +51,6 @@ def save(
     folder = Path(runs or os.environ.get("PBONET_RUNS", "runs")).absolute()
     log = folder / book.named(outcome.job) / "run.mcap"
     texts = book.texts(files)
-    texts |= {f"{one.rmod}.rmod": files.rmod(one.rmod).text for one in job.tasks}
     attached = [Attached(name, text.encode()) for name, text in texts.items()]
     libraries = [str(Path(folder).absolute()) for folder in place.libraries]
     try:

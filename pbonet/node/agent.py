@@ -98,8 +98,7 @@ class Agent:
             backend=backend,
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
-        limits = wire.LogLimits(config.log_mb, config.log_minutes, config.runs_mb)
-        self._recorders = Recorders(self._note, limits)
+        self._recorders = Recorders(self._note, config)
         self._overview = Overview(
             config.domain, config.name, self._note, self._recorders.fares
         )
@@ -170,6 +169,7 @@ class Agent:
             node=self,
             mail=self._mail,
             overview=self._overview,
+            commanded=self._recorders.commanded,
         )
         self._server.start()
         self._refuse_duplicate()

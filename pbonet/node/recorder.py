@@ -15,7 +15,7 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.msgpack import Decoder
@@ -210,12 +210,16 @@ class Recorder:
 
     def take(self, message: wire.ToRecorder) -> None:
         """Take what the agent says."""
-        if isinstance(message, wire.Clocks):
-            now, clocks = time.monotonic_ns(), msgspec.to_builtins(message)
-            del clocks["type"]
-            self._files.put(lambda writer: writer.add_clocks(now, clocks))
-        else:
-            self._happened(message.data)
+        match message:
+            case wire.Clocks():
+                now, clocks = time.monotonic_ns(), msgspec.to_builtins(message)
+                del clocks["type"]
+                self._files.put(lambda writer: writer.add_clocks(now, clocks))
+            case wire.Commanded():
+                command = msgspec.json.decode(message.data, type=dict[str, Any])
+                self._files.put(lambda writer: writer.add_command(command))
+            case wire.Happened():
+                self._happened(message.data)
 
     def _happened(self, data: bytes) -> None:
         """Take a packed event."""

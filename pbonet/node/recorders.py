@@ -8,24 +8,32 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from pbonet.config import agent_text
 from pbonet.errors import Severity
 
 from . import runtime, wire
+from .commanded import command
 from .tasks import describe_end
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from typing import BinaryIO
 
+    from pbonet.config.model import AgentConfig
+    from pbonet.xm.messages import AnyRequest
+
     Tell = Callable[[wire.Note], None]
 
 END_TIME: Final = 10.0
 """Seconds that a recorder may take to finish its log."""
 RESTARTS: Final = 5
+BEFORE: Final = 32
+"""Commands that are kept of a subsystem until it is recorded."""
 WINDOW: Final = 60.0
 """A recorder that is lost more often than this many times in so many seconds is not
 started again."""
@@ -154,22 +162,26 @@ class Recorders:
 
     Args:
         tell: Hands a note to the RTPU process.
-        limits: Of the logs on this machine.
+        config: What the machine says of its logs; each log carries it.
     """
 
-    def __init__(self, tell: Tell, limits: wire.LogLimits) -> None:
+    def __init__(self, tell: Tell, config: AgentConfig) -> None:
         self._tell = tell
-        self._limits = limits
+        self._limits = wire.LogLimits(config.log_mb, config.log_minutes, config.runs_mb)
+        self._text = agent_text(config)
         self._fares: dict[str, wire.Recorder] = {}
         self._children: dict[str, _Child] = {}
         self._ended: list[_Child] = []
+        self._before: dict[str, deque[wire.Commanded]] = {}
+        """Commands to subsystems that are not recorded yet."""
         self._guard = threading.Lock()
 
     def update(self, wanted: Mapping[str, wire.Recording]) -> None:
         """Start and end recorders, so that these are recorded and no others."""
-        limits = self._limits
         wanted = {
-            name: msgspec.structs.replace(one, limits=limits)
+            name: msgspec.structs.replace(
+                one, limits=self._limits, files={**one.files, "agent.toml": self._text}
+            )
             for name, one in wanted.items()
         }
         with self._guard:
@@ -181,7 +193,9 @@ class Recorders:
                     self._ended.append(child)
             for subsystem, one in wanted.items():
                 if subsystem not in self._children:
-                    self._children[subsystem] = _Child(one, self._said)
+                    child = self._children[subsystem] = _Child(one, self._said)
+                    for told in self._before.pop(subsystem, ()):
+                        child.tell(told)
 
     def fares(self, subsystem: str) -> wire.Recorder | None:
         """Return how the recorder of a subsystem fares; None without one."""
@@ -199,6 +213,19 @@ class Recorders:
             children = list(self._children.values())
         for child in children:
             child.tell(message)
+
+    def commanded(self, request: AnyRequest, answer: bytes, begun_ns: int) -> None:
+        """Put a command on record, or keep it until its subsystem is recorded."""
+        if not request.subsystem:
+            return
+        told = command(request, answer, begun_ns, time.monotonic_ns())
+        with self._guard:
+            child = self._children.get(told.subsystem)
+            if child is None:
+                room: deque[wire.Commanded] = deque(maxlen=BEFORE)
+                self._before.setdefault(told.subsystem, room).append(told)
+        if child is not None:
+            child.tell(told)
 
     def stop(self) -> None:
         """Finish every log."""

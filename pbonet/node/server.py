@@ -14,9 +14,10 @@ import logging
 import queue
 import secrets
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import zenoh
 
@@ -78,6 +79,14 @@ class Node(Protocol):
         ...
 
 
+class _Waiting(NamedTuple):
+    """A request that was handed on."""
+
+    query: zenoh.Query
+    request: m.AnyRequest
+    begun_ns: int
+
+
 class Mail(Protocol):
     """Who carries out what is asked of semaphores and queues."""
 
@@ -95,6 +104,8 @@ class Server:
         node: Who carries requests out.
         mail: Who carries out those about semaphores and queues.
         overview: Who carries out those that need no RTPU process.
+        commanded: Is told of what changes something: the request, its packed answer,
+            and when it came.
     """
 
     def __init__(
@@ -106,17 +117,18 @@ class Server:
         node: Node,
         mail: Mail,
         overview: Overview,
+        commanded: Callable[[m.AnyRequest, bytes, int], None],
     ) -> None:
         self._session = session
         self._domain = domain
         self._node, self._mail, self._overview = node, mail, overview
+        self._commanded = commanded
         self._keys = [keys.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
         self._repeats = Repeats()
         self._count = itertools.count(1)
-        self._pending: dict[int, tuple[zenoh.Query, str, str]] = {}
-        """Queries, their ids, and the subsystem whose table they change."""
+        self._pending: dict[int, _Waiting] = {}
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
         self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
@@ -153,9 +165,17 @@ class Server:
     def answer(self, n: int, data: bytes) -> None:
         """Give the answer to forwarded request `n`."""
         with self._guard:
-            query, _, subsystem = self._pending.pop(n, (None, "", ""))
-        if query is not None:
-            self._node.spread(subsystem, partial(self._reply, query, data))
+            one = self._pending.pop(n, None)
+        if one is not None:
+            changes = isinstance(one.request, CHANGES)
+            subsystem = one.request.subsystem if changes else ""
+            self._tell(one.request, data, one.begun_ns)
+            self._node.spread(subsystem, partial(self._reply, one.query, data))
+
+    def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
+        """Have a command put on record."""
+        if not roles.only_looks(request):
+            self._commanded(request, answer, begun_ns)
 
     def publish(self, data: bytes) -> None:
         """Publish a packed event; it is dropped rather than waited for."""
@@ -168,12 +188,14 @@ class Server:
         with self._guard:
             waiting = list(self._pending.values())
             self._pending.clear()
-        for query, request_id, _ in waiting:
+        for query, request, begun_ns in waiting:
             error = NodeError(
                 f"the request was not carried out to its end: {reason}",
                 remedy="'status' shows what was done; then give it again",
             )
-            self._reply(query, self._codec.pack(codec.failure(error, request_id)))
+            data = self._codec.pack(codec.failure(error, request.id))
+            self._tell(request, data, begun_ns)
+            self._reply(query, data)
 
     def _arrive(self, query: zenoh.Query) -> None:
         """Take a query from zenoh's own thread, which nothing may hold up.
@@ -244,8 +266,10 @@ class Server:
             reply(self._overview.answer(request))
             return
         who = request.client, request.id or secrets.token_hex(8)
+        begun_ns = time.monotonic_ns()
         if self._repeats.begin(who, reply):
             data = self._overview.answer(request)
+            self._tell(request, data, begun_ns)
             self._node.spread(request.subsystem, partial(self._repeats.end, who, data))
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
@@ -274,8 +298,7 @@ class Server:
     ) -> None:
         n = next(self._count)
         with self._guard:
-            spread = request.subsystem if isinstance(request, CHANGES) else ""
-            self._pending[n] = (query, request.id, spread)
+            self._pending[n] = _Waiting(query, request, time.monotonic_ns())
         try:
             self._node.forward(n, data, masters)
         except PbonetError as error:

@@ -167,7 +167,14 @@ class Clocks(Struct, tag="clocks"):
     others: list[Apart]
 
 
-ToRecorder = Happened | Clocks
+class Commanded(Struct, tag="commanded"):
+    """A command that was answered, as JSON."""
+
+    subsystem: str
+    data: bytes
+
+
+ToRecorder = Happened | Clocks | Commanded
 FromRecorder = Note | Recorder
 
 

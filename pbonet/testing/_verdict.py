@@ -136,11 +136,15 @@ def changed(log: Log, about: TaskAbout) -> list[Changed]:
         digest = hashlib.sha256(now).hexdigest()
         if digest == code.sha256:
             continue
-        before = log.attached.get(code.path)
-        known = before is not None and (
-            hashlib.sha256(before.data).hexdigest() == code.sha256
+        before = next(
+            (
+                one.data
+                for one in log.attached.values()
+                if hashlib.sha256(one.data).hexdigest() == code.sha256
+            ),
+            None,
         )
-        lines = _other_lines(before.data, now) if before is not None and known else []
+        lines = [] if before is None else _other_lines(before, now)
         found.append(
             Changed(path=code.path, recorded=code.sha256, now=digest, lines=lines)
         )
