@@ -108,6 +108,15 @@ class Logbook:
         if self._told is not None:
             self._tasks, self.last = {}, 0.0
 
+    def mode_of(self, task: str) -> str:
+        """Return how a task is recorded."""
+        return self._tasks.get(task, self.mode)
+
+    @property
+    def hidden(self) -> list[str]:
+        """Variables that are not recorded."""
+        return list(self._hidden)
+
     def begin(self, fleet: Fleet, files: Files, warned: Callable[[str], None]) -> None:
         """Have the agents record from now on, unless they do already."""
         if self.run:

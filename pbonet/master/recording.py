@@ -107,8 +107,10 @@ class TaskRecord:
             ]
         return b"".join(parts)
 
-    def about(self, subsystem: str, libraries: Sequence[str]) -> TaskAbout:
-        """Return whose cycles these are, for a log."""
+    def about(
+        self, subsystem: str, libraries: Sequence[str], hidden: Sequence[str] = ()
+    ) -> TaskAbout:
+        """Return whose cycles these are, for a log; without the hidden variables."""
         return TaskAbout(
             domain="",
             rtpu="",
@@ -121,6 +123,7 @@ class TaskRecord:
             rmod_name=f"{self.task}.rmod",
             libraries=tuple(libraries),
             outvar=self._variables,
+            hidden=[v.name for v in self._variables if v.name in hidden],
         )
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -163,6 +166,9 @@ class Recording(Cycles):
         path: str | Path,
         attached: Iterable[Attached] = (),
         libraries: Sequence[str] = (),
+        *,
+        tasks: Sequence[str] | None = None,
+        hidden: Sequence[str] = (),
     ) -> None:
         """Write a log that says the same, at times since 1970.
 
@@ -170,6 +176,8 @@ class Recording(Cycles):
             path: The log.
             attached: What the run was made of.
             libraries: Folders of its modules.
+            tasks: Which; None for all.
+            hidden: Variables that are left out.
 
         Raises:
             LogError: It exists, or cannot be written.
@@ -194,9 +202,10 @@ class Recording(Cycles):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             writer = LogWriter(path, about, attached)
-            for record in self._tasks.values():
-                number = writer.add_task(record.about(subsystem, libraries))
-                writer.add(number, record.records())
+            for name, record in self._tasks.items():
+                if tasks is None or name in tasks:
+                    about_task = record.about(subsystem, libraries, hidden)
+                    writer.add(writer.add_task(about_task), record.records())
             writer.close()
         except OSError as error:
             raise LogError(

@@ -45,7 +45,10 @@ def save(
     job = files.read_job()
     book.of(job, files)
     recording = outcome.recording
-    if book.mode == "off" or not isinstance(recording, Recording):
+    if not isinstance(recording, Recording):
+        return
+    tasks = [task for task in recording.tasks if book.mode_of(task) != "off"]
+    if not tasks:
         return
     recording.about |= {"job": outcome.job, "subsystem": files.sbs.subsystem}
     folder = Path(runs or os.environ.get("PBONET_RUNS", "runs")).absolute()
@@ -54,7 +57,7 @@ def save(
     attached = [Attached(name, text.encode()) for name, text in texts.items()]
     libraries = [str(Path(folder).absolute()) for folder in place.libraries]
     try:
-        recording.save(log, attached, libraries)
+        recording.save(log, attached, libraries, tasks=tasks, hidden=book.hidden)
     except LogError as error:
         outcome.faults.append(str(error))
         return
