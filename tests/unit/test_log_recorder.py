@@ -1,0 +1,148 @@
+"""What a recorder does about time limits, and rings of others or damaged ones."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from watching import wait_for
+
+from pbonet.config.model import AgentConfig
+from pbonet.log import Log, TaskAbout
+from pbonet.node import recorder as recording
+from pbonet.node import wire
+from pbonet.node._ring import Ring
+from pbonet.node.recorders import RESTARTS, Recorders
+
+ABOUT = TaskAbout(
+    domain="d",
+    rtpu="arm0",
+    subsystem="arm",
+    task="a",
+    module="m",
+    pid=1,
+    freq=1.0,
+    rmod="",
+    rmod_name="a.rmod",
+)
+
+
+@pytest.fixture
+def ring():
+    ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+    yield ring
+    ring.destroy()
+
+
+def wanted(folder, **limits):
+    return wire.Recording(
+        domain="d",
+        rtpu="arm0",
+        subsystem="arm",
+        core=0,
+        folder=str(folder / "r"),
+        file="run",
+        run="r",
+        job="j",
+        mode="outputs",
+        limits=wire.LogLimits(**limits),
+    )
+
+
+def begin(folder, said, **limits):
+    return recording.Recorder(wanted(folder, **limits), said.append)
+
+
+def logs(folder):
+    return [one for one in (folder / "r").glob("*.mcap") if one.stat().st_size]
+
+
+def codes(said):
+    return [one.code for one in said if isinstance(one, wire.Note)]
+
+
+def test_a_log_goes_on_in_another_file_by_time(ring, tmp_path) -> None:
+    recorder = begin(tmp_path, [], log_minutes=1e-9)
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+    recorder.end()
+    log = Log(tmp_path / "r")
+    assert len(log.parts) >= 3
+    assert [part.about.goes_on for part in log.parts][1:] == [True] * (
+        len(log.parts) - 1
+    )
+    (life,) = log.lives("a")
+    assert log.arrays("a")["cycle"].tolist() == [1, 2, 3], "read as one"
+    assert len(life.records) == 3
+
+
+def test_without_a_limit_it_stays_in_one(ring, tmp_path) -> None:
+    recorder = begin(tmp_path, [])
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+    recorder.end()
+    assert len(Log(tmp_path / "r").parts) == 1
+
+
+@pytest.mark.usefixtures("ring")
+def test_a_ring_that_another_drains_is_told_and_left(tmp_path, monkeypatch) -> None:
+    other = Ring.attach("d.arm.a")
+    other.take()
+    said = []
+    recorder = begin(tmp_path, said)
+    recorder.turn()
+    assert not codes(said), "it may be a recorder that is about to end"
+    monkeypatch.setattr(recording, "HANDOVER", 0.0)
+    recorder.turn()
+    assert codes(said) == ["NOT_RECORDED"]
+    assert "somebody else drains this ring" in said[-1].text
+    recorder.turn()
+    assert codes(said) == ["NOT_RECORDED"], "it is said once"
+    recorder.end()
+    other.close()
+    assert Log(tmp_path / "r").tasks == []
+
+
+def test_a_damaged_ring_ends_its_own_recording_only(ring, tmp_path) -> None:
+    said = []
+    about = msgspec.structs.replace(ABOUT, task="b")
+    sound = Ring.create("d.arm.b", 1 << 14, msgspec.json.encode(about))
+    recorder = begin(tmp_path, said)
+    ring.put(b"", cycle=1)
+    sound.put(b"", cycle=1)
+    recorder.turn()
+    ring.put(b"", cycle=2)
+    with open(ring.path, "r+b") as file:  # noqa: PTH123 - in place
+        file.seek(64)  # where `head` stands
+        file.write((1 << 40).to_bytes(8, "little"))
+    recorder.turn()
+    sound.put(b"", cycle=2)
+    recorder.turn()
+    assert "NOT_RECORDED" in codes(said)
+    recorder.end()
+    sound.destroy()
+    log = Log(tmp_path / "r")
+    assert log.arrays("a")["cycle"].tolist() == [1]
+    assert log.arrays("b")["cycle"].tolist() == [1, 2]
+
+
+@pytest.mark.slow
+def test_a_recorder_that_is_lost_too_often_is_not_started_again(tmp_path) -> None:
+    said = []
+    recorders = Recorders(said.append, AgentConfig())
+    recorders.update({"arm": wanted(tmp_path)})
+    try:
+        for n in range(RESTARTS + 1):
+            child = recorders._children["arm"]
+            wait_for(lambda n=n: len(logs(tmp_path)) > n, "its log")
+            child._process.kill()
+            wait_for(lambda n=n: len(codes(said)) > n, "its end")
+        wait_for(lambda: not child._thread.is_alive(), "that it is given up")
+    finally:
+        recorders.stop()
+    assert codes(said) == ["RECORDER_DIED"] * (RESTARTS + 1)
+    texts = [one.text for one in said]
+    assert all(text.endswith("another one goes on") for text in texts[:-1])
+    assert texts[-1].endswith("nothing is recorded any more")
+    assert len(Log(tmp_path / "r").parts) == RESTARTS + 1
