@@ -24,6 +24,7 @@ def test_every_command_and_its_answer_are_on_record(nodes):
     line.kill("a")
     text = TEXT.format(z="X", y="Y0").replace("gain 0.75", "gain 0.5")
     line.spawn("a", "adds", text=text)
+    line.on("a")
     log = end(line, path)
     found = log.commands()
     ops = [one["op"] for one in found]

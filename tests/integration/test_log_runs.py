@@ -82,7 +82,7 @@ def test_others_read_every_channel(line):
     mine = ours(log)
     assert set(mine) == {
         *("arm/a", "arm/b", "arm/a/steps", "arm/b/steps"),
-        *("arm/events", "arm/status/arm0"),
+        *("arm/events", "arm/status/arm0", "arm/commands"),
     }
     must_agree(by_mcap(path), mine)
     with path.open("rb") as file:
