@@ -6,7 +6,11 @@ again. What the staying tasks missed stands in the dispatcher's own trace; misse
 fall into a stall of a C loop, which does nothing but sleep at the same level on the
 same core, are counted apart. Then lists that exchange 2, 10 and 40 tasks.
 
-    python -m benchmarks.swap [--swaps 1000] [--json FILE]
+With ``--rtpus 2`` the two controllers are on two RTPUs, and so on two cores. Before the
+swaps everything runs as long without any, for comparison. Ends with status 3 when a
+goal is missed.
+
+    python -m benchmarks.swap [--swaps 1000] [--rtpus 2] [--json FILE]
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import argparse
 import json
 import os
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -33,11 +38,15 @@ from pbonet.xm.messages import AgentInfo, Hello
 
 RATE = 1000.0
 PERIOD = round(1e9 / RATE)
+SWAP_TIME = 0.06
+"""Seconds that a swap takes, about: so much longer runs the time without swaps."""
 SLOW = 50.0
 """Hz of the tasks of a long list."""
 PAIRS = (1, 5, 20)
 """So many tasks leave, and as many come: lists of 2, 10 and 40 signals."""
 STAY = ("reader", "other")
+LOST = "missed, loop was not late"
+GAP = "last cycle to first cycle"
 RMOD = """\
 MODULE    {module}
 DESC      of the benchmark
@@ -63,8 +72,9 @@ def wave(number: int, rate: float) -> str:
     )  # fmt: skip
 
 
-def write_files(folder: Path) -> Path:
+def write_files(folder: Path, rtpus: list[str]) -> Path:
     """Write the subsystem; return its ``.sbs`` file."""
+    lines = "".join(f"RTPU {rtpu}\n" for rtpu in rtpus)
     numbers = range(max(PAIRS) + 2)
     variables = [VARIABLE.format(name="NDOF", kind="int", units="none", nelem=1)]
     variables[0] += "INIT 6\n"
@@ -76,7 +86,7 @@ def write_files(folder: Path) -> Path:
     aliases = "SVARALIAS Z=Y0\nSVARALIAS Z^=D"
     files = {
         "b.svar": "\n".join(variables) + "\nEOF\n",
-        "b.sbs": "SUBSYSTEM b\nSVARFILE b.svar\nRTPU bench0\nEOF\n",
+        "b.sbs": f"SUBSYSTEM b\nSVARFILE b.svar\n{lines}EOF\n",
         "a.rmod": wave(0, RATE),
         "b.rmod": wave(0, RATE),
         "other.rmod": wave(1, RATE),
@@ -149,6 +159,36 @@ class Stalls:
         return count, list(zip(rest[::2], rest[1::2], strict=True))
 
 
+class Watched:
+    """What the tasks that stay miss from here on, and how the C loop fares beside.
+
+    Args:
+        subsystem: Whose tasks.
+        folder: For the loop's program.
+    """
+
+    def __init__(self, subsystem: Subsystem, folder: Path) -> None:
+        core = subsystem.fleet.call("bench0", Hello(), AgentInfo).core
+        tid = subsystem.status("other").tid
+        level = max(os.sched_getparam(tid).sched_priority, 0)
+        self._stalls = Stalls(folder, core, level)
+        self.trace = Trace(core, STAY)
+
+    def end(self) -> dict[str, int]:
+        """Return the counts."""
+        self.trace.look()
+        releases, stalls = self._stalls.end()
+        self.trace.close()
+        return {
+            "releases": self.trace.released,
+            "records lost": self.trace.lost,
+            "missed": sum(count for _, count in self.trace.misses),
+            LOST: unexcused(self.trace, stalls),
+            "releases of the loop": releases,
+            "stalls of the loop": len(stalls),
+        }
+
+
 def unexcused(trace: Trace, stalls: list[tuple[int, int]]) -> int:
     """Return the misses that fall into no stall of the loop."""
     found = 0
@@ -159,25 +199,38 @@ def unexcused(trace: Trace, stalls: list[tuple[int, int]]) -> int:
     return found
 
 
+def start(subsystem: Subsystem, rtpus: list[str]) -> None:
+    """Have a and the tasks that stay run, and b stand by on the last RTPU."""
+    for task in ("a", *STAY):
+        subsystem.spawn(task, rtpus[0])
+    subsystem.spawn("b", rtpus[-1])
+    subsystem.reconfig([("a", "on"), *((task, "on") for task in STAY)])
+    subsystem.wait(0.5)
+
+
+def undisturbed(subsystem: Subsystem, folder: Path, seconds: float) -> dict[str, int]:
+    """Return the counts of a time without swaps."""
+    watched = Watched(subsystem, folder)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        subsystem.wait(0.2)
+        watched.trace.look()
+    return watched.end()
+
+
 def swaps(subsystem: Subsystem, folder: Path, count: int) -> dict[str, Any]:
     """Swap a and b again and again; return counts and times in periods."""
-    for task in ("a", "b", *STAY):
-        subsystem.spawn(task)
-    subsystem.reconfig([("a", "on"), *((task, "on") for task in STAY)])
     status = {one.task: one for one in subsystem.status_all()}
     rings = {task: Ring.attach(status[task].ring) for task in ("a", "b")}
-    core = subsystem.fleet.call("bench0", Hello(), AgentInfo).core
-    level = max(os.sched_getparam(status["other"].tid).sched_priority, 0)
     wait_for_records(rings["a"])
-    stalls = Stalls(folder, core, level)
-    trace = Trace(core, STAY)
+    watched = Watched(subsystem, folder)
     first: list[float] = []
     gap: list[float] = []
     answer: list[float] = []
     old, new = "a", "b"
     try:
         for _ in range(count):
-            trace.look()
+            watched.trace.look()
             begun = time.monotonic_ns()
             subsystem.swap(old, new)
             answer.append(time.monotonic_ns() - begun)
@@ -186,22 +239,15 @@ def swaps(subsystem: Subsystem, folder: Path, count: int) -> dict[str, Any]:
             first.append(begins - begun)
             gap.append(begins - last)
             old, new = new, old
-        trace.look()
     finally:
-        releases, late = stalls.end()
-        trace.close()
+        counts = watched.end()
         for ring in rings.values():
             ring.close()
     subsystem.reconfig([(task, "off") for task in (old, *STAY)])
     return {
-        "releases": trace.released,
-        "records lost": trace.lost,
-        "missed": sum(count for _, count in trace.misses),
-        "missed, loop was not late": unexcused(trace, late),
-        "releases of the loop": releases,
-        "stalls of the loop": len(late),
+        **counts,
         "command to first cycle": [ns / PERIOD for ns in first],
-        "last cycle to first cycle": [ns / PERIOD for ns in gap],
+        GAP: [ns / PERIOD for ns in gap],
         "command to answer": [ns / PERIOD for ns in answer],
     }
 
@@ -225,38 +271,64 @@ def lists(subsystem: Subsystem, rounds: int) -> dict[int, list[float]]:
     return found
 
 
+def judge(found: dict[str, Any]) -> list[str]:
+    """Return a line for each goal."""
+    gap = float(np.median(found[GAP]))
+    goals = {
+        "cycles that staying tasks lose, but for stalls, at most 0": (found[LOST], 0),
+        f"periods from {GAP}, median, below 2": (gap, 2 - 1e-9),
+    }
+    return [
+        f"- {text}: {got:.3g}, **{'met' if got <= most else 'NOT met'}**"
+        for text, (got, most) in goals.items()
+    ]
+
+
+def report(quiet: dict[str, int], found: dict[str, Any]) -> list[str]:
+    """Return what was found, as lines."""
+    lines = [f"  {'':28} {'with swaps':>12} {'without':>12}"]
+    lines += [f"  {key:28} {found[key]:12} {quiet[key]:12}" for key in quiet]
+    lines.append(f"periods of {PERIOD / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
+    for key in [key for key in found if key not in quiet]:
+        p50, p90 = np.quantile(found[key], [0.5, 0.9])
+        lines.append(f"  {key:28} {p50:8.2f} {p90:8.2f} {max(found[key]):8.2f}")
+    return lines
+
+
 def main() -> None:
-    """Measure and report."""
+    """Measure and report; status 3 when a goal is missed."""
     parser = argparse.ArgumentParser(description="Swaps under way.")
     parser.add_argument("--swaps", type=int, default=1000)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rtpus", type=int, default=1, choices=[1, 2])
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
+    rtpus = [f"bench{number}" for number in range(args.rtpus)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["PBONET_RUN_DIR"] = str(folder / "run")
-        sbs = write_files(folder)
+        sbs = write_files(folder, rtpus)
         with Embedded("default") as agents:
-            agents.start(["bench0"])
+            agents.start(rtpus)
             with Subsystem(sbs, warned=lambda _text: None, record="off") as subsystem:
+                start(subsystem, rtpus)
+                quiet = undisturbed(subsystem, folder, args.swaps * SWAP_TIME)
                 found = swaps(subsystem, folder, args.swaps)
-                lengths = lists(subsystem, args.rounds)
+                lengths = lists(subsystem, args.rounds) if args.rtpus == 1 else {}
     print(rtbench.machine())
-    print(f"{args.swaps} swaps, tasks of {RATE:.0f} Hz; two that stay:")
-    for key, value in found.items():
-        if isinstance(value, int):
-            print(f"  {key:28} {value}")
-    print(f"periods of {PERIOD / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
-    for key, value in found.items():
-        if not isinstance(value, int):
-            p50, p90 = np.quantile(value, [0.5, 0.9])
-            print(f"  {key:28} {p50:8.2f} {p90:8.2f} {max(value):8.2f}")
-    print(f"signals in a list, ms {'p50':>16} {'max':>8}")
+    print(f"{args.swaps} swaps, {args.rtpus} RTPUs, {RATE:.0f} Hz; two that stay:")
+    print("\n".join(report(quiet, found)))
+    if lengths:
+        print(f"signals in a list, ms {'p50':>16} {'max':>8}")
     for count, times in lengths.items():
         print(f"  {count:28} {np.median(times):8.2f} {max(times):8.2f}")
+    goals = judge(found)
+    print("\n".join(goals))
     if args.json:
-        text = json.dumps({**found, "lists": lengths}, indent=1)
-        args.json.write_text(text, encoding="utf-8")
+        whole = {**found, "without swaps": quiet, "lists": lengths}
+        args.json.write_text(json.dumps(whole, indent=1), encoding="utf-8")
+    if any("NOT met" in line for line in goals):
+        sys.exit(3)  # see run.py
 
 
 if __name__ == "__main__":

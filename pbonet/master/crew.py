@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 from pbonet import verify
 from pbonet.config import info_of, parse_rmod
-from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
-from pbonet.master import lists, modules
-from pbonet.master.failures import already, stuck
+from pbonet.errors import PbonetError
+from pbonet.master import modules, sending
+from pbonet.master.failures import already
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
 from pbonet.pbo import State
@@ -155,7 +155,7 @@ class Crew:
             self.picture.add(member)
         member.rtpu, member.freq = status.rtpu, status.ref_f
         member.fallback_of = status.fallback_of or member.fallback_of
-        self._move(status.task, State(status.state))
+        self.picture.move(status.task, State(status.state))
 
     def locate(self, task: str) -> str:
         """Return the RTPU of a task, asking the agents when it is not known.
@@ -174,13 +174,6 @@ class Crew:
         if text:
             return RmodSource(parse_rmod(text, f"{task}.rmod"), text)
         return self.files.rmod(task)
-
-    def _move(self, task: str, state: State) -> None:
-        member = self.picture.get(task)
-        if member is not None and state is State.NOT_CREATED:
-            self.picture.remove(task)
-        elif member is not None:
-            member.state = state
 
     # -- judging ----------------------------------------------------------------------
 
@@ -387,31 +380,9 @@ class Crew:
         Raises:
             ReconfigError: An item failed; the rest was not sent.
         """
-        states: dict[str, str] = {}
-        done = len(before)
-        handover = lists.handed_over(self.picture, items)
-        whole = [*before, *items]
-        for rtpu, part in lists.runs(self.picture, items):
-            request = m.Reconfig(items=part, handover=handover, timeout=CONTROL_TIME)
-            try:
-                answer = self.fleet.call(
-                    rtpu, request, m.Reconfigured, timeout=CONTROL_TIME * len(part)
-                )
-            except (UnreachableError, NoAnswerError) as error:
-                raise stuck(whole, done, error, unsure=len(part)) from error
-            except PbonetError as error:
-                raise stuck(whole, done, error) from error
-            for task, state in answer.states.items():
-                self._move(task, State(state))
-            states |= answer.states
-            if answer.error is not None:
-                cause = rpc.placed(rtpu, PbonetError.from_wire(answer.error))
-                left = answer.rest or part[answer.done :]
-                made = [item for item in part if item not in left]
-                whole = [*whole[:done], *made, *left, *whole[done + len(part) :]]
-                raise stuck(whole, done + len(made), cause) from cause
-            done += len(part)
-        return states
+        return sending.send(
+            self.picture, self.fleet, items, CONTROL_TIME, before=before
+        )
 
     def settle(self) -> None:
         """After a change: tell priorities, raise or clear the flag of equation 2.

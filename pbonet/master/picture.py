@@ -116,6 +116,14 @@ class Picture:
         """Add a task, or put it in the place of one of the same name."""
         self._members[member.name] = member
 
+    def move(self, task: str, state: State) -> None:
+        """Take in that a task has come to a state; harmless when there is none."""
+        member = self._members.get(task)
+        if member is not None and state is State.NOT_CREATED:
+            self.remove(task)
+        elif member is not None:
+            member.state = state
+
     def remove(self, task: str) -> None:
         """Forget a task; harmless when there is none."""
         self._members.pop(task, None)

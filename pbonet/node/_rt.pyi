@@ -138,6 +138,21 @@ class CoreTable:
             slots: FALLBACK: it is engaged when one of them falls. HANDOVER: when all of
                 them are off in order.
         """
+    def expect(self, i: int, ticket: int, callers: int) -> int:
+        """Have a task that stands by wait for tasks of other cores, which call.
+
+        Args:
+            i: The slot that stands by; it is engaged when all have called.
+            ticket: A number that no other wait has had.
+            callers: How many they are, up to 32.
+
+        Returns:
+            The slot's life, without which nobody can call.
+        """
+    def expects(self, i: int, life: int, ticket: int, caller: int) -> bool:
+        """Tell whether a slot waits for that caller, counted from 0."""
+    def call(self, i: int, life: int, ticket: int, caller: int) -> bool:
+        """Say that a caller has ended; return whether it was waited for."""
     def died(self, i: int) -> None:
         """Tell the dispatcher that the task's process is gone."""
     def find(self, rtpu: str, task: str) -> int | None:

@@ -51,6 +51,11 @@ cdef extern from "table.h" nogil:
     void rt_follow(rt_table *t, int i, int kind, const uint64_t *after)
     void rt_kick(rt_table *t)
 
+cdef extern from "call.h" nogil:
+    void rt_expect(rt_table *t, int i, uint32_t ticket, uint32_t callers)
+    int rt_expects(const rt_table *t, int i, uint32_t life, uint32_t ticket, int caller)
+    int rt_call(rt_table *t, int i, uint32_t life, uint32_t ticket, int caller)
+
 cdef extern from "dispatch.h" nogil:
     ctypedef int64_t (*rt_cpu_fn)(const rt_slot *)
     int64_t rt_turn(rt_table *t, int64_t now, int park, int lead, rt_cpu_fn cpu)

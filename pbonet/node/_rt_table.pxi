@@ -141,6 +141,24 @@ cdef class CoreTable:
         rt_follow(self.t, i, kind, after)
         rt_kick(self.t)
 
+    def expect(self, int i, unsigned ticket, int callers) -> int:
+        if not 0 < callers <= 32:
+            raise ValueError(f"{callers} callers; at most 32 fit")
+        self.slot(i)
+        rt_expect(self.t, i, ticket, <uint32_t>((<uint64_t>1 << callers) - 1))
+        rt_kick(self.t)
+        return rt_life(self.t, i)
+
+    def expects(self, int i, unsigned life, unsigned ticket, int caller) -> bool:
+        self.open()
+        return 0 <= i < RT_SLOTS and 0 <= caller < 32 and bool(
+            rt_expects(self.t, i, life, ticket, caller))
+
+    def call(self, int i, unsigned life, unsigned ticket, int caller) -> bool:
+        if not self.expects(i, life, ticket, caller):
+            return False
+        return bool(rt_call(self.t, i, life, ticket, caller))
+
     def died(self, int i) -> None:
         self.slot(i)
         rt_died(self.t, i)

@@ -69,6 +69,7 @@ async def control(
         PbonetError: What the task answered, or why it did not.
     """
     event = event_of(signal, task.name)
+    await rtpu.heirs.withdraw(task)
     if event in {lifecycle.Event.ON, lifecycle.Event.KILL}:
         await rtpu.fallbacks.withdraw(task)
     if event is lifecycle.Event.KILL:
@@ -171,6 +172,7 @@ async def stop(
     rtpu.stopping |= set(subsystems)
     for subsystem in subsystems:
         rtpu.fallbacks.dismiss_all(subsystem)
+        rtpu.heirs.dismiss_all(subsystem)
     try:
         tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
         tasks.sort(key=lambda t: _position(t, order))

@@ -11,11 +11,12 @@ fails too has nobody behind it, and after `LIMIT` times a pair is not arranged a
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
-from pbonet.errors import PbonetError, Severity, StateError
+from pbonet.errors import NoAnswerError, PbonetError, Severity, StateError
 from pbonet.pbo import State
 
 from . import _rt, wire
@@ -248,3 +249,31 @@ async def stand_by(
     except BaseException:
         rtpu.core.follow(task.facts.slot, 0, [])
         raise
+
+
+async def come(task: Task, limit: float) -> None:
+    """Wait until a task that stands by has come on.
+
+    Raises:
+        NoAnswerError: It was not engaged in time.
+        PbonetError: Its `on` failed.
+    """
+    if task.engaged is None:
+        return
+    try:
+        notice = await asyncio.wait_for(asyncio.shield(task.engaged), limit)
+    except TimeoutError:
+        raise NoAnswerError(
+            "the task did not come on in time",
+            where=task.name,
+            remedy="look at its state, and at what else its RTPU has to do",
+        ) from None
+    if notice.error is not None:
+        raise PbonetError.from_wire(notice.error)
+
+
+async def rest(rtpu: Home, task: Task) -> None:
+    """Have a task that did not come on stand by no longer."""
+    rtpu.core.follow(task.facts.slot, 0, [])
+    with contextlib.suppress(PbonetError):
+        await task.command("rest", lambda n: wire.Prepare(n, []), 1.0)

@@ -11,20 +11,20 @@ word on no message is waited for, neither of the network nor between processes.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from typing import TYPE_CHECKING
 
 from pbonet.config.model import TaskType
-from pbonet.errors import NoAnswerError, PbonetError
+from pbonet.errors import PbonetError
 from pbonet.pbo import State
 from pbonet.sched.records import Mode
+from pbonet.xm.messages import Call
 
 from . import _rt, lifecycle, wire
-from .fallbacks import stand_by
+from .fallbacks import come, rest, stand_by
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterable, Sequence
+    from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 
     from .state import Rtpu
     from .tasks import Task
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     Step = Callable[[Task], Awaitable[None]]
 
 Item = tuple[str, str]
+TRIP = 0.05
+"""Seconds in which what is on its way to another RTPU should have come."""
+_LOOK = 0.001
+_NOBODY: dict[str, list[Call]] = {}
 
 
 def exchanges(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> int:
@@ -90,6 +94,18 @@ def longest_period(tasks: Iterable[Task]) -> float:
     return 1.0 / min((t.freq for t in tasks if t.freq), default=1.0)
 
 
+def calling(items: Sequence[Item], calls: Mapping[str, list[Call]]) -> int:
+    """Return how many items at the beginning are ``off`` of tasks that call."""
+    length = 0
+    while (
+        length < len(items)
+        and items[length][1] == "off"
+        and (items[length][0] in calls)
+    ):
+        length += 1
+    return length
+
+
 class Exchange:
     """One exchange under way.
 
@@ -98,10 +114,16 @@ class Exchange:
         subsystem: Whose they are.
         items: ``off`` and ``on`` items, as `exchanges` has found them.
         limit: Seconds that each step may take.
+        calls: For tasks that leave whom of other RTPUs they call; then all of them do.
     """
 
     def __init__(
-        self, rtpu: Rtpu, subsystem: str, items: Sequence[Item], limit: float
+        self,
+        rtpu: Rtpu,
+        subsystem: str,
+        items: Sequence[Item],
+        limit: float,
+        calls: Mapping[str, list[Call]] = _NOBODY,
     ) -> None:
         self._rtpu = rtpu
         self._items = items
@@ -113,8 +135,11 @@ class Exchange:
         tasks = {name: rtpu.need(subsystem, name) for name, _ in items}
         self._news = [tasks[name] for name, signal in items if signal == "on"]
         self._olds = [tasks[name] for name, signal in items if signal == "off"]
+        self._calls = calls
         self.failed: dict[str, PbonetError] = {}
         """What went wrong, by task."""
+        self.unseen: list[str] = []
+        """Heirs that cannot be called from here; then nothing was done."""
 
     @property
     def undone(self) -> list[Item]:
@@ -140,20 +165,28 @@ class Exchange:
         """
         self._rtpu.rank(*self._news)
         await self._each(self._news, self._prepare)
-        if not self.failed:
+        if self._calls:
+            await self._each(self._olds, self._send_heralds)
+        if not self.failed and not self.unseen:
             timer = self._watched(slow)
             await self._each(self._olds, self._end)
             await self._each(self._news, self._come)
+            await self._taken()
             timer.cancel()
-        await self._each([t for t in self._news if t.state is State.OFF], self._rest)
+        for task in self._news:
+            if task.state is State.OFF:
+                await rest(self._rtpu, task)
         await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
 
     def _watched(self, slow: Callable[[], None]) -> asyncio.TimerHandle:
         """Have `slow` called unless all new tasks are armed by then."""
-        core = self._rtpu.core
+        core, tasks = self._rtpu.core, (*self._news, *self._olds)
 
         def look() -> None:
-            if any(core.snapshot(t.facts.slot).mode is not Mode.ON for t in self._news):
+            modes = {t: core.snapshot(t.facts.slot).mode for t in tasks}
+            if any(modes[t] is not Mode.ON for t in self._news) or any(
+                modes[t] in {Mode.ON, Mode.COMMAND} for t in self._olds
+            ):
                 slow()
 
         limit = longest_period(self._olds) + shortest_period(self._olds + self._news)
@@ -170,13 +203,20 @@ class Exchange:
                 raise error
 
     async def _prepare(self, task: Task) -> None:
+        await self._rtpu.heirs.withdraw(task)
         await self._rtpu.fallbacks.withdraw(task)
         task.engaged = asyncio.get_running_loop().create_future()
         after = self._after[task.name]
         await stand_by(self._rtpu, task, after, _rt.HANDOVER, self._left)
 
+    async def _send_heralds(self, task: Task) -> None:
+        calls = self._calls.get(task.name, [])
+        done = await task.command("herald", lambda n: wire.Herald(n, calls), self._left)
+        self.unseen += done.result
+
     async def _end(self, task: Task) -> None:
         """Let the task's next cycle be its last."""
+        await self._rtpu.heirs.withdraw(task)
         await task.command(
             "off",
             lambda n: wire.Signal(n, "off", handover=True, cede=True),
@@ -190,32 +230,39 @@ class Exchange:
             old.name in self.failed for old in self._after[task.name]
         ):
             return
-        try:
-            notice = await asyncio.wait_for(task.engaged, self._left)
-        except TimeoutError:
-            raise NoAnswerError(
-                "the task did not come on in time",
-                where=task.name,
-                remedy="look at its state, and at what else its RTPU has to do",
-            ) from None
-        if notice.error is not None:
-            raise PbonetError.from_wire(notice.error)
+        await come(task, self._left)
 
-    async def _rest(self, task: Task) -> None:
-        """Have a task that did not come on stand by no longer."""
-        self._rtpu.core.follow(task.facts.slot, 0, [])
-        with contextlib.suppress(PbonetError):
-            await task.command("rest", lambda n: wire.Prepare(n, []), 1.0)
+    async def _taken(self) -> None:
+        """Wait a moment until heirs on other RTPUs have taken over what is theirs."""
+        ended = [task for task in self._olds if task.state is State.OFF]
+        for _ in range(round(TRIP / _LOOK)):
+            if all(self._written(task, self._called_for(task)) for task in ended):
+                break
+            await asyncio.sleep(_LOOK)
+
+    def _called_for(self, task: Task) -> list[str]:
+        """Return what those write that a task calls."""
+        calls = self._calls.get(task.name, ())
+        theirs = {output for call in calls for output in call.outputs}
+        return [output for output in task.facts.outputs if output in theirs]
+
+    def _written(self, task: Task, outputs: Sequence[str]) -> bool:
+        subsystem = task.facts.subsystem
+        return self._rtpu.flags.written(subsystem, outputs, but=task.name)
 
     def _has_rest(self, task: Task) -> bool:
         """Tell whether a task owns what nobody has taken over."""
+        if task.state is not State.OFF:
+            return False
+        if self._calls:
+            return not self._written(task, task.facts.outputs)
         taken = {
             output
             for new in self._news
             if new.state is State.ON
             for output in new.facts.outputs
         }
-        return task.state is State.OFF and not taken.issuperset(task.facts.outputs)
+        return not taken.issuperset(task.facts.outputs)
 
     async def _disown(self, task: Task) -> None:
         await task.command("disown", wire.Disown, 1.0)

@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 5,
+    RT_VERSION = 6,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -82,6 +82,7 @@ struct rt_config {
     _Atomic int32_t tells;              /* the module has a failure handler */
     _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
     _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
+    _Atomic uint64_t callers;           /* of other cores: ticket << 32 | one bit each */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 

@@ -70,6 +70,7 @@ class Operations:
             m.CloseTable: self._close_table,
             m.Spawn: self._spawn,
             m.Control: self._control,
+            m.Heirs: self._heirs,
             m.Reconfig: self._reconfig,
             m.Standby: self._standby,
             m.Freq: self._freq,
@@ -122,7 +123,7 @@ class Operations:
 
     def _check(self, request: m.Request) -> None:
         """Refuse what needs a claim and has none, and what comes during a stop."""
-        if isinstance(request, m.Spawn | m.Control | m.Reconfig):
+        if isinstance(request, m.Spawn | m.Control | m.Heirs | m.Reconfig):
             _check_timeout(request.timeout)
         if isinstance(request, _UNCLAIMED):
             return
@@ -263,6 +264,10 @@ class Operations:
 
     async def _reconfig(self, request: m.Reconfig) -> Result:
         return await reconfig.reconfigure(self._rtpu, request), []
+
+    async def _heirs(self, request: m.Heirs) -> Result:
+        heirs, subsystem = self._rtpu.heirs, request.subsystem
+        return await heirs.expect(subsystem, request.after, request.timeout), []
 
     async def _standby(self, request: m.Standby) -> Result:
         rtpu = self._rtpu

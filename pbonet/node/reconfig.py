@@ -17,12 +17,12 @@ from pbonet.xm.messages import Reconfigured
 from . import lifecycle
 from .control import control, note
 from .flags import UNFINISHED
-from .handover import Exchange, exchanges, shortest_period
+from .handover import TRIP, Exchange, calling, exchanges, shortest_period
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from pbonet.xm.messages import Reconfig
+    from pbonet.xm.messages import Call, Reconfig
 
     from .handover import Item
     from .state import Rtpu
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 RAISER = "reconfiguration"
 CAUSE = "a reconfiguration takes longer than a cycle"
-TRIP = 0.05
-"""Seconds in which a master sends the next part of a list to another RTPU."""
 
 
 async def reconfigure(rtpu: Rtpu, request: Reconfig) -> Reconfigured:
@@ -72,11 +70,8 @@ class _List:
         begin = 0
         try:
             while begin < len(items):
-                length = exchanges(self._rtpu, self._request.subsystem, items[begin:])
-                part, rest = items[begin : begin + length], items[begin + length :]
-                left = await (
-                    self._exchange(part) if length > 1 else self._one(part[0], rest)
-                )
+                left, length = await self._next(items[begin:])
+                rest = items[begin + length :]
                 if left:
                     self._result.rest = [*left, *rest]
                     break
@@ -86,6 +81,16 @@ class _List:
             self._await_heirs(items[:begin])
         self._result.done = len(items) - len(self._result.rest)
         return self._result
+
+    async def _next(self, items: Sequence[Item]) -> tuple[list[Item], int]:
+        """Carry out what comes next; return what of it was not done, and its length."""
+        calls = self._request.calls
+        if length := calling(items, calls):
+            return await self._exchange(items[:length], calls), length
+        length = exchanges(self._rtpu, self._request.subsystem, items)
+        if length > 1:
+            return await self._exchange(items[:length]), length
+        return await self._one(items[0], items[1:]), 1
 
     def _await_heirs(self, done: Sequence[Item]) -> None:
         """Raise the flag if those that take over on other RTPUs do not come.
@@ -112,8 +117,9 @@ class _List:
                 what += " ".join(left)
                 rtpu.flags.up(request.subsystem, UNFINISHED, what, left)
 
-        if outputs:
-            asyncio.get_running_loop().call_later(TRIP, look)
+        if outputs:  # heirs that are called have had their time
+            wait = 0.0 if request.calls else TRIP
+            asyncio.get_running_loop().call_later(wait, look)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
         """Send one signal; return it when that failed."""
@@ -122,6 +128,9 @@ class _List:
         self._slow.begin()
         try:
             task = self._rtpu.need(request.subsystem, name)
+            if signal == "on" and self._rtpu.heirs.waits(task):
+                await self._heir(task)
+                return []
             goes = signal == "off" and (
                 name in request.handover or self._has_heir(task, rest)
             )
@@ -132,11 +141,31 @@ class _List:
         self._result.states[name] = task.state.value
         return []
 
-    async def _exchange(self, items: Sequence[Item]) -> list[Item]:
+    async def _heir(self, task: Task) -> None:
+        """Wait until a task that stands by for others elsewhere has come on.
+
+        Raises:
+            PbonetError: It did not.
+        """
+        failed: PbonetError | None = None
+        try:
+            await self._rtpu.heirs.come(task, self._request.timeout)
+        except PbonetError as error:
+            failed = error
+            raise
+        finally:
+            note(self._rtpu, task, lifecycle.Event.ON, failed)
+            self._result.states[task.name] = task.state.value
+
+    async def _exchange(
+        self, items: Sequence[Item], calls: Mapping[str, list[Call]] | None = None
+    ) -> list[Item]:
         """Exchange tasks; return what was not done, that which failed first."""
         request = self._request
-        made = Exchange(self._rtpu, request.subsystem, items, request.timeout)
+        subsystem, limit = request.subsystem, request.timeout
+        made = Exchange(self._rtpu, subsystem, items, limit, calls or {})
         await made.run(self._slow.up)
+        self._result.unseen = made.unseen
         for task, event, error in made.events():
             self._result.states[task.name] = task.state.value
             on = event is lifecycle.Event.ON
@@ -146,7 +175,7 @@ class _List:
         for task in made.hanging:
             self._rtpu.later(self._late(made, task), f"off of {task.name}")
         undone = made.undone
-        if undone:
+        if undone and not made.unseen:
             first = made.failed.get(undone[0][0]) or next(iter(made.failed.values()))
             self._result.error = first.to_wire()
         return undone

@@ -24,6 +24,7 @@ from ._ring import Ring
 from .claims import Claims
 from .fallbacks import Fallbacks
 from .flags import UNFINISHED, Flags
+from .heirs import Heirs
 from .signalling import Signals
 from .spawner import Server, Spawner
 from .tables import Tables
@@ -95,6 +96,7 @@ class Rtpu:
         self.dispatcher: _rt.Dispatcher
         self.vigil: _rt.Vigil
         self.fallbacks = Fallbacks(self)
+        self.heirs = Heirs(self)
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None

@@ -34,6 +34,7 @@ from ._ring import Ring
 from .alarm import Alarm
 from .executor import Executor
 from .failures import ALL_REFUSED, RAISED, Raised, contained, refused
+from .heralds import Heralds
 from .slotwatch import SlotWatch
 from .taskparams import get_params, set_param
 from .taskports import ages, check_ports, local_table
@@ -87,6 +88,7 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
+        self.heralds = Heralds()
         self.heir_of: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
@@ -381,13 +383,12 @@ class Host:
         match message:
             case wire.Signal():
                 self._signal(message)
-                return None
             case wire.Prepare():
                 self._prepare(message.after)
-                return None
+            case wire.Herald():
+                return self.heralds.learn(message.calls)
             case wire.Disown():
                 self.local.release()
-                return None
             case wire.SetParam():
                 did = Did("set", name=message.name, arg=message.value)
                 with self.journal.doing(did):
@@ -400,6 +401,7 @@ class Host:
                 with self.journal.doing(Did("freq", hz=message.hz)):
                     self.context.freq = message.hz
                 return message.hz
+        return None
 
     def _signal(self, message: wire.Signal) -> None:
         if message.signal == "on":
@@ -418,6 +420,8 @@ class Host:
                 cede=message.cede,
             )
         self._after_signal()
+        if message.cede and self.executor.state is State.OFF:
+            self.heralds.call()
 
     def _prepare(self, after: list[str]) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""

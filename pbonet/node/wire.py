@@ -20,6 +20,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import NodeError, WireError
+from pbonet.xm.messages import Call
 
 if TYPE_CHECKING:
     import asyncio
@@ -272,6 +273,16 @@ class Prepare(Struct, tag="prepare"):
     """Tasks whose out-vars it takes over then; empty: stand by no longer."""
 
 
+class Herald(Struct, tag="herald"):
+    """Find those who take over on other RTPUs; they are called behind the next `off`.
+
+    Answered with the names of those that cannot be found.
+    """
+
+    n: int
+    calls: list[Call]
+
+
 class Disown(Struct, tag="disown"):
     """Give up out-vars that were ceded and that nobody has taken."""
 
@@ -300,7 +311,7 @@ class SetFreq(Struct, tag="freq"):
     hz: float
 
 
-ToTask = Signal | Prepare | Disown | SetParam | GetParam | SetFreq
+ToTask = Signal | Prepare | Herald | Disown | SetParam | GetParam | SetFreq
 
 
 # -- task to RTPU process -------------------------------------------------------------

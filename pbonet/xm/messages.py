@@ -125,6 +125,36 @@ class Control(Request, tag="control"):
     """For ``reinit``: tasks that leave; it takes their constants over."""
 
 
+class Call(Struct, kw_only=True):
+    """How a task that has ended calls its heir on another RTPU of the machine."""
+
+    heir: str
+    outputs: list[str]
+    """The variables that the heir writes."""
+    core: int
+    slot: int
+    life: int
+    """Of the slot: which task has it."""
+    ticket: int
+    """Tells this exchange from others."""
+    caller: int
+    """Which of those who call, counted from 0."""
+
+
+class Heirs(Request, tag="heirs"):
+    """Have tasks stand by to take over from tasks on another RTPU of the machine.
+
+    Result: a list of `Call` for each task that is waited for, by its name; they are for
+    `Reconfig.calls` there. An ``on`` in a list then waits until the heir has come on.
+    """
+
+    after: dict[str, list[str]]
+    """The heirs, and for each the tasks that it waits for; an empty list: none, it
+    stands by no longer."""
+    timeout: float = 5.0
+    """Seconds; then they stand by no longer."""
+
+
 class Reconfig(Request, tag="reconfig"):
     """Send an ordered list of signals, acknowledged once (section 4.4.4).
 
@@ -139,6 +169,8 @@ class Reconfig(Request, tag="reconfig"):
     """Tasks whose outputs a task on another RTPU takes over; of those on its own the
     agent knows by itself."""
     timeout: float = 5.0
+    calls: dict[str, list[Call]] = {}
+    """For tasks among these whom each is to call when its `off` has ended."""
 
 
 class Standby(Request, tag="standby"):
@@ -317,6 +349,7 @@ AnyRequest = (
     | CloseTable
     | Spawn
     | Control
+    | Heirs
     | Reconfig
     | Standby
     | Freq
@@ -373,6 +406,9 @@ class Reconfigured(Struct, kw_only=True):
     rest: list[tuple[str, str]] = []
     """What was not carried out, that which failed first; empty without an error. Tasks
     that are exchanged together need not fail in the order of the list."""
+    unseen: list[str] = []
+    """Heirs that are not on this machine. Their predecessors are ON: send the rest
+    again without calls."""
 
 
 class Stopped(Struct, kw_only=True):

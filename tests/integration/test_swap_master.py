@@ -14,12 +14,15 @@ from pbonet.master.subsystem import Subsystem
 MASTER = """
 import sys
 from pbonet.master.subsystem import Subsystem
-folder, domain, new, rtpu, *libraries = sys.argv[1:]
+folder, domain, new, rtpu, how, *libraries = sys.argv[1:]
 arm = Subsystem(folder, domain=domain, libraries=libraries, record="off").open()
 for task, where in (("stays", "arm0"), ("old", "arm0"), (new, rtpu)):
     arm.spawn(task, where)
 arm.reconfig([("stays", "on"), ("old", "on")])
-arm.swap("old", new)
+if how == "swap":
+    arm.swap("old", new)
+else:  # a list in which no heir can stand by beforehand
+    arm.reconfig([("old", "off"), (new, "reinit"), (new, "on")])
 print("the swap was not interrupted")
 """
 
@@ -41,11 +44,12 @@ def killed(nodes, tmp_path):
     libraries = [str(path) for path in nodes.config("arm0").libraries]
     opened: list[Subsystem] = []
 
-    def kill(rtpu):
+    def kill(rtpu, how="swap"):
         nodes.agent_process("arm0")
         nodes.agent_process("arm1")
-        words = [str(tmp_path / "t.sbs"), nodes.domain, "new", rtpu, *libraries]
-        master = subprocess.Popen([sys.executable, "-c", MASTER, *words])
+        words = [str(tmp_path / "t.sbs"), nodes.domain, "new", rtpu, how]
+        words = [sys.executable, "-c", MASTER, *words, *libraries]
+        master = subprocess.Popen(words)
         wait_for(begun.exists, "the beginning of off", 20.0)
         master.kill()
         master.wait()
@@ -73,19 +77,22 @@ def causes(arm):
     return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
 
 
-def test_an_rtpu_finishes_its_list_without_the_master(killed):
-    arm = killed("arm0")
+@pytest.mark.parametrize("rtpu", ["arm0", "arm1"])
+def test_an_exchange_is_finished_without_the_master(killed, rtpu):
+    """On one RTPU, and across two of a machine."""
+    arm = killed(rtpu)
     wait_for(lambda: states(arm)["new"] == "ON", "the end of the list")
     assert states(arm) == {"stays": "ON", "old": "OFF", "new": "ON"}
     assert arm.display(["Y0"])[0].writer == "new"
     wait_for(lambda: not causes(arm), "a legal configuration")
-    said = [(e.task, e.text) for e in arm.events() if e.code == "STATE"]
-    assert said.index(("old", "off: OFF")) < said.index(("new", "on: ON"))
+    said = {(e.task, e.code, e.text) for e in arm.events()}
+    assert ("old", "STATE", "off: OFF") in said
+    assert ("new", "ENGAGED", "in the place of old") in said
     assert arm.swap("old", "new").items == [], "nothing is left to be done"
 
 
 def test_the_part_that_was_never_sent_is_said_and_the_flag_is_up(killed):
-    arm = killed("arm1")
+    arm = killed("arm1", "list")
     left = "off old is done, and nobody took over Y0"
     wait_for(lambda: any(left in cause for cause in causes(arm)), "the flag")
     assert states(arm) == {"stays": "ON", "old": "OFF", "new": "OFF"}

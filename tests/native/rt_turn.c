@@ -3,6 +3,7 @@
  * usage: rt_turn SEED TURNS; exits 0 when every invariant held.
  */
 #include "slot.h"
+#include "call.h"
 #include "dispatch.h"
 #include "loop.h"
 #include "failure.h"
@@ -83,6 +84,16 @@ static void disturb(struct rt_table *t, int i)
         for (int k = 0; k < RT_MASKS; k++)
             after[k] = UINT64_C(1) << pick(64);
         rt_follow(t, i, (int)pick(3), after);
+        break;
+    case 8:                     /* a stale or early call must not engage anybody */
+        rt_expect(t, i, 7, 3);
+        require(!rt_call(t, i, rt_life(t, i) + 2, 7, 0), "a call of another life");
+        require(!rt_call(t, i, rt_life(t, i), 8, 0), "a call with another ticket");
+        require(rt_call(t, i, rt_life(t, i), 7, 0), "the first call");
+        require(!rt_call(t, i, rt_life(t, i), 7, 0), "the first call, repeated");
+        require(t->slots[i].config.after_kind == RT_ALONE, "one has not called");
+        if (pick(2))
+            require(rt_call(t, i, rt_life(t, i), 7, 1), "the last call");
         break;
     case 7:
         part.fell = 1;

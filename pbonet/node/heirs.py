@@ -1,0 +1,165 @@
+"""Heirs of tasks on other RTPUs of the machine: they stand by, and are called.
+
+An heir whose predecessors have another dispatcher cannot wait for them in its own core
+table. It waits for calls instead (``call.h``): each predecessor, as
+its `off` has ended, calls in the heir's core table, and the dispatcher there engages
+the heir in its next turn. No message is waited for in between, and no master.
+
+A ticket, which no other wait has had, tells whose call it is. Who does not find it in
+the table that he sees is on another machine, or too late.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from typing import TYPE_CHECKING, Protocol
+
+from msgspec import Struct
+
+from pbonet.errors import PbonetError
+from pbonet.pbo import State
+from pbonet.xm.messages import Call
+
+from . import wire
+from .fallbacks import Home, come, rest
+
+if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
+    from .fallbacks import Fallbacks
+    from .tasks import Task
+
+
+class HeirsHome(Home, Protocol):
+    """What is needed beside that of the RTPU that the heirs are on."""
+
+    fallbacks: Fallbacks
+
+    def rank(self, *joining: Task) -> None:
+        """Rank all tasks anew; those that join count already."""
+        ...
+
+    def later(self, chore: Coroutine[None, None, None], name: str) -> None:
+        """Do something that no request waits for."""
+        ...
+
+
+class Waiting(Struct):
+    """An heir that stands by, or has come on and was not asked for yet."""
+
+    task: Task
+    timer: asyncio.TimerHandle
+
+
+class Heirs:
+    """The heirs of one RTPU.
+
+    Args:
+        rtpu: Whose.
+    """
+
+    def __init__(self, rtpu: HeirsHome) -> None:
+        self._rtpu = rtpu
+        self._waiting: dict[tuple[str, str], Waiting] = {}
+
+    async def expect(
+        self, subsystem: str, after: dict[str, list[str]], limit: float
+    ) -> dict[str, list[Call]]:
+        """Have tasks stand by for others; an empty list ends that.
+
+        Args:
+            subsystem: Whose tasks.
+            after: The heirs, and for each the tasks on another RTPU that it waits for.
+            limit: Seconds after which they stand by no longer.
+
+        Returns:
+            For each task that is waited for whom it has to call.
+
+        Raises:
+            PbonetError: One could not take over: why. None of them stands by.
+        """
+        rtpu = self._rtpu
+        tasks = {name: rtpu.need(subsystem, name) for name in after}
+        calls: dict[str, list[Call]] = {}
+        try:
+            for name, task in tasks.items():
+                await self.withdraw(task)
+                if after[name]:
+                    await self._stand_by(task, after[name], calls, limit)
+        except BaseException:
+            for task in tasks.values():
+                await self.withdraw(task)
+            raise
+        return calls
+
+    async def _stand_by(
+        self, task: Task, after: list[str], calls: dict[str, list[Call]], limit: float
+    ) -> None:
+        rtpu, slot = self._rtpu, task.facts.slot
+        await rtpu.fallbacks.withdraw(task)
+        rtpu.rank(task)
+        task.engaged = asyncio.get_running_loop().create_future()
+        ticket = secrets.randbelow(0xFFFFFFFF) + 1
+        life = rtpu.core.expect(slot, ticket, len(after))
+        try:
+            await task.command("prepare", lambda n: wire.Prepare(n, after), limit)
+        except BaseException:
+            rtpu.core.follow(slot, 0, [])
+            raise
+        key = task.facts.subsystem, task.name
+        timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
+        self._waiting[key] = Waiting(task, timer)
+        for caller, old in enumerate(after):
+            call = Call(
+                heir=task.name,
+                outputs=task.facts.outputs,
+                core=rtpu.core.core,
+                slot=slot,
+                life=life,
+                ticket=ticket,
+                caller=caller,
+            )
+            calls.setdefault(old, []).append(call)
+
+    def waits(self, task: Task) -> bool:
+        """Tell whether a task stands by, or came on and was not asked for yet."""
+        return (task.facts.subsystem, task.name) in self._waiting
+
+    async def come(self, task: Task, limit: float) -> None:
+        """Wait until an heir has come on.
+
+        Raises:
+            PbonetError: Its `on` failed, or nobody called it in time.
+        """
+        self._forget(task)
+        try:
+            await come(task, limit)
+        except PbonetError:
+            if task.state is State.OFF:
+                await rest(self._rtpu, task)
+            raise
+
+    async def withdraw(self, task: Task) -> None:
+        """Have a task stand by no longer, if it does."""
+        if self._forget(task) and task.engaged and not task.engaged.done():
+            await rest(self._rtpu, task)
+
+    def dismiss_all(self, subsystem: str) -> None:
+        """Have nobody engaged any more: the subsystem is being stopped."""
+        for task in self._rtpu.of(subsystem):
+            if self._forget(task):
+                self._rtpu.core.follow(task.facts.slot, 0, [])
+
+    def _forget(self, task: Task) -> bool:
+        waiting = self._waiting.pop((task.facts.subsystem, task.name), None)
+        if waiting is not None:
+            waiting.timer.cancel()
+        return waiting is not None and waiting.task is task
+
+    def _expire(self, key: tuple[str, str]) -> None:
+        """Whoever wanted the exchange has not gone on with it."""
+        waiting = self._waiting.get(key)
+        if waiting is not None:
+            withdrawn = self.withdraw(waiting.task)
+            self._rtpu.later(withdrawn, f"{key[1]} stands by no longer")

@@ -1,0 +1,231 @@
+"""Tasks that take each other's place across two RTPUs of one machine."""
+
+from __future__ import annotations
+
+import signal
+import statistics
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from nodekit import rmod, svar
+from watching import wait_for
+
+from pbonet.errors import ProtocolError, ReconfigError, SvarOwnerError
+from pbonet.master.subsystem import Subsystem
+from pbonet.node._ring import Ring
+from pbonet.svar import Table
+from pbonet.xm import messages as m
+
+SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+RATE = 100.0
+PERIOD = 1e9 / RATE
+
+
+@pytest.fixture
+def arm(nodes, tmp_path):
+    """On arm0 `a` (ON) and `c`, on arm1 `b` and `d`; a and b write Y0, c and d Y1."""
+    for name in ("arm0", "arm1"):
+        nodes.agent_process(name)
+    (tmp_path / "t.sbs").write_text(SBS)
+    (tmp_path / "t.svar").write_text(svar())
+    outputs = {"a": "Y0", "b": "Y0", "c": "Y1", "d": "Y1"}
+    for name, out in outputs.items():
+        text = rmod("counts", out, RATE, local={"DIARY": tmp_path / f"{name}.txt"})
+        (tmp_path / f"{name}.rmod").write_text(text)
+    subsystem = Subsystem(
+        tmp_path / "t.sbs",
+        domain=nodes.domain,
+        libraries=nodes.config("arm0").libraries,
+        warned=lambda _text: None,
+        record="off",  # the rings are read here
+    ).open()
+    for name, rtpu in (("a", "arm0"), ("c", "arm0"), ("b", "arm1"), ("d", "arm1")):
+        subsystem.spawn(name, rtpu)
+    subsystem.control("a", "on")
+    yield subsystem
+    subsystem.finish()
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+def causes(arm):
+    return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
+
+
+def stand_by(arm, heir, old, limit=20.0):
+    """Have a task of arm1 stand by for one of arm0; return whom that has to call."""
+    request = m.Heirs(after={heir: [old]}, timeout=limit)
+    return arm.fleet.call("arm1", request, dict[str, list[m.Call]])
+
+
+def turn_off(arm, old, calls):
+    """Turn a task of arm0 off that has an heir; nobody tells arm1."""
+    request = m.Reconfig(items=[(old, "off")], handover=[old], calls=calls)
+    return arm.fleet.call("arm0", request, m.Reconfigured)
+
+
+def test_the_new_one_begins_on_the_grid_behind_the_old_one(arm):
+    rings = {one.task: Ring.attach(one.ring) for one in arm.status_all()}
+
+    def cycles(task):
+        return [record for record in rings[task].drain() if not record.kind]
+
+    gaps = []
+    old, new = "a", "b"
+    try:
+        for _ in range(8):
+            wait_for(lambda old=old: cycles(old), f"a cycle of {old}")
+            arm.swap(old, new)
+            first = wait_for(lambda new=new: cycles(new), f"cycles of {new}")[0]
+            gaps.append((first.release_ns - cycles(old)[-1].release_ns) / PERIOD)
+            old, new = new, old
+    finally:
+        for ring in rings.values():
+            ring.close()
+    assert all(gap == round(gap) >= 1 for gap in gaps), gaps
+    assert statistics.median(gaps) == 1.0  # the machine may be busy now and then
+
+
+def test_no_master_is_needed_between_off_and_on(arm, nodes):
+    """The second RTPU is sent nothing, and its agent does not even live."""
+    calls = stand_by(arm, "b", "a")
+    agent = nodes.processes.pop("arm1")
+    agent.send_signal(signal.SIGKILL)
+    agent.wait()
+    with Table.attach(f"{nodes.domain}.t") as table:
+        before = table.generation
+        assert turn_off(arm, "a", calls).done == 1
+        assert table.info("Y0").owner == "b"
+        assert table.generation == before + 1  # one event, not a loss and a gain
+    nodes.agent_process("arm1")
+    wait_for(lambda: states(arm)["b"] == "ON", "what the restarted agent says")
+    assert states(arm) == {"a": "OFF", "b": "ON", "c": "OFF", "d": "OFF"}
+    assert causes(arm) == []
+    assert arm.swap("a", "b").items == [], "nothing is left"
+
+
+def test_the_old_one_is_told_that_somebody_takes_over(arm, tmp_path):
+    arm.swap("a", "b")
+    assert (tmp_path / "a.txt").read_text().splitlines()[-1].endswith("off True")
+    said = [(e.code, e.text) for e in arm.events() if e.task == "b"]
+    assert ("ENGAGED", "in the place of a") in said
+
+
+def test_pairs_in_both_directions(arm):
+    arm.swap("a", "b")
+    arm.control("c", "on")
+    done = arm.swap(["b", "c"], ["a", "d"])
+    assert done.states == {"a": "ON", "b": "OFF", "c": "OFF", "d": "ON"}
+    assert {value.writer for value in arm.display(["Y0", "Y1"])} == {"a", "d"}
+    assert causes(arm) == []
+
+
+def test_two_that_leave_for_one(arm):
+    arm.control("c", "on")
+    calls = stand_by(arm, "b", "a")
+    again = arm.fleet.call(
+        "arm1", m.Heirs(after={"b": ["a", "c"]}), dict[str, list[m.Call]]
+    )
+    assert set(again) == {"a", "c"}
+    assert calls["a"][0].ticket != again["a"][0].ticket
+    assert turn_off(arm, "c", again).done == 1
+    assert states(arm)["b"] == "OFF", "it waits for a, too"
+    assert turn_off(arm, "a", again).done == 1
+    assert states(arm)["b"] == "ON"
+
+
+def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
+    calls = stand_by(arm, "b", "a")
+    arm.fleet.call("arm1", m.Heirs(after={"b": []}), dict[str, list[m.Call]])
+    stand_by(arm, "b", "a")
+    answer = turn_off(arm, "a", calls)
+    assert (answer.unseen, answer.done, answer.rest) == (["b"], 0, [("a", "off")])
+    assert states(arm) == {"a": "ON", "b": "OFF", "c": "OFF", "d": "OFF"}
+
+
+def test_an_heir_stands_by_for_a_limited_time(arm):
+    """As when the master is killed before it has sent the first signal."""
+    calls = stand_by(arm, "b", "a", 0.2)
+
+    def expired():
+        return turn_off(arm, "c", {"c": calls["a"]}).unseen == ["b"]
+
+    wait_for(expired, "the end of standing by")
+    assert arm.control("b", "reinit").state == "OFF"
+    assert arm.swap("a", "b").states == {"a": "OFF", "b": "ON"}
+
+
+def test_on_that_raises_frees_the_place(arm, tmp_path, nodes):
+    (tmp_path / "bad.rmod").write_text(rmod("raises_in_on", "Y0", RATE))
+    arm.spawn("bad", "arm1")
+    with pytest.raises(ReconfigError, match="item 2 of 2, on bad") as caught:
+        arm.swap("a", "bad")
+    assert "done: off a" in str(caught.value)
+    assert states(arm)["bad"] == "ERROR"
+    with Table.attach(f"{nodes.domain}.t") as table:
+        assert table.info("Y0").owner is None  # and not a, which ceded it
+    assert any("nobody took over Y0" in cause for cause in causes(arm))
+    assert arm.reconfig([("b", "on")]) == {"b": "ON"}
+    wait_for(lambda: not causes(arm), "a legal configuration")
+
+
+def test_off_that_raises_engages_nobody(arm, tmp_path):
+    (tmp_path / "bad.rmod").write_text(rmod("raises_in_off", "Y1", RATE))
+    arm.spawn("bad", "arm0")
+    arm.control("bad", "on")
+    with pytest.raises(ReconfigError, match="item 1 of 2, off bad") as caught:
+        arm.swap("bad", "d")
+    assert caught.value.rest == (("bad", "off"), ("d", "on"))
+    assert (states(arm)["bad"], states(arm)["d"]) == ("ERROR", "OFF")
+    assert arm.swap("bad", "d").items == [("d", "on")], "what is left"
+
+
+def test_an_heir_that_could_not_take_over_is_told_before_anything_is_done(arm):
+    with pytest.raises(SvarOwnerError, match="Y0"):
+        stand_by(arm, "b", "c")  # Y0 is a's
+    with pytest.raises(ProtocolError, match="time limit"):
+        stand_by(arm, "d", "c", limit=-1.0)
+    assert states(arm) == {"a": "ON", "b": "OFF", "c": "OFF", "d": "OFF"}
+    assert arm.swap("a", "b").states == {"a": "OFF", "b": "ON"}
+
+
+@pytest.fixture
+def gate(tmp_path, arm):
+    """`old` on arm0 waits in `off` for a file; return what says that, and that file."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    files = {"BEGUN": begun, "GO_ON": go_on}
+    (tmp_path / "old.rmod").write_text(rmod("waits_in_off", "Y1", local=files))
+    arm.spawn("old", "arm0")
+    arm.control("old", "on")
+    return begun, go_on
+
+
+@pytest.mark.parametrize("killed", ["arm0", "arm1"])
+def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
+    """The RTPUs go on by themselves; a restarted agent says what has become of it."""
+    begun, go_on = gate
+    tids = {status.task: status.tid for status in arm.status_all()}
+    with ThreadPoolExecutor(1) as pool:
+        swap = pool.submit(arm.swap, "old", "d")
+        wait_for(begun.exists, "the beginning of off")
+        agent = nodes.processes.pop(killed)
+        agent.send_signal(signal.SIGKILL)
+        agent.wait()
+        go_on.touch()
+        error = swap.exception(60.0)
+    assert isinstance(error, ReconfigError), error
+    what, rest = {
+        "arm0": ("sent, and not known whether done: off old; not sent: on d", 2),
+        "arm1": ("done: off old; sent, and not known whether done: on d", 1),
+    }[killed]
+    assert what in str(error)
+    assert error.rest == (("old", "off"), ("d", "on"))[-rest:]
+    nodes.agent_process(killed)
+    end = {"a": "ON", "b": "OFF", "c": "OFF", "d": "ON", "old": "OFF"}
+    wait_for(lambda: states(arm) == end, "that it came on by itself")
+    assert {status.task: status.tid for status in arm.status_all()} == tids
+    assert arm.swap("old", "d").items == [], "nothing is left to be done"
+    assert arm.swap("d", "old").items == [("d", "off"), ("old", "on")]
+    wait_for(lambda: not causes(arm), "a legal configuration")
