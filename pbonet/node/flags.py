@@ -87,6 +87,14 @@ class Flags:
             opened.table.info(output).owner not in {None, but} for output in outputs
         )
 
+    def owners(self, subsystem: str, outputs: Collection[str]) -> set[str]:
+        """Return the tasks that own any of these variables."""
+        opened = self._tables.sound(subsystem)
+        if opened is None:
+            return set()
+        found = {opened.table.info(output).owner for output in outputs}
+        return {owner for owner in found if owner}
+
     def look(self) -> None:
         """Tell which causes have come and gone: those of this RTPU and its tasks.
 

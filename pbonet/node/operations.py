@@ -132,6 +132,7 @@ class Operations:
         if isinstance(request, m.Sigmask | m.Job) and not request.changes:
             return
         self._rtpu.claims.check(request)
+        self._rtpu.givers.heard(request.subsystem)
         if request.subsystem in self._rtpu.stopping:
             raise being_stopped(self._rtpu.name, request.subsystem)
 
@@ -240,6 +241,7 @@ class Operations:
 
     async def _spawn(self, request: m.Spawn) -> Result:
         task = await spawning.spawn(self._rtpu, request)
+        self._rtpu.givers.took_over(task, request.replaces)
         notes = task.ready.notes if task.ready and self._rtpu.locks_memory else []
         return self._rtpu.status_of(task), list(notes)
 
@@ -260,6 +262,8 @@ class Operations:
         )
         if request.signal == "kill":
             return task.last_status, warnings
+        if request.replaces:
+            rtpu.givers.took_over(task, request.replaces)
         return rtpu.status_of(task), warnings
 
     async def _reconfig(self, request: m.Reconfig) -> Result:

@@ -24,6 +24,7 @@ from ._ring import Ring
 from .claims import Claims
 from .fallbacks import Fallbacks
 from .flags import UNFINISHED, Flags
+from .givers import Givers
 from .heirs import Heirs
 from .signalling import Signals
 from .spawner import Server, Spawner
@@ -97,6 +98,7 @@ class Rtpu:
         self.vigil: _rt.Vigil
         self.fallbacks = Fallbacks(self)
         self.heirs = Heirs(self)
+        self.givers = Givers(self)
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
@@ -468,6 +470,7 @@ class Rtpu:
         while True:
             await asyncio.sleep(WATCH_PERIOD)
             self.flags.relieve()
+            self.givers.look()
             self.fallbacks.look_again()
             self.signals.look(self.core, self.tasks.values())
             self._timekeeper.look(

@@ -1,0 +1,155 @@
+"""A master is killed amid a switch, before and behind the exchange."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import tools
+from watching import wait_for
+
+from pbonet.master.subsystem import Subsystem
+
+MASTER = """
+import sys
+from pbonet.master.subsystem import Subsystem
+folder, domain, first, second, *libraries = sys.argv[1:]
+arm = Subsystem(folder, domain=domain, libraries=libraries, record="off").open()
+arm.start(first)
+arm.switch(second)
+print("the switch was not interrupted")
+"""
+WAITS = """
+    import time
+    from pathlib import Path
+
+    from pbonet import Params, PortBasedObject
+
+    class Waits(PortBasedObject[Params]):
+        '''Waits in a method until it may go on.'''
+
+        def {method}(self) -> None:
+            Path({begun!r}).touch()
+            while not Path({go_on!r}).exists():
+                time.sleep(0.005)
+
+        def cycle(self, dt: float) -> None:
+            pass
+"""
+
+
+@pytest.fixture
+def files(nodes, tmp_path):
+    """The folder of the tools, with jobs that have a task `waits` beside `grip`."""
+    folder = tmp_path / "tools"
+    tools.write(folder, nodes.library)
+    tools.rmod(folder, "waits", "waits")
+    job = (folder / "grip.job").read_text()
+    lines = [line for line in job.splitlines() if line.startswith("TASK")]
+    more = job.replace(lines[0], f"{lines[0]}\nTASK waits")
+    (folder / "more.job").write_text(more.replace("JOB grip", "JOB more"))
+    return folder
+
+
+@pytest.fixture
+def gate(tmp_path):
+    """Files: a method has begun; it may go on."""
+    return tmp_path / "begun", tmp_path / "go_on"
+
+
+@pytest.fixture
+def killed(nodes, files, gate):
+    """Return a function that kills a master amid its switch from one job to another."""
+    opened: list[Subsystem] = []
+
+    def kill(first, second):
+        nodes.agent_process("arm0")
+        words = [str(files / "tools.sbs"), nodes.domain, first, second]
+        master = subprocess.Popen([
+            sys.executable,
+            "-c",
+            MASTER,
+            *words,
+            str(nodes.library),
+        ])
+        begun, go_on = gate
+        wait_for(begun.exists, "the method that waits", 30.0)
+        master.kill()
+        master.wait()
+        go_on.touch()
+        arm = Subsystem(
+            files / "tools.sbs",
+            domain=nodes.domain,
+            libraries=[nodes.library],
+            warned=lambda _text: None,
+            record="off",
+        )
+        opened.append(arm)
+        return arm.open()
+
+    yield kill
+    for arm in opened:
+        arm.finish()
+
+
+def states(arm):
+    return {status.task: status.state for status in arm.status_all()}
+
+
+def causes(arm):
+    return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
+
+
+def waits_in(nodes, gate, method):
+    begun, go_on = map(str, gate)
+    text = WAITS.format(method=method, begun=begun, go_on=go_on)
+    nodes.write_module("waits", text)
+
+
+def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
+    begun, go_on = map(str, gate)
+    weigh = tools.WEIGH.replace(
+        "self.weight = 10.0 * self.mass",
+        "self.weight = 10.0 * self.mass\n"
+        '            if self.task.state == "ON":\n'
+        f"                Path({begun!r}).touch()\n"
+        f"                while not Path({go_on!r}).exists():\n"
+        "                    time.sleep(0.005)",
+    ).replace(
+        "    from typing",
+        "    import time\n    from pathlib import Path\n    from typing",
+        1,
+    )
+    nodes.write_module("weigh", weigh)
+    waits_in(nodes, gate, "kill")
+    arm = killed("grip", "drill")
+    everybody = {"grip": "ON", "drill": "OFF", "weigh": "ON", "hold": "ON"}
+    assert states(arm) == everybody
+    assert arm.display(["MASS"])[0].writer == "drill"
+    said = "drill gives the constants of grip, which is still ON"
+    wait_for(lambda: any(said in cause for cause in causes(arm)), "the flag", 30.0)
+    assert any(said in e.text for e in arm.events() if e.code == "ILLEGAL")
+    arm.switch("drill")
+    assert states(arm) == {"drill": "ON", "weigh": "ON", "hold": "ON"}
+    wait_for(lambda: arm.display(["F"])[0].values == [30.0], "the new torque")
+    wait_for(lambda: not causes(arm), "a legal configuration")
+
+
+def test_while_it_spawns(nodes, gate, killed):
+    waits_in(nodes, gate, "init")
+    arm = killed("grip", "more")
+    wait_for(lambda: states(arm).get("waits") == "OFF", "the end of init")
+    assert states(arm) == {"grip": "ON", "weigh": "ON", "hold": "ON", "waits": "OFF"}
+    assert causes(arm) == []
+    assert arm.switch("more").items == [("waits", "on")], "what is left"
+
+
+def test_while_it_kills(nodes, gate, killed):
+    waits_in(nodes, gate, "kill")
+    arm = killed("more", "grip")
+    wait_for(lambda: "waits" not in states(arm), "the end of the task")
+    assert states(arm) == {"grip": "ON", "weigh": "ON", "hold": "ON"}
+    assert causes(arm) == []
+    done = arm.switch("grip")
+    assert (done.items, done.kills) == ([], []), "nothing is left"
