@@ -41,6 +41,7 @@ MOVES = {
 GUARDED = (
     m.Spawn
     | m.Control
+    | m.Heirs
     | m.Reconfig
     | m.Set
     | m.Rank
@@ -308,6 +309,16 @@ class FakeAgent:
 
     def do_control(self, request: m.Control) -> m.TaskStatus:
         return self.status_of(self.move(request.task, request.signal))
+
+    def do_heirs(self, request: m.Heirs) -> dict[str, list[m.Call]]:
+        where = {"core": 0, "slot": 0, "life": 1, "ticket": 1}
+        calls: dict[str, list[m.Call]] = {}
+        for heir, olds in request.after.items():
+            self.task(heir)
+            for caller, old in enumerate(olds):
+                call = m.Call(heir=heir, outputs=[], caller=caller, **where)
+                calls.setdefault(old, []).append(call)
+        return calls
 
     def do_reconfig(self, request: m.Reconfig) -> m.Reconfigured:
         states: dict[str, str] = {}
