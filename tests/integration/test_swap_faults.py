@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 import pytest
 from nodekit import alive, rmod, svar, wait_gone
@@ -117,10 +118,17 @@ def test_off_that_hangs_is_given_up_and_killed(arm, write, monkeypatch):
     assert isinstance(caught.value.__cause__, NoAnswerError)
     assert "not sent: on good" in str(caught.value)
     assert "not known" not in str(caught.value)  # it was the task that did not answer
-    with pytest.raises(ReconfigError, match="still busy with 'off'"):
+    # Both RTPUs are on one core here, which `off` keeps from the heir: it may be asked
+    # to stand by no longer, and not have answered yet.
+    with pytest.raises(ReconfigError, match=r"still busy with '(off|rest)'"):
         arm.swap("bad", "good")
     arm.control("bad", "kill")
-    arm.reconfig(caught.value.rest[1:])
+
+    def turned_on():
+        with suppress(ReconfigError):
+            return arm.reconfig(caught.value.rest[1:])
+
+    assert wait_for(turned_on, "that good comes on") == {"good": "ON"}
     assert states(arm) == {"stays": "ON", "good": "ON"}
     assert arm.status("stays").on_ns == before.on_ns
 
