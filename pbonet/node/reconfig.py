@@ -125,12 +125,12 @@ class _List:
         """Send one signal; return it when that failed."""
         name, signal = item
         request = self._request
-        self._slow.begin()
         try:
             task = self._rtpu.need(request.subsystem, name)
             if signal == "on" and self._rtpu.heirs.waits(task):
                 await self._heir(task)
                 return []
+            self._slow.begin()
             goes = signal == "off" and (
                 name in request.handover or self._has_heir(task, rest)
             )

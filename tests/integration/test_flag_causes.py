@@ -5,15 +5,11 @@ from __future__ import annotations
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
 
 import pytest
 from nodekit import rmod, svar
 from watching import wait_for
 
-from pbonet.log.schema import STABLE
-from pbonet.node._ring import Ring
-from pbonet.svar import Table
 from pbonet.xm import messages as m
 
 AGED = """
@@ -170,37 +166,6 @@ def test_a_reconfiguration_that_takes_longer_than_a_cycle(arm, tmp_path, heir):
         assert done.result().done == 2
     assert illegal(arm) == []
     assert texts(arm, "LEGAL") == [f"no longer: {cause}"]
-
-
-@pytest.mark.parametrize("how", ["error", "death"])
-def test_every_cycle_behind_it_is_stable(arm, nodes, how):
-    """By the cycles themselves: those released behind the cause, and no other ones."""
-    arm.spawn("bad", "raises_in_cycle" if how == "error" else "counts")
-    arm.on("bad")
-    if how == "error":
-        arm.wait_event("METHOD", "bad")
-        arm.control("bad", "clear")
-    hold(arm, "Y0")
-    wait_level(arm, 3.0)
-    with closing(Ring.attach(arm.status("hold").ring)) as ring:
-        ring.drain()
-        if how == "error":
-            arm.on("bad")
-        else:
-            os.kill(arm.status("bad").tid, signal.SIGKILL)
-        wait_level(arm, -1.0)
-        with Table.attach(f"{nodes.domain}.t") as table:
-            raised = min(cause.time_ns for cause in table.illegal)
-        arm.wait_cycles("hold", 5)
-        cycles = [record for record in ring.drain() if not record.kind]
-    stable = [record.cycle for record in cycles if record.flags & STABLE]
-    behind = [record.cycle for record in cycles if record.release_ns > raised]
-    assert len(behind) >= 5
-    assert stable[-len(behind) :] == behind, "from the very next cycle on"
-    numbers = range(stable[0], stable[0] + len(stable))
-    assert stable == list(numbers), "and without a break"
-    began = [record.start_ns for record in cycles if record.cycle == stable[0]]
-    assert began[0] > raised, "none before"
 
 
 def set_hot(arm, word):

@@ -1,4 +1,4 @@
-"""A master is killed amid a switch, before and behind the exchange."""
+"""A master is killed amid a switch, behind the change of constants."""
 
 from __future__ import annotations
 
@@ -20,35 +20,13 @@ arm.start(first)
 arm.switch(second)
 print("the switch was not interrupted")
 """
-WAITS = """
-    import time
-    from pathlib import Path
-
-    from pbonet import Params, PortBasedObject
-
-    class Waits(PortBasedObject[Params]):
-        '''Waits in a method until it may go on.'''
-
-        def {method}(self) -> None:
-            Path({begun!r}).touch()
-            while not Path({go_on!r}).exists():
-                time.sleep(0.005)
-
-        def cycle(self, dt: float) -> None:
-            pass
-"""
 
 
 @pytest.fixture
 def files(nodes, tmp_path):
-    """The folder of the tools, with jobs that have a task `waits` beside `grip`."""
+    """The folder of the tools."""
     folder = tmp_path / "tools"
     tools.write(folder, nodes.library)
-    tools.rmod(folder, "waits", "waits")
-    job = (folder / "grip.job").read_text()
-    lines = [line for line in job.splitlines() if line.startswith("TASK")]
-    more = job.replace(lines[0], f"{lines[0]}\nTASK waits")
-    (folder / "more.job").write_text(more.replace("JOB grip", "JOB more"))
     return folder
 
 
@@ -101,12 +79,6 @@ def causes(arm):
     return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
 
 
-def waits_in(nodes, gate, method):
-    begun, go_on = map(str, gate)
-    text = WAITS.format(method=method, begun=begun, go_on=go_on)
-    nodes.write_module("waits", text)
-
-
 def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
     begun, go_on = map(str, gate)
     weigh = tools.WEIGH.replace(
@@ -122,7 +94,6 @@ def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
         1,
     )
     nodes.write_module("weigh", weigh)
-    waits_in(nodes, gate, "kill")
     arm = killed("grip", "drill")
     everybody = {"grip": "ON", "drill": "OFF", "weigh": "ON", "hold": "ON"}
     assert states(arm) == everybody
@@ -134,22 +105,3 @@ def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
     assert states(arm) == {"drill": "ON", "weigh": "ON", "hold": "ON"}
     wait_for(lambda: arm.display(["F"])[0].values == [30.0], "the new torque")
     wait_for(lambda: not causes(arm), "a legal configuration")
-
-
-def test_while_it_spawns(nodes, gate, killed):
-    waits_in(nodes, gate, "init")
-    arm = killed("grip", "more")
-    wait_for(lambda: states(arm).get("waits") == "OFF", "the end of init")
-    assert states(arm) == {"grip": "ON", "weigh": "ON", "hold": "ON", "waits": "OFF"}
-    assert causes(arm) == []
-    assert arm.switch("more").items == [("waits", "on")], "what is left"
-
-
-def test_while_it_kills(nodes, gate, killed):
-    waits_in(nodes, gate, "kill")
-    arm = killed("more", "grip")
-    wait_for(lambda: "waits" not in states(arm), "the end of the task")
-    assert states(arm) == {"grip": "ON", "weigh": "ON", "hold": "ON"}
-    assert causes(arm) == []
-    done = arm.switch("grip")
-    assert (done.items, done.kills) == ([], []), "nothing is left"
