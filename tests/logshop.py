@@ -178,9 +178,16 @@ class Shop:
             self.a.cycle()
             self.b.cycle()
 
-    def log(self, *, hidden=(), without="", attached=True):
+    def log(self, *, hidden=(), without="", attached=True, machine=""):
         """Write what there is; return the log."""
-        about = RunAbout(run="r", job="j", subsystem="arm", domain="d", rtpu="arm0")
+        about = RunAbout(
+            run="r",
+            job="j",
+            subsystem="arm",
+            domain="d",
+            rtpu="arm0",
+            machine=machine,
+        )
         path = self.folder / "run.mcap"
         writer = LogWriter(path, about)
         for task in self.tasks:

@@ -15,7 +15,7 @@ from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 from .clocks import common
 from .cycles import COLUMNS, Cycles
 from .part import Part
-from .records import EPOCH, Attached, Step, TaskAbout, free_name
+from .records import EPOCH, MACHINE, Attached, Step, TaskAbout, free_name
 from .rows import Rows
 from .schema import HEAD, TaskSchema, head
 
@@ -57,6 +57,9 @@ class Life:
         self.epoch_ns = epoch_ns
         self.schema = TaskSchema(about)
         self._pieces = [(part, keys)]
+        told = part.about.machine if part.about else ""
+        self.machine = part.channels[keys[0]].metadata.get(MACHINE, told)
+        """Where it ran, by boot identity: registers are numbered there."""
 
     def go_on(self, part: Part, keys: tuple[int, ...]) -> None:
         """Add what stands of it in the file behind."""

@@ -22,6 +22,8 @@ CLOCKS = "pbonet clocks"
 """That of the one that says, in a merged log, what times were brought together by."""
 EPOCH = "epoch_ns"
 """Of a task's channel in a merged log: what is added to its CLOCK_MONOTONIC."""
+MACHINE = "machine"
+"""Of a task's channel in a log of several machines: that on which it ran."""
 
 
 class Step(IntEnum):

@@ -10,7 +10,7 @@ from pbonet.errors import LogError
 from .clocks import Clock, common
 from .part import Part
 from .reader import goes_on, parts_of
-from .records import CLOCKS, EPOCH, free_name
+from .records import CLOCKS, EPOCH, MACHINE, free_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -133,6 +133,7 @@ def _channels(
             metadata = dict(channel.metadata)
             if channel.encoding == "cdr":
                 metadata[EPOCH] = _epoch(metadata, clocks[place])
+                metadata.setdefault(MACHINE, part.about.machine if part.about else "")
             if "of" in metadata:
                 metadata["of"] = str(numbers[place, int(metadata["of"])])
             known = _identity(channel, metadata, origin)

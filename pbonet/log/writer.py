@@ -17,7 +17,15 @@ import msgspec
 from pbonet.errors import LogError
 
 from .events import LOG_SCHEMA, log_message
-from .records import METADATA, Attached, RunAbout, Step, TaskAbout, free_name
+from .records import (
+    MACHINE,
+    METADATA,
+    Attached,
+    RunAbout,
+    Step,
+    TaskAbout,
+    free_name,
+)
 from .schema import StepSchema, TaskSchema, record_size, times
 
 if TYPE_CHECKING:
@@ -137,9 +145,17 @@ class LogWriter:
         now = time.time_ns()
         self._writer.add_attachment(now, now, name, file.media_type, file.data)
 
-    def add_task(self, about: TaskAbout) -> int:
-        """Return a number for `add`, under which a task's records are written."""
+    def add_task(self, about: TaskAbout, machine: str | None = None) -> int:
+        """Return a number for `add`, under which a task's records are written.
+
+        Args:
+            about: The task.
+            machine: Where it ran, by boot identity; None for the log's own.
+        """
         schema = TaskSchema(about)
+        metadata = schema.metadata()
+        if machine is not None:
+            metadata[MACHINE] = machine
         if not self._step_schema:
             self._step_schema = self._writer.register_schema(
                 StepSchema.NAME, "ros2msg", StepSchema.text().encode()
@@ -150,7 +166,7 @@ class LogWriter:
             self._writer.register_schema(
                 schema.name, "ros2msg", schema.text().encode()
             ),
-            schema.metadata(),
+            metadata,
         )
         steps = self._writer.register_channel(
             f"{about.topic}/steps", "cdr", self._step_schema, {"of": str(cycles)}

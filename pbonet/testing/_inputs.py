@@ -49,7 +49,7 @@ class Commits:
     def __init__(self, log: Log, machine: str) -> None:
         self._found: dict[Key, tuple[Life, int]] = {}
         for life in log.all_lives():
-            if life.part.about is None or life.part.about.machine != machine:
+            if life.machine != machine:
                 continue
             head = life.schema.arrays(life.commits)
             keys = zip(head["register"].tolist(), head["number"].tolist(), strict=True)

@@ -55,11 +55,10 @@ def verify(
         for life in log.lives(task):
             cycles = cycles_of(life)
             verdict.recorded += cycles
-            machine = life.part.about.machine if life.part.about else ""
-            if machine not in commits:
-                commits[machine] = Commits(log, machine)
+            if life.machine not in commits:
+                commits[life.machine] = Commits(log, life.machine)
             if verdict.divergence is None:
-                _again(life, commits[machine], libraries, verdict, rtol)
+                _again(life, commits[life.machine], libraries, verdict, rtol)
         verdicts.append(verdict)
     return verdicts
 

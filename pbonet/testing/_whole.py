@@ -216,19 +216,18 @@ def rerun(
     for task in names:
         for life in log.lives(task):
             verdicts[task].recorded += cycles_of(life)
-            machine = life.part.about.machine if life.part.about else ""
-            if machine not in made:
-                made[machine] = _Made(log, machine)
+            if life.machine not in made:
+                made[life.machine] = _Made(log, life.machine)
             if why := not_again(life):
                 verdicts[task].gaps.append(why)
                 continue
-            one = made[machine]
+            one = made[life.machine]
             parts.append(_Part(life, one, libraries, verdicts[task], rtol))
     _go(parts)
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
     _sum_up(found, parts)
     if out is not None:
-        _write(log, {k: v for one in made.values() for k, v in one.made.items()}, out)
+        _write(log, {name: one.made for name, one in made.items()}, out)
     return found
 
 
@@ -254,8 +253,8 @@ def _sum_up(found: Replayed, parts: list[_Part]) -> None:
     found.seconds = max((one.seconds for one in found.tasks), default=0.0)
 
 
-def _write(log: Log, made: dict[Key, bytes], out: Path) -> None:
-    """Write a log of what was made, beside what was recorded of the others."""
+def _write(log: Log, each: dict[str, dict[Key, bytes]], out: Path) -> None:
+    """Write a log of what was made, by machine, beside what was recorded else."""
     about = log.parts[0].about or RunAbout(
         run="", job="", subsystem="", domain="", rtpu=""
     )
@@ -263,8 +262,10 @@ def _write(log: Log, made: dict[Key, bytes], out: Path) -> None:
     for file in log.attached.values():
         writer.attach(file)
     for life in log.all_lives():
+        made = each.get(life.machine, {})
         hidden = life.about.hidden if _partly(life, made) else []
-        number = writer.add_task(msgspec.structs.replace(life.about, hidden=hidden))
+        told = msgspec.structs.replace(life.about, hidden=hidden)
+        number = writer.add_task(told, life.machine)
         writer.add(number, b"".join(_records(life, made)))
     writer.close()
 

@@ -13,6 +13,7 @@ from logshop import RMOD, Shop, drive
 
 from pbonet.errors import LogError, ModuleLoadError
 from pbonet.log import Log
+from pbonet.log.rewrite import merge
 from pbonet.master.oneshot import Place
 from pbonet.master.run import run
 from pbonet.testing import rerun, verify
@@ -60,6 +61,40 @@ def test_other_code_of_one_task_is_felt_by_those_that_read_it(record, tmp_path) 
         assert np.array_equal(made, wanted.arrays(task)[name])
         assert not np.array_equal(made, then.arrays(task)[name])
     assert now.about["run"] == "r-replay"
+
+
+def drive_elsewhere(shop):
+    shop.table.write("X", [-8.0, 0.5])
+    drive(shop)
+
+
+def test_registers_of_two_machines_are_two_though_their_logs_are_one(
+    record, tmp_path
+) -> None:
+    one = record("one", machine="boot-1")
+    two = record("two", do=drive_elsewhere, machine="boot-2")
+    keys = [
+        (row["register"].tolist(), row["number"].tolist())
+        for (life,) in (Log(one).lives("a"), Log(two).lives("a"))
+        for row in [life.schema.arrays(life.commits)]
+    ]
+    assert keys[0] == keys[1], "the same names of commits"
+    assert not np.array_equal(Log(one).arrays("a")["Y0"], Log(two).arrays("a")["Y0"])
+    merge([one, two], tmp_path / "both.mcap")
+    merge([tmp_path / "both.mcap"], tmp_path / "again.mcap")
+    for name in ("both", "again"):
+        log = Log(tmp_path / f"{name}.mcap")
+        assert [life.machine for life in log.lives("b")] == ["boot-1", "boot-2"]
+        for verdict, cycles in zip(verify(log), (40, 42), strict=True):
+            assert (verdict.good, verdict.cycles) == (True, cycles), str(verdict)
+    found = rerun(tmp_path / "both.mcap", out=tmp_path / "now.mcap")
+    assert found.good, str(found)
+    then, now = Log(tmp_path / "both.mcap"), Log(tmp_path / "now.mcap")
+    for old, new in zip(then.all_lives(), now.all_lives(), strict=True):
+        assert (new.about.task, new.machine) == (old.about.task, old.machine)
+        assert [new.schema.group(one) for one in new.commits] == [
+            old.schema.group(one) for one in old.commits
+        ]
 
 
 def lose_some(shop):
