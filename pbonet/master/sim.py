@@ -99,8 +99,9 @@ class Simulation:
         self.events: list[str] = []
         self._tasks: dict[str, SimTask] = {}
         self._turns = {rtpu.name: Turns() for rtpu in files.sbs.rtpus}
+        name, tell = files.sbs.subsystem, self._engaged
         self._standbys = Standbys(
-            self._tasks, self._turns, signal=self.signal, tell=self._engaged
+            name, self._tasks, self._turns, signal=self.signal, tell=tell
         )
 
     # -- the job ----------------------------------------------------------------------

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.config.model import JobTask
 from pbonet.errors import PbonetError, Severity, StateError
+from pbonet.node import known
 from pbonet.node.fallbacks import LIMIT, Pair
 from pbonet.pbo import State
 from pbonet.sched.dispatch import SLOTS
@@ -36,6 +37,7 @@ class Standbys:
     """The pairs of one simulation.
 
     Args:
+        subsystem: Whose.
         tasks: Every task by its name, as they come and go.
         turns: The releases of each RTPU.
         signal: Sends a signal to a task.
@@ -44,13 +46,14 @@ class Standbys:
 
     def __init__(
         self,
+        subsystem: str,
         tasks: Mapping[str, SimTask],
         turns: Mapping[str, Turns],
         *,
         signal: Callable[[str, str], State],
         tell: Callable[[SimTask, Severity, str], None],
     ) -> None:
-        self._tasks, self._turns = tasks, turns
+        self._subsystem, self._tasks, self._turns = subsystem, tasks, turns
         self._signal, self._tell = signal, tell
         self._pairs: dict[str, Pair] = {}
 
@@ -64,8 +67,13 @@ class Standbys:
         """Make a task the fallback of another one; None ends that.
 
         Raises:
+            UnknownTaskError: The other one is on another RTPU.
             StateError: They are the same task, or it cannot be watched.
         """
+        rtpu = standby.member.rtpu
+        if original and original.member.rtpu != rtpu:
+            here = [one.name for one in self._tasks.values() if one.member.rtpu == rtpu]
+            raise known.no_task(rtpu, self._subsystem, original.name, here, None)
         if original and (original is standby or original.slot >= SLOTS):
             raise StateError(
                 f"the task {standby.name} cannot be the fallback of {original.name}",
@@ -78,7 +86,7 @@ class Standbys:
         standby.member.fallback_of = original.name if original else ""
         if original is None:
             return
-        self._pairs[standby.name] = Pair("", original.name, standby.name)
+        self._pairs[standby.name] = Pair(self._subsystem, original.name, standby.name)
         self.look()
 
     def forget(self, names: set[str] | None = None) -> None:
@@ -101,6 +109,7 @@ class Standbys:
                     self.dismiss(standby)
             elif (
                 original is not None
+                and original.member.rtpu == standby.member.rtpu
                 and now is State.ON
                 and standby.executor.state is State.OFF
                 and pair.engaged < LIMIT

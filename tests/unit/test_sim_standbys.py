@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pbonet import State
-from pbonet.errors import Severity, StateError
+from pbonet.errors import Severity, StateError, UnknownTaskError
 from pbonet.master.sim import BEGIN_NS, Simulation
 from pbonet.master.simjob import simulate
 from pbonet.master.subsystem import Subsystem
@@ -217,6 +217,34 @@ def test_a_program_in_virtual_time_sees_the_same(folder):
         assert arm.status("second").stands_by
         arm.stop()
         assert arm.status_all() == []
+
+
+def test_nobody_stands_by_for_a_task_of_another_rtpu(folder):
+    both = "SUBSYSTEM s\nSVARFILE s.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+    (folder / "s.sbs").write_text(both)
+    alias = "SVARALIAS Y=W\nINCONST"
+    variable = "NAME W\nTYPE double\nDESC v\nUNITS none\nNELEM 1\n\nEOF\n"
+    table = (folder / "s.svar").read_text().replace("EOF\n", variable)
+    (folder / "s.svar").write_text(table)
+    source(folder, "stranger", CYCLES=3)
+    text = (folder / "stranger.rmod").read_text().replace("INCONST", alias, 1)
+    (folder / "stranger.rmod").write_text(text)
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        assert arm.status("second").stands_by
+        arm.control("second", "kill")
+        arm.spawn("stranger", "arm1")
+        arm.spawn("second", "arm1")
+        assert not arm.status("second").stands_by
+        elsewhere = m.Standby(task="second", original="first")
+        with pytest.raises(UnknownTaskError) as caught:
+            arm.fleet.call("arm1", elsewhere, m.TaskStatus)
+        told = "arm1: subsystem s has no task first here"
+        assert str(caught.value).startswith(told)
+        arm.control("stranger", "on")
+        arm.wait(0.05)
+        assert arm.status("stranger").state == "ERROR"
+        assert arm.status("second").state == "OFF"
 
 
 def test_a_schedule_says_that_it_has_none(folder):
