@@ -1,9 +1,9 @@
-"""When a fallback's cycles are released: native turn, then its twin."""
+"""Releases off the grid, of fallbacks and behind changes of rate: native, then twin."""
 
 from __future__ import annotations
 
 import pytest
-from oneslot import MS, one_slot
+from oneslot import DEADLINE, MS, failures, one_slot
 
 from pbonet.node import _rt
 from pbonet.sched.events import Event
@@ -68,3 +68,52 @@ def test_everybody_else_begins_on_the_grid(monkeypatch, tmp_path) -> None:
     with one_slot(monkeypatch, tmp_path) as make:
         one = make()
         assert releases(one.until(35 * MS)) == [10 * MS, 20 * MS, 30 * MS]
+
+
+def change_rate(one, period):
+    one.table.configure(one.slot, pid=1, crit=5, drop=3, period_ns=period * MS)
+    return one.at(one.now)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "changed", "expected"),
+    [
+        (10, 8, 5, [10, 16, 24, 32, 40]),
+        (10, 8, 15, [20, 32, 40]),  # 24 is half a new period behind 20
+        (10, 8, 25, [30, 40, 48]),  # not 32
+        (10, 8, 35, [40, 48, 56]),
+        (8, 10, 12, [16, 30, 40]),  # not 20
+        (10, 20, 5, [10, 40, 60]),  # not 20
+        (10, 20, 15, [20, 40, 60]),
+        (20, 10, 15, [20, 30, 40]),
+    ],
+)
+def test_behind_a_change_of_rate_the_next_point_is_more_than_half_a_period_away(
+    monkeypatch, tmp_path, old, new, changed, expected
+) -> None:
+    with one_slot(monkeypatch, tmp_path) as make:
+        one = make(period_ns=old * MS)
+        one.until(changed * MS)
+        one.at(changed * MS, begun=True, done=True)
+        missed = one.status().missed
+        found = releases(change_rate(one, new))
+        while one.now < expected[-1] * MS:
+            found += releases(one.until(one.now + MS))
+            one.at(one.now + MS, begun=True, done=True)
+        assert found == [at * MS for at in expected]
+        assert one.status().missed == missed
+
+
+def test_a_cycle_behind_a_change_of_rate_has_its_whole_new_period(
+    monkeypatch, tmp_path
+) -> None:
+    """From 10 to 8 ms at 25 ms: a cycle that begins at 30 ms may last to 38 ms."""
+    with one_slot(monkeypatch, tmp_path) as make:
+        one = make()
+        one.until(25 * MS)
+        one.at(25 * MS, begun=True, done=True)
+        change_rate(one, 8)
+        assert releases(one.until(30 * MS)) == [30 * MS]
+        one.at(30 * MS + 1, begun=True)
+        assert one.until(38 * MS - 1) == []
+        assert failures(one.until(38 * MS)) == [DEADLINE]
