@@ -34,7 +34,7 @@ log = logging.getLogger("pbonet.node")
 
 FEW = 8
 """So many tasks or variables are looked at in less time than a thread is woken."""
-NEWS_TIME = 0.5
+NEWS_TIME = 2.0
 """Seconds in which the RTPU process tells of a task that it has just begun or ended."""
 
 Handled = m.Status | m.Profile | m.Display | m.Write

@@ -18,7 +18,6 @@ from hostfleet import Desk
 from nodekit import alive, fork_server_of
 from watching import wait_for
 
-from pbonet.errors import UnknownTaskError
 from pbonet.testing.lan import Lan
 from pbonet.xm import messages as m
 
@@ -242,11 +241,8 @@ def bring_back(desk, rtpu, task):
 
 
 def has_ended(desk, rtpu, task):
-    """Tell whether a task has died; its last status may not be there yet."""
-    try:
-        return desk.status(rtpu, task).state == "NOT-CREATED"
-    except UnknownTaskError:
-        return True
+    """Tell whether a task has died."""
+    return desk.status(rtpu, task).state == "NOT-CREATED"
 
 
 def test_another_agent_of_the_machine_carries_on(pair, runs):
