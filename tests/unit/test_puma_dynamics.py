@@ -200,6 +200,27 @@ def test_energy_is_kept_without_friction_and_better_with_smaller_steps():
     assert coarse / fine == pytest.approx(2.0, rel=0.05)  # first order, as it should
 
 
+def swung(**settings):
+    """Return the joint angles of an arm that follows swings of 0.6 rad for 2 s."""
+    arm = SimulatedArm(PUMA560, **settings)
+    arm.place(start := np.array([0.0, -0.8, 0.3, 0.1, 0.5, 0.0]), np.zeros(6))
+    arm.release_brakes()
+    stiff = np.array([500.0, 750.0, 375.0, 37.0, 37.0, 25.0])
+    seen = []
+    for cycle in range(1000):
+        wish = start + 0.6 * np.sin(np.pi * 2e-3 * cycle * np.linspace(0.8, 1.2, 6))
+        torque = stiff * (wish - arm.q) - stiff / 8 * arm.qd
+        arm.advance(2e-3)
+        arm.command(torque + arm.chain.gravity(arm.q))
+        seen.append(arm.q.copy())
+    return np.array(seen)
+
+
+def test_the_step_that_is_taken_is_small_enough():
+    """Its error is far below that of the servo, which is some milliradians."""
+    assert np.abs(swung() - swung(substep=1 / 16e3)).max() < 1e-3
+
+
 def test_friction_only_takes_energy_away():
     arm = released(dataclasses.replace(PUMA560), NOMINAL, qd=1.0)
     before = arm.chain.energy(arm.q, arm.qd)
