@@ -1,4 +1,4 @@
-"""A master is killed amid a switch, behind the change of constants."""
+"""A master is killed amid a switch: as it spawns, changes constants, or kills."""
 
 from __future__ import annotations
 
@@ -20,13 +20,35 @@ arm.start(first)
 arm.switch(second)
 print("the switch was not interrupted")
 """
+WAITS = """
+    import time
+    from pathlib import Path
+
+    from pbonet import Params, PortBasedObject
+
+    class Lingers(PortBasedObject[Params]):
+        '''Waits in a method until it may go on.'''
+
+        def {method}(self) -> None:
+            Path({begun!r}).touch()
+            while not Path({go_on!r}).exists():
+                time.sleep(0.005)
+
+        def cycle(self, dt: float) -> None:
+            pass
+"""
+STAY = {"grip": "ON", "weigh": "ON", "hold": "ON"}
 
 
 @pytest.fixture
 def files(nodes, tmp_path):
-    """The folder of the tools."""
+    """The folder of the tools; job `more` is `grip` with a task `lingers` beside it."""
     folder = tmp_path / "tools"
     tools.write(folder, nodes.library)
+    tools.rmod(folder, "lingers", "lingers")
+    job = (folder / "grip.job").read_text()
+    more = job.replace("JOB grip", "JOB more").replace("EOF", "TASK lingers\nEOF")
+    (folder / "more.job").write_text(more)
     return folder
 
 
@@ -52,9 +74,11 @@ def killed(nodes, files, gate):
             str(nodes.library),
         ])
         begun, go_on = gate
-        wait_for(begun.exists, "the method that waits", 30.0)
-        master.kill()
-        master.wait()
+        try:
+            wait_for(begun.exists, "the method that waits", 30.0)
+        finally:
+            master.kill()
+            master.wait()
         go_on.touch()
         arm = Subsystem(
             files / "tools.sbs",
@@ -105,3 +129,29 @@ def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
     assert states(arm) == {"drill": "ON", "weigh": "ON", "hold": "ON"}
     wait_for(lambda: arm.display(["F"])[0].values == [30.0], "the new torque")
     wait_for(lambda: not causes(arm), "a legal configuration")
+
+
+def waits_in(nodes, gate, method):
+    begun, go_on = map(str, gate)
+    text = WAITS.format(method=method, begun=begun, go_on=go_on)
+    nodes.write_module("lingers", text)
+
+
+def test_while_it_spawns(nodes, gate, killed):
+    waits_in(nodes, gate, "init")
+    arm = killed("grip", "more")
+    wait_for(lambda: states(arm).get("lingers") == "OFF", "the end of init")
+    assert states(arm) == {**STAY, "lingers": "OFF"}
+    assert causes(arm) == []
+    arm.switch("more")
+    assert states(arm) == {**STAY, "lingers": "ON"}
+
+
+def test_while_it_kills(nodes, gate, killed):
+    waits_in(nodes, gate, "kill")
+    arm = killed("more", "grip")
+    wait_for(lambda: "lingers" not in states(arm), "the end of the task")
+    assert states(arm) == STAY
+    assert causes(arm) == []
+    arm.switch("grip")
+    assert states(arm) == STAY
