@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import pytest
 from nodekit import rmod, svar
 from watching import wait_for
 
+from pbonet.node._ring import Ring
+from pbonet.node.tables import table_name
+from pbonet.svar import Table
 from pbonet.xm import messages as m
 
 AGED = """
@@ -96,6 +100,28 @@ def test_a_stale_input_makes_a_critical_task_stable(arm):
     wait_for(lambda: len(texts(arm, "LEGAL")) >= 2, "both ends as events")
     assert set(texts(arm, "ILLEGAL")) == {cause}
     assert set(texts(arm, "LEGAL")) == {f"no longer: {cause}"}
+
+
+def test_stable_runs_from_the_very_next_cycle_on(arm, nodes):
+    """A writer is killed: who was released behind that runs `stable`, every cycle."""
+    arm.spawn("source", "counts", out="Y0")
+    arm.on("source")
+    hold(arm, "Y0")
+    wait_level(arm, 3.0)
+    ring = Ring.attach(arm.status("hold").ring)
+    with closing(ring), Table.attach(table_name(nodes.domain, "t")) as table:
+        ring.drain()
+        os.kill(arm.status("source").tid, signal.SIGKILL)
+        wait_level(arm, -1.0)
+        arm.wait_cycles("hold", 5)
+        (cause,) = table.illegal
+        cycles = [one for one in ring.drain() if not one.kind]
+    assert "source" in cause.cause
+    behind = [one.stable for one in cycles if one.release_ns > cause.time_ns]
+    assert len(behind) >= 5
+    assert all(behind)
+    numbers = [one.cycle for one in cycles]
+    assert numbers == list(range(numbers[0], numbers[0] + len(cycles)))
 
 
 def test_a_module_raises_and_withdraws(arm, nodes):
