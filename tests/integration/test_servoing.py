@@ -104,7 +104,8 @@ def test_past_a_singularity_with_the_controllers_swapped_in_real_time(recording)
         return arrays[variable][held]
 
     assert then("forward_kin", "SIGMA").min() < CLOSE
-    assert np.abs(then("damped_ls", "Q^_CMD")).max() < FAST
+    asked = np.abs(then("damped_ls", "Q^_CMD")).max(axis=1)
+    assert np.quantile(asked, 0.95) < FAST
     moved = np.abs(then("puma_pidg", "Q^_MEZ")).max(axis=1)
     assert np.quantile(moved, 0.95) < FAST  # a machine that stood still costs a step
 

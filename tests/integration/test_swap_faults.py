@@ -109,10 +109,10 @@ def test_on_that_raises_and_back_again(arm, write, tmp_path):
 
 
 def test_off_that_hangs_is_given_up_and_killed(arm, write, monkeypatch):
-    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
     write("bad", "hangs_in_off", freq=50.0)
     start(arm, "bad", "arm1")
     before = arm.status("stays")
+    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
     with pytest.raises(ReconfigError) as caught:
         arm.swap("bad", "good")
     assert isinstance(caught.value.__cause__, NoAnswerError)
@@ -135,10 +135,10 @@ def test_off_that_hangs_is_given_up_and_killed(arm, write, monkeypatch):
 
 def test_off_that_hangs_in_an_exchange(arm, write, monkeypatch):
     """Both on one RTPU: the heir stands by at the dispatcher meanwhile."""
-    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
     write("bad", "hangs_in_off", freq=50.0)
     start(arm, "bad")
     before = arm.status("stays")
+    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
     with pytest.raises(ReconfigError) as caught:
         arm.swap("bad", "good")
     assert (caught.value.done, caught.value.rest) == (
@@ -168,7 +168,7 @@ def test_off_in_an_exchange_that_ends_when_nobody_waits_any_more(
         with pytest.raises(ReconfigError) as caught:
             arm.swap("old", "good")
     assert isinstance(caught.value.__cause__, NoAnswerError)
-    assert begun.exists()
+    wait_for(begun.exists, "the beginning of off")
     go_on.touch()
     wait_for(lambda: states(arm)["old"] == "OFF", "the end of off")
     assert states(arm)["good"] == "OFF", "it does not stand by any more"

@@ -1,5 +1,6 @@
 """Tasks that have an end of a link have nothing of the network in their processes."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from pbonet.xm import messages as m
@@ -33,7 +34,10 @@ def internet_sockets(pid):
         for name in ("tcp", "tcp6", "udp", "udp6")
         for line in Path(f"/proc/{pid}/net/{name}").read_text().splitlines()[1:]
     }
-    held = {str(one.readlink()) for one in Path(f"/proc/{pid}/fd").iterdir()}
+    held = set()
+    for one in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # it was closed meanwhile
+            held.add(str(one.readlink()))
     return {one for one in held if one.startswith("socket:") and one[8:-1] in inodes}
 
 

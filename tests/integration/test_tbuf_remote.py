@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -57,13 +58,14 @@ def test_records_arrive_whole_whoever_comes_first(pair):
 
 def levels(pid):
     """Return the real-time levels of a process's threads."""
-    threads = [int(path.name) for path in Path(f"/proc/{pid}/task").iterdir()]
     real_time = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-    return {
-        os.sched_getparam(thread).sched_priority
-        for thread in threads
-        if os.sched_getscheduler(thread) == real_time
-    }
+    found = set()
+    for path in Path(f"/proc/{pid}/task").iterdir():
+        thread = int(path.name)
+        with suppress(ProcessLookupError):  # it has ended meanwhile
+            if os.sched_getscheduler(thread) == real_time:
+                found.add(os.sched_getparam(thread).sched_priority)
+    return found
 
 
 def test_who_carries_records_goes_before_all_but_tasks_and_commands(pair):

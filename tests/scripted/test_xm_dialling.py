@@ -17,6 +17,7 @@ PROGRAM = """
 import json, sys
 from pbonet.xm import dialling, rundir
 
+dialling.ASK_TIME = 10.0  # who is there answers, however busy the machine
 domain, name, listen, *connect = sys.argv[1:]
 places = rundir.Places(domain, name)
 lock = rundir.NameLock(places.lock, name)

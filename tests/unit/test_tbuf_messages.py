@@ -176,7 +176,7 @@ def test_records_that_are_regular_and_then_are_not_all_come():
             if message is not None:
                 got.append(int.from_bytes(parts(message)[-1], "little"))
 
-    taker = threading.Thread(target=take)
+    taker = threading.Thread(target=take, daemon=True)
     taker.start()
 
     def write(number):
