@@ -22,7 +22,7 @@ import zenoh
 
 from pbonet.errors import PbonetError
 
-from . import keys, rundir, session
+from . import codec, keys, rundir, session
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 ASK_TIME = 0.5
 """Seconds in which an agent behind an endpoint says whom it dials."""
 SETTLE_TIME = 3.0
-"""Seconds after which an agent that does not settle is left to dial alone."""
+"""Seconds in which an agent that is to give way is waited for; it may do so later."""
 LINK_TIME = 0.3
 """Seconds in which the links stand to those who are there, before names are asked."""
 PAUSE = 0.02
@@ -101,27 +101,24 @@ class Dialled:
         while self.dials:
             found = self._look(self.dials)
             passed = time.monotonic() - begin
-            back = self._vain(found, late=passed > SETTLE_TIME)
+            back = self._vain(found)
             if back:
                 self.dials = [one for one in self.dials if one not in back]
                 self.session.close()  # type: ignore[no-untyped-call]
                 self.session = self._open()
-            elif not self._open_question(found, silent=passed < ASK_TIME):
+            elif passed < SETTLE_TIME and self._open_question(
+                found, silent=passed < ASK_TIME
+            ):
+                time.sleep(PAUSE)
+            else:
                 self._wait_links({behind.zid for behind in found.values()})
                 break
-            else:
-                time.sleep(PAUSE)
         self._settled = True
 
     # -- who gives way -----------------------------------------------------------------
 
-    def _vain(self, found: Mapping[str, Behind], *, late: bool) -> set[str]:
-        """Return the endpoints that are not to be dialled.
-
-        Args:
-            found: Who is behind each.
-            late: Whether agents that do not settle are waited for no more.
-        """
+    def _vain(self, found: Mapping[str, Behind]) -> set[str]:
+        """Return the endpoints that are not to be dialled, by who is behind each."""
         back = _doubled(found)
         me = self._places.name, str(self.session.info.zid())
         for endpoint, behind in found.items():
@@ -130,7 +127,7 @@ class Dialled:
                 back.add(endpoint)
             elif said is None or not self._dials_me(behind):
                 continue
-            elif said.settled or late or me > (said.rtpu, said.zid):
+            elif said.settled or me > (said.rtpu, said.zid):
                 back.add(endpoint)
         return back
 
@@ -225,7 +222,7 @@ def _ask(link: zenoh.Session, domain: str) -> Behind:
     for reply in replies:
         if reply.ok is None:
             continue
-        with contextlib.suppress(msgspec.MsgspecError):
+        with contextlib.suppress(*codec.MALFORMED):
             said = msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=Dials)
             if said.zid == near:
                 return Behind(near, said)
