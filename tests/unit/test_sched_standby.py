@@ -76,27 +76,27 @@ def change_rate(one, period):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "changed", "expected"),
+    ("periods", "changed", "expected"),
     [
-        (10, 8, 5, [10, 16, 24, 32, 40]),
-        (10, 8, 15, [20, 32, 40]),  # 24 is half a new period behind 20
-        (10, 8, 25, [30, 40, 48]),  # not 32
-        (10, 8, 35, [40, 48, 56]),
-        (8, 10, 12, [16, 30, 40]),  # not 20
-        (10, 20, 5, [10, 40, 60]),  # not 20
-        (10, 20, 15, [20, 40, 60]),
-        (20, 10, 15, [20, 30, 40]),
+        ((10, 8), 5, [10, 16, 24, 32, 40]),
+        ((10, 8), 15, [20, 32, 40]),  # 24 is half a new period behind 20
+        ((10, 8), 25, [30, 40, 48]),  # not 32
+        ((10, 8), 35, [40, 48, 56]),
+        ((8, 10), 12, [16, 30, 40]),  # not 20
+        ((10, 20), 5, [10, 40, 60]),  # not 20
+        ((10, 20), 15, [20, 40, 60]),
+        ((20, 10), 15, [20, 30, 40]),
     ],
 )
 def test_behind_a_change_of_rate_the_next_point_is_more_than_half_a_period_away(
-    monkeypatch, tmp_path, old, new, changed, expected
+    monkeypatch, tmp_path, periods, changed, expected
 ) -> None:
     with one_slot(monkeypatch, tmp_path) as make:
-        one = make(period_ns=old * MS)
+        one = make(period_ns=periods[0] * MS)
         one.until(changed * MS)
         one.at(changed * MS, begun=True, done=True)
         missed = one.status().missed
-        found = releases(change_rate(one, new))
+        found = releases(change_rate(one, periods[1]))
         while one.now < expected[-1] * MS:
             found += releases(one.until(one.now + MS))
             one.at(one.now + MS, begun=True, done=True)
