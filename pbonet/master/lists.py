@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pbonet.pbo import State
+from pbonet.xm.messages import MOST_CALLERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pbonet.master.picture import Picture
-
-MOST_CALLERS = 32
-"""So many tasks one heir can wait for on another RTPU."""
 
 
 def handed_over(picture: Picture, items: Sequence[tuple[str, str]]) -> list[str]:

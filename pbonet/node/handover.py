@@ -169,10 +169,12 @@ class Exchange:
             await self._each(self._olds, self._send_heralds)
         if not self.failed and not self.unseen:
             timer = self._watched(slow)
-            await self._each(self._olds, self._end)
-            await self._each(self._news, self._come)
-            await self._taken()
-            timer.cancel()
+            try:
+                await self._each(self._olds, self._end)
+                await self._each(self._news, self._come)
+                await self._taken()
+            finally:
+                timer.cancel()
         for task in self._news:
             if task.state is State.OFF:
                 await rest(self._rtpu, task)
@@ -183,9 +185,10 @@ class Exchange:
         core, tasks = self._rtpu.core, (*self._news, *self._olds)
 
         def look() -> None:
-            modes = {t: core.snapshot(t.facts.slot).mode for t in tasks}
-            if any(modes[t] is not Mode.ON for t in self._news) or any(
-                modes[t] in {Mode.ON, Mode.COMMAND} for t in self._olds
+            there = [t for t in tasks if not t.gone.is_set()]  # others have no slot
+            modes = {t: core.snapshot(t.facts.slot).mode for t in there}
+            if any(modes.get(t) is not Mode.ON for t in self._news) or any(
+                modes.get(t) in {Mode.ON, Mode.COMMAND} for t in self._olds
             ):
                 slow()
 

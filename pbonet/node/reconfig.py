@@ -108,18 +108,21 @@ class _List:
             for output in task.facts.outputs
         ]
 
-        def look() -> None:
-            left = [
-                v for v in outputs if not rtpu.flags.written(request.subsystem, [v])
-            ]
+        def look(which: Sequence[str]) -> None:
+            left = [v for v in which if not rtpu.flags.written(request.subsystem, [v])]
             if left:
                 what = f"off {' '.join(gone)} is done, and nobody took over "
                 what += " ".join(left)
                 rtpu.flags.up(request.subsystem, UNFINISHED, what, left)
 
-        if outputs:  # heirs that are called have had their time
-            wait = 0.0 if request.calls else TRIP
-            asyncio.get_running_loop().call_later(wait, look)
+        calls = [call for theirs in request.calls.values() for call in theirs]
+        theirs = {output for call in calls for output in call.outputs}
+        called = [output for output in outputs if output in theirs]
+        loop = asyncio.get_running_loop()
+        if called:  # those heirs have had their time
+            loop.call_later(0.0, look, called)
+        if len(called) < len(outputs):  # to others the master has yet to send `on`
+            loop.call_later(TRIP, look, outputs)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
         """Send one signal; return it when that failed."""
@@ -163,7 +166,11 @@ class _List:
         """Exchange tasks; return what was not done, that which failed first."""
         request = self._request
         subsystem, limit = request.subsystem, request.timeout
-        made = Exchange(self._rtpu, subsystem, items, limit, calls or {})
+        try:
+            made = Exchange(self._rtpu, subsystem, items, limit, calls or {})
+        except PbonetError as gone:  # one has died since the list began
+            self._result.error = gone.to_wire()
+            return list(items)
         await made.run(self._slow.up)
         self._result.unseen = made.unseen
         for task, event, error in made.events():

@@ -419,9 +419,7 @@ class Host:
                 handover=message.handover,
                 cede=message.cede,
             )
-        self._after_signal()
-        if message.cede and self.executor.state is State.OFF:
-            self.heralds.call()
+        self._after_signal(cede=message.cede)
 
     def _prepare(self, after: list[str]) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
@@ -445,11 +443,13 @@ class Host:
             )
         )
 
-    def _after_signal(self) -> None:
-        """Bring the slot in line with the state."""
+    def _after_signal(self, *, cede: bool = False) -> None:
+        """Bring the slot in line with the state, and call heirs, who wait for that."""
         state = self.executor.state
         if state is not State.ON:
             self._disarm()
+            if cede and state is State.OFF:
+                self.heralds.call()
             gc.collect()
             gc.freeze()
         if state is State.NOT_CREATED:

@@ -9,9 +9,10 @@ answered again and not executed twice.
 
 from __future__ import annotations
 
+from typing import Annotated as A
 from typing import Any, TypeAlias
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from pbonet.errors import WireError
 from pbonet.xm import values
@@ -27,6 +28,9 @@ from .statuses import TaskStatus as TaskStatus  # noqa: PLC0414
 from .statuses import TbufStatus as TbufStatus  # noqa: PLC0414
 
 VERSION = 1
+MOST_CALLERS = 32
+"""So many tasks of other RTPUs one heir can wait for."""
+_Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]
 ParamValue: TypeAlias = values.ParamValue
 Standing: TypeAlias = values.Standing
 VarValue: TypeAlias = values.VarValue
@@ -131,13 +135,13 @@ class Call(Struct, kw_only=True):
     heir: str
     outputs: list[str]
     """The variables that the heir writes."""
-    core: int
-    slot: int
-    life: int
+    core: A[int, Meta(ge=0, lt=1024)]
+    slot: A[int, Meta(ge=0, lt=128)]
+    life: _Word
     """Of the slot: which task has it."""
-    ticket: int
+    ticket: _Word
     """Tells this exchange from others."""
-    caller: int
+    caller: A[int, Meta(ge=0, lt=MOST_CALLERS)]
     """Which of those who call, counted from 0."""
 
 
@@ -148,7 +152,7 @@ class Heirs(Request, tag="heirs"):
     `Reconfig.calls` there. An ``on`` in a list then waits until the heir has come on.
     """
 
-    after: dict[str, list[str]]
+    after: dict[str, A[list[str], Meta(max_length=MOST_CALLERS)]]
     """The heirs, and for each the tasks that it waits for; an empty list: none, it
     stands by no longer."""
     timeout: float = 5.0

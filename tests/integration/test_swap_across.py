@@ -194,6 +194,22 @@ def test_an_heir_that_could_not_take_over_is_told_before_anything_is_done(arm):
     assert arm.swap("a", "b").states == {"a": "OFF", "b": "ON"}
 
 
+def test_the_heir_is_called_before_garbage_is_collected(arm, tmp_path):
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    text = rmod("waits_in_collection", "Y1", local={"BEGUN": begun, "GO_ON": go_on})
+    (tmp_path / "old.rmod").write_text(text)
+    arm.spawn("old", "arm0")
+    arm.control("old", "on")
+    with ThreadPoolExecutor(1) as pool:
+        swap = pool.submit(arm.swap, "old", "d")
+        try:
+            wait_for(begun.exists, "the collection behind off")
+            wait_for(lambda: states(arm)["d"] == "ON", "that the heir comes on")
+        finally:
+            go_on.touch()
+        assert swap.result(60.0).states == {"d": "ON", "old": "OFF"}
+
+
 @pytest.fixture
 def gate(tmp_path, arm):
     """`old` on arm0 waits in `off` for a file; return what says that, and that file."""

@@ -1,0 +1,197 @@
+"""Lists of signals on one RTPU whose tasks are played; the tables are real."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+
+from pbonet.config import parse_svar
+from pbonet.config.model import TaskType
+from pbonet.errors import PbonetError, TaskDiedError, UnknownTaskError
+from pbonet.node import _rt, reconfig
+from pbonet.node.events import EventLog
+from pbonet.node.flags import Flags
+from pbonet.node.handover import Exchange
+from pbonet.pbo import State
+from pbonet.sched.records import Mode
+from pbonet.svar import Table
+from pbonet.xm import messages as m
+
+VARIABLE = "NAME {}\nTYPE double\nDESC an output\nUNITS none\nNELEM 1\n\n"
+LIMIT = 30.0
+"""Seconds after which a test has failed."""
+
+
+class Tables(dict):
+    """The open tables of an RTPU process; their files are whole."""
+
+    sound = dict.get
+    subsystems = dict.keys
+
+
+class Played:
+    """A task that is ON and does at once what it is told; see `rtpu.reactions`."""
+
+    def __init__(self, rtpu, name, outputs):
+        self.rtpu, self.name, self.state = rtpu, name, State.ON
+        self.freq, self.busy, self.engaged = 100.0, "", None
+        self.gone = asyncio.Event()
+        slot = rtpu.core.alloc("arm0", name)
+        rtpu.core.post(slot, mode=Mode.ON)
+        rmod = SimpleNamespace(tasktype=TaskType.PERIODIC)
+        self.facts = SimpleNamespace(
+            subsystem="arm", name=name, outputs=outputs, slot=slot, rmod=rmod
+        )
+        rtpu.tasks["arm", name] = self
+
+    async def command(self, what, _make, _limit, **_more):
+        if what == "off":
+            await self.rtpu.reactions.get(self.name, self.end)()
+        return SimpleNamespace(result=[])
+
+    async def end(self):
+        self.state = State.OFF
+
+    async def die(self):
+        del self.rtpu.tasks["arm", self.name]
+        self.rtpu.core.free(self.facts.slot)
+        self.gone.set()
+        msg = "the task ended by itself"
+        raise TaskDiedError(msg, where=self.name)
+
+
+class Rtpu:
+    """What lists need of an RTPU process."""
+
+    name, turned_on = "arm0", 0
+
+    def __init__(self, core, table):
+        self.core, self.tasks, self.lists, self.reactions = core, {}, {}, {}
+        self.events = EventLog(self.name)
+        opened = SimpleNamespace(table=table, keep=True)
+        self.flags = Flags(self.name, Tables(arm=opened), self.events)
+        self.heirs = SimpleNamespace(withdraw=self._nothing, waits=lambda _task: False)
+
+    async def _nothing(self, *_): ...
+
+    def need(self, _subsystem, name):
+        if ("arm", name) not in self.tasks:
+            msg = "there is no such task"
+            raise UnknownTaskError(msg, where=name)
+        return self.tasks["arm", name]
+
+    def of(self, _subsystem):
+        return list(self.tasks.values())
+
+    def rank(self, *_): ...
+
+    def settle(self, *_, **_more): ...
+
+    def cycle_of(self, _task):
+        return 0
+
+
+@pytest.fixture
+def table(monkeypatch, tmp_path):
+    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
+    text = "".join(VARIABLE.format(name) for name in ("Y0", "Y1")) + "EOF\n"
+    table = Table.create("arm", parse_svar(text, "t.svar").variables)
+    yield table
+    table.destroy()
+
+
+@pytest.fixture
+def rtpu(table, monkeypatch):
+    core = _rt.CoreTable(1)
+    made = Rtpu(core, table)
+
+    async def off(_rtpu, task, signal, _limit, **_more):
+        await task.command(signal, None, _limit)
+
+    monkeypatch.setattr(reconfig, "control", off)
+    yield made
+    core.close()
+
+
+def call(heir, *outputs):
+    return m.Call(
+        heir=heir, outputs=list(outputs), core=1, slot=9, life=1, ticket=1, caller=0
+    )
+
+
+def carry_out(rtpu, outputs, calls, items=None):
+    """Turn off tasks whose outputs others take over; return what is answered.
+
+    Nobody takes over, and what is looked at later than at once never is.
+    """
+
+    async def run():
+        for name, theirs in outputs.items():
+            Played(rtpu, name, theirs)
+        request = m.Reconfig(
+            subsystem="arm",
+            items=items or [(name, "off") for name in outputs],
+            handover=list(outputs),
+            calls=calls,
+        )
+        answer = await reconfig.reconfigure(rtpu, request)
+        for _ in range(5):
+            await asyncio.sleep(0)
+        return answer
+
+    return asyncio.run(asyncio.wait_for(run(), LIMIT))
+
+
+@pytest.mark.parametrize(
+    "outputs",
+    [{"a": ["Y0"], "b": ["Y1"]}, {"a": ["Y0", "Y1"]}],
+    ids=["two that leave", "one that leaves for two"],
+)
+def test_who_is_not_called_has_the_time_of_a_trip(rtpu, table, monkeypatch, outputs):
+    """The heir of Y1 is on another machine: the master has yet to send its `on`."""
+    calls = {"a": [call("h", "Y0")]}
+    monkeypatch.setattr(reconfig, "TRIP", 3600.0)
+    answer = carry_out(rtpu, outputs, calls)
+    assert answer.done == len(outputs)
+    assert [one.cause.split()[-1] for one in table.illegal] == ["Y0"], "it was called"
+
+
+def test_who_does_not_come_in_that_time_raises_the_flag(rtpu, table, monkeypatch):
+    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+    carry_out(rtpu, {"b": ["Y1"]}, {})
+    assert [one.cause for one in table.illegal] == [
+        "off b is done, and nobody took over Y1"
+    ]
+
+
+def test_what_was_done_before_another_one_died_is_answered(rtpu):
+    async def dies_meanwhile():
+        await rtpu.tasks["arm", "b"].end()
+        with pytest.raises(TaskDiedError):
+            await rtpu.tasks["arm", "a"].die()
+
+    rtpu.reactions["b"] = dies_meanwhile
+    items = [("b", "off"), ("a", "off")]
+    outputs = {"a": ["Y0"], "b": ["Y1"]}
+    answer = carry_out(rtpu, outputs, {"a": [call("h", "Y0")]}, items)
+    assert (answer.done, answer.rest) == (1, [("a", "off")])
+    assert answer.states == {"b": "OFF"}
+    assert answer.error is not None
+    assert "there is no such task" in str(PbonetError.from_wire(answer.error))
+
+
+def test_an_exchange_is_slow_though_one_of_its_tasks_is_dead(rtpu):
+    async def run():
+        slow = asyncio.Event()
+        dead = Played(rtpu, "dead", ["Y0"])
+        Played(rtpu, "hangs", ["Y1"])
+        rtpu.reactions |= {"dead": dead.die, "hangs": slow.wait}
+        items = [("dead", "off"), ("hangs", "off")]
+        calls = {name: [call("h", "Y0")] for name, _ in items}
+        exchange = Exchange(rtpu, "arm", items, LIMIT, calls)
+        await exchange.run(slow.set)
+        return exchange.failed
+
+    assert list(asyncio.run(asyncio.wait_for(run(), LIMIT))) == ["dead"]
