@@ -102,7 +102,7 @@ class Task:
         self.do(Did("spawn"), self.executor.spawn)
 
     def do(self, did, call, *args):
-        with self.journal.doing(did):
+        with using(self.tape), self.journal.doing(did):
             call(*args)
         self.records.append(self.ring.take())
 

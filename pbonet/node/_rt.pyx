@@ -18,7 +18,7 @@ from pbonet.node._ring cimport (
     ring_stage, ring_wanted, ring_wants,
 )
 from pbonet.node._rt_headers cimport *
-from pbonet.outside._tape cimport Tape, tape_empty, tape_ready
+from pbonet.outside._tape cimport Tape, tape, tape_empty, tape_ready
 from pbonet.sched.histogram import octaves
 from pbonet.sched.records import (
     CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
@@ -123,23 +123,32 @@ cdef class Slot:
 
     cdef bint wait_outside(self, sync, Ring ring) except -1:
         """Wait as the module says; whether its event came."""
+        cdef bint called = False
         try:
             if rt_enter(RT_IN_SYNC):
                 self.failures.handle()
+            called = True
             sync()
         except Aborted:
             rt_exit()
+            if called:
+                self.put_sync(ring)
             self.raise_error()
             return False
         finally:
             rt_exit()
-        if ring is not None and self.tape is not None and tape_ready(&self.tape.t):
-            self.put_sync(ring)
+        self.put_sync(ring)
         return True
 
     cdef int put_sync(self, Ring ring) except -1:
-        """Record what the module heard while it waited: a replay waits so again."""
+        """Record what the module heard while it waited: a replay waits so again.
+
+        A wait that heard nothing new is recorded, too: what it asked counts as calls.
+        """
         cdef ring_record *r = &self.record
+        if ring is None or self.tape is None:
+            return 0
+        tape_ready(&self.tape.t)
         memset(r, 0, sizeof(ring_record))
         r.kind = RING_SYNC
         r.cycle = rt_cycles(self.task.slot)
@@ -262,7 +271,9 @@ cdef class Slot:
         r.n_consumed = local.n_consumed
         r.bytes = local.out_bytes
         r.in_bytes = local.c_due(ring_wants(ring.r) != 0)
-        if not r.in_bytes or not ring_fits(ring.r, r):
+        if r.in_bytes and not ring_fits(ring.r, r):
+            r.in_bytes = 0      # the next cycle stores them
+        if not r.in_bytes:
             return
         for i in range(local.c_inputs()):
             value = local.c_input(i, &n)
@@ -273,10 +284,15 @@ cdef class Slot:
         cdef ring_record *r = &self.record
         cdef rt_cost *cost = &self.cost
         cdef const void *heard = NULL
+        cdef tape *t
         cdef bint kept
         if self.tape is not None and tape_ready(&self.tape.t):
-            heard, r.heard_bytes = self.tape.t.bytes, self.tape.t.used
-            tape_empty(&self.tape.t)
+            t = &self.tape.t
+            heard, r.heard_bytes = t.bytes, t.used
+            if not ring_fits(ring.r, r):    # the cycle stays, what it heard is lost
+                t.used, t.lost = 0, 1
+                r.heard_bytes = tape_ready(t)
+            tape_empty(t)
         r.cycle = rt_cycles(self.task.slot) + 1
         r.release_ns = self.task.rel_ns
         r.start_ns = cost.called_ns

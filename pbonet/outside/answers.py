@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import msgspec
 
@@ -11,10 +11,12 @@ from pbonet.errors import DeviceError, PbonetError
 
 ALWAYS: Final = object()
 """The default of who has none."""
-_KINDS: Final[frozenset[type]] = frozenset({
-    *(type(None), bool, int, float, str, list, dict, tuple)
+_SCALARS: Final[frozenset[type]] = frozenset({
+    *(type(None), bool, int, float, str, bytes)
 })
 _PLAIN, _PACKED, _TUPLE = 0, 1, 2
+_NESTED: Final = 1
+"""The extension of msgpack that a tuple within an answer is."""
 
 
 class NotRecordedError(BaseException):
@@ -33,26 +35,67 @@ def pack(answer: object, where: str) -> tuple[int, bytes]:
     if type(answer) is bytes:
         return _PLAIN, answer
     plain: type = type(answer)
+    kind = _TUPLE if plain is tuple else _PACKED
+    got, whole = plain.__name__, cast("Any", answer)
     try:
-        if plain in _KINDS or issubclass(plain, int):
-            kind = _TUPLE if plain is tuple else _PACKED
-            return kind, msgspec.msgpack.encode(answer)
+        if not issubclass(plain, int):
+            whole = _marked(list(whole) if kind == _TUPLE else whole)
+        return kind, msgspec.msgpack.encode(whole)
+    except _UnfitError as error:
+        if error.kind is not plain:
+            got = f"{error.kind.__name__} within a {got}"
     except (TypeError, ValueError, OverflowError):
         pass
     raise DeviceError(
         "this answer cannot be recorded",
         where=where,
         expected="None, a number, text, bytes, or a tuple, list or dictionary of these",
-        got=plain.__name__,
+        got=got,
         remedy="ask for the plain values, and make what the module wants of them",
     )
+
+
+class _UnfitError(Exception):
+    """Something within an answer is nothing that msgpack gives back as it was."""
+
+    def __init__(self, kind: type) -> None:
+        super().__init__()
+        self.kind = kind
+
+
+def _marked(answer: Any) -> Any:  # noqa: ANN401 - whatever was answered
+    """Return an answer with its tuples marked, which msgpack takes for lists.
+
+    Raises:
+        _UnfitError: Of what cannot be recorded.
+    """
+    kind: type = type(cast("object", answer))
+    if kind in _SCALARS:
+        return answer
+    if kind is list:
+        return [_marked(one) for one in answer]
+    if kind is tuple:
+        inner = [_marked(one) for one in answer]
+        return msgspec.msgpack.Ext(_NESTED, msgspec.msgpack.encode(inner))
+    if kind is dict:
+        for key in answer:
+            _marked(key)  # a tuple comes back as one: no key is a list
+        return {key: _marked(value) for key, value in answer.items()}
+    raise _UnfitError(kind)
+
+
+def _unmarked(_code: int, data: memoryview) -> tuple[Any, ...]:
+    return tuple(_DECODER.decode(data))
+
+
+_DECODER: Final = msgspec.msgpack.Decoder(ext_hook=_unmarked)
 
 
 def unpack(kind: int, data: bytes) -> Any:  # noqa: ANN401 - whatever was answered
     """Return an answer."""
     if kind == _PLAIN:
         return data
-    found = msgspec.msgpack.decode(data)
+    found = _DECODER.decode(data)
     return tuple(found) if kind == _TUPLE else found
 
 

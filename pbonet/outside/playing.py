@@ -28,18 +28,20 @@ class Player:
     def __init__(self) -> None:
         self._heard: dict[tuple[int, int], tuple[int, bytes]] = {}
         self._opened = 0
-        self._lost = False
+        self.lost = False
+        """Whether something found no room: what has no record is no default then."""
 
-    def feed(self, data: bytes) -> None:
-        """Take entries of a tape."""
-        at = 0
+    def feed(self, data: bytes) -> bool:
+        """Take entries of a tape; tell whether one says that more found no room."""
+        at, lost = 0, False
         while at < len(data):
             size, source, both = _ENTRY.unpack_from(data, at)
             at += _ENTRY.size
             kind = both >> 56
-            self._lost = self._lost or kind == LOST
+            lost = lost or kind == LOST
             self._heard[source, both & _CALL] = kind, data[at : at + size]
             at += -(-size // 8) * 8
+        return lost
 
     def open(self, name: str) -> int:
         """Return the number of the next source, which must be this.
@@ -63,8 +65,8 @@ class Player:
         """
         found = self._heard.pop((source.number, source.calls), None)
         if found is None:
-            if default is ALWAYS or self._lost:
-                why = "found no room" if self._lost else "is not on record"
+            if default is ALWAYS or self.lost:
+                why = "found no room" if self.lost else "is not on record"
                 raise NotRecordedError(f"what it heard of {source.name} {why}")
             return default
         kind, data = found

@@ -6,6 +6,7 @@ files, other programs) is refused where it is opened, so that the verdict can sa
 
 from __future__ import annotations
 
+import os
 import stat
 import sys
 import threading
@@ -145,7 +146,9 @@ class _Guard:
         )
 
 
-def _is_device(path: object) -> bool:
+def _is_device(path: str | bytes | os.PathLike[str] | int) -> bool:
+    if isinstance(path, (bytes, os.PathLike)):
+        path = os.fsdecode(path)
     if not isinstance(path, str) or path in _HARMLESS:
         return False
     try:

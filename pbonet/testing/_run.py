@@ -134,6 +134,8 @@ class Run:
         self.about = life.about
         self._schema = life.schema
         self._player = Player() if life.about.hears else None
+        self._unheard: int | None = None
+        """The record of the first method of which something heard found no room."""
         self._records = self._listen(life)
         self._at = 0
         self._verdict = verdict
@@ -154,12 +156,21 @@ class Run:
         """Take what methods heard from outside; return the other records."""
         if self._player is None:
             return life.records
-        heard = [one for one in life.steps if kind_of(one) == Step.HEARD]
-        for one in heard:
-            self._player.feed(StepSchema.data(one))
-        rest = life.records
-        if heard:
-            rest = [one for one in rest if kind_of(one) != Step.HEARD]
+        rest: list[bytes] = []
+        began = 0
+        for one in life.records:
+            kind = kind_of(one)
+            if kind == Step.HEARD:
+                if self._player.feed(StepSchema.data(one)) and self._unheard is None:
+                    self._unheard = began
+                continue
+            rest.append(one)
+            if kind in {Step.CYCLE, Step.SYNC}:
+                began = len(rest)
+            elif (
+                kind == Step.DID and _DID.decode(StepSchema.data(one)).what != "refused"
+            ):
+                began = len(rest) - 1
         return rest
 
     def outside(self) -> AbstractContextManager[None]:
@@ -235,8 +246,15 @@ class Run:
         except (NotRecordedError, BrokenOffError) as error:
             raise Stop(f"{self._place()}: {error}") from None
 
+    def _feed(self, heard: bytes) -> None:
+        """Take what a cycle or `sync` heard."""
+        if heard and self._player is not None and self._player.feed(heard):
+            self._player.lost = True
+
     def _step(self) -> None:
         message = self._records[self._at]
+        if self._at == self._unheard and self._player is not None:
+            self._player.lost = True
         head = _HEAD.unpack_from(message, len(CDR))
         if head[8] != self._lost:
             count, self._lost = head[8] - self._lost, head[8]
@@ -260,8 +278,7 @@ class Run:
         consumed, inputs, heard = self._schema.rest(message)
         if why := self._inputs.bring(consumed, inputs):
             raise Stop(f"cycle {number}: {why}")
-        if heard and self._player is not None:
-            self._player.feed(heard)
+        self._feed(heard)
         self._source.release = release
         instance = self._instance
         try:
@@ -280,8 +297,7 @@ class Run:
     def _wait(self, heard: bytes) -> None:
         """Have the module wait for its event, as it did then."""
         self._where = "sync"
-        if self._player is not None:
-            self._player.feed(heard)
+        self._feed(heard)
         with contextlib.suppress(BrokenOffError):
             self._instance.sync()
 

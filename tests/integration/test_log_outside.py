@@ -94,6 +94,9 @@ SERVER = (
         self.count.destroy()
 """
 )
+LIMITED = SERVER.replace("receive()", "receive(self.task.now + 5_000_000)").replace(
+    "float(self.message)", "float(self.message or 0)"
+)
 DRIVER = (
     HEAD
     + """
@@ -256,6 +259,25 @@ def test_what_a_server_received_and_the_values_of_a_semaphore(line, nodes):
     verdict = identical(log, "hears", 8)
     assert verdict.recorded == 8
     assert log.arrays("hears")["Y2"][-1].tolist() == [36.0 + 0.125 * 9, 15.0]
+
+
+def test_waits_in_vain(line, nodes):
+    def send():
+        xm.live_on("arm0", domain=nodes.domain)
+        queue = xm.queue("arm0:numbers", policy=xm.Policy.HPF)
+        try:
+            for n in range(1, 4):
+                line.wait_cycles("hears", 5)
+                queue.send(str(n).encode(), priority=n)
+        finally:
+            queue.close()
+            xm.live_on("local")
+        wait_for(lambda: line.value("Y2").values[0] >= 6.0, "what was sent")
+        line.wait_cycles("hears", 5)
+
+    log = run(line, nodes, LIMITED, send, tasktype="synchronous")
+    verdict = identical(log, "hears", 15)
+    assert verdict.recorded == verdict.cycles
 
 
 def test_a_driver_of_ones_own(line, nodes, tmp_path):

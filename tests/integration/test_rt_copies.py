@@ -16,7 +16,10 @@ import pytest
 
 from pbonet.config.model import Limit, Variable
 from pbonet.errors import NodeError
+from pbonet.log import Step
 from pbonet.node import _rt
+from pbonet.outside import Outside, Player, Tape, using
+from pbonet.pbo import CycleAborted
 from pbonet.sched.records import Kind, Mode
 from pbonet.svar import Table
 
@@ -304,6 +307,73 @@ def test_a_synchronous_task_is_timed_by_its_own_events(core) -> None:
     slot.disarm()
     with pytest.raises(ValueError, match="timed from outside, and only they, need"):
         slot.run(lambda _dt: None, None)
+
+
+@pytest.fixture
+def tape(slot):
+    slot.tape = Tape()
+    with using(slot.tape):
+        yield slot.tape
+
+
+@pytest.mark.usefixtures("tape")
+def test_each_wait_is_recorded_whatever_was_heard(core, slot) -> None:
+    core.configure(slot.index, kind=Kind.SYNCHRONOUS)
+    ring, outside, waits = _rt.Ring.create("t"), Outside("it"), iter(range(4))
+    slot.tape.take()
+
+    def abort():
+        raise CycleAborted
+
+    def sync():
+        n = next(waits)
+        outside.ask(abort if n == 2 else lambda: b"x" * (n == 1), default=b"")
+
+    assert slot.run(ending(core, slot, 3), None, sync=sync, ring=ring) == _rt.COMMAND
+    assert [(r.kind, len(r.data) > 0) for r in ring.drain()] == [
+        *((Step.SYNC, False), (Step.CYCLE, False)),
+        *((Step.SYNC, True), (Step.CYCLE, False)),
+        (Step.SYNC, True),  # aborted
+        *((Step.SYNC, False), (Step.CYCLE, False)),
+    ]
+    ring.destroy()
+
+
+@pytest.mark.usefixtures("tape")
+def test_a_cycle_that_heard_more_than_the_ring_holds_stays_on_record(
+    core, slot, local
+) -> None:
+    ring, outside, out = _rt.Ring.create("t", 1), Outside("it"), local.array("OUT")
+    sizes = iter([8, 1 << 14, 8])
+
+    def body(_dt):
+        out[0] += len(outside.ask(bytes, next(sizes)))
+
+    assert slot.run(ending(core, slot, 3, body), local, ring=ring) == _rt.COMMAND
+    records = ring.drain()
+    assert [np.frombuffer(r.data)[0] for r in records] == [8.0, 16392.0, 16400.0]
+    assert [Player().feed(r.heard) for r in records] == [False, True, False]
+    assert core.snapshot(slot.index).ring_lost == 0
+    ring.destroy()
+
+
+def test_inputs_that_found_no_room_are_stored_by_the_next_cycle(
+    core, slot, svar, local
+) -> None:
+    ring = _rt.Ring.create("t", 1)
+    while ring.put(b"\xff" * 64):
+        pass
+    svar.write("IN", [4.0, 5.0, 6.0])
+    emptied = []
+
+    def body(_dt):
+        if not emptied:
+            emptied.extend(ring.drain())
+
+    assert slot.run(ending(core, slot, 3, body), local, ring=ring) == _rt.COMMAND
+    stored = [list(np.frombuffer(r.inputs)) for r in ring.drain()]
+    assert stored == [[], [4.0, 5.0, 6.0], []]
+    ring.destroy()
 
 
 @pytest.mark.usefixtures("core")

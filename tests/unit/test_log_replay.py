@@ -24,6 +24,9 @@ from pbonet.node._ring import Ring
 from pbonet.node.recorder import Recorder
 from pbonet.testing import DivergedError, replay, verify
 
+OFF_HEARS = """def off(self) -> None:
+        self.it.ask(bytes, 1 << 17)"""
+
 
 def recording(folder, **more):
     """Return what a recorder is told."""
@@ -57,6 +60,25 @@ def test_all_that_tasks_do_gives_the_same_again(shop) -> None:
     assert all(one.good and not one.changed for one in verdicts.values())
     assert verdicts["a"].seconds == pytest.approx(0.2)
     assert replay(path, "b").cycles == 21
+
+
+def test_a_method_that_heard_too_much_spoils_no_cycle_before_it(tmp_path) -> None:
+    code = ADDS.replace("self.age = 0.1", 'self.age, self.it = 0.1, Outside("it")')
+    code = code.replace("+= dt", "+= len(self.it.ask(bytes, default=b'')) + dt")
+    code = code.replace("def off(self) -> None:", OFF_HEARS)
+    shop = Shop(tmp_path, f"from pbonet.io import Outside\n{code}")
+    try:
+        shop.cycles(5)
+        shop.a.signal("off")
+        path = shop.log()
+    finally:
+        shop.close()
+    verdicts = {one.task: one for one in verify(path)}
+    assert verdicts["b"].good
+    assert verdicts["a"].cycles == 5
+    assert verdicts["a"].gaps == [
+        "off behind cycle 5: what it heard of it found no room"
+    ]
 
 
 def test_tasks_that_hand_over_give_the_same_again(shop) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 import socket
+import sys
 
 import numpy as np
 import pytest
@@ -53,7 +55,7 @@ def recorded(program, tape=None):
 def played(program, heard):
     """Run it again on what was heard."""
     player = Player()
-    player.feed(heard)
+    player.lost = player.feed(heard)
     with _outside.only(player, ABOUT):
         return program()
 
@@ -64,7 +66,10 @@ def never():
 
 @pytest.mark.parametrize(
     "answer",
-    [None, True, -7, 1 << 63, 2.5, "text", b"bytes", (1, 2.0), [1, [2]], {"a": None}],
+    [
+        *(None, True, -7, 1 << 63, 2.5, "text", b"bytes", (1, 2.0), [1, [2]]),
+        *((b"x", ("a", 1)), [(1,), [(2, ((),))]], {"a": None, (1, (2,)): [(b"", 3)]}),
+    ],
 )
 def test_an_answer_comes_back_as_it_was(answer) -> None:
     found, heard = recorded(lambda: Outside("it").ask(lambda: answer))
@@ -147,15 +152,27 @@ def test_a_wait_that_was_broken_off_is_broken_off_again() -> None:
         played(lambda: Outside("it").ask(never), tape.take())
 
 
-@pytest.mark.parametrize("answer", [object(), bytearray(b"x"), np.zeros(2), {1, 2}])
+@pytest.mark.parametrize(
+    "answer", [object(), bytearray(b"x"), np.zeros(2), {1, 2}, np.float64(1.0)]
+)
 def test_what_cannot_be_recorded_is_refused_where_it_is_asked(answer) -> None:
-    with (
-        using(Tape()),
-        pytest.raises(DeviceError, match="cannot be recorded") as caught,
+    for whole, within in (
+        (answer, ""),
+        ([1, answer], " within a list"),
+        (({"a": answer},), " within a tuple"),
     ):
-        Outside("a scale").ask(lambda: answer)
-    assert caught.value.where == "a scale"
-    assert caught.value.got == type(answer).__name__
+        with (
+            using(Tape()),
+            pytest.raises(DeviceError, match="cannot be recorded") as caught,
+        ):
+            Outside("a scale").ask(lambda whole=whole: whole)
+        assert caught.value.where == "a scale"
+        assert caught.value.got == f"{type(answer).__name__}{within}"
+
+
+def test_a_key_that_would_change_is_refused() -> None:
+    with using(Tape()), pytest.raises(DeviceError, match="got Policy within a dict"):
+        Outside("it").ask(lambda: {(1, xm.Policy.HPF): 1})
 
 
 def test_without_a_tape_all_is_asked() -> None:
@@ -302,6 +319,8 @@ def test_mailboxes_work_on_what_was_heard() -> None:
         (lambda: xm.Segment.attach("map"), "the shared memory segment map"),
         (socket.socket, "a socket"),
         (pathlib.Path("/dev/mem").read_bytes, "the device /dev/mem"),
+        (lambda: os.open(b"/dev/mem", os.O_RDONLY), "the device .*/dev/mem"),
+        (lambda: sys.audit("open", pathlib.Path("/dev/mem")), "the device /dev/mem"),
         (lambda: refuse("a thing"), "a thing"),
     ],
 )
