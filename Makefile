@@ -48,7 +48,7 @@ check: setup  ## Lint, types, layers
 	$(BIN)/pyright
 
 # Two at a time where nothing runs in real time; the rest has the machine to itself.
-BESIDE := tests/deploy tests/scripted tests/unit tests/property tests/typing tests/native
+BESIDE := tests/deploy tests/agents tests/scripted tests/unit tests/property tests/typing tests/native
 ALONE := tests/integration tests/hosts
 
 test: setup  ## Run every test
