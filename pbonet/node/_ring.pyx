@@ -41,8 +41,8 @@ cdef uint64_t _parse(const char *text, uint64_t n, list records) except 0:
     cdef const ring_record *r = <const ring_record *>text
     cdef const uint64_t *pairs
     cdef uint64_t k, head = sizeof(ring_record)
-    if n < head or r.size > n or r.size < (head + 16 * r.n_consumed + r.bytes +
-                                           r.in_bytes + r.heard_bytes):
+    if n < head or r.size > n or r.size < (head + 16 * <uint64_t>r.n_consumed +
+                                           r.bytes + r.in_bytes + r.heard_bytes):
         raise NodeError("the ring is damaged")
     pairs = <const uint64_t *>(text + head + r.bytes)
     record = Record()
@@ -61,7 +61,7 @@ cdef uint64_t _parse(const char *text, uint64_t n, list records) except 0:
     record.consumed = tuple([(pairs[2 * k], pairs[2 * k + 1])
                              for k in range(r.n_consumed)])
     record.data = (text + head)[:r.bytes]
-    text += head + r.bytes + 16 * r.n_consumed
+    text += head + r.bytes + 16 * <uint64_t>r.n_consumed
     record.inputs = text[:r.in_bytes]
     record.heard = (text + r.in_bytes)[:r.heard_bytes]
     records.append(record)

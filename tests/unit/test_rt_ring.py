@@ -108,6 +108,16 @@ def test_damage_is_found_and_not_followed(ring) -> None:
         ring.drain()
 
 
+def test_a_count_that_only_fits_in_32_bits_is_not_followed(ring) -> None:
+    ring.put(b"x" * 16)
+    with Path(ring.path).open("r+b") as file:
+        at = file.read().index(b"x" * 16) - 96
+        file.seek(at + 4)  # how many variables a cycle has taken
+        file.write((1 << 28).to_bytes(4, "little"))
+    with pytest.raises(NodeError, match="the ring is damaged"):
+        ring.drain()
+
+
 @pytest.mark.usefixtures("ring")
 def test_a_closed_ring_says_so() -> None:
     other = _rt.Ring.attach("sub.task")
