@@ -385,7 +385,7 @@ class Agent:
 
     def informed(self, info: wire.RtpuInfo) -> None:
         """Carry the tables that are open now, and record what is to be recorded."""
-        self._recorders.update(info.recordings)
+        self._recorders.update(info.recordings, info.claims)
         self._overview.informed(info)
         if self._mirrors is not None:
             self._mirrors.carry(info.tables)

@@ -344,6 +344,9 @@ def main(argv: list[str]) -> int:
         wanted = msgspec.msgpack.decode(file.read(), type=wire.Recording)
     os.sched_setaffinity(0, runtime.housekeeping_cores(wanted.core))
     recorder, pipe = Recorder(wanted, _tell), Pipe(sys.stdin.fileno())
+    recorder.turn()
+    for told in wanted.before:
+        recorder.take(told)
     while not stop and not pipe.over:
         recorder.turn()
         for message in pipe.take(PERIOD):

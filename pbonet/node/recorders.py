@@ -21,7 +21,7 @@ from .commanded import command
 from .tasks import describe_end
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
     from typing import BinaryIO
 
     from pbonet.config.model import AgentConfig
@@ -44,11 +44,15 @@ class _Child:
 
     Args:
         wanted: What it records.
+        before: Commands that were answered before.
         tell: Takes what it says.
     """
 
     def __init__(
-        self, wanted: wire.Recording, tell: Callable[[wire.FromRecorder], None]
+        self,
+        wanted: wire.Recording,
+        before: Iterable[wire.Commanded],
+        tell: Callable[[wire.FromRecorder], None],
     ) -> None:
         self.wanted = wanted
         self._tell = tell
@@ -56,16 +60,17 @@ class _Child:
         self._ending = False
         self._lost: list[float] = []
         self._events, self._said = -1, -1
-        self._process = self._start()
+        self._process = self._start(before)
         self._thread = threading.Thread(
             target=self._listen, name="pbonet recorder", daemon=True
         )
         self._thread.start()
 
-    def _start(self) -> subprocess.Popen[bytes]:
+    def _start(self, before: Iterable[wire.Commanded]) -> subprocess.Popen[bytes]:
         """Start a process; what it is to do is in a file, its news go into a pipe."""
+        recording = msgspec.structs.replace(self.wanted, before=list(before))
         wanted = os.memfd_create("recording")
-        os.write(wanted, wire.encode(self.wanted))
+        os.write(wanted, wire.encode(recording))
         events, self._events = os.pipe()
         self._said, said = os.pipe()
         try:
@@ -152,7 +157,7 @@ class _Child:
         self._tell(wire.Recorder(subsystem=subsystem))
         with self._guard:
             if again and not self._ending:
-                self._process = self._start()
+                self._process = self._start(())
                 return True
         return False
 
@@ -174,10 +179,18 @@ class Recorders:
         self._ended: list[_Child] = []
         self._before: dict[str, deque[wire.Commanded]] = {}
         """Commands to subsystems that are not recorded yet."""
+        self._claims: set[str] = set()
         self._guard = threading.Lock()
 
-    def update(self, wanted: Mapping[str, wire.Recording]) -> None:
-        """Start and end recorders, so that these are recorded and no others."""
+    def update(
+        self, wanted: Mapping[str, wire.Recording], claims: Collection[str] = ()
+    ) -> None:
+        """Start and end recorders, so that these are recorded and no others.
+
+        Args:
+            wanted: What is to be recorded, by subsystem.
+            claims: Subsystems that hold a claim; of no others commands are kept.
+        """
         wanted = {
             name: msgspec.structs.replace(
                 one, limits=self._limits, files={**one.files, "agent.toml": self._text}
@@ -193,9 +206,11 @@ class Recorders:
                     self._ended.append(child)
             for subsystem, one in wanted.items():
                 if subsystem not in self._children:
-                    child = self._children[subsystem] = _Child(one, self._said)
-                    for told in self._before.pop(subsystem, ()):
-                        child.tell(told)
+                    before = self._before.pop(subsystem, ())
+                    self._children[subsystem] = _Child(one, before, self._said)
+            self._claims = set(claims)
+            for subsystem in self._before.keys() - self._claims:
+                del self._before[subsystem]
 
     def fares(self, subsystem: str) -> wire.Recorder | None:
         """Return how the recorder of a subsystem fares; None without one."""
@@ -221,7 +236,7 @@ class Recorders:
         told = command(request, answer, begun_ns, time.monotonic_ns())
         with self._guard:
             child = self._children.get(told.subsystem)
-            if child is None:
+            if child is None and told.subsystem in self._claims:
                 room: deque[wire.Commanded] = deque(maxlen=BEFORE)
                 self._before.setdefault(told.subsystem, room).append(told)
         if child is not None:

@@ -142,6 +142,9 @@ class Recording(Struct, kw_only=True):
     last: float = 0.0
     """Only the last seconds, once something goes wrong; 0: everything."""
     limits: LogLimits = LogLimits()
+    before: list[Commanded] = []
+    """Commands that were answered before; the pipe to a recorder is too narrow for all
+    of them at once."""
 
 
 class Happened(Struct, tag="happened"):

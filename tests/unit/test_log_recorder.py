@@ -11,7 +11,9 @@ from pbonet.log import Log, TaskAbout
 from pbonet.node import recorder as recording
 from pbonet.node import wire
 from pbonet.node._ring import Ring
-from pbonet.node.recorders import RESTARTS, Recorders
+from pbonet.node.recorders import BEFORE, RESTARTS, Recorders
+from pbonet.xm import codec
+from pbonet.xm import messages as m
 
 ABOUT = TaskAbout(
     domain="d",
@@ -125,6 +127,40 @@ def test_a_damaged_ring_ends_its_own_recording_only(ring, tmp_path) -> None:
     log = Log(tmp_path / "r")
     assert log.arrays("a")["cycle"].tolist() == [1]
     assert log.arrays("b")["cycle"].tolist() == [1, 2]
+
+
+def commanded(recorders, subsystem, values=(1.0,)) -> None:
+    request = m.Write(subsystem=subsystem, client="c", name="X", values=list(values))
+    answer = codec.Codec().pack(m.Answer(id=request.id, ok=True, result=list(values)))
+    recorders.commanded(request, answer, 1)
+
+
+def test_more_commands_than_a_pipe_takes_are_in_the_log(tmp_path) -> None:
+    said = []
+    recorders = Recorders(said.append, AgentConfig())
+    recorders.update({}, {"arm": 1})
+    try:
+        for n in range(BEFORE + 1):
+            commanded(recorders, "arm", [n, *[0.1234567890123456789] * 79])
+        recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+        commanded(recorders, "arm", [BEFORE + 1])
+        wait_for(lambda: logs(tmp_path), "a log")
+    finally:
+        recorders.stop()
+    assert codes(said) == []
+    found = Log(tmp_path / "r").commands()
+    first = [one["asked"]["values"][0] for one in found]
+    assert first == list(range(1, BEFORE + 2)), "the last ones, in order, once"
+
+
+def test_commands_are_kept_only_of_subsystems_that_hold_a_claim() -> None:
+    recorders = Recorders(lambda _: None, AgentConfig())
+    recorders.update({}, {"arm": 1, "leg": 2})
+    for subsystem in ("arm", "leg", *(f"nobody{n}" for n in range(100))):
+        commanded(recorders, subsystem)
+    assert recorders._before.keys() == {"arm", "leg"}
+    recorders.update({}, {"arm": 1})
+    assert recorders._before.keys() == {"arm"}
 
 
 @pytest.mark.slow
