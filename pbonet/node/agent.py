@@ -394,10 +394,10 @@ class Agent:
         """Take what the RTPU process knows now."""
         self._overview.learn(news)
 
-    def spread(self, subsystem: str, done: Callable[[], None]) -> None:
-        """Call `done` when the other machines know the subsystem's table."""
+    def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
+        """Call `done` when the other machines know the table; see `Mirrors.spread`."""
         if subsystem and self._mirrors is not None:
-            self._mirrors.spread(subsystem, done)
+            self._mirrors.spread(subsystem, done, take=take)
         else:
             done()
 

@@ -55,6 +55,8 @@ FLAG = 0.02
 """Seconds between looks at the causes of the flag."""
 ANSWER_TIME = 0.5
 """Seconds that another machine has to take a state."""
+TAKE = b"take"
+"""Asks the agent that carries a table to take the others' states, too."""
 _LOCK = struct.Struct("hhqqi4x")
 
 
@@ -105,12 +107,15 @@ class Carried:
         if self.mirror is not None and self.mirror.others:
             self.mirror.watch(watch)
 
-    def spread(self, done: Callable[[], None]) -> None:
-        """Have the others take the whole state, then call `done`."""
+    def spread(self, done: Callable[[], None], *, take: bool) -> None:
+        """Have the others take the whole state, then call `done`.
+
+        With `take`, it is called behind all that the others have answered.
+        """
         if self.mirror is not None or self._begin():
-            self._exchange(done)
+            self._exchange(partial(self._owner.do, done) if take else done)
         else:  # another agent of this machine carries it
-            self._get("flush", self._owner.machine, b"", done)
+            self._get("flush", self._owner.machine, TAKE if take else b"", done)
 
     def close(self) -> None:
         """Let go of the table, and remove it when nobody else uses it."""
@@ -220,7 +225,8 @@ class Carried:
             with contextlib.suppress(zenoh.ZError), query:
                 query.reply(str(query.key_expr), b"")  # pyright: ignore[reportUnknownMemberType]
 
-        self._owner.do(lambda: self.spread(done))
+        take = query.payload is not None and query.payload.to_bytes() == TAKE
+        self._owner.do(lambda: self.spread(done, take=take))
 
     # -- the carrier's thread ----------------------------------------------------------
 
@@ -335,10 +341,16 @@ class Mirrors:
         if wait:
             done.wait(wait)
 
-    def spread(self, subsystem: str, done: Callable[[], None]) -> None:
+    def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
         It is called in a thread of zenoh's, or in the carrier's.
+
+        Args:
+            subsystem: Whose table.
+            done: Is called once.
+            take: Whether this machine must have taken what theirs say as well, as
+                behind the opening of a table that stands elsewhere.
         """
 
         def spread() -> None:
@@ -347,7 +359,7 @@ class Mirrors:
                 done()
                 return
             try:
-                carried.spread(done)
+                carried.spread(done, take=take)
             except Exception:
                 done()  # who waits for it goes on; what is wrong it finds itself
                 raise

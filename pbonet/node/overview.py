@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import TYPE_CHECKING, Any, TypeGuard
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from pbonet import tbuf
 from pbonet.errors import NodeError, Severity, SvarError
 from pbonet.svar import Table
+from pbonet.tbuf import places
 from pbonet.xm import messages as m
 
 from . import _rt, claims, events, known, status, values
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 FEW = 8
-"""So many tasks or variables are looked at in less time than a thread is woken."""
+"""So many tasks and links, or variables, are looked at in less time than a thread is
+woken."""
 NEWS_TIME = 2.0
 """Seconds in which the RTPU process tells of a task that it has just begun or ended."""
 
@@ -70,7 +73,7 @@ class Overview:
         self._core: _rt.CoreTable | None = None
         self._tables: dict[str, tuple[Table, bool]] = {}
         self._do: dict[type[m.Request], Callable[[Any], object]] = {
-            m.Status: self._status,
+            m.Status: lambda request: self._status(request, self._look()),
             m.Profile: self._profile,
             m.Display: self._display,
             m.Write: self._write,
@@ -101,7 +104,10 @@ class Overview:
         """Let go of everything: the RTPU process has ended."""
         for subsystem in list(self._tables):
             self._let_go(subsystem)
-        core, self._core, self._known = self._core, None, Known()
+        with self._news:  # who waits for news hears that there will be none
+            core, self._core, self._known = self._core, None, Known()
+            self._told += 1
+            self._news.notify_all()
         if core is not None:
             core.close()
 
@@ -123,25 +129,38 @@ class Overview:
 
     def answer(self, request: Handled) -> bytes:
         """Return the packed answer to a request of those in `HANDLED`."""
+        return self._answer(request, partial(self._do[type(request)], request))
+
+    def _answer(self, request: Handled, do: Callable[[], object]) -> bytes:
         try:
-            result = self._do[type(request)](request)
+            result = do()
             return self._answers.good(request, result, [])
         except Exception as error:  # noqa: BLE001 - the server outlives any request
             return self._answers.bad(request, error)
 
-    def at_once(self, request: object) -> TypeGuard[m.Status | m.Display]:
-        """Tell whether a request looks at little, and is answered without waiting."""
-        if isinstance(request, m.Display):
-            return request.names is not None and 0 < len(request.names) <= FEW
-        if not isinstance(request, m.Status):
-            return False
-        tasks = self._known.tasks
-        if tasks is None or len(tasks) > FEW or self._core is None:
-            return False
-        return len(self._match(tasks)) == len(tasks)
+    def at_once(self, request: object) -> bytes | None:
+        """Return the packed answer to a request that looks at little.
 
-    def _status(self, request: m.Status) -> m.RtpuStatus:
-        seen = self._look()
+        None to any other, and where the RTPU process is to be waited for.
+        """
+        if isinstance(request, m.Display):
+            few = request.names is not None and 0 < len(request.names) <= FEW
+            return self.answer(request) if few else None
+        if not isinstance(request, m.Status):
+            return None
+        tasks = self._known.tasks
+        if tasks is None or self._core is None:
+            return None
+        if len(tasks) + len(places.standing(self._domain)) > FEW:
+            return None
+        found = self._match(tasks)
+        if len(found) < len(tasks):
+            return None
+        return self._answer(request, partial(self._status, request, found))
+
+    def _status(
+        self, request: m.Status, seen: list[tuple[KnownTask, SlotStatus]]
+    ) -> m.RtpuStatus:
         whose = request.subsystem
         entry = self._claim(whose)
         return status.rtpu_status(
@@ -185,9 +204,13 @@ class Overview:
 
         A slot that has another task than is known was given away this moment: the
         RTPU process is about to tell, and is waited for a little.
+
+        Raises:
+            NodeError: The RTPU process has ended.
         """
         while True:
             with self._news:
+                self._open()
                 told, tasks = self._told, self._known.tasks
             found = [] if tasks is None else self._match(tasks)
             if tasks is not None and len(found) == len(tasks):

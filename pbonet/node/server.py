@@ -43,7 +43,8 @@ SHORT = 1024
 """Bytes of a request that is answered at once, at the most."""
 PENDING = 2000
 """Requests that wait for their answers; more are refused."""
-
+LOOKS = 4
+"""Threads for requests that look at much, or wait for what the RTPU process tells."""
 
 CHANGES = (
     m.OpenTable,
@@ -67,8 +68,11 @@ class Node(Protocol):
     ) -> None:
         """Hand a request on; its answer comes through `Server.answer`."""
 
-    def spread(self, subsystem: str, done: Callable[[], None]) -> None:
-        """Call `done` when the other machines know the subsystem's table."""
+    def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
+        """Call `done` when the other machines know the subsystem's table.
+
+        With `take`, this machine has taken what theirs say as well.
+        """
 
     def info(self) -> AgentInfo:
         """Return who this is."""
@@ -131,6 +135,7 @@ class Server:
         self._pending: dict[int, _Waiting] = {}
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
+        self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
         self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
         self._queryables: list[zenoh.Queryable[None]] = []
         self._publisher: zenoh.Publisher | None = None
@@ -161,6 +166,7 @@ class Server:
             self._thread.join()
         self.fail_pending("the agent ends")
         self._pool.shutdown(wait=True, cancel_futures=True)
+        self._looks.shutdown(wait=True)
 
     def answer(self, n: int, data: bytes) -> None:
         """Give the answer to forwarded request `n`."""
@@ -170,7 +176,11 @@ class Server:
             changes = isinstance(one.request, CHANGES)
             subsystem = one.request.subsystem if changes else ""
             self._tell(one.request, data, one.begun_ns)
-            self._node.spread(subsystem, partial(self._reply, one.query, data))
+            self._node.spread(
+                subsystem,
+                partial(self._reply, one.query, data),
+                take=isinstance(one.request, m.OpenTable),
+            )
 
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Have a command put on record."""
@@ -210,8 +220,9 @@ class Server:
                 if isinstance(request, m.Hello):
                     self._introduce(query, request)
                     return
-                if self._overview.at_once(request):
-                    self._reply(query, self._overview.answer(request))
+                answer = self._overview.at_once(request)
+                if answer is not None:
+                    self._reply(query, answer)
                     return
         self._arrived.put(query)
 
@@ -263,14 +274,15 @@ class Server:
         """Have a request carried out in this process; what changes something, once."""
         reply = partial(self._reply, query)
         if roles.only_looks(request):
-            reply(self._overview.answer(request))
+            self._looks.submit(lambda: reply(self._overview.answer(request)))
             return
         who = request.client, request.id or secrets.token_hex(8)
         begun_ns = time.monotonic_ns()
         if self._repeats.begin(who, reply):
             data = self._overview.answer(request)
             self._tell(request, data, begun_ns)
-            self._node.spread(request.subsystem, partial(self._repeats.end, who, data))
+            end = partial(self._repeats.end, who, data)
+            self._node.spread(request.subsystem, end, take=False)
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

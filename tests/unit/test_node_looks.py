@@ -1,0 +1,139 @@
+"""Looks at an RTPU: what zenoh's thread answers, and whom one that waits holds up."""
+
+from __future__ import annotations
+
+import os
+import threading
+from types import SimpleNamespace
+
+import pytest
+from watching import wait_for
+
+from pbonet import tbuf
+from pbonet.node import _rt, overview, server
+from pbonet.node.known import Known
+from pbonet.node.overview import FEW, Overview
+from pbonet.node.wire import RtpuInfo
+from pbonet.xm import keys, names
+from pbonet.xm import messages as m
+from pbonet.xm.codec import Codec
+
+INFO = RtpuInfo(pid=1, core=1, version="", backend="", limits=[], claims={})
+
+
+def parsed(data):
+    return Codec().answer(data)
+
+
+def error_of(data):
+    answer = parsed(data)
+    return "" if answer.ok else answer.error["what"]
+
+
+@pytest.fixture
+def seen(shared_memory):
+    """An overview of an RTPU process that has told nothing yet."""
+    core = _rt.CoreTable(1)
+    found = Overview("d", "arm0", pytest.fail, lambda _: None)
+    found.informed(INFO)
+    yield found
+    found.let_go()
+    core.close()
+    (shared_memory / f"pbonet.{os.geteuid()}.core1").unlink(missing_ok=True)
+
+
+@pytest.fixture
+def home():
+    with names.living_on("arm0", domain="d", subsystem="arm"):
+        yield
+
+
+def test_news_of_a_process_that_has_ended_are_not_waited_for(seen, monkeypatch):
+    seen.let_go()
+    monkeypatch.setattr(Overview, "_more", lambda *_: pytest.fail("it waits"))
+    for request in (m.Status(), m.Profile()):
+        assert "is being started again" in error_of(seen.answer(request))
+
+
+def test_whoever_waits_hears_that_the_process_has_ended(seen, monkeypatch):
+    monkeypatch.setattr(overview, "NEWS_TIME", 3600.0)
+    waits = threading.Event()
+    more = Overview._more
+
+    def wait(self, told):
+        waits.set()
+        return more(self, told)
+
+    monkeypatch.setattr(Overview, "_more", wait)
+    answers = []
+    look = threading.Thread(
+        target=lambda: answers.append(seen.answer(m.Status())), daemon=True
+    )
+    look.start()
+    assert waits.wait(10.0)
+    seen.let_go()
+    wait_for(lambda: answers, "the answer")
+    look.join()
+    assert "is being started again" in error_of(answers[0])
+
+
+@pytest.mark.usefixtures("home")
+def test_zenohs_thread_neither_waits_nor_looks_at_many_links(seen, monkeypatch):
+    monkeypatch.setattr(Overview, "_more", lambda *_: pytest.fail("it waits"))
+    assert seen.at_once(m.Status()) is None, "nothing is known yet"
+    seen.learn(Known(tasks=[]))
+    links = [tbuf.Writer(f"x{n}", "f8") for n in range(FEW)]
+    monkeypatch.setattr(Overview, "_look", lambda _: pytest.fail("it looks again"))
+    assert parsed(seen.at_once(m.Status())).ok
+    links.append(tbuf.Writer("more", "f8"))
+    assert seen.at_once(m.Status()) is None
+    for link in links:
+        link.close()
+    assert parsed(seen.at_once(m.Status())).ok
+
+
+class Query:
+    """A query whose answer is kept."""
+
+    def __init__(self, request, leaf):
+        self.key_expr = keys.rtpu("d", "arm0", leaf)
+        self.payload = SimpleNamespace(to_bytes=lambda: Codec().pack(request))
+        self.answers = []
+
+    def reply(self, _key, data):
+        self.answers.append(data)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        pass
+
+
+def test_a_look_that_waits_holds_up_no_command():
+    go, answered, forwarded = threading.Event(), [], []
+
+    def answer(request):
+        assert go.wait(10.0), "nothing else is carried out while it waits"
+        answered.append(request)
+        return b"seen"
+
+    node = SimpleNamespace(forward=lambda *told: forwarded.append(told))
+    one = server.Server(
+        *(None, "d", "arm0"),
+        node=node,
+        mail=None,
+        overview=SimpleNamespace(answer=answer),
+        commanded=lambda *_: None,
+    )
+    look = Query(m.Status(), "status")
+    try:
+        one._take(look)
+        one._take(Query(m.Stop(subsystem="arm"), "sbs"))
+        assert (len(forwarded), answered) == (1, [])
+        go.set()
+        wait_for(lambda: look.answers == [b"seen"], "the look's answer")
+        one._pending.clear()
+    finally:
+        go.set()
+        one.stop()
