@@ -190,7 +190,12 @@ class Task:
             n = next(self._count)
             answer = self._expect(n)
             self._busy[n] = what
-            self.send(make(n), last=last)
+            try:
+                self.send(make(n), last=last)
+            except PbonetError:  # it was never asked
+                self._busy.pop(n, None)
+                self._waiting.pop(n, None)
+                raise
             return await self.wait_for(answer, what, limit)
 
     async def wait_for(

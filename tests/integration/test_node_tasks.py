@@ -19,6 +19,7 @@ from pbonet.errors import (
     ProtocolError,
     StateError,
     SvarOwnerError,
+    TaskError,
     UnknownVariableError,
 )
 from pbonet.node._ring import Ring
@@ -79,6 +80,13 @@ def test_memory_of_a_task_is_settled(arm):
     first = arm.wait_cycles("a", 100)
     last = arm.wait_cycles("a", 200)
     assert last.faults == first.faults
+
+
+def test_a_message_that_is_too_long_leaves_the_task_as_it_was(arm):
+    arm.spawn("a", "counts")
+    error = arm.refused(TaskError, arm.on, "a", arg="x" * 300_000)
+    assert "too long for a task" in error.what
+    assert arm.on("a").state == "ON"
 
 
 def test_invalid_signals_change_nothing(arm):
