@@ -55,3 +55,13 @@ def clean_folder(folder: Path, variable: str) -> None:
     shutil.rmtree(folder)
     assert not left, f"processes left: {left}"
     assert not files, f"files left: {files}"
+
+
+def states(subsystem):
+    """Return the state of each task of a `Subsystem`."""
+    return {status.task: status.state for status in subsystem.status_all()}
+
+
+def causes(subsystem):
+    """Return why the illegal-configuration flag of a `Subsystem` is up."""
+    return [cause for rtpu in subsystem.rtpu_status() for cause in rtpu.illegal]

@@ -24,11 +24,12 @@ from pbonet.errors import (
 from . import carriers, names
 from . import resources as r
 from ._ipc import Full, Policy, Queue, Semaphore, Taken
+from .receiving import Receiving
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from _typeshed import ReadableBuffer, WriteableBuffer
+    from _typeshed import ReadableBuffer
 
     from .messages import Request
     from .names import Name
@@ -246,8 +247,10 @@ class FarSemaphore(_There, Semaphore):
         )
 
 
-class FarQueue(_There, Queue):
+class FarQueue(Receiving, _There, Queue):
     """A message queue of another machine."""
+
+    _MOST = r.LONGEST
 
     def __init__(self, far: Far) -> None:
         super().__init__(far)
@@ -364,31 +367,6 @@ class FarQueue(_There, Queue):
             return None
         self._last = got.priority
         return got.data, got.priority
-
-    def receive(
-        self, until_ns: int | None = None, *, priority: int | None = None
-    ) -> bytes | None:
-        found = self.letter(until_ns, priority=priority)
-        return None if found is None else found[0]
-
-    def try_receive(self) -> bytes | None:
-        return self.receive(0)
-
-    def receive_into(
-        self,
-        buffer: WriteableBuffer,
-        until_ns: int | None = None,
-        *,
-        priority: int | None = None,
-    ) -> int | None:
-        with memoryview(buffer) as view, view.cast("B") as room:
-            found = self.letter(
-                until_ns, priority=priority, most=min(len(room), r.LONGEST)
-            )
-            if found is None:
-                return None
-            room[: len(found[0])] = found[0]
-        return len(found[0])
 
     def wait(
         self,

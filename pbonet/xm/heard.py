@@ -5,21 +5,20 @@ In a replay the same objects give what was answered, and nothing is opened.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from pbonet.outside import Outside, using
 
 from . import names
 from ._ipc import Full, Policy, Queue, Semaphore, Taken
+from .receiving import Receiving
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from _typeshed import ReadableBuffer, WriteableBuffer
+    from _typeshed import ReadableBuffer
 
     from .names import Name
-
-LONGEST: Final = 0xFFFFFFFE
 
 
 def opened(
@@ -125,10 +124,11 @@ class HeardSemaphore(_Heard, Semaphore):
         return bool(self._hear("v", default=True))
 
 
-class HeardQueue(_Heard, Queue):
+class HeardQueue(Receiving, _Heard, Queue):
     """A message queue whose answers are on record."""
 
     _WHAT = "queue"
+    _MOST = 0xFFFFFFFE
     _SETTINGS: tuple[str, ...] = ("policy", "messages", "blocks", "block")
     _last = 0
 
@@ -195,7 +195,7 @@ class HeardQueue(_Heard, Queue):
         until_ns: int | None = None,
         *,
         priority: int | None = None,
-        most: int = LONGEST,
+        most: int = _MOST,
         still: Callable[[], bool] | None = None,
     ) -> tuple[bytes, int] | None:
         got = self._hear(
@@ -209,30 +209,6 @@ class HeardQueue(_Heard, Queue):
         if got is not None:
             self._last = got[1]
         return cast("tuple[bytes, int] | None", got)
-
-    def receive(
-        self, until_ns: int | None = None, *, priority: int | None = None
-    ) -> bytes | None:
-        found = self.letter(until_ns, priority=priority)
-        return None if found is None else found[0]
-
-    def try_receive(self) -> bytes | None:
-        return self.receive(0)
-
-    def receive_into(
-        self,
-        buffer: WriteableBuffer,
-        until_ns: int | None = None,
-        *,
-        priority: int | None = None,
-    ) -> int | None:
-        with memoryview(buffer) as view, view.cast("B") as room:
-            most = min(len(room), LONGEST)
-            found = self.letter(until_ns, priority=priority, most=most)
-            if found is None:
-                return None
-            room[: len(found[0])] = found[0]
-        return len(found[0])
 
     def wait(
         self,

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 from nodekit import rmod, svar, wait_gone
-from watching import wait_for
+from watching import states, wait_for
 
 from pbonet.errors import PbonetError, SvarOwnerError
 from pbonet.master.subsystem import Subsystem
@@ -57,10 +57,6 @@ def start(nodes, tmp_path):
     yield one
     for arm in opened:
         arm.finish()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
 
 
 def events(arm, code):

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from watching import wait_for
+from watching import states, wait_for
 
 from pbonet.errors import (
     ClaimError,
@@ -47,10 +47,6 @@ def arm(two, puma):
     yield subsystem
     if subsystem._crew is not None:
         subsystem.finish()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
 
 
 def kernel_cpu(pid):

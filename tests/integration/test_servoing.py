@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from watching import wait_for
+from watching import states, wait_for
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "servoing"
 STAYING = ("puma_pidg", "grav_comp", "forward_kin", "target", "qrdiff")
@@ -44,10 +44,6 @@ FAST = 1.0
 def cycles(subsystem, task, more):
     goal = subsystem.status(task).cycle + more
     wait_for(lambda: subsystem.status(task).cycle >= goal, f"cycles of {task}", 30.0)
-
-
-def states(arm):
-    return {task.task: task.state for task in arm.status_all()}
 
 
 def writer(arm):

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from nodekit import rmod, svar
-from watching import wait_for
+from watching import causes, states, wait_for
 
 from pbonet.errors import ProtocolError, ReconfigError, SvarOwnerError
 from pbonet.master.subsystem import Subsystem
@@ -43,14 +43,6 @@ def arm(nodes, tmp_path):
     subsystem.control("a", "on")
     yield subsystem
     subsystem.finish()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
-
-
-def causes(arm):
-    return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
 
 
 def stand_by(arm, heir, old, limit=20.0):

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import pytest
 from nodekit import alive, rmod, svar, wait_gone
-from watching import wait_for
+from watching import states, wait_for
 
 from pbonet.errors import (
     MethodError,
@@ -58,10 +58,6 @@ def arm(nodes, tmp_path, write):
     subsystem.spawn("good", "arm0")
     yield subsystem
     subsystem.finish()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
 
 
 def writer(arm, name="Y0"):

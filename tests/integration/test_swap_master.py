@@ -7,7 +7,7 @@ import sys
 
 import pytest
 from nodekit import rmod, svar
-from watching import wait_for
+from watching import causes, states, wait_for
 
 from pbonet.master.subsystem import Subsystem
 
@@ -67,14 +67,6 @@ def killed(nodes, tmp_path):
     yield kill
     for arm in opened:
         arm.finish()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
-
-
-def causes(arm):
-    return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
 
 
 @pytest.mark.parametrize("rtpu", ["arm0", "arm1"])

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 import tools
-from watching import wait_for
+from watching import causes, states, wait_for
 
 from pbonet.master.subsystem import Subsystem
 
@@ -93,14 +93,6 @@ def killed(nodes, files, gate):
     yield kill
     for arm in opened:
         arm.finish()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
-
-
-def causes(arm):
-    return [cause for rtpu in arm.rtpu_status() for cause in rtpu.illegal]
 
 
 def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):

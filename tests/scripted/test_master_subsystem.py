@@ -6,6 +6,7 @@ import math
 import time
 
 import pytest
+from watching import states
 
 from pbonet.errors import (
     ClaimError,
@@ -49,10 +50,6 @@ def robot(arm):
 
 def other(arm, world, **kwargs):
     return Subsystem(arm.files.path, domain=world.domain, **kwargs)
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
 
 
 # -- opening -------------------------------------------------------------------------

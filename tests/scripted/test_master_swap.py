@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from watching import states
 
 from pbonet import cli
 from pbonet.errors import (
@@ -62,10 +63,6 @@ def arm(world, agents, files):
     world.log.clear()
     yield subsystem
     subsystem.detach()
-
-
-def states(arm):
-    return {status.task: status.state for status in arm.status_all()}
 
 
 def steps(world):

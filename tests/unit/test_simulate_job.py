@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 import pytest
 from test_sim_rules import SINK, SOURCE, Shop
 
-from pbonet.cli import main
 from pbonet.errors import SeveralError, VerificationError
 from pbonet.master import simjob
 from pbonet.verify import Times
@@ -24,19 +23,6 @@ def shop(tmp_path):
     found.module("sink", SINK, "INVAR Y", Z, "FREQ 100", "MAXC 0.001")
     found.job("source a", "sink b")
     return found
-
-
-@pytest.fixture
-def call(capsys):
-    """Run a command line in this process; return status, output, errors."""
-
-    def run(*argv):
-        with pytest.raises(SystemExit) as caught:
-            main([str(word) for word in argv])
-        told = capsys.readouterr()
-        return caught.value.code or 0, told.out, told.err
-
-    return run
 
 
 def run(shop, seconds=0.1, **more):
