@@ -8,10 +8,11 @@ by the agent alone (Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet import tbuf
 from pbonet.errors import NodeError, Severity, SvarError
@@ -43,6 +44,14 @@ NEWS_TIME = 2.0
 Handled = m.Status | m.Profile | m.Display | m.Write
 HANDLED = (m.Status, m.Profile, m.Display, m.Write)
 """Requests that the agent carries out itself."""
+
+
+class Seen(NamedTuple):
+    """A task, and what stood in the core's table about it at one time."""
+
+    task: KnownTask
+    slot: SlotStatus
+    signals: tuple[int, ...]
 
 
 class Overview:
@@ -158,9 +167,7 @@ class Overview:
             return None
         return self._answer(request, partial(self._status, request, found))
 
-    def _status(
-        self, request: m.Status, seen: list[tuple[KnownTask, SlotStatus]]
-    ) -> m.RtpuStatus:
+    def _status(self, request: m.Status, seen: list[Seen]) -> m.RtpuStatus:
         whose = request.subsystem
         entry = self._claim(whose)
         return status.rtpu_status(
@@ -168,10 +175,10 @@ class Overview:
             entry.scheduler if entry else "",
             self._open().status(),
             tasks=[
-                *(self._shown(task, slot) for task, slot in self._of(request, seen)),
+                *(self._shown(one) for one in self._of(request, seen)),
                 *self._died(request),
             ],
-            spent_ns=sum(slot.cpu_total_ns for _, slot in seen),
+            spent_ns=sum(one.slot.cpu_total_ns for one in seen),
             illegal=self._causes(whose),
             events=events.by_task(self._known.counts or [], whose),
             tbufs=tbuf.seen(self._domain),
@@ -179,13 +186,15 @@ class Overview:
         )
 
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
-        core = self._open()
-        return [
-            status.task_profile(
-                self._shown(task, slot), slot, core.histograms(task.slot)
-            )
-            for task, slot in self._of(request, self._look())
-        ]
+        while True:
+            found, core = self._of(request, self._look()), self._open()
+            with contextlib.suppress(NodeError):  # one has ended: the next look waits
+                return [
+                    status.task_profile(
+                        self._shown(one), one.slot, core.histograms(one.task.slot)
+                    )
+                    for one in found
+                ]
 
     def _display(self, request: m.Display) -> list[m.VarValue]:
         return values.display(self._table(request.subsystem)[0], request.names)
@@ -199,7 +208,7 @@ class Overview:
 
     # -- what is seen ------------------------------------------------------------------
 
-    def _look(self) -> list[tuple[KnownTask, SlotStatus]]:
+    def _look(self) -> list[Seen]:
         """Return all tasks with what stands in the core's table about them.
 
         A slot that has another task than is known was given away this moment: the
@@ -223,38 +232,38 @@ class Overview:
         with self._news:
             return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
 
-    def _match(self, tasks: list[KnownTask]) -> list[tuple[KnownTask, SlotStatus]]:
+    def _match(self, tasks: list[KnownTask]) -> list[Seen]:
         core = self._open()
-        found: list[tuple[KnownTask, SlotStatus]] = []
+        found: list[Seen] = []
         owner = f"{self._domain}/{self._rtpu}"
         for task in tasks:
             try:
-                slot = core.snapshot(task.slot)
+                slot, signals = core.snapshot(task.slot), core.signals(task.slot)
             except NodeError:  # it has been given back
                 continue
             if (slot.rtpu, slot.task) == (owner, f"{task.subsystem}/{task.task}"):
-                found.append((task, slot))
+                found.append(Seen(task, slot, signals))
         return found
 
     def _of(
         self,
         request: m.Status | m.Profile,
-        seen: list[tuple[KnownTask, SlotStatus]],
-    ) -> list[tuple[KnownTask, SlotStatus]]:
+        seen: list[Seen],
+    ) -> list[Seen]:
         """Return the tasks that are asked for.
 
         Raises:
             UnknownTaskError: There is none of that name, nor was one.
         """
         whose, name = request.subsystem, request.task
-        own = [(t, slot) for t, slot in seen if whose in {"", t.subsystem}]
-        found = [(t, slot) for t, slot in own if name in {None, t.task}]
+        own = [one for one in seen if whose in {"", one.task.subsystem}]
+        found = [one for one in own if name in {None, one.task.task}]
         if name is None or found:
             return found
         tombs = self._died(request)
         if isinstance(request, m.Profile) or not tombs:
             tomb = tombs[0] if tombs else None
-            names = [t.task for t, _ in own]
+            names = [one.task.task for one in own]
             raise known.no_task(self._rtpu, whose, name, names, tomb)
         return []
 
@@ -266,9 +275,8 @@ class Overview:
             if request.subsystem in {"", whose} and request.task in {None, tomb.task}
         ]
 
-    def _shown(self, task: KnownTask, slot: SlotStatus) -> m.TaskStatus:
-        signals = self._open().signals(task.slot)
-        return status.task_status(self._rtpu, task, slot, signals)
+    def _shown(self, seen: Seen) -> m.TaskStatus:
+        return status.task_status(self._rtpu, *seen)
 
     def _causes(self, subsystem: str) -> list[str]:
         """Return why the illegal-configuration flag is up."""
