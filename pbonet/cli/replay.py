@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Annotated as A
 
@@ -71,6 +72,8 @@ def command(
     if play is not None:
         span = player.Span(rate=rate, start=start, end=end, loop=loop)
         names = [task.strip() for task in play.split(",")]
+        for one in (signal.SIGINT, signal.SIGTERM):  # a shell may have ignored one
+            signal.signal(one, signal.default_int_handler)
         result = player.play(run, names, span, domain=domain, subsystem=subsystem)
     elif verify:
         result = testing.verify(run, tasks or (), libraries=libraries, rtol=rtol)

@@ -100,7 +100,10 @@ def test_played_values_arrive_in_a_table_that_others_read(line, nodes, log) -> N
         assert table.info("Y0").owner is None, "nobody owns it behind the end"
 
 
-def test_a_part_is_played_over_and_over_until_an_interrupt(line, nodes, log) -> None:
+@pytest.mark.parametrize("which", [signal.SIGINT, signal.SIGTERM])
+def test_a_part_is_played_over_and_over_until_an_interrupt(
+    line, nodes, log, which
+) -> None:
     words = ("--loop", "--start", 0.03, "--end", 0.05)
     with subprocess.Popen(
         command(nodes, log, *words), stdout=subprocess.PIPE, text=True
@@ -116,7 +119,7 @@ def test_a_part_is_played_over_and_over_until_an_interrupt(line, nodes, log) -> 
             assert table.info("Y0").owner == "replay:a"
             error = line.refused(SvarOwnerError, spawn_and_turn_on, line)
             assert "replay:a" in str(error), "the player owns them like a task"
-        player.send_signal(signal.SIGINT)
+        player.send_signal(which)
         out, _ = player.communicate(timeout=20)
     assert player.returncode == 0
     assert "a: " in out
