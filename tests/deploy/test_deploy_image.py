@@ -5,7 +5,6 @@ Dockerfile over this machine's root, and nothing of it stays. That the base imag
 what the steps expect is all that it cannot show.
 """
 
-import faulthandler
 import os
 import re
 import subprocess
@@ -95,7 +94,6 @@ def test_image_and_host_as_their_files_say(tmp_path):
         pytest.skip(f"no overlay on the root can be mounted: {why}")
     if not os.environ.get("CI") and not reachable():
         pytest.skip("Debian's packages cannot be reached")
-    faulthandler.cancel_dump_traceback_later()  # installing takes minutes
     tree = context(tmp_path / "context")
     done = subprocess.run(
         [
