@@ -118,6 +118,34 @@ def events(
         print(render.event(event))
 
 
+@command.command("commands")
+def commands(
+    *,
+    file: File = None,
+    task: A[
+        str | None, typer.Option(help="Those that name this task, or stop all.")
+    ] = None,
+    op: A[str | None, typer.Option(help="Of one kind, such as control.")] = None,
+    refused: A[
+        bool, typer.Option("--refused", help="Only those that were not carried out.")
+    ] = False,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Show the commands that a run was given, by whom, and what came of them."""
+    import msgspec
+
+    from pbonet.log import Log, last_run, orders
+
+    found = Log(file or last_run()).commands()
+    chosen = orders.chosen(found, task=task, op=op, refused=refused)
+    if json_:
+        print(msgspec.json.encode({"commands": chosen}).decode())
+        return
+    for one in chosen:
+        print(orders.line(one))
+
+
 @command.command("plot")
 def plot(
     *,

@@ -267,11 +267,15 @@ class Log(Cycles):
     def commands(self) -> list[dict[str, Any]]:
         """Return the commands to the subsystem, by the time of their answers.
 
-        Each has ``op``, ``client``, ``asked``, ``ok``, ``error``, ``warnings``,
-        ``result``, ``begun_ns`` and ``ended_ns``.
+        Each has ``rtpu``, ``op``, ``client``, ``asked``, ``ok``, ``error``,
+        ``warnings``, ``result``, ``begun_ns``, ``ended_ns``, and ``wall``: when it was
+        answered, in seconds since 1970.
         """
-        found = self.messages("json", "/commands")
-        return [msgspec.json.decode(one.data, type=dict[str, Any]) for one in found]
+        return [
+            {"rtpu": "", "wall": one.time_ns * 1e-9}
+            | msgspec.json.decode(one.data, type=dict[str, Any])
+            for one in self.messages("json", "/commands")
+        ]
 
     @property
     def begin_time_ns(self) -> int:

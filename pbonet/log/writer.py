@@ -216,7 +216,8 @@ class LogWriter:
         schema = {"type": "object", "title": "pbonet.Command"}
         channel = self._channel("commands", "pbonet.Command", schema)
         time_ns = int(command["ended_ns"]) + self.about.epoch_ns
-        self._put(channel, time_ns, msgspec.json.encode(command), time_ns)
+        data = msgspec.json.encode({"rtpu": self.about.rtpu, **command})
+        self._put(channel, time_ns, data, time_ns)
 
     def add_status(self, now_ns: int, status: dict[str, Any]) -> None:
         """Write numbers about the run, as they stand at an instant.

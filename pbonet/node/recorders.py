@@ -18,6 +18,7 @@ from pbonet.errors import Severity
 
 from . import runtime, wire
 from .commanded import command
+from .feed import Feed
 from .tasks import describe_end
 
 if TYPE_CHECKING:
@@ -59,7 +60,8 @@ class _Child:
         self._guard = threading.Lock()
         self._ending = False
         self._lost: list[float] = []
-        self._events, self._said = -1, -1
+        self._said = -1
+        self._feed = Feed(self._unfit, self._kill)
         self._process = self._start(before)
         self._thread = threading.Thread(
             target=self._listen, name="pbonet recorder", daemon=True
@@ -71,10 +73,10 @@ class _Child:
         recording = msgspec.structs.replace(self.wanted, before=list(before))
         wanted = os.memfd_create("recording")
         os.write(wanted, wire.encode(recording))
-        events, self._events = os.pipe()
+        events, feed = os.pipe()
         self._said, said = os.pipe()
         try:
-            return subprocess.Popen(
+            process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pbonet.node.recorder", str(wanted)],
                 env=runtime.environment(),
                 stdin=events,
@@ -85,33 +87,26 @@ class _Child:
         finally:
             for fd in (wanted, events, said):
                 os.close(fd)
-            os.set_blocking(self._events, False)
+        self._feed.begin(feed)
+        return process
 
     def tell(self, message: wire.ToRecorder) -> None:
         """Hand something on; a recorder that takes nothing is started anew."""
-        frame = wire.frame(message)
-        with self._guard:
-            if self._ending or self._events < 0:
-                return
-            try:
-                sent = os.write(self._events, frame)
-            except BlockingIOError:
-                sent = 0
-            except OSError:
-                return  # it has ended; `_listen` sees to that
-            if sent < len(frame):
-                self._process.kill()
+        self._feed.put(wire.frame(message))
+
+    def _kill(self) -> None:
+        self._process.kill()
+
+    def _unfit(self, count: int) -> None:
+        text = f"{count} events and commands of {self.wanted.subsystem} came faster "
+        text += "than its recorder took them; they are not in the log"
+        self._tell(wire.Note(int(Severity.WARNING), "NOT_RECORDED", text))
 
     def end(self) -> None:
         """Have the log finished; `join` waits for that."""
         with self._guard:
             self._ending = True
-            self._close_events()
-
-    def _close_events(self) -> None:
-        if self._events >= 0:
-            os.close(self._events)
-            self._events = -1
+            self._feed.end()
 
     def join(self) -> None:
         """Wait for the end; a recorder that does not end is killed."""
@@ -141,7 +136,7 @@ class _Child:
         with self._guard:
             if self._ending:
                 return False
-            self._close_events()
+            self._feed.leave()
         now = time.monotonic()
         self._lost = [t for t in self._lost if now - t < WINDOW] + [now]
         again = len(self._lost) <= RESTARTS
@@ -159,6 +154,7 @@ class _Child:
             if again and not self._ending:
                 self._process = self._start(())
                 return True
+            self._feed.end()
         return False
 
 

@@ -182,3 +182,18 @@ def test_a_recorder_that_is_lost_too_often_is_not_started_again(tmp_path) -> Non
     assert all(text.endswith("another one goes on") for text in texts[:-1])
     assert texts[-1].endswith("nothing is recorded any more")
     assert len(Log(tmp_path / "r").parts) == RESTARTS + 1
+
+
+def test_a_burst_behind_the_start_kills_no_recorder(tmp_path) -> None:
+    said, burst = [], 400
+    recorders = Recorders(said.append, AgentConfig())
+    try:
+        recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+        for n in range(burst):  # of 1.5 kB each, while it is still being started
+            commanded(recorders, "arm", [n, *[0.1234567890123456789] * 60])
+        wait_for(lambda: logs(tmp_path), "a log")
+    finally:
+        recorders.stop()
+    assert codes(said) == []
+    asked = [one["asked"]["values"][0] for one in Log(tmp_path / "r").commands()]
+    assert asked == list(range(burst)), "each one, in order"
