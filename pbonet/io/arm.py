@@ -12,9 +12,9 @@ hold it and slips when it cannot, exactly and without chatter, at any step.
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
-from math import ceil, inf, isfinite
+from math import ceil, inf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Bounds = Sequence[tuple[float, float]]
+    Signs = tuple[int, ...]
 
 
 class SimulatedArm:
@@ -57,9 +58,8 @@ class SimulatedArm:
         self._q = np.zeros(data.ndof)
         self._qd = np.zeros(data.ndof)
         self._torque = np.zeros(data.ndof)
-        self._damping = np.diag(data.viscous)
-        columns = (data.lower, data.upper, -data.coulomb_down, data.coulomb_up)
-        self._limits = np.stack(columns, axis=1).tolist()
+        self._stops = np.stack((data.lower, data.upper), axis=1).tolist()
+        self._take_step(substep)
 
     @property
     def q(self) -> Floats:
@@ -105,27 +105,46 @@ class SimulatedArm:
         if dt > left:
             self.brake()
 
+    def _take_step(self, h: float) -> None:
+        """Have what depends on nothing but the length of a step, seconds."""
+        self._h = h
+        self._damping = h * np.diag(self.data.viscous)
+        columns = (-self.data.coulomb_down, self.data.coulomb_up)
+        self._slipping: Bounds = (h * np.stack(columns, axis=1)).tolist()
+
     def _step(self, h: float) -> None:
         """Advance by `h`: M v' + h (D v' + f) = M v + h (torque - bias), q' = q + h v'.
 
         The friction f lies between its bounds, and is at one of them while v' is not
         zero. An end stop is a bound without end.
         """
+        if h != self._h:
+            self._take_step(h)
         mass = self.chain.mass_matrix(self._q)
-        bias = self.chain.bias(self._q, self._qd)
-        push = mass @ self._qd + h * (self._torque - bias)
-        # a handful of numbers: plain Python is faster here than numpy's calls would be
-        bounds = [
-            (-inf if q <= lower else h * down, inf if q >= upper else h * up)
-            for q, (lower, upper, down, up) in zip(
-                self._q.tolist(), self._limits, strict=True
-            )
-        ]
-        matrix = mass + h * self._damping
-        self._qd[:] = solve_with_friction(matrix, push, bounds, self._qd)
+        push = self._torque - self.chain.bias(self._q, self._qd)
+        push *= h
+        push += mass @ self._qd
+        self._qd[:] = solve_with_friction(
+            mass + self._damping, push, self._bounds(), self._qd
+        )
         self._q += h * self._qd
         np.minimum(self._q, self.data.upper, out=self._q)
         np.maximum(self._q, self.data.lower, out=self._q)
+
+    def _bounds(self) -> Bounds:
+        """Return the bounds of the friction: at an end stop it gives way to none."""
+        # a handful of numbers: plain Python is faster here than numpy's calls would be
+        angles = self._q.tolist()
+        for q, (lower, upper) in zip(angles, self._stops, strict=True):
+            if not lower < q < upper:
+                break
+        else:
+            return self._slipping
+        rows = zip(angles, self._stops, self._slipping, strict=True)
+        return [
+            (-inf if q <= lower else down, inf if q >= upper else up)
+            for q, (lower, upper), (down, up) in rows
+        ]
 
 
 def solve_with_friction(
@@ -146,23 +165,19 @@ def solve_with_friction(
             for a stop, and one at least 0, or infinity for a stop.
         guess: A velocity whose signs are likely right.
     """
-    moving: list[float] = guess.tolist()
-    signs = [(value > 0.0) - (value < 0.0) for value in moving]
-    signs = [  # nothing moves into a stop
-        sign if isfinite(bound[sign > 0]) else 0
-        for sign, bound in zip(signs, bounds, strict=True)
-    ]
-    pushes = push.tolist()
+    signs = tuple([  # nothing moves into a stop
+        1 if v > 0.0 and high < inf else -1 if v < 0.0 and low > -inf else 0
+        for v, (low, high) in zip(guess.tolist(), bounds, strict=True)
+    ])
     rounds = 0
     while True:
         velocity, friction = _with_signs(matrix, push, bounds, signs)
-        rows = zip(signs, velocity.tolist(), friction, bounds, pushes, strict=True)
-        better = [_corrected(*row) for row in rows]
+        better = _corrected(signs, velocity.tolist(), friction, bounds, push)
         if better == signs:
             return velocity
         if rounds > _ALL_AT_ONCE:
             first = next(i for i, sign in enumerate(signs) if sign != better[i])
-            better = [*signs[:first], better[first], *signs[first + 1 :]]
+            better = (*signs[:first], better[first], *signs[first + 1 :])
         signs = better
         rounds += 1
 
@@ -172,42 +187,56 @@ _ALL_AT_ONCE = 10
 
 
 def _corrected(
-    sign: int,
-    velocity: float,
-    friction: float,
-    bounds: tuple[float, float],
-    push: float,
-) -> int:
-    """Return the sign that a joint's velocity should have been given."""
-    if sign:
-        return 0 if velocity * sign < 0 else sign
-    low, high = bounds
-    slack = 1e-12 * (1.0 + abs(push))
-    return (friction > high + slack) - (friction < low - slack)
+    signs: Signs,
+    velocity: list[float],
+    friction: list[float],
+    bounds: Bounds,
+    push: Floats,
+) -> Signs:
+    """Return the signs that the joints' velocities should have been given."""
+    better: list[int] = []
+    rows = zip(signs, velocity, friction, bounds, strict=True)
+    for sign, v, f, (low, high) in rows:
+        if sign:
+            better.append(0 if v * sign < 0 else sign)
+        elif low <= f <= high:
+            better.append(0)
+        else:
+            slack = 1e-12 * (1.0 + abs(push.item(len(better))))
+            better.append((f > high + slack) - (f < low - slack))
+    return tuple(better)
 
 
 def _with_signs(
-    matrix: Floats, push: Floats, bounds: Bounds, signs: list[int]
+    matrix: Floats, push: Floats, bounds: Bounds, signs: Signs
 ) -> tuple[Floats, list[float]]:
     """Return velocity and friction if the joints slip, or stick, as `signs` say."""
     if not any(signs):
         return np.zeros_like(push), push.tolist()
     friction = [
-        bound[sign > 0] if sign else 0.0
-        for sign, bound in zip(signs, bounds, strict=True)
+        pair[sign > 0] if sign else 0.0
+        for sign, pair in zip(signs, bounds, strict=True)
     ]
     load = push - np.array(friction)
     if all(signs):
         return _solve(matrix, load), friction
-    free = np.array(signs, dtype=np.float64) ** 2  # 1 for who slips, 0 for who sticks
-    reduced = matrix * free * free[:, None]
-    reduced.ravel()[:: len(free) + 1] += 1.0 - free
-    velocity = _solve(reduced, load * free)
-    needed: list[float] = (push - matrix @ velocity).tolist()
+    free, both, stuck = _masks(signs)
+    load *= free
+    reduced = matrix * both
+    reduced.ravel()[:: len(signs) + 1] += stuck
+    velocity = _solve(reduced, load)
+    needed = (push - matrix @ velocity).tolist()
     return velocity, [
         slip if sign else stick
         for sign, slip, stick in zip(signs, friction, needed, strict=True)
     ]
+
+
+@lru_cache(maxsize=1024)
+def _masks(signs: Signs) -> tuple[Floats, Floats, Floats]:
+    """Return 1 for who slips, for pairs that slip, and for who sticks; else 0."""
+    free = np.array(signs, dtype=np.float64) ** 2
+    return free, free * free[:, None], 1.0 - free
 
 
 def _solve(matrix: Floats, load: Floats) -> Floats:
