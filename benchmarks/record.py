@@ -297,6 +297,8 @@ def verified(log: Log) -> list[dict[str, Any]]:
             "identical": one.cycles,
             "recorded": one.recorded,
             "x real time": one.seconds / one.took,
+            "x with loading": one.seconds / (one.took + one.loading),
+            "ms to load": one.loading * 1e3,
             "us a cycle": one.took / max(one.cycles, 1) * 1e6,
             "CPU us a cycle in the task": float(cpu),
         })

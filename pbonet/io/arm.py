@@ -123,7 +123,7 @@ class SimulatedArm:
         mass = self.chain.mass_matrix(self._q)
         push = self._torque - self.chain.bias(self._q, self._qd)
         push *= h
-        push += mass @ self._qd
+        push += mass.dot(self._qd)
         self._qd[:] = solve_with_friction(
             mass + self._damping, push, self._bounds(), self._qd
         )
@@ -225,7 +225,7 @@ def _with_signs(
     reduced = matrix * both
     reduced.ravel()[:: len(signs) + 1] += stuck
     velocity = _solve(reduced, load)
-    needed = (push - matrix @ velocity).tolist()
+    needed = (push - matrix.dot(velocity)).tolist()
     return velocity, [
         slip if sign else stick
         for sign, slip, stick in zip(signs, friction, needed, strict=True)

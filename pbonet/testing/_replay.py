@@ -74,8 +74,11 @@ def _again(
         verdict.gaps.append(why)
         return
     begun = time.perf_counter()
-    Run(life, commits, libraries, verdict, rtol).go()
-    verdict.took += time.perf_counter() - begun
+    run = Run(life, commits, libraries, verdict, rtol)
+    loaded = time.perf_counter()
+    run.go()
+    verdict.loading += loaded - begun
+    verdict.took += time.perf_counter() - loaded
 
 
 def replay(

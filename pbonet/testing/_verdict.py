@@ -76,7 +76,9 @@ class Verdict(Struct, kw_only=True):
     seconds: float = 0.0
     """Of the run that were verified."""
     took: float = 0.0
-    """Seconds that it took."""
+    """Seconds that it took, once its code was loaded."""
+    loading: float = 0.0
+    """Seconds that this took before: modules, and the packages that they import."""
 
     @property
     def good(self) -> bool:
