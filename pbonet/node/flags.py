@@ -8,6 +8,7 @@ others.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,8 @@ class Flags:
         self._outputs: dict[tuple[str, str], Collection[str]] = {}
         self._refused: dict[tuple[str, str], str] = {}
         """Causes for which there was no room; raised again when others have gone."""
+        self._looks: dict[str, list[asyncio.TimerHandle]] = {}
+        """To come at what the last list has handed over, by subsystem."""
 
     def up(
         self, subsystem: str, name: str, cause: str, outputs: Collection[str] = ()
@@ -86,6 +89,35 @@ class Flags:
         return opened is not None and all(
             opened.table.info(output).owner not in {None, but} for output in outputs
         )
+
+    def expect(
+        self, subsystem: str, outputs: Collection[str], done: str, within: float
+    ) -> None:
+        """Raise an entry unless others have taken variables over by then.
+
+        Args:
+            subsystem: Whose variables.
+            outputs: Their names.
+            done: What of the list is done.
+            within: Seconds.
+        """
+
+        def look() -> None:
+            left = [
+                output for output in outputs if not self.written(subsystem, [output])
+            ]
+            if left:
+                what = f"{done} is done, and nobody took over {' '.join(left)}"
+                self.up(subsystem, UNFINISHED, what, left)
+
+        timer = asyncio.get_running_loop().call_later(within, look)
+        self._looks.setdefault(subsystem, []).append(timer)
+
+    def forget_list(self, subsystem: str) -> None:
+        """Withdraw what was raised for the last list, and look at it no more."""
+        for timer in self._looks.pop(subsystem, ()):
+            timer.cancel()
+        self.down(subsystem, UNFINISHED)
 
     def owners(self, subsystem: str, outputs: Collection[str]) -> set[str]:
         """Return the tasks that own any of these variables."""

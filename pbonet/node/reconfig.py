@@ -16,7 +16,6 @@ from pbonet.xm.messages import Reconfigured
 
 from . import lifecycle
 from .control import control, note
-from .flags import UNFINISHED
 from .handover import TRIP, Exchange, calling, exchanges, shortest_period
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ class _List:
     async def run(self) -> Reconfigured:
         """Carry it out, as far as it goes."""
         items = self._request.items
-        self._rtpu.flags.down(self._request.subsystem, UNFINISHED)
+        self._rtpu.flags.forget_list(self._request.subsystem)
         begin = 0
         try:
             while begin < len(items):
@@ -108,21 +107,14 @@ class _List:
             for output in task.facts.outputs
         ]
 
-        def look(which: Sequence[str]) -> None:
-            left = [v for v in which if not rtpu.flags.written(request.subsystem, [v])]
-            if left:
-                what = f"off {' '.join(gone)} is done, and nobody took over "
-                what += " ".join(left)
-                rtpu.flags.up(request.subsystem, UNFINISHED, what, left)
-
         calls = [call for theirs in request.calls.values() for call in theirs]
         theirs = {output for call in calls for output in call.outputs}
         called = [output for output in outputs if output in theirs]
-        loop = asyncio.get_running_loop()
+        what = f"off {' '.join(gone)}"
         if called:  # those heirs have had their time
-            loop.call_later(0.0, look, called)
+            rtpu.flags.expect(request.subsystem, called, what, 0.0)
         if len(called) < len(outputs):  # to others the master has yet to send `on`
-            loop.call_later(TRIP, look, outputs)
+            rtpu.flags.expect(request.subsystem, outputs, what, TRIP)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
         """Send one signal; return it when that failed."""

@@ -23,7 +23,7 @@ from . import _rt, known, leftovers, ranking, runtime, status, wire
 from ._ring import Ring
 from .claims import Claims
 from .fallbacks import Fallbacks
-from .flags import UNFINISHED, Flags
+from .flags import Flags
 from .givers import Givers
 from .heirs import Heirs
 from .signalling import Signals
@@ -451,7 +451,7 @@ class Rtpu:
         for key in [key for key in self.tombs if key[0] == subsystem]:
             self.bury(*key)
         self.fallbacks.forget(subsystem)
-        self.flags.down(subsystem, UNFINISHED)
+        self.flags.forget_list(subsystem)
 
     def _forks_died(self, code: int) -> None:
         self.events.add(

@@ -166,6 +166,25 @@ def test_who_does_not_come_in_that_time_raises_the_flag(rtpu, table, monkeypatch
     ]
 
 
+def test_the_next_list_ends_the_look_at_the_one_before(rtpu, table, monkeypatch):
+    """What is handed over is decided anew; a look behind it would say what is over."""
+    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+
+    async def run():
+        for name, outputs in {"b": ["Y1"], "other": ["Y0"]}.items():
+            Played(rtpu, name, outputs)
+        for name, handover in (("b", ["b"]), ("other", [])):
+            request = m.Reconfig(
+                subsystem="arm", items=[(name, "off")], handover=handover
+            )
+            assert (await reconfig.reconfigure(rtpu, request)).done == 1
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    asyncio.run(asyncio.wait_for(run(), LIMIT))
+    assert [one.cause for one in table.illegal] == []
+
+
 def test_what_was_done_before_another_one_died_is_answered(rtpu):
     async def dies_meanwhile():
         await rtpu.tasks["arm", "b"].end()
