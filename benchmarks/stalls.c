@@ -1,9 +1,9 @@
 /* The reference of swap.py: a bare C loop that tells when it was late.
  *
- * usage: stalls CORE LEVEL PERIOD_NS
+ * usage: stalls CORE LEVEL PERIOD_NS LATE_NS
  * Sleeps from release to release until standard input ends, then prints how many there
- * were, and for each wake-up that came a whole period late or more when it was due and
- * when it came, in nanoseconds of CLOCK_MONOTONIC.
+ * were, and for each wake-up that came LATE_NS late or more when it was due and when it
+ * came, in nanoseconds of CLOCK_MONOTONIC.
  */
 #define _GNU_SOURCE
 #include <poll.h>
@@ -27,9 +27,9 @@ static int64_t now(void)
 
 int main(int argc, char **argv)
 {
-    if (argc != 4)
+    if (argc != 5)
         return 2;
-    int64_t period = atoll(argv[3]), count = 0;
+    int64_t period = atoll(argv[3]), least = atoll(argv[4]), count = 0;
     int late = 0;
     struct sched_param param = {.sched_priority = atoi(argv[2])};
     cpu_set_t set;
@@ -46,13 +46,11 @@ int main(int argc, char **argv)
         struct timespec at = {release / 1000000000, release % 1000000000};
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
         int64_t woken = now();
-        if (woken - release >= period) {
-            if (late < MOST) {
-                due_at[late] = release;
-                came_at[late++] = woken;
-            }
-            release += (woken - release) / period * period;
+        if (woken - release >= least && late < MOST) {
+            due_at[late] = release;
+            came_at[late++] = woken;
         }
+        release += (woken - release) / period * period;
         if (poll(&end, 1, 0) > 0)
             break;
     }
