@@ -168,8 +168,15 @@ class Stalls:
         )
 
     def end(self) -> tuple[int, list[tuple[int, int]]]:
-        """Return the releases of the loop, and its stalls as (due, came)."""
+        """Return the wake-ups of the loop, and the late ones as (due, came).
+
+        Raises:
+            PermissionError: It could not be had above the dispatcher.
+        """
         out, _ = self._process.communicate()
+        if self._process.returncode:
+            msg = f"the C loop needs SCHED_FIFO {ABOVE}, above the dispatcher"
+            raise PermissionError(msg)
         count, *rest = map(int, out.split())
         return count, list(zip(rest[::2], rest[1::2], strict=True))
 

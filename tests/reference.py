@@ -17,7 +17,7 @@ from typing import Self
 PERIOD = 0.005
 LOOP = """
 import json, os, select, sys, time
-core, level, period, beside = map(int, sys.argv[1:])
+core, level, period, least, beside = map(int, sys.argv[1:])
 os.sched_setaffinity(0, {core})
 def take(level):
     try:
@@ -41,8 +41,9 @@ while True:
     if (left := due - time.monotonic_ns()) > 0:
         time.sleep(left * 1e-9)
     over = time.monotonic_ns() - due
-    if over > period:
+    if over > least:
         late.append((due, due + over))
+    if over > period:
         due += over // period * period
     if asked:
         print(json.dumps(late), flush=True)
@@ -61,10 +62,14 @@ class Reference:
         core: Where.
         level: Of SCHED_FIFO, where that can be had.
         beside: The process of a task whose level it has instead, as that changes.
+        late: Seconds behind its time from which on a wake-up counts as late.
     """
 
-    def __init__(self, core: int, level: int = 1, *, beside: int = 0) -> None:
-        settings = map(str, (core, level, round(PERIOD * 1e9), beside))
+    def __init__(
+        self, core: int, level: int = 1, *, beside: int = 0, late: float = PERIOD
+    ) -> None:
+        times = (round(PERIOD * 1e9), round(late * 1e9))
+        settings = map(str, (core, level, *times, beside))
         self._process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", LOOP, *settings],
             stdin=subprocess.PIPE,
