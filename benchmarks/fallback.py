@@ -44,10 +44,17 @@ NAMES = (
     "death to the fallback is ON",
     "death to fallback's first cycle",
     "death to stable",
+    "turn to the release of stable",
     "cycles in stable",
     "other cycles behind the turn",
 )
-"""What is measured of each death, in periods; the last two are numbers of cycles."""
+"""What is measured of each death, in periods; the last two are numbers of cycles.
+
+A critical task is `stable` from its first release behind the turn on, which is up to a
+period behind it: so `stable` may begin more than a period behind a death. From the turn
+to that release it is more than one only where a release has no cycle of its own. It is
+below 0 where the cycle was released before the turn and begun behind it.
+"""
 FIRST, OTHERS = NAMES.index("death to fallback's first cycle"), len(NAMES) - 1
 WITHIN = 0.99
 """So many of the first cycles must begin within one period."""
@@ -174,8 +181,9 @@ def one(subsystem: Subsystem, original: str, standby: str) -> list[float]:
         first = next(one.start_ns for one in begun if one.start_ns > killed)
         held = [one for one in guard if one.stable and one.start_ns > killed]
         stable = held[0].start_ns if held else float("nan")
+        wait = held[0].release_ns - turn if held else float("nan")
         others = [one for one in guard if turn < one.start_ns < stable]
-        times = [at - killed for at in (turn, armed, first, stable)]
+        times = [*(at - killed for at in (turn, armed, first, stable)), wait]
         return [*(ns / PERIOD for ns in times), float(len(held)), float(len(others))]
     finally:
         core.close()
