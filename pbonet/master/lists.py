@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pbonet.pbo import State
 from pbonet.xm.messages import MOST_CALLERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pbonet.master.picture import Picture
 
@@ -27,21 +28,35 @@ def handed_over(picture: Picture, items: Sequence[tuple[str, str]]) -> list[str]
 
 
 def across(picture: Picture, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
-    """Return tasks that take over from tasks on one other RTPU, and from which.
+    """Return tasks that take over from tasks on other RTPUs, and from which.
 
-    They can be called by these as soon as they have ended. Left out are those that take
-    over from several RTPUs or from their own, that share a predecessor with one of
-    these, and whose predecessors do not stand side by side in the list.
+    They can be called by these as soon as all of them have ended. So can heirs on the
+    RTPU of their predecessors that share one of them with such a task. Left out are
+    those whose predecessors do not stand side by side in the list, and those that share
+    a predecessor with one of these.
     """
     olds = _predecessors(picture, items)
-    left_out = {heir for heir in olds if not _direct(picture, items, heir, olds[heir])}
+    far = {heir for heir in olds if len(_rtpus(picture, [heir, *olds[heir]])) > 1}
+    called = _sharing(olds, far)
+    direct = {heir for heir in olds if _direct(picture, items, heir, olds[heir])}
+    called -= _sharing(olds, called - direct)
+    return {heir: olds[heir] for heir in olds if heir in called}
+
+
+def _rtpus(picture: Picture, tasks: Iterable[str]) -> set[str]:
+    return {picture.find(task).rtpu for task in tasks}
+
+
+def _sharing(olds: Mapping[str, list[str]], heirs: set[str]) -> set[str]:
+    """Return these heirs and all that share a predecessor with one of them."""
+    found = set(heirs)
     while more := {
         heir
-        for heir in olds.keys() - left_out
-        if any(set(olds[heir]) & set(olds[other]) for other in left_out)
+        for heir in olds.keys() - found
+        if any(set(olds[heir]) & set(olds[other]) for other in found)
     }:
-        left_out |= more
-    return {heir: olds[heir] for heir in olds if heir not in left_out}
+        found |= more
+    return found
 
 
 def _predecessors(
@@ -62,14 +77,11 @@ def _predecessors(
 def _direct(
     picture: Picture, items: Sequence[tuple[str, str]], heir: str, olds: list[str]
 ) -> bool:
-    """Tell whether a task can stand by for others of one other RTPU."""
+    """Tell whether a task can stand by for others that call it."""
     names = [task for task, _ in items]
-    rtpus = {picture.find(old).rtpu for old in olds}
     first = names.index(olds[0])
     return (
-        len(rtpus) == 1
-        and picture.find(heir).rtpu not in rtpus
-        and picture.find(heir).state is State.OFF
+        picture.find(heir).state is State.OFF
         and all(picture.find(old).is_on for old in olds)
         and all(names.count(task) == 1 for task in (heir, *olds))
         and names[first : first + len(olds)] == olds
@@ -77,18 +89,47 @@ def _direct(
     )
 
 
-def runs(
+def steps(
+    picture: Picture,
+    items: Sequence[tuple[str, str]],
+    heirs: Mapping[str, list[str]],
+) -> Iterator[dict[str, list[tuple[str, str]]]]:
+    """Yield what is sent at once, in order: for each RTPU its part.
+
+    Tasks of several RTPUs that leave for the same heirs do so together; everything else
+    is cut wherever the next item is for another RTPU.
+    """
+    begin = 0
+    for first, last in _together(items, heirs):
+        parts: dict[str, list[tuple[str, str]]] = {}
+        for task, signal in items[first:last]:
+            parts.setdefault(picture.find(task).rtpu, []).append((task, signal))
+        if len(parts) > 1:
+            yield from _runs(picture, items[begin:first])
+            yield parts
+            begin = last
+    yield from _runs(picture, items[begin:])
+
+
+def _together(
+    items: Sequence[tuple[str, str]], heirs: Mapping[str, list[str]]
+) -> list[tuple[int, int]]:
+    """Return where those begin and end that leave together, in order."""
+    names = [task for task, _ in items]
+    spans: list[tuple[int, int]] = []
+    for olds in sorted(heirs.values(), key=lambda olds: names.index(olds[0])):
+        first = names.index(olds[0])
+        last = first + len(olds)
+        if spans and first < spans[-1][1]:
+            spans[-1] = spans[-1][0], max(last, spans[-1][1])
+        else:
+            spans.append((first, last))
+    return spans
+
+
+def _runs(
     picture: Picture, items: Sequence[tuple[str, str]]
-) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+) -> Iterator[dict[str, list[tuple[str, str]]]]:
     """Yield the items cut wherever the next is for another RTPU."""
-    part: list[tuple[str, str]] = []
-    where = ""
-    for task, signal in items:
-        rtpu = picture.find(task).rtpu
-        if part and rtpu != where:
-            yield where, part
-            part = []
-        where = rtpu
-        part.append((task, signal))
-    if part:
-        yield where, part
+    for rtpu, part in groupby(items, key=lambda item: picture.find(item[0]).rtpu):
+        yield {rtpu: list(part)}

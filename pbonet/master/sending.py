@@ -8,6 +8,7 @@ ended, and nobody waits for this master.
 from __future__ import annotations
 
 import contextlib
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
@@ -38,8 +39,8 @@ def send(
     sending = _Sending(picture, fleet, items, limit, before)
     try:
         sending.have_heirs_stand_by()
-        for rtpu, part in lists.runs(picture, items):
-            sending.part(rtpu, part)
+        for step in lists.steps(picture, items, sending.heirs):
+            sending.step(step)
     except PbonetError:
         sending.withdraw()
         raise
@@ -64,8 +65,9 @@ class _Sending:
         self._whole = [*before, *items]
         self._done = len(before)
         self._handover = lists.handed_over(picture, items)
-        self._heirs: dict[str, list[str]] = {}
         self._calls: dict[str, list[m.Call]] = {}
+        self.heirs: dict[str, list[str]] = {}
+        """Tasks that stand by, and who calls each."""
         self.states: dict[str, str] = {}
 
     def have_heirs_stand_by(self) -> None:
@@ -86,7 +88,7 @@ class _Sending:
         request = m.Heirs(
             after={heir: olds}, timeout=self._limit * (len(self._items) + 1)
         )
-        self._heirs[heir] = olds
+        self.heirs[heir] = olds
         try:
             calls = self._fleet.call(
                 self._picture.find(heir).rtpu,
@@ -104,34 +106,65 @@ class _Sending:
 
     def withdraw(self) -> None:
         """Have those stand by no longer that have not come on."""
-        for heir in self._heirs:
+        for heir in self.heirs:
             member = self._picture.get(heir)
             if member is not None and member.state is State.OFF:
                 request = m.Heirs(after={heir: []})
                 with contextlib.suppress(PbonetError):  # its time limit ends it, too
                     self._fleet.call(member.rtpu, request, dict[str, list[m.Call]])
-        self._heirs, self._calls = {}, {}
+        self.heirs, self._calls = {}, {}
 
-    def part(self, rtpu: str, part: list[Item]) -> None:
-        """Send what one RTPU is to do.
+    def step(self, parts: dict[str, list[Item]]) -> None:
+        """Send what one RTPU is to do, or several at once.
 
         Raises:
             ReconfigError: An item failed.
         """
-        answer = self._send(rtpu, part)
-        if answer.unseen:  # it is another machine after all, whatever its name
+        answers, errors = self._send(parts)
+        if again := {rtpu: one.rest for rtpu, one in answers.items() if one.unseen}:
+            # It is another machine after all, whatever its name.
             self.withdraw()
-            self._take(answer, part[: len(part) - len(answer.rest)])
-            part = answer.rest
-            answer = self._send(rtpu, part)
-        left = answer.rest or part[answer.done :] if answer.error is not None else []
-        made = [item for item in part if item not in left]
-        begin, end = self._done, self._done + len(part)
-        self._whole[begin:end] = [*made, *left]
-        self._take(answer, made)
-        if answer.error is not None:
-            cause = rpc.placed(rtpu, PbonetError.from_wire(answer.error))
-            raise stuck(self._whole, self._done, cause) from cause
+            for rtpu, rest in again.items():
+                made = parts[rtpu][: len(parts[rtpu]) - len(rest)]
+                self._take(answers.pop(rtpu), made)
+            more, failed = self._send(again)
+            answers, errors = answers | more, errors | failed
+        self._judge(parts | again, answers, errors)
+
+    def _judge(
+        self,
+        parts: dict[str, list[Item]],
+        answers: dict[str, m.Reconfigured],
+        errors: dict[str, PbonetError],
+    ) -> None:
+        """Take in what was done; raise when that is not all."""
+        unheard = {
+            rtpu: error
+            for rtpu, error in errors.items()
+            if isinstance(error, UnreachableError | NoAnswerError)
+        }
+        failed = {
+            rtpu: rpc.placed(rtpu, PbonetError.from_wire(answer.error))
+            for rtpu, answer in answers.items()
+            if answer.error is not None
+        }
+        causes = unheard | failed | errors
+        left: list[Item] = []
+        for rtpu in causes:
+            answer = answers.get(rtpu)
+            done = answer.done if answer is not None else 0
+            left += (answer.rest if answer is not None else []) or parts[rtpu][done:]
+        made = {
+            rtpu: [item for item in part if item not in left]
+            for rtpu, part in parts.items()
+        }
+        whole = [*chain(*made.values()), *left]
+        self._whole[self._done : self._done + len(whole)] = whole
+        for rtpu, answer in answers.items():
+            self._take(answer, made[rtpu])
+        for cause in causes.values():
+            unsure = sum(len(parts[rtpu]) for rtpu in unheard)
+            raise stuck(self._whole, self._done, cause, unsure=unsure) from cause
 
     def _take(self, answer: m.Reconfigured, made: Sequence[Item]) -> None:
         for task, state in answer.states.items():
@@ -139,15 +172,33 @@ class _Sending:
         self.states |= answer.states
         self._done += len(made)
 
-    def _send(self, rtpu: str, part: list[Item]) -> m.Reconfigured:
-        calls = {task: self._calls[task] for task, _ in part if task in self._calls}
-        request = m.Reconfig(
-            items=part, handover=self._handover, timeout=self._limit, calls=calls
-        )
-        limit = self._limit * len(part)
+    def _send(
+        self, parts: dict[str, list[Item]]
+    ) -> tuple[dict[str, m.Reconfigured], dict[str, PbonetError]]:
+        """Send each RTPU its part; return the answers, and why there are none."""
+        limit = self._limit * max(map(len, parts.values()))
+        requests = {rtpu: self._request(part, parts) for rtpu, part in parts.items()}
+        if len(parts) > 1:
+            answers, errors = self._fleet.each(
+                lambda rtpu: requests[rtpu], m.Reconfigured, rtpus=parts, timeout=limit
+            )
+            silent = [rtpu for rtpu in parts if rtpu not in answers]
+            return answers, dict(zip(silent, errors, strict=True))
+        ((rtpu, request),) = requests.items()
         try:
-            return self._fleet.call(rtpu, request, m.Reconfigured, timeout=limit)
-        except (UnreachableError, NoAnswerError) as error:
-            raise stuck(self._whole, self._done, error, unsure=len(part)) from error
+            answer = self._fleet.call(rtpu, request, m.Reconfigured, timeout=limit)
         except PbonetError as error:
-            raise stuck(self._whole, self._done, error) from error
+            return {}, {rtpu: error}
+        return {rtpu: answer}, {}
+
+    def _request(self, part: list[Item], parts: dict[str, list[Item]]) -> m.Reconfig:
+        """Return what one RTPU is sent, while others are sent the other parts."""
+        others = [task for one in parts.values() if one is not part for task, _ in one]
+        rates = [self._picture.find(task).freq for task in others]
+        return m.Reconfig(
+            items=part,
+            handover=self._handover,
+            timeout=self._limit,
+            calls={task: self._calls[task] for task, _ in part if task in self._calls},
+            slowest=max((1.0 / rate for rate in rates if rate), default=0.0),
+        )

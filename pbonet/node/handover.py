@@ -115,6 +115,7 @@ class Exchange:
         items: ``off`` and ``on`` items, as `exchanges` has found them.
         limit: Seconds that each step may take.
         calls: For tasks that leave whom of other RTPUs they call; then all of them do.
+        slowest: Seconds in which tasks of other RTPUs leave for the same heirs.
     """
 
     def __init__(
@@ -124,6 +125,8 @@ class Exchange:
         items: Sequence[Item],
         limit: float,
         calls: Mapping[str, list[Call]] = _NOBODY,
+        *,
+        slowest: float = 0.0,
     ) -> None:
         self._rtpu = rtpu
         self._items = items
@@ -136,6 +139,7 @@ class Exchange:
         self._news = [tasks[name] for name, signal in items if signal == "on"]
         self._olds = [tasks[name] for name, signal in items if signal == "off"]
         self._calls = calls
+        self._slowest = slowest
         self.failed: dict[str, PbonetError] = {}
         """What went wrong, by task."""
         self.unseen: list[str] = []
@@ -238,7 +242,8 @@ class Exchange:
     async def _taken(self) -> None:
         """Wait a moment until heirs on other RTPUs have taken over what is theirs."""
         ended = [task for task in self._olds if task.state is State.OFF]
-        for _ in range(round(TRIP / _LOOK)):
+        end = time.monotonic() + TRIP + min(self._left, self._slowest)
+        while time.monotonic() < end:
             if all(self._written(task, self._called_for(task)) for task in ended):
                 break
             await asyncio.sleep(_LOOK)

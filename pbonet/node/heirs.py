@@ -1,7 +1,7 @@
 """Heirs of tasks on other RTPUs of the machine: they stand by, and are called.
 
-An heir whose predecessors have another dispatcher cannot wait for them in its own core
-table. It waits for calls instead (``call.h``): each predecessor, as
+An heir one of whose predecessors has another dispatcher cannot wait for it in its own
+core table. It waits for calls instead (``call.h``): each predecessor, as
 its `off` has ended, calls in the heir's core table, and the dispatcher there engages
 the heir in its next turn. No message is waited for in between, and no master.
 
@@ -70,7 +70,7 @@ class Heirs:
 
         Args:
             subsystem: Whose tasks.
-            after: The heirs, and for each the tasks on another RTPU that it waits for.
+            after: The heirs, and for each the tasks, on any RTPU, that it waits for.
             limit: Seconds after which they stand by no longer.
 
         Returns:

@@ -159,7 +159,14 @@ class _List:
         request = self._request
         subsystem, limit = request.subsystem, request.timeout
         try:
-            made = Exchange(self._rtpu, subsystem, items, limit, calls or {})
+            made = Exchange(
+                self._rtpu,
+                subsystem,
+                items,
+                limit,
+                calls or {},
+                slowest=request.slowest,
+            )
         except PbonetError as gone:  # one has died since the list began
             self._result.error = gone.to_wire()
             return list(items)

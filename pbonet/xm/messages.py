@@ -130,7 +130,7 @@ class Control(Request, tag="control"):
 
 
 class Call(Struct, kw_only=True):
-    """How a task that has ended calls its heir on another RTPU of the machine."""
+    """How a task that has ended calls its heir on an RTPU of the machine."""
 
     heir: str
     outputs: list[str]
@@ -146,7 +146,7 @@ class Call(Struct, kw_only=True):
 
 
 class Heirs(Request, tag="heirs"):
-    """Have tasks stand by to take over from tasks on another RTPU of the machine.
+    """Have tasks stand by to take over from tasks on other RTPUs of the machine.
 
     Result: a list of `Call` for each task that is waited for, by its name; they are for
     `Reconfig.calls` there. An ``on`` in a list then waits until the heir has come on.
@@ -175,6 +175,9 @@ class Reconfig(Request, tag="reconfig"):
     timeout: float = 5.0
     calls: dict[str, list[Call]] = {}
     """For tasks among these whom each is to call when its `off` has ended."""
+    slowest: float = 0.0
+    """Period in seconds of the slowest task that leaves on another RTPU at the same
+    time; those that are called have so much longer to take over."""
 
 
 class Standby(Request, tag="standby"):
