@@ -128,7 +128,7 @@ def test_two_that_leave_for_one(arm):
     assert turn_off(arm, "c", again).done == 1
     assert states(arm)["b"] == "OFF", "it waits for a, too"
     assert turn_off(arm, "a", again).done == 1
-    assert states(arm)["b"] == "ON"
+    wait_for(lambda: states(arm)["b"] == "ON", "that it says that it is ON")
 
 
 def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):

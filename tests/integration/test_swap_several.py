@@ -87,12 +87,12 @@ def test_one_takes_over_from_two_rtpus(arm, nodes, rtpu):
     """One of which may be its own; nobody is without a writer at any instant."""
     arm.spawn("pair", rtpu)
     rings = {one.task: Ring.attach(one.ring) for one in arm.status_all()}
-    found = {task: list(ring.drain()) for task, ring in rings.items()}
+    found = {task: [] for task in rings}
     try:
         with Table.attach(f"{nodes.domain}.t") as table:
             before = table.generation
             done = arm.swap(["a", "b"], "pair")
-            assert done.items == [("a", "off"), ("b", "off"), ("pair", "on")]
+            assert done.items == [("b", "off"), ("a", "off"), ("pair", "on")]
             assert done.states == {"a": "OFF", "b": "OFF", "pair": "ON"}
             assert {table.info(name).owner for name in ("Y0", "Y1")} == {"pair"}
             assert table.generation == before + 1
@@ -104,7 +104,7 @@ def test_one_takes_over_from_two_rtpus(arm, nodes, rtpu):
     last = max(found[old][-1].release_ns for old in ("a", "b"))
     gap = (found["pair"][0].release_ns - last) / PERIOD
     assert gap == round(gap) >= 1
-    assert ("pair", "in the place of a and b") in engaged(arm)
+    assert ("pair", "in the place of b and a") in engaged(arm)
     assert raised(arm) == []
     assert arm.swap("pair", ["a", "b"]).states == {"a": "ON", "b": "ON", "pair": "OFF"}
     wait_for(lambda: not causes(arm), "a legal configuration")
