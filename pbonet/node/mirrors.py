@@ -230,17 +230,19 @@ class Carried:
 
     # -- the carrier's thread ----------------------------------------------------------
 
-    def _take(self, data: bytes) -> None:
+    def _take(self, data: bytes) -> str:
+        """Take in what another machine tells; return which one it is."""
         packet = packets.unpack(data)
         if self.mirror is None or packet is None:
-            return
+            return ""
         if packet.machine == self._owner.machine:
-            return
+            return ""
         new = packet.machine not in self.mirror.others
         placed = self.mirror.take(packet)
         if new or (not placed and packet.full is None):
             self.next = 0.0
             self._beat = 0.0  # it may lack ours too
+        return packet.machine
 
     def _lose(self, machine: str) -> None:
         if self.mirror is not None:
@@ -251,9 +253,11 @@ class Carried:
         if self.mirror is None:
             query.drop()  # type: ignore[no-untyped-call]
             return
+        asker = ""
         if query.payload is not None:
-            self._take(query.payload.to_bytes())
-        packet = self.mirror.tell(full=True)
+            asker = self._take(query.payload.to_bytes())
+        packet = self.mirror.tell(full=True, machine=asker)
+        self.next = 0.0  # the others may lack what the asker is told
         key = keys.svar(self._owner.domain, self.subsystem, "sync", self._owner.machine)
         with contextlib.suppress(zenoh.ZError), query:
             query.reply(key, packets.pack(packet) if packet is not None else b"")  # pyright: ignore[reportUnknownMemberType]
@@ -310,7 +314,7 @@ class Mirrors:
         self.machine = keys.machine(rundir.machine())
         self._offset = offset
         self._carried: dict[str, Carried] = {}
-        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
         self._over = False
         self._thread = threading.Thread(
@@ -328,7 +332,7 @@ class Mirrors:
         if self._thread.is_alive():
             self._thread.join()
 
-    def do(self, what: Callable[[], None]) -> None:
+    def do(self, what: Callable[[], object]) -> None:
         """Have the carrier's thread do something; may be called from anywhere."""
         self._todo.put(what)
         self._watch.ring()
@@ -434,7 +438,7 @@ class Mirrors:
                 one.next = 0.0
 
     @staticmethod
-    def _safely(what: Callable[[], None]) -> None:
+    def _safely(what: Callable[[], object]) -> None:
         try:
             what()
         except Exception:  # one table's trouble is not that of the others

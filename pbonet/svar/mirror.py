@@ -55,6 +55,8 @@ class Mirror:
         self.machine, self.run = machine, run
         self.host = socket.gethostname()
         self.others: dict[str, Machine] = {}
+        self._newcomers: set[str] = set()
+        """Those that have not been told yet what stands here."""
         self._late = late
         self._epochs = Epochs()
         self._outbox = Outbox(table, keep=keep)
@@ -70,12 +72,15 @@ class Mirror:
         """Of the flag, as it was looked at last."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
 
-    def tell(self, *, full: bool = False, look: bool = True) -> Packet | None:
+    def tell(
+        self, *, full: bool = False, look: bool = True, machine: str = ""
+    ) -> Packet | None:
         """Return what there is to tell the others; None when nothing is new.
 
         Args:
             full: Everything, not only what is new.
             look: Whether to look at the causes of the flag too.
+            machine: Who alone is told; all if left out.
         """
         changed = self._outbox.look(self._epochs)
         if changed:
@@ -83,12 +88,18 @@ class Mirror:
         if look and self._look_at_causes():
             changed = True
         changed, self._news = changed or self._news, False
+        self._news = changed and bool(machine)  # the others are to be told yet
         if changed:
             self._state += 1
         full = full or changed
-        news = self._outbox.news(now_ns(), everything=full)
+        comes = self._newcomers & {machine} if machine else self._newcomers
+        news = self._outbox.news(
+            now_ns(), everything=full, newest=full and bool(comes), to_all=not machine
+        )
         if not (full or news):
             return None
+        if full:
+            self._newcomers = self._newcomers - comes
         return packets.Packet(
             packets.VERSION,
             self.machine,
@@ -115,6 +126,7 @@ class Mirror:
                 self.table, packet.run, packet.host
             )
             self._lost.pop(packet.machine, None)
+            self._newcomers.add(packet.machine)
         late = self._late(packet.machine, packet.sent_ns)
         placed = other.take(packet, late)
         if packet.full is not None:
@@ -167,6 +179,7 @@ class Mirror:
 
     def _remove(self, machine: str) -> None:
         self.others.pop(machine).drop()
+        self._newcomers.discard(machine)
         self._epochs.forget(machine)
 
     def _full(self) -> packets.Full:

@@ -43,6 +43,11 @@ class Own:
         """The number of the commit that was sent last."""
         self.pause_ns = _pause(table, variables)
         self.next_ns = 0
+        """Before it nothing newer is sent, whoever asks."""
+        self.live = False
+        """Whether a task owns it, as it was told last."""
+        self._last: News | None = None
+        """What was sent last, of one that is not sent at each commit."""
         self.stamp_ns = 0
         """When what was sent last was committed."""
         self.period_ns = 0
@@ -59,7 +64,20 @@ class Own:
             known = self.period_ns
             self.period_ns = (3 * known + period) // 4 if known else period
         self.sent, self.stamp_ns = news.seq, stamp
-        self.next_ns = now + self.pause_ns
+        if self.pause_ns:
+            # Counted from when it was due, so that a late look costs no turn.
+            late = now - self.next_ns
+            kept = late if 0 < late < self.pause_ns else 0
+            self.next_ns = now + self.pause_ns - kept
+            self._last = news
+
+    def again(self, now: int) -> News | None:
+        """Return what was sent last; None when something newer may be sent."""
+        if self._last is None or now >= self.next_ns:
+            return None
+        last = self._last
+        age_ns = max(now - self.stamp_ns, 0)
+        return News(last.uid, last.seq, age_ns, last.cycle, last.data)
 
     def due_ns(self, now: int) -> int | None:
         """Return when its next commit will stand; None when none is to be expected."""
@@ -104,7 +122,6 @@ class Outbox:
         self.generation = -1
         """Of the table, as it was looked at last."""
         self.groups: dict[int, Own] = {}
-        self._live: dict[int, bool] = {}
         self._kept: int | None = None
         """A variable that stands where operators set them, and the commit there."""
         self._kept_seq = -1
@@ -144,19 +161,38 @@ class Outbox:
         }
         for uid, group in self.groups.items():
             group.register = registers[uid]
-        self._live = {uid: live for uid, (_, live, _) in found.items()}
+            live = found[uid][1]
+            if group.live != live:  # its first and last values wait for no turn
+                group.live, group.next_ns = live, 0
         return True
 
-    def news(self, now: int, *, everything: bool = False) -> list[News]:
-        """Return what is new, or the newest commit of every group."""
+    def news(
+        self,
+        now: int,
+        *,
+        everything: bool = False,
+        newest: bool = False,
+        to_all: bool = True,
+    ) -> list[News]:
+        """Return what is new and due, or everything.
+
+        Args:
+            now: The time.
+            everything: The last commit that was sent of what is not due, too.
+            newest: The newest of everything, as for a machine that has nothing yet.
+            to_all: Whether all machines are told, so that it is new to none any more.
+        """
         found: list[News] = []
         for group in self.groups.values():
             if not everything and (
                 now < group.next_ns or group.commit() in {None, group.sent}
             ):
                 continue
-            if (news := group.read()) is not None:
-                group.sends(news, now)
+            if not newest and (again := group.again(now)) is not None:
+                found.append(again)
+            elif (news := group.read()) is not None:
+                if to_all:
+                    group.sends(news, now)
                 found.append(news)
         return found
 
@@ -193,7 +229,7 @@ class Outbox:
             Group(
                 own.uid,
                 own.task,
-                self._live[own.uid],
+                own.live,
                 own.variables,
                 [epochs.own[v].epoch for v in own.variables],
             )

@@ -9,7 +9,7 @@ import pytest
 
 from pbonet.config.model import Variable
 from pbonet.errors import SvarOwnerError
-from pbonet.svar import Table, packets
+from pbonet.svar import Table, mirror, outbox, packets
 from pbonet.svar.mirror import Mirror
 
 ME = os.getpid()
@@ -19,6 +19,7 @@ VARIABLES = [
     Variable(name="MODE", type="int", nelem=1, init=(4,)),
     Variable(name="BLOB", type="struct[5]", nelem=2),
     Variable(name="SLOW", type="double", nelem=1, rate=0.001),
+    Variable(name="TENTH", type="double", nelem=1, rate=10.0),
 ]
 
 
@@ -145,15 +146,77 @@ def test_an_old_packet_changes_nothing(sides):
 
 
 def test_the_rate_that_variables_declare(sides):
+    """Nobody gets more, however often all is told; who comes gets the newest."""
     a, b = sides
     task = on(a, "slow", "SLOW")
+    meet(a, b)
     meet(a, b)
     for n in range(3):
         task.array("SLOW")[:] = n
         task.commit()
         assert carry(a, b) is None  # its time comes in a thousand seconds
+        meet(a, b)
+        carry_to_one(a, b)
+    assert b.table.read("SLOW").tolist() == [1]
+    c = Side("c", keep=False)
+    try:
+        carry(c, a, full=True)
+        carry(a, b, c)
+        carry_to_one(a, c)
+        assert c.table.read("SLOW").tolist() == [2]
+    finally:
+        c.close()
+
+
+def carry_to_one(one, other):
+    """Let one machine answer another one that asks."""
+    other.mirror.take(one.mirror.tell(full=True, machine=other.name))
+
+
+def test_what_a_task_ends_with_waits_for_no_turn(sides):
+    a, b = sides
+    task = on(a, "slow", "SLOW")
     meet(a, b)
-    assert b.table.read("SLOW").tolist() == [2]
+    task.array("SLOW")[:] = 9
+    task.commit()
+    task.release()
+    carry(a, b)
+    assert b.table.read("SLOW").tolist() == [9]
+    assert b.table.info("SLOW").owner is None
+
+
+def test_a_rate_is_kept_on_the_average(sides, monkeypatch):
+    """Looks that come late cost no turn, and bring none."""
+    a, b = sides
+    now = 10**12
+    monkeypatch.setattr(outbox, "now_ns", lambda: now)
+    monkeypatch.setattr(mirror, "now_ns", lambda: now)
+    task = on(a, "often", "TENTH")
+    meet(a, b)
+    meet(a, b)
+    before, seconds = b.mirror.others["a"].counts.commits, 20
+    for step in range(seconds * 200):
+        now += 5_000_000 + (step * 7_919 % 1_000_003)
+        task.commit(now, step)
+        carry(a, b, full=step % 100 == 0)
+    took = (now - 10**12) * 1e-9
+    commits = b.mirror.others["a"].counts.commits - before
+    assert 10 * took - 2 <= commits <= 10 * took + 1
+
+
+def test_what_one_is_told_is_still_new_to_the_others(sides):
+    a, b = sides
+    task = on(a, "pid", "Q")
+    meet(a, b)
+    task.array("Q")[:] = 3
+    task.commit()
+    a.mirror.tell(full=True, machine="c")
+    carry(a, b)
+    assert b.table.read("Q").tolist() == [3, 3, 3]
+    task.release()
+    a.mirror.tell(full=True, machine="c")
+    carry(a, b)
+    assert b.table.info("Q").owner is None
 
 
 def test_a_second_owner_is_refused_and_a_swap_is_taken(sides):
