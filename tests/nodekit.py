@@ -34,7 +34,7 @@ CORE = max(os.sched_getaffinity(0))
 AGENT = """
 import json, sys
 from pbonet.config.model import AgentConfig
-from pbonet.node.agent import main
+from pbonet.node.life import main
 import msgspec
 sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
 """

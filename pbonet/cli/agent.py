@@ -78,8 +78,7 @@ def command(
     """Be the agent of one RTPU: register, take commands, run tasks."""
     from pbonet.config import read_agent
     from pbonet.config.model import AgentConfig
-    from pbonet.node import agent as node
-    from pbonet.node import runtime
+    from pbonet.node import life, runtime
 
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
@@ -103,4 +102,4 @@ def command(
     }
     begin = read_agent(config) if config else AgentConfig()
     given = {key: value for key, value in told.items() if value is not None}
-    raise typer.Exit(node.main(structs.replace(begin, **given), backend=backend.value))
+    raise typer.Exit(life.main(structs.replace(begin, **given), backend=backend.value))

@@ -17,13 +17,13 @@ import msgspec
 from msgspec import Struct
 
 import pbonet
-from pbonet.errors import PbonetError, UnreachableError
+from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master import render
 from pbonet.master.fleet import client_name
 from pbonet.sched.criticality import PLANNED
 from pbonet.svar import files as shared
+from pbonet.xm import credentials, rpc, rundir, session
 from pbonet.xm import messages as m
-from pbonet.xm import rpc, rundir, session
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -105,6 +105,7 @@ def examine(
         )
         for path in abandoned()
     ]
+    found += own_keys()
     return [*found, *agents(domain, probe.cores, connect)]
 
 
@@ -207,8 +208,13 @@ def agents(
     """Ask every agent of the domain, and time it."""
     try:
         opened = session.client(domain, connect=connect)
+    except ConfigFileError:  # told of the keys
+        return
     except UnreachableError as error:
-        yield Finding(Level.PASS, error.what)
+        alone = not connect and not rundir.agent_processes(domain)
+        level = Level.PASS if alone else Level.FAIL
+        where = "" if alone else f"{error.where}: "
+        yield Finding(level, f"{where}{error.what}", error.remedy)
         return
     client = rpc.Client(opened, domain, client_name("doctor"))
     try:
@@ -314,12 +320,43 @@ def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
     )
     for limit in info.limits:
         yield Finding(Level.WARN, f"{info.name}: {limit}")
+    if info.keys_left is not None:
+        yield _term(
+            f"{info.name}: its keys",
+            info.keys_left,
+            "make others with `pbonet keys agent`, put them where the old ones are, "
+            f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
+        )
     if info.version != pbonet.__version__:
         yield Finding(
             Level.WARN,
             f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",
             "run the same version on every machine",
         )
+
+
+def _term(whose: str, left: float, remedy: str) -> Finding:
+    """Judge how long keys are good for."""
+    if left <= 0:
+        return Finding(Level.FAIL, f"{whose} have run out", remedy)
+    text = f"{whose} are good for {credentials.days(left)}"
+    if left < credentials.SOON:
+        return Finding(Level.WARN, text, remedy)
+    return Finding(Level.PASS, text)
+
+
+def own_keys() -> Iterator[Finding]:
+    """Look at the key folder that the environment names."""
+    folder = credentials.named()
+    if folder is None:
+        return
+    try:
+        left = credentials.left(credentials.prove(folder))
+    except PbonetError as error:
+        yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
+    else:
+        remedy = "make others with `pbonet keys master|observer`"
+        yield _term(f"your keys in {folder}", left, remedy)
 
 
 def cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Finding]:

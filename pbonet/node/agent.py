@@ -12,9 +12,7 @@ import contextlib
 import logging
 import os
 import platform
-import signal
 import socket
-import sys
 import threading
 import time
 from pathlib import Path
@@ -26,12 +24,13 @@ import zenoh
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.svar import survive_cuts
-from pbonet.xm import dialling, keys, rundir, session
+from pbonet.xm import credentials, dialling, keys, rundir, session
 from pbonet.xm.messages import AgentInfo, LinkReport
 
-from . import leftovers, service, wire
+from . import leftovers, wire
 from .ears import Ears
 from .ending import Ending
+from .keyterm import KeyTerm
 from .links import Links
 from .mail import Mail
 from .mirrors import Mirrors
@@ -44,7 +43,6 @@ from .ways import Ways
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import FrameType
 
     from pbonet.config.model import AgentConfig
 
@@ -113,6 +111,7 @@ class Agent:
         self._ears: Ears | None = None
         self._links: Links | None = None
         self._mail: Mail | None = None
+        self._term: KeyTerm | None = None
         self._link: RtpuLink | None = None
         self._about: AgentInfo | None = None
         self._over = Ending()
@@ -189,6 +188,8 @@ class Agent:
         self._links = Links(
             self._session, self.config.domain, self.name, self._offset, self._note
         )
+        self._term = KeyTerm(self._key_folder, self.name, self._note)
+        self._term.start()
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
         )
@@ -274,11 +275,11 @@ class Agent:
 
     def _leave(self) -> None:
         network = self._mail, self._links, self._ears, self._mirrors, self._ways
-        for part in (*network, self._twins):
+        for part in (*network, self._twins, self._term):
             if part is not None:
                 part.stop()
         self._mail = self._links = self._ears = None
-        self._mirrors = self._ways = self._twins = None
+        self._mirrors = self._ways = self._twins = self._term = None
         if self._restarter is not None:
             self._restarter.join()
         self._overview.let_go()
@@ -305,6 +306,24 @@ class Agent:
     def ask_to_end(self) -> None:
         """Make `wait` return; may be called from a signal handler."""
         self._over.set()
+
+    def may_start_anew(self) -> bool:
+        """Tell whether another agent with these keys could start; say so if not."""
+        if self._key_folder is None:
+            return True
+        try:
+            credentials.prove(self._key_folder, credentials.Role.AGENT)
+        except PbonetError as error:
+            text = f"the agent does not start anew: {error}"
+            log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
+            self._note(wire.Note(int(Severity.ERROR), "NOT_ANEW", text))
+            return False
+        return True
+
+    def go_on(self) -> bool:
+        """Take `ask_to_end` back; return whether nothing else ends the agent."""
+        self._over.clear()
+        return not self.reason
 
     def __enter__(self) -> Self:
         return self.start()
@@ -339,6 +358,7 @@ class Agent:
             limits=info.limits,
             claims=info.claims,
             now_ns=time.monotonic_ns(),
+            keys_left=self._term.left if self._term is not None else None,
         )
 
     def _describe(self) -> AgentInfo:
@@ -464,36 +484,3 @@ class Agent:
         self.reason = reason
         log.error("%s: %s", self.name, reason)
         self._over.set()
-
-
-def announce(info: AgentInfo) -> None:
-    """Say on standard output that the RTPU takes commands, and what is reduced."""
-    lines = [f"{info.name}: ready on core {info.core}, scheduling by {info.backend}"]
-    lines += [f"{info.name}: {limit}" for limit in info.limits]
-    with contextlib.suppress(OSError):  # nobody reads it
-        sys.stdout.write("\n".join([*lines, ""]))
-        sys.stdout.flush()
-
-
-def main(config: AgentConfig, *, backend: str = "auto") -> int:
-    """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
-
-    Returns:
-        The exit status: 0, or 1 when it ended by itself or something had to be forced.
-    """
-    agent = Agent(config, backend=backend)
-
-    def on_signal(number: int, _frame: FrameType | None) -> None:
-        log.info("%s: %s", agent.name, signal.Signals(number).name)
-        agent.ask_to_end()
-
-    for which in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(which, on_signal)
-    agent.heed_signals()
-    agent.start()
-    announce(agent.info())
-    service.tell("READY=1")
-    agent.wait()
-    service.tell("STOPPING=1")
-    in_order = agent.stop()
-    return 0 if in_order and not agent.reason else 1

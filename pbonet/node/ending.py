@@ -36,6 +36,10 @@ class Ending:
         with contextlib.suppress(BlockingIOError):  # it rings already
             os.write(self._rings, b"!")
 
+    def clear(self) -> None:
+        """Take it back."""
+        self._come = False
+
     def is_set(self) -> bool:
         """Tell whether it has come."""
         return self._come

@@ -34,6 +34,8 @@ class AgentInfo(Struct, kw_only=True):
     """Endpoints that it listens on, beside the socket of its machine."""
     now_ns: int = 0
     """CLOCK_MONOTONIC of its machine when it answered."""
+    keys_left: float | None = None
+    """Seconds that its keys are good for; None if it has none."""
 
 
 class Way(Struct, kw_only=True):

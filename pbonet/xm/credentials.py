@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
@@ -23,6 +24,8 @@ VARIABLE = "PBONET_KEYS"
 _RUN_OUT: Final = 10
 _NOT_YET: Final = 9
 """Numbers that OpenSSL gives to certificates out of their time."""
+SOON: Final = 30 * 86400.0
+"""Seconds before a certificate runs out in which that is told."""
 
 
 class Role(StrEnum):
@@ -74,7 +77,21 @@ def check(folder: Path) -> Path:
     return folder
 
 
-def prove(folder: Path, role: Role | None = None) -> None:
+def left(until: float) -> float:
+    """Return the seconds until an instant that `prove` has given."""
+    return until - time.time()
+
+
+def days(seconds: float) -> str:
+    """Return a time that is left, as one says it."""
+    if seconds < 2 * 3600:
+        return f"{seconds / 60:.0f} minutes"
+    if seconds < 2 * 86400:
+        return f"{seconds / 3600:.0f} hours"
+    return f"{seconds / 86400:.0f} days"
+
+
+def prove(folder: Path, role: Role | None = None) -> float:
     """Make sure that others will take the keys of `folder` for good.
 
     Its certificate is shown to its own authority, as it will be to other machines.
@@ -84,6 +101,9 @@ def prove(folder: Path, role: Role | None = None) -> None:
         folder: A key folder.
         role: Whose it must be; anybody's if left out.
 
+    Returns:
+        Until when it is good, for `left`.
+
     Raises:
         ConfigFileError: A file is missing or damaged, the certificate has run out, is
             not the authority's, or is that of another role.
@@ -92,7 +112,7 @@ def prove(folder: Path, role: Role | None = None) -> None:
 
     check(folder)
     try:
-        common = _shown(*(folder / name for name in FILES))
+        common, until = _shown(*(folder / name for name in FILES))
     except ssl.SSLCertVerificationError as error:
         raise _refused(folder, error) from None
     except ssl.SSLError as error:
@@ -111,10 +131,11 @@ def prove(folder: Path, role: Role | None = None) -> None:
             got=common.removeprefix("pbonet-"),
             remedy=f"`pbonet keys {role} NAME` makes the right ones",
         )
+    return until
 
 
-def _shown(ca: Path, cert: Path, key: Path) -> str:
-    """Show a certificate to its authority, and return its common name."""
+def _shown(ca: Path, cert: Path, key: Path) -> tuple[str, float]:
+    """Show a certificate to its authority; return its common name, and its end."""
     import ssl
 
     judge = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -131,9 +152,11 @@ def _shown(ca: Path, cert: Path, key: Path) -> str:
     for side in (shows, sees, shows, sees):
         with contextlib.suppress(ssl.SSLWantReadError):
             side.do_handshake()
-    found = (sees.getpeercert() or {}).get("subject", ())
-    subject = cast("tuple[tuple[tuple[str, str], ...], ...]", found)
-    return dict(pair for part in subject for pair in part).get("commonName", "")
+    found = sees.getpeercert() or {}
+    subject = cast("tuple[tuple[tuple[str, str], ...], ...]", found.get("subject", ()))
+    until = ssl.cert_time_to_seconds(cast("str", found["notAfter"]))
+    names = dict(pair for part in subject for pair in part)
+    return names.get("commonName", ""), float(until)
 
 
 def _refused(folder: Path, error: ssl.SSLCertVerificationError) -> ConfigFileError:

@@ -83,6 +83,7 @@ def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
         "node/events.py",  # the date of an event, for people
         "node/logfiles.py",  # when a log begins, for people and for merging logs
         "node/state.py",  # a number of claims that no process before it gave
+        "xm/credentials.py",  # how long a certificate still holds
         "xm/filesystem.py",  # when a file was changed, for people
         "xm/pki.py",  # from when to when a certificate holds
         "svar/lock.h",  # where the C library cannot wait by another clock

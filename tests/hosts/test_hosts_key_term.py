@@ -1,0 +1,125 @@
+"""Certificates whose time is over while links stand, and others in their place."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import signal
+
+import pytest
+from hostfleet import Desk
+from hostkit import Lab
+from watching import wait_for
+
+from pbonet.errors import PbonetError
+from pbonet.xm import messages as m
+from pbonet.xm import pki
+from pbonet.xm.credentials import FILES, Role
+
+SHORT = 20.0 / 86400
+"""Days of a certificate that runs out in a test: some seconds behind the start."""
+
+
+class Keys:
+    """A laboratory whose keys are made anew."""
+
+    def __init__(self, lan, folder):
+        self.lan = lan
+        self.authority = folder / "lab"
+        pki.make_authority(self.authority)
+
+    def agent(self, host, into, **more):
+        """Make the keys of a host's agent, and put them into a folder."""
+        hosts = [self.lan[host].address(peer) for peer in "abc" if peer != host]
+        made = pki.issue(self.authority, Role.AGENT, host, hosts=hosts, **more)
+        into.mkdir(mode=0o700, exist_ok=True)
+        for name in FILES:
+            shutil.copy(made / name, into / name)
+        shutil.rmtree(made)
+
+
+@pytest.fixture
+def keys(lan, tmp_path):
+    return Keys(lan, tmp_path)
+
+
+@pytest.fixture
+def lab(lan, tmp_path):
+    made = Lab(lan, keys={host: tmp_path / host for host in "abc"})
+    try:
+        yield made
+    finally:
+        lan.heal_all()
+        made.close()
+
+
+def comes(cell):
+    """Wait for news of src on the other machine."""
+    before = cell.value("arm1", "Z0").cycle
+    wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src", 30.0)
+
+
+def told(lab, name, code="KEYS_RUN_OUT"):
+    """Return what an agent has told of its keys, asked on its own machine."""
+    host = lab.agents[name][0]
+    found = lab.client(host).call(name, m.Events(), list[m.Event])
+    return [event.text for event in found if event.code == code]
+
+
+@pytest.mark.parametrize("short", ["a", "b"])
+def test_keys_that_run_out_are_a_pulled_cable_until_others_are_there(lab, keys, short):
+    """Whichever side's they are: the other hears no more, tasks go on, and it heals."""
+    whose = {"a": "arm0", "b": "arm1"}[short]
+    for host in "ab":
+        more = {"days": SHORT} if host == short else {}
+        keys.agent(host, lab.keys[host], **more)
+    lab.start("arm0", "a")
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")])
+    lab.wait_all()
+    cell = Desk(lab, "cell", ("arm0", "arm1"), host="b")
+    cell.spawn("arm0", "src", "counts", out="Z0")
+    cell.on("arm0", "src")
+    comes(cell)
+    assert "the keys run out in " in told(lab, whose)[0]
+    wait_for(lambda: "host-a is out of sight" in cell.illegal("arm1"), "flag", 40.0)
+    over = wait_for(lambda: told(lab, whose)[1:], "what is wrong")[0]
+    assert "the keys have run out: no other machine can be reached" in over
+    assert f"start anew with `kill -HUP {lab.info(whose).pid}`" in over
+    assert lab.seen("a") == ["arm0"]
+    assert lab.seen("b") == ["arm1"]
+    before = cell.status("arm0", "src")
+    assert before.state == "ON"
+    keys.agent(short, lab.keys[short])
+    lab.agents[whose][1].send_signal(signal.SIGHUP)
+    lab.wait_all()
+    comes(cell)
+    after = cell.status("arm0", "src")
+    assert (after.state, after.pid) == ("ON", before.pid)
+    assert after.cycle > before.cycle
+    wait_for(lambda: not cell.illegal("arm1"), "no flag", 20.0)
+    cell.close()
+
+
+def test_keys_that_are_no_good_are_not_taken(lab, keys):
+    """An agent that is to start anew looks at them first, and stays what it is."""
+    keys.agent("a", lab.keys["a"])
+    process = lab.start("arm0", "a")
+    before = lab.info("arm0").zid
+    kept = {name: (lab.keys["a"] / name).read_bytes() for name in FILES}
+    keys.agent("a", lab.keys["a"], days=-0.01)
+    process.send_signal(signal.SIGHUP)
+    (text,) = wait_for(lambda: told(lab, "arm0", "NOT_ANEW"), "the refusal")
+    assert "the certificate has run out" in text
+    assert lab.info("arm0").zid == before
+    for name, data in kept.items():
+        (lab.keys["a"] / name).write_bytes(data)
+    process.send_signal(signal.SIGHUP)
+    wait_for(lambda: is_another(lab, before), "another session", 30.0)
+    assert process.poll() is None
+
+
+def is_another(lab, before):
+    lab.forget_session("a")
+    with contextlib.suppress(PbonetError):
+        return lab.info("arm0").zid != before
+    return False
