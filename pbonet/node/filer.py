@@ -250,7 +250,8 @@ class Filer:
                 remedy="run the same pbonet version on every machine",
             )
         folder, slash, name = request.path.rstrip("/").rpartition("/")
-        return f"{folder}{slash}.{name[:200]}.{request.part}.part"
+        begin = name.encode()[:200].decode(errors="ignore")  # 255 bytes in all
+        return f"{folder}{slash}.{begin}.{request.part}.part"
 
     def _write(self, request: f.FileWrite) -> None:
         beside, key = self._beside(request), (request.client, request.part)

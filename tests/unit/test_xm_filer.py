@@ -164,6 +164,18 @@ def test_a_file_appears_whole(ask, root):
     assert sorted(p.name for p in (root / "logs").iterdir()) == ["new", "run.txt"]
 
 
+@pytest.mark.parametrize(
+    "name", ["läufe/ß", "🦾" * 63, "n" * 255], ids=["letters", "wide", "long"]
+)
+def test_names_are_those_of_the_file_system(ask, root, name):
+    """Of any letters, and as long as it takes."""
+    (root / "läufe").mkdir()
+    write(ask, name, b"1")
+    write(ask, name, b"2")
+    assert ask(f.FileRead(path=name, offset=0, size=9)) == b"2"
+    assert (root / name).read_bytes() == b"2"
+
+
 def test_what_is_not_finished_leaves_the_old_file(ask, root):
     ask(f.FileWrite(path="logs/run.txt", part="a1", offset=0, data=b"x"))
     ask.filer.lost("another")
