@@ -52,6 +52,8 @@ log = logging.getLogger("pbonet.node")
 
 STOP_TIME = 2.0
 """Seconds that turning everything OFF may take."""
+ANEW_TIME = 10.0
+"""Seconds in which an agent that starts anew takes its RTPU process over, at least."""
 TOKEN_TIME = 1.0
 """Seconds for which the token of a predecessor that was killed may linger."""
 LOCK_TIME = 0.3
@@ -230,10 +232,10 @@ class Agent:
             self._leave()
 
     def abandon(self) -> None:
-        """Leave the network and let the RTPU process go on for its grace."""
+        """Leave, and let the RTPU process go on for the agent that comes next."""
         link = self._begin_to_stop()
         if link is not None:
-            link.close()
+            link.leave(ANEW_TIME)
         self._recorders.stop()
         self._leave()
 

@@ -164,6 +164,13 @@ class RtpuLink:
         if thread is not None and thread is not threading.current_thread():
             thread.join()
 
+    def leave(self, grace: float) -> None:
+        """Let go of it, for an agent that comes within the grace or so many seconds."""
+        longer = max(grace, self._config.grace)
+        with contextlib.suppress(NodeError):
+            self.send(wire.Attach(os.getpid(), pbonet.__version__, longer))
+        self.close()
+
     def _wait_for_end(self, timeout: float) -> bool:
         """Wait for the process's end; kill it when it takes longer."""
         if self.info is None:

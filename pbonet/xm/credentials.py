@@ -84,6 +84,8 @@ def left(until: float) -> float:
 
 def days(seconds: float) -> str:
     """Return a time that is left, as one says it."""
+    if seconds < 2 * 60:
+        return f"{seconds:.0f} seconds"
     if seconds < 2 * 3600:
         return f"{seconds / 60:.0f} minutes"
     if seconds < 2 * 86400:

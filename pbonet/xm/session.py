@@ -37,7 +37,7 @@ OPEN_MS = 500
 """After this long an agent that hangs is passed over for the next; zenoh's ten seconds
 would keep a master from all the others, and from stopping them, and an agent from one
 whose link has healed meanwhile."""
-RETRY_MS = 400
+RETRY_MS = 200
 """Longest pause between attempts to reach an agent that is away."""
 SCOUTING_PORT = 17000
 """The first of the thousand ports on which domains look for their agents."""

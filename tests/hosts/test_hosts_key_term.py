@@ -94,7 +94,7 @@ def test_keys_that_run_out_are_a_pulled_cable_until_others_are_there(lab, keys, 
     lab.wait_all()
     comes(cell)
     after = cell.status("arm0", "src")
-    assert (after.state, after.pid) == ("ON", before.pid)
+    assert (after.state, after.tid) == ("ON", before.tid)
     assert after.cycle > before.cycle
     wait_for(lambda: not cell.illegal("arm1"), "no flag", 20.0)
     cell.close()
