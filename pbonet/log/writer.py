@@ -121,10 +121,23 @@ class LogWriter:
         self._names: dict[str, bytes] = {}
         """What was attached: digests by name."""
         self._writer.start(profile="", library=f"pbonet {about.pbonet}")
-        fields = msgspec.to_builtins(about)
-        self._writer.add_metadata(METADATA, {k: str(v) for k, v in fields.items()})
+        self._tell()
         for file in attached:
             self.attach(file)
+
+    def _tell(self) -> None:
+        fields = msgspec.to_builtins(self.about)
+        self._writer.add_metadata(METADATA, {k: str(v) for k, v in fields.items()})
+
+    def lasted(self, seconds: float) -> None:
+        """Say how much virtual time has passed, if it is less than was said.
+
+        Raises:
+            OSError: No room is left.
+        """
+        if seconds != self.about.seconds:
+            self.about = msgspec.structs.replace(self.about, seconds=seconds)
+            self._tell()
 
     @property
     def size(self) -> int:

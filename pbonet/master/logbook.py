@@ -108,9 +108,20 @@ class Logbook:
         if self._told is not None:
             self._tasks, self.last = {}, 0.0
 
-    def mode_of(self, task: str) -> str:
-        """Return how a task is recorded."""
-        return self._tasks.get(task, self.mode)
+    @property
+    def modes(self) -> dict[str, str]:
+        """How tasks are recorded that are named."""
+        return dict(self._tasks)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anything is recorded."""
+        return self.mode != "off" or bool(set(self._tasks.values()) - {"off"})
+
+    @property
+    def job_name(self) -> str:
+        """The name of the job; empty without one."""
+        return self._job.name if self._job is not None else ""
 
     @property
     def hidden(self) -> list[str]:
@@ -121,9 +132,9 @@ class Logbook:
         """Have the agents record from now on, unless they do already."""
         if self.run:
             return
-        job = self._job.name if self._job is not None else files.sbs.subsystem
+        job = self.job_name or files.sbs.subsystem
         self.named(job)
-        if self.mode == "off" and not set(self._tasks.values()) - {"off"}:
+        if not self.wanted:
             return
         texts = self.texts(files)
         alone = len(fleet.names) == 1

@@ -5,26 +5,19 @@ A run in real time is recorded into a log (`pbonet.log`), which tells the same a
 
 from __future__ import annotations
 
-import platform
-import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import pbonet
-from pbonet.errors import LogError
-from pbonet.log import COLUMNS, Cycles, LogWriter, RunAbout, TaskAbout
-from pbonet.log.schema import HEAD_DTYPE, RECORD
+from pbonet.log import COLUMNS, Cycles
 from pbonet.svar.layout import group_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
-    from pbonet.log import Attached
 
 
 class TaskRecord:
@@ -89,43 +82,6 @@ class TaskRecord:
         self._heads += np.array(row, np.int64).tobytes()
         self._data += data
 
-    def records(self) -> bytes:
-        """Return the cycles as a ring would have them."""
-        heads = np.frombuffer(bytes(self._heads), np.int64).reshape(-1, len(COLUMNS))
-        parts: list[bytes] = []
-        size = (RECORD.size + HEAD_DTYPE.itemsize + self.size + 7) & ~7
-        for number, row in enumerate(heads):
-            head = np.zeros(1, HEAD_DTYPE)
-            for name, value in zip(COLUMNS, row, strict=True):
-                head[name] = value
-            head["end_ns"] = max(row[0], row[3])
-            data = self._data[number * self.size : (number + 1) * self.size]
-            parts += [
-                RECORD.pack(size, 0, self.size, 0, 0, 0),
-                head.tobytes(),
-                bytes(data),
-            ]
-        return b"".join(parts)
-
-    def about(
-        self, subsystem: str, libraries: Sequence[str], hidden: Sequence[str] = ()
-    ) -> TaskAbout:
-        """Return whose cycles these are, for a log; without the hidden variables."""
-        return TaskAbout(
-            domain="",
-            rtpu="",
-            subsystem=subsystem,
-            task=self.task,
-            module="",
-            pid=0,
-            freq=0.0,
-            rmod="",
-            rmod_name=f"{self.task}.rmod",
-            libraries=tuple(libraries),
-            outvar=self._variables,
-            hidden=[v.name for v in self._variables if v.name in hidden],
-        )
-
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all columns and variables, by name."""
         heads = np.frombuffer(bytes(self._heads), np.int64).reshape(-1, len(COLUMNS))
@@ -160,60 +116,6 @@ class Recording(Cycles):
         if record is None:
             record = self._tasks[name] = TaskRecord(name, variables, outputs)
         return record
-
-    def save(
-        self,
-        path: str | Path,
-        attached: Iterable[Attached] = (),
-        libraries: Sequence[str] = (),
-        *,
-        tasks: Sequence[str] | None = None,
-        hidden: Sequence[str] = (),
-    ) -> None:
-        """Write a log that says the same, at times since 1970.
-
-        Args:
-            path: The log.
-            attached: What the run was made of.
-            libraries: Folders of its modules.
-            tasks: Which; None for all.
-            hidden: Variables that are left out.
-
-        Raises:
-            LogError: It exists, or cannot be written.
-        """
-        path = Path(path)
-        subsystem = str(self.about.get("subsystem", "simulation"))
-        about = RunAbout(
-            run=path.parent.name,
-            job=str(self.about.get("job", "")),
-            subsystem=subsystem,
-            domain="",
-            rtpu="",
-            host=platform.node(),
-            pbonet=pbonet.__version__,
-            python=platform.python_version(),
-            numpy=np.__version__,
-            kernel=platform.release(),
-            begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            epoch_ns=time.time_ns() - self.begin_ns,
-            seconds=float(self.about.get("seconds", 0.0)),
-        )
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            writer = LogWriter(path, about, attached)
-            for name, record in self._tasks.items():
-                if tasks is None or name in tasks:
-                    about_task = record.about(subsystem, libraries, hidden)
-                    writer.add(writer.add_task(about_task), record.records())
-            writer.close()
-        except OSError as error:
-            raise LogError(
-                "the log cannot be written",
-                where=str(path),
-                got=error.strerror or str(error),
-                remedy="make room there, or choose another folder",
-            ) from None
 
     @property
     def tasks(self) -> list[str]:

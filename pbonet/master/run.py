@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import signal
 import threading
 import time
@@ -14,7 +13,7 @@ from msgspec import Struct
 from pbonet import verify
 from pbonet.config.library import Library
 from pbonet.errors import PbonetError, SeveralError, Severity, StateError
-from pbonet.master import live, profiling, render, simlog, summary
+from pbonet.master import live, profiling, render, summary
 from pbonet.master.embedded import Embedded
 from pbonet.master.files import Files
 from pbonet.master.logbook import Logbook
@@ -31,12 +30,10 @@ if TYPE_CHECKING:
     from pbonet.log import Cycles
     from pbonet.master.live import View
     from pbonet.master.oneshot import Place
-    from pbonet.master.sim import Simulation
     from pbonet.xm.messages import RtpuStatus
 
 _PERIOD: Final = 0.5
 """Seconds between two looks at the status."""
-_SIM_SECONDS: Final = 10.0
 _PATIENCE: Final = 10
 """For so many looks an RTPU may be out of reach: its agent may be restarted."""
 _ELSEWHERE: Final = "stopped from elsewhere"
@@ -65,8 +62,6 @@ class Outcome(Struct, kw_only=True):
         return int(bool(self.faults) or any(task.error for task in self.tasks))
 
 
-_SLICE: Final = 0.05
-"""Seconds of virtual time between two looks at whether to end."""
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -384,54 +379,6 @@ class Run:
         return bool(self._reason)
 
 
-def simulate(
-    path: str | Path, place: Place, view: View, seconds: float | None
-) -> Outcome:
-    """Run a job in virtual time, in this process and without devices.
-
-    Raises:
-        PbonetError: The job cannot be assembled.
-    """
-    from pbonet.master.sim import Simulation
-
-    wanted = _SIM_SECONDS if seconds is None else seconds
-    simulation = Simulation(path, place.libraries)
-    interrupts = Interrupts(once=True)
-    begin = time.monotonic()
-    with interrupts.caught():
-        simulation.start()
-        names = ", ".join(n for n, now in simulation.states().items() if now == "ON")
-        view.say(f"job {simulation.job.name} is ON in virtual time: {names}")
-        try:
-            passed = _advance(simulation, wanted, interrupts)
-            statuses = simulation.status()
-        finally:
-            simulation.stop()
-    for event in simulation.events:
-        view.say(event)
-    view.say(f"{passed:g} s of virtual time took {time.monotonic() - begin:.2f} s")
-    about: dict[str, Any] = {"seconds": passed, "events": simulation.events}
-    simulation.recording.about |= about
-    return Outcome(
-        job=simulation.job.name,
-        seconds=passed,
-        tasks=summary.summarize(statuses),
-        reason="interrupted"
-        if interrupts.count
-        else f"{wanted:g} s of virtual time are over",
-        recording=simulation.recording,
-    )
-
-
-def _advance(simulation: Simulation, seconds: float, interrupts: Interrupts) -> float:
-    """Let virtual time pass until it is over or interrupted; return how much did."""
-    begin_ns = simulation.now_ns
-    end_ns = begin_ns + (round(seconds * 1e9) if math.isfinite(seconds) else math.inf)
-    while simulation.now_ns < end_ns and not interrupts.wished.is_set():
-        simulation.advance(min(_SLICE, (end_ns - simulation.now_ns) * 1e-9))
-    return (simulation.now_ns - begin_ns) / 1e9
-
-
 def run(
     path: str | Path,
     place: Place,
@@ -477,8 +424,9 @@ def run(
         )
     view = live.view(quiet=quiet)
     if sim:
-        outcome = simulate(path, place, view, seconds)
-        simlog.save(outcome, path, place, record=record, runs=runs)
+        from pbonet.master import runsim
+
+        outcome = runsim.recorded(path, place, view, seconds, record=record, runs=runs)
     else:
         outcome = Run(
             path,

@@ -10,7 +10,6 @@ take, and what a late cycle does, only a run in real time shows.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from pbonet import verify
@@ -30,8 +29,10 @@ from pbonet.master.failures import stuck
 from pbonet.master.files import Files
 from pbonet.master.picture import Member
 from pbonet.master.recording import Recording
+from pbonet.master.simevents import SimEvents
+from pbonet.master.simmake import make
 from pbonet.master.simstandby import Standbys, members
-from pbonet.master.simtable import MemoryCopies, MemoryTable
+from pbonet.master.simtable import MemoryTable
 from pbonet.master.simtask import (
     SimTask,
     Turns,
@@ -39,17 +40,7 @@ from pbonet.master.simtask import (
     rtpu_status,
     unwritten,
 )
-from pbonet.node.executor import Executor
-from pbonet.node.taskports import ages, check_ports
-from pbonet.pbo import (
-    BoundedOutbox,
-    Counted,
-    Signal,
-    State,
-    TaskContext,
-    bind,
-    decode_params,
-)
+from pbonet.pbo import Signal, State
 from pbonet.sched.criticality import PLANNED
 from pbonet.xm import messages as m
 
@@ -58,6 +49,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.config.model import JobFile
+    from pbonet.master.simlog import SimLog
     from pbonet.pbo import Notice
 
 REASON = "this is a simulation"
@@ -71,9 +63,10 @@ class Simulation:
     Args:
         path: The ``.job`` file.
         folders: Of module libraries, beside those of pbonet and installed packages.
+        log: Where it is recorded; without, every cycle is kept in memory.
 
     Attributes:
-        recording: Every cycle so far.
+        recording: Every cycle so far, unless there is a log.
         events: What went wrong or was said so far, one text each.
 
     Raises:
@@ -85,13 +78,21 @@ class Simulation:
         TaskType.SYNCHRONOUS,
     )
 
-    def __init__(self, path: str | Path, folders: Iterable[str | Path] = ()) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        folders: Iterable[str | Path] = (),
+        log: SimLog | None = None,
+    ) -> None:
         files = Files(path, Library(folders))
         self.job: JobFile = files.read_job()
-        self._begin(files, {"job": self.job.name, "file": self.job.file})
+        self._begin(files, {"job": self.job.name, "file": self.job.file}, log)
 
-    def _begin(self, files: Files, about: dict[str, str]) -> None:
+    def _begin(
+        self, files: Files, about: dict[str, str], log: SimLog | None = None
+    ) -> None:
         """Begin with no task, at the first instant."""
+        self.log = log
         self._files, self._library = files, files.library
         self.table = MemoryTable(files.table.variables)
         self.now_ns = BEGIN_NS
@@ -100,6 +101,13 @@ class Simulation:
         self._tasks: dict[str, SimTask] = {}
         self._turns = {rtpu.name: Turns() for rtpu in files.sbs.rtpus}
         name, tell = files.sbs.subsystem, self._engaged
+        self.happened = SimEvents(
+            self._turns, name, lambda: self.now_ns, lambda task: self.states().get(task)
+        )
+        if log is not None:
+            log.begun(self.happened)
+        self._steady = False
+        """Whether what raises the flag is an event: not while a job begins or ends."""
         self._standbys = Standbys(
             name, self._tasks, self._turns, signal=self.signal, tell=tell
         )
@@ -132,6 +140,7 @@ class Simulation:
                 for name in verify.on_order(originals):
                     self.signal(name, "on")
                 self._standbys.begin(wanted)
+                self._steady = True
             except BaseException:
                 self._end()
                 raise
@@ -141,6 +150,8 @@ class Simulation:
         end_ns = self.now_ns + round(seconds * 1e9)
         while self.step(end_ns):
             pass
+        if self.log is not None:
+            self.log.turn(self.now_ns)
 
     def step(self, end_ns: int) -> bool:
         """Go on to the next instant at which something is due, at most to an end.
@@ -186,11 +197,17 @@ class Simulation:
         self._standbys.dismiss(found)
         found.copies.replaces = replaces
         with no_devices(REASON):
+            failed: PbonetError | None = None
             try:
                 return found.executor.signal(name, arg, handover=handover)
+            except PbonetError as error:
+                failed = error
+                raise
             finally:
                 found.copies.replaces = ()
                 self._after(found, found.outbox.drain())
+                if not isinstance(failed, StateError):  # nothing happened
+                    self.happened.signalled(found, name, failed)
 
     def spawn(
         self, rmod: str, rtpu: str | None = None, freq: float | None = None
@@ -345,48 +362,27 @@ class Simulation:
         return verify.judge(now, change)
 
     def _spawn(self, member: Member, replaces: Sequence[str] = ()) -> None:
-        rmod = member.rmod
-        loaded = self._library.load_rmod(rmod)
-        check_ports(rmod, loaded.info)
-        params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
-        copies = MemoryCopies(self.table, rmod, member.name)
-        source = Counted(lambda: self.now_ns)
-        outbox = BoundedOutbox()
-        context = TaskContext(
-            member.name, freq=member.freq, source=source, outbox=outbox
-        )
-        arrays = {
-            port.attr: copies.array(rmod.svar_name(port.name))
-            for port in loaded.info.ports
-        }
-        instance = bind(loaded.cls, params, arrays, context)
-        context.is_stale = ages(
-            rmod, loaded.info, lambda name: self.table.stale(name, context.now)
-        )
-        context.on_illegal = partial(self.table.said, member.name)
-        executor = Executor(
-            instance,
-            copies,
-            illegal=(lambda: bool(self.table.illegal)) if rmod.critical else None,
-        )
         turns = self._turns[member.rtpu]
-        task = SimTask(
-            member=member,
-            executor=executor,
-            copies=copies,
-            source=source,
-            outbox=outbox,
+        task = make(
+            member,
+            self._library,
+            self.table,
+            lambda: self.now_ns,
             slot=len(turns.tasks),
-            record=self.recording.task(
-                member.name, self.table.variables, copies.out_vars
-            ),
+            keep=None if self.log else self.recording,
+            log=self.log,
         )
         self._tasks[member.name] = task
         turns.add(task)
-        copies.replaces = replaces
-        executor.spawn()
-        copies.replaces = ()
-        self._after(task, outbox.drain())
+        task.copies.replaces = replaces
+        try:
+            task.executor.spawn()
+        except PbonetError as error:
+            self.happened.not_spawned(task, error)
+            raise
+        task.copies.replaces = ()
+        self._after(task, task.outbox.drain())
+        self.happened.spawned(task)
 
     def _rank(self) -> None:
         everyone = [task.member.task for task in self._tasks.values()]
@@ -413,12 +409,12 @@ class Simulation:
                 turns.done(task)
 
     def _cycle(self, task: SimTask) -> None:
-        dt = (self.now_ns - task.last_ns) * 1e-9 if task.last_ns else None
+        dt_ns = (self.now_ns - task.last_ns) if task.last_ns else 0
         task.last_ns = self.now_ns
         stable = task.member.rmod.critical and bool(self.table.illegal)
         task.copies.committed = False
-        task.executor.cycle(dt or task.period_ns * 1e-9, self.now_ns)
-        if task.copies.committed:
+        task.executor.run_cycle(dt_ns or task.period_ns, self.now_ns, stable=stable)
+        if task.copies.committed and task.record is not None:
             task.record.add(
                 task.copies.group(),
                 release_ns=self.now_ns,
@@ -430,8 +426,10 @@ class Simulation:
         notices = task.outbox.drain()
         if task.executor.state is not State.ON or notices:
             self._after(task, notices)
+        if task.executor.state is not State.ON or task.executor.faulted:
+            self.happened.cycled(task)
 
-    def _after(self, task: SimTask, notices: Iterable[Notice]) -> None:
+    def _after(self, task: SimTask, notices: Sequence[Notice]) -> None:
         """Take note of what a task said and of the state it is in now."""
         state = task.executor.state
         on = state is State.ON
@@ -445,17 +443,22 @@ class Simulation:
                 task.warning = task.warning or notice.text
             if notice.text:
                 self.events.append(f"{self._clock()} {task.name}: {notice.text}")
+        self.happened.noticed(task, notices)
+        before = self.table.causes
         self.table.causes = unwritten(self._tasks.values())
+        if self._steady and before != self.table.causes:
+            self.happened.flagged(before, self.table.causes)
         self._standbys.look()
 
     def _engaged(self, task: SimTask, severity: Severity, text: str) -> None:
         """Tell that a standby was engaged."""
-        del task, severity  # the text has them
+        self.happened.tell(task, severity, "FALLBACK", text)
         self.events.append(f"{self._clock()} {text}")
 
     def _end(self) -> None:
         """Turn off and kill whatever is there; failures are events."""
         self._standbys.forget()
+        self._steady = False
         on = [task for task in self._tasks.values() if task.executor.state is State.ON]
         order = verify.off_order([t.member.task for t in on], self.job.off_order)
         steps = [(name, "off") for name in order]
@@ -464,13 +467,14 @@ class Simulation:
             for name, state in reversed(self.states().items())
             if state is not State.NOT_CREATED
         ]
-        for name, signal in steps:
-            try:
-                self.signal(name, signal)
-            except StateError:  # `off` failed and left it in ERROR; `kill` follows
-                continue
-            except PbonetError as error:
-                self.events.append(f"{self._clock()} {name}: {error}")
+        with self.happened.stopping():
+            for name, signal in steps:
+                try:
+                    self.signal(name, signal)
+                except StateError:  # `off` failed and left it in ERROR; `kill` follows
+                    continue
+                except PbonetError as error:
+                    self.events.append(f"{self._clock()} {name}: {error}")
 
     def _clock(self) -> str:
         return f"{(self.now_ns - BEGIN_NS) * 1e-9:.3f} s"

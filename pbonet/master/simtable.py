@@ -42,6 +42,8 @@ class MemoryTable:
         self.written: dict[str, int] = {}
         """When each variable was written last, in virtual nanoseconds."""
         self._givers: dict[str, dict[str, Values]] = {}
+        self.commits: dict[str, tuple[int, int]] = {}
+        """Register and number of the commit that each variable stands from."""
 
     def give(
         self, task: str, constants: Mapping[str, Values], replaces: Collection[str]
@@ -88,6 +90,10 @@ class MemoryTable:
             self._said -= {
                 one for one in self._said if one[0] == task and cause in {"", one[1]}
             }
+
+    def index(self, name: str) -> int:
+        """Return the number of a variable."""
+        return self.numbers[name]
 
     def stale(self, name: str, now_ns: int) -> bool:
         """Tell whether a variable is older than its MAXAGE, or was never written."""
@@ -163,6 +169,10 @@ class MemoryCopies:
         """Keep what a commit writes to `publish`, when its cycle takes virtual time."""
         self.replaces: Collection[str] = ()
         """Tasks that leave: their constants are taken over, whatever the values."""
+        self.uid = 0
+        """The task's register; 0: nobody asks whose a commit is."""
+        self.out_number = 0
+        """The number of its last commit."""
         self.out_vars = _named(rmod, rmod.outvar)
         self._held: list[tuple[Values, Values]] = []
         self._held_ns = 0
@@ -183,6 +193,17 @@ class MemoryCopies:
     def array(self, name: str) -> Values:
         """Return the local copy of a variable, at an address that stays."""
         return self._local[name]
+
+    @property
+    def out_uid(self) -> int:
+        """The register of its last commit."""
+        return self.uid
+
+    def consumed(self) -> list[tuple[int, int]]:
+        """Return which commits the in-vars stand from; register 0 is nobody's."""
+        commits = self._table.commits
+        found = {commits.get(one.variable.name, (0, 1)) for one in self._in_vars}
+        return sorted(found)
 
     def group(self) -> bytes:
         """Return the out-vars as a group, laid out as a register of the real table."""
@@ -219,7 +240,9 @@ class MemoryCopies:
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out."""
         del cycle
-        return self._out(self._out_vars, now_ns)
+        flags = self._out(self._out_vars, now_ns)
+        self._number(flags)
+        return flags
 
     def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Copy the out-vars out."""
@@ -232,8 +255,16 @@ class MemoryCopies:
                 self._held_ns = now_ns
         else:
             flags = self._out(self._out_vars, now_ns)
+            self._number(flags)
         self.committed = not flags
         return flags
+
+    def _number(self, flags: int) -> None:
+        """Take note of a commit, where somebody asks whose it is."""
+        if self.uid and not flags:
+            self.out_number += 1
+            key = self.uid, self.out_number
+            self._table.commits.update(dict.fromkeys(self.out_vars, key))
 
     def publish(self) -> None:
         """Copy out what was held; nothing when nothing is."""

@@ -10,9 +10,9 @@ from pbonet.config.model import Rmod, TaskType
 from pbonet.errors import NodeError
 from pbonet.master.picture import Member
 from pbonet.master.recording import TaskRecord
+from pbonet.master.simjournal import SimExecutor, SimTime
 from pbonet.master.simtable import MemoryCopies
-from pbonet.node.executor import Executor
-from pbonet.pbo import BoundedOutbox, Counted, State
+from pbonet.pbo import BoundedOutbox, State
 from pbonet.sched.dispatch import Dispatcher
 from pbonet.sched.events import After, Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
@@ -32,12 +32,13 @@ class SimTask(Struct, kw_only=True, eq=False):
     """One task of a simulation."""
 
     member: Member
-    executor: Executor
+    executor: SimExecutor
     copies: MemoryCopies
-    source: Counted
+    source: SimTime
     outbox: BoundedOutbox
     slot: int
-    record: TaskRecord
+    record: TaskRecord | None
+    """Its cycles in memory; None where they go into a log."""
     crit: int = 0
     priority: int = 0
     arms: int = 0
@@ -51,8 +52,6 @@ class SimTask(Struct, kw_only=True, eq=False):
     """The first of them."""
     tid: int = 0
     """As the number of a process: another one for each task, 0 where nobody asks."""
-    told_state: State = State.NOT_CREATED
-    """The last one that became an event."""
     stands_by: str = ""
     """The task that this one is the fallback of, while it stands by for it."""
 

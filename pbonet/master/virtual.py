@@ -20,7 +20,6 @@ import msgspec
 from pbonet.config import parse_rmod
 from pbonet.errors import (
     PbonetError,
-    Severity,
     StateError,
     SvarOwnerError,
 )
@@ -29,17 +28,17 @@ from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member
 from pbonet.master.sim import REASON, Simulation
 from pbonet.master.simtask import must_be_simulated, status_of
-from pbonet.node.events import EventLog, by_task
+from pbonet.node.events import by_task
 from pbonet.node.inspector import inspect
 from pbonet.node.taskparams import get_params, set_param
-from pbonet.pbo import PREDEFINED, Notice, Signal, State, signal_names
+from pbonet.pbo import PREDEFINED, Notice, State, signal_names
 from pbonet.svar import guards
 from pbonet.xm import messages as m
 from pbonet.xm import rpc
 from pbonet.xm.rundir import machine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
     from threading import Event
 
     from pbonet.config.library import Library
@@ -62,16 +61,9 @@ class VirtualRtpus(Simulation):
         self.told: list[Callable[[], None]] = []
         """Called whenever something happens."""
         self._lock = threading.RLock()
-        self._logs = {
-            name: EventLog(
-                name,
-                clock_ns=lambda: self.now_ns,
-                wall=lambda: self.now_ns * 1e-9,
-            )
-            for name in self._turns
-        }
+        self._logs = self.happened.logs
         for log in self._logs.values():
-            log.state_of = lambda _, task: self.states().get(task, State.NOT_CREATED)
+            log.publish = self._published
         self._signals: dict[str, dict[str, int]] = {}
         self._writers: dict[str, str] = {}
         self._masks: dict[str, list[str]] = {}
@@ -129,45 +121,16 @@ class VirtualRtpus(Simulation):
 
     # -- what tasks tell --------------------------------------------------------------
 
-    def _after(self, task: SimTask, notices: Iterable[Notice]) -> None:
-        """Count signals and make events, beside what a simulation does."""
-        told = list(notices)
-        before = task.told_state
-        state = task.told_state = task.executor.state
-        super()._after(task, told)
-        for notice in told:
+    def _after(self, task: SimTask, notices: Sequence[Notice]) -> None:
+        """Count signals and who writes what, beside what a simulation does."""
+        super()._after(task, notices)
+        for notice in notices:
             self._count(task, notice.bits)
-            warns = notice.bits & Signal.WARNING
-            names = " ".join(signal_names(notice.bits, _own(task)))
-            plain = warns or notice.handled
-            self._tell(
-                task,
-                Severity.WARNING if plain else Severity.INFO,
-                "HANDLED" if notice.handled else "WARNING" if warns else "SIGNAL",
-                notice.text if plain else f"{names} {notice.text}".strip(),
-                bits=notice.bits,
-            )
-        if state is State.ERROR and before is not State.ERROR:
-            self._count(task, Signal.ERROR)
-            error = task.executor.task.errmsg
-            self._tell(task, Severity.ERROR, "ERROR", error, bits=int(Signal.ERROR))
-        elif state is not before:
-            self._tell(task, Severity.INFO, "STATE", f"{before} to {state}")
-        for name in task.member.task.outputs if state is State.ON else ():
+        on = task.executor.state is State.ON
+        for name in task.member.task.outputs if on else ():
             self._writers[name] = task.name
 
-    def _tell(
-        self, task: SimTask, severity: Severity, code: str, text: str, bits: int = 0
-    ) -> None:
-        self._logs[task.member.rtpu].add(
-            severity,
-            code,
-            text,
-            subsystem=self._files.sbs.subsystem,
-            task=task.name,
-            cycle=task.source.cyclecount,
-            bits=bits,
-        )
+    def _published(self, _: m.Event) -> None:
         for told in self.told:
             told()
 
@@ -282,10 +245,6 @@ class VirtualRtpus(Simulation):
         self._standbys.pair(self.task(request.task), original)
         return self._one(self.task(request.task))
 
-    def _engaged(self, task: SimTask, severity: Severity, text: str) -> None:
-        """Tell that a standby was engaged, as an event of its own."""
-        self._tell(task, severity, "FALLBACK", text)
-
     def _freq(self, rtpu: str, request: m.Freq) -> float:
         task = self.task(request.task)
         if request.hz is not None:
@@ -367,19 +326,21 @@ class VirtualRtpus(Simulation):
         for name in names:
             if self.task(name).executor.state is State.ON:
                 stopped.off.append(name)
-        for signal in ("off", "kill"):
+        with self.happened.stopping():
+            for name in stopped.off:
+                self._last(name, "off")
             for name in names:
-                task = self._tasks.get(name)
-                if task is None or (
-                    signal == "off" and task.executor.state is not State.ON
-                ):
-                    continue
-                try:
-                    self._send(name, signal)
-                except PbonetError as error:
-                    self.events.append(f"{self._clock()} {name}: {error}")
+                self._last(name, "kill")
         self._job = None
         return stopped
+
+    def _last(self, name: str, signal: str) -> None:
+        """Send a signal to a task that is ended, if it is there yet."""
+        try:
+            if name in self._tasks:
+                self._send(name, signal)
+        except PbonetError as error:
+            self.events.append(f"{self._clock()} {name}: {error}")
 
     def _sigmask(self, _rtpu: str, request: m.Sigmask) -> dict[str, list[str]]:
         if request.unset:

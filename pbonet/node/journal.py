@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
@@ -18,22 +18,103 @@ from pbonet.log import Did, Step, TaskAbout
 from pbonet.log.code import code_of
 from pbonet.log.groups import pack
 
-from ._ring import Ring
+from .copies import Copies
 from .failures import ALL_REFUSED
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator, Sequence
+    from contextlib import AbstractContextManager
+    from typing import Any
+
+    from numpy.typing import NDArray
 
     from pbonet.config.library import Library
     from pbonet.config.model import Rmod, Variable
     from pbonet.outside import Tape
     from pbonet.pbo import ModuleInfo
-    from pbonet.svar import LocalTable, Table
 
-    from .tasktalk import SlotTime
     from .wire import TaskSpec
 
     Variables = list[Variable]
+
+
+class Local(Copies, Protocol):
+    """What copies, and says what it has committed."""
+
+    @property
+    def array(self) -> Callable[[str], NDArray[Any]]:
+        """Gives the local copy of a variable by its name."""
+        ...
+
+    @property
+    def out_uid(self) -> int:
+        """The register of the last commit."""
+        ...
+
+    @property
+    def out_number(self) -> int:
+        """The number of the last commit there."""
+        ...
+
+
+class Taker(Protocol):
+    """Where records go: a ring, or what stands for one."""
+
+    def put(
+        self,
+        data: bytes,
+        *,
+        cycle: int = 0,
+        kind: int = 0,
+        now_ns: int = 0,
+        uid: int = 0,
+        number: int = 0,
+    ) -> bool:
+        """Append one record; False when there is no room."""
+        ...
+
+
+class Time(Protocol):
+    """The task's time, which stands still from one record to the next."""
+
+    @property
+    def cycles(self) -> int:
+        """Cycles executed since the task was spawned."""
+        ...
+
+    def tick(self) -> int:
+        """Have it stand still from now on, and return it."""
+        ...
+
+    def held(self) -> AbstractContextManager[object]:
+        """Have it stand still in a block."""
+        ...
+
+
+class Whose(NamedTuple):
+    """Of which task records are, where there is no process of its own."""
+
+    domain: str
+    rtpu: str
+    subsystem: str
+    task: str
+    freq: float
+    rmod: str
+    rmod_name: str
+    libraries: tuple[str, ...]
+
+
+class Indexed(Protocol):
+    """A table's variables."""
+
+    @property
+    def variables(self) -> Sequence[Variable]:
+        """All of them."""
+        ...
+
+    def index(self, name: str) -> int:
+        """Return the place of one."""
+        ...
 
 
 class Journal:
@@ -49,10 +130,10 @@ class Journal:
 
     def __init__(
         self,
-        local: LocalTable,
-        ring: Ring,
+        local: Local,
+        ring: Taker,
         about: TaskAbout,
-        time: SlotTime,
+        time: Time,
         tape: Tape,
     ) -> None:
         self._tape = tape
@@ -153,7 +234,11 @@ class Journal:
 
 
 def about(
-    spec: TaskSpec, rmod: Rmod, info: ModuleInfo, library: Library, table: Table
+    spec: TaskSpec | Whose,
+    rmod: Rmod,
+    info: ModuleInfo,
+    library: Library,
+    table: Indexed,
 ) -> TaskAbout:
     """Return whose cycles a task's ring holds."""
 

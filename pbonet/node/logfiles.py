@@ -13,7 +13,7 @@ import socket
 import time
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,25 @@ SHARE: Final = 4
 _MB: Final = 1e6
 
 
+class Time(NamedTuple):
+    """The time that a recording goes by."""
+
+    clock: Callable[[], float]
+    """Gives seconds."""
+    epoch_ns: int
+    """What is added to its nanoseconds to get those since 1970."""
+    machine: str
+    """Where it may be compared, by boot identity."""
+    seconds: float = 0.0
+    """As `RunAbout` has it."""
+
+
+def real_time() -> Time:
+    """Return that of this machine."""
+    ahead = time.time_ns() - time.monotonic_ns()
+    return Time(time.monotonic, ahead, rundir.machine())
+
+
 class LogFiles:
     """Where one recorder writes.
 
@@ -52,9 +71,13 @@ class LogFiles:
         wanted: What is recorded.
         say: Takes what the agent should know.
         enter: Says what is known so far in a file that begins.
+        by: The time that the recording goes by; None for this machine's.
     """
 
-    def __init__(self, wanted: wire.Recording, say: Say, enter: Do) -> None:
+    def __init__(
+        self, wanted: wire.Recording, say: Say, enter: Do, by: Time | None = None
+    ) -> None:
+        self.by = by or real_time()
         self._wanted = wanted
         self._say = say
         self._enter = enter
@@ -73,14 +96,13 @@ class LogFiles:
         """Whether an error waits for a file."""
         self._kept: deque[tuple[float, Do, bytes]] = deque()
         self._done: set[Path] = set()
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
         limits = wanted.limits
         most = limits.runs_mb / SHARE or limits.log_mb
         self._most = _MB * min(limits.log_mb or most, most)
 
     def turn(self) -> None:
         """Begin a file when it is time, end it when it is full, let old ones go."""
-        now = time.monotonic()
+        now = self.by.clock()
         if self._wanted.last and self.writer is not None and now > self._wrong:
             self._finish()
         elif self.writer is not None and self._is_full(now):
@@ -102,7 +124,7 @@ class LogFiles:
             records: What is lost where it cannot, as a ring gave it.
         """
         if self._wanted.last and self.writer is None:
-            now = time.monotonic()
+            now = self.by.clock()
             self._kept.append((now, do, records))
             while self._kept[0][0] < now - self._wanted.last:
                 self._kept.popleft()
@@ -125,7 +147,7 @@ class LogFiles:
     def went_wrong(self) -> None:
         """Write what was kept, and what comes in the next second."""
         if self._wanted.last:
-            self._wrong = time.monotonic() + AFTER
+            self._wrong = self.by.clock() + AFTER
             self._due = self.writer is None
             self.turn()
 
@@ -156,7 +178,7 @@ class LogFiles:
         except (OSError, LogError) as error:
             self._full(error)
             return
-        self._goes_on, self._due, self._begun = False, False, time.monotonic()
+        self._goes_on, self._due, self._begun = False, False, self.by.clock()
         kept, self._kept = self._kept, deque()
         for _, do, records in kept:
             self.put(do, records)
@@ -187,14 +209,15 @@ class LogFiles:
             domain=wanted.domain,
             rtpu=wanted.rtpu,
             host=socket.gethostname(),
-            machine=rundir.machine(),
+            machine=self.by.machine,
             pbonet=pbonet.__version__,
             python=platform.python_version(),
             numpy=np.__version__,
             kernel=platform.release(),
             config_hash=digest.hexdigest(),
             begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-            epoch_ns=self._epoch_ns,
+            epoch_ns=self.by.epoch_ns,
+            seconds=self.by.seconds,
             part=part,
             goes_on=self._goes_on,
         )
@@ -202,7 +225,7 @@ class LogFiles:
     def _full(self, error: OSError | LogError) -> None:
         """Go on without a file; another one is tried from time to time."""
         writer, self.writer = self.writer, None
-        self._retry = time.monotonic() + RETRY
+        self._retry = self.by.clock() + RETRY
         self._goes_on = False
         if writer is not None:
             with contextlib.suppress(OSError):

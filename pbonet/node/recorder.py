@@ -15,7 +15,7 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgspec
 from msgspec.msgpack import Decoder
@@ -30,7 +30,7 @@ from ._ring import Ring
 from .logfiles import LogFiles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 PERIOD: Final = 0.05
 """Seconds between two looks; a ring of 1 MiB holds seconds of a 1 kHz task."""
@@ -41,15 +41,36 @@ HANDOVER: Final = 3.0
 """Seconds for which another recorder, whose agent is gone, may hold a ring."""
 
 
+class Source(Protocol):
+    """A ring, as one who empties it sees it."""
+
+    @property
+    def lost(self) -> int:
+        """Records that found no room."""
+        ...
+
+    def take(self) -> bytes:
+        """Return the records that are there, and forget them."""
+        ...
+
+    def want(self, *, always: bool = False) -> None:
+        """Have the next cycle store its inputs, or each cycle."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
 class Followed:
     """A ring that is being emptied.
 
     Args:
-        ring: Open.
+        ring: Open; in a simulation what stands for one.
         about: Whose it is.
     """
 
-    def __init__(self, ring: Ring, about: TaskAbout) -> None:
+    def __init__(self, ring: Source, about: TaskAbout) -> None:
         self.ring = ring
         self.about = about
         self.writer: LogWriter | None = None
@@ -179,17 +200,15 @@ class Recorder:
 
     def _begin(self, key: tuple[str, int], ring: Ring, about: TaskAbout) -> None:
         first = ring.take()
-        each = (about.inconst, about.invar, about.outconst, about.outvar)
-        names = {variable.name for variables in each for variable in variables}
-        about.hidden = [name for name in self._wanted.hidden if name in names]
+        hide(about, self._wanted.hidden)
         followed = self._rings[key] = Followed(ring, about)
-        self._files.write(lambda writer: _enter(writer, followed))
+        self._files.write(lambda writer: enter(writer, followed))
         self._record(followed, first)
 
     def _enter_all(self, writer: LogWriter) -> None:
         """Say in a file that begins what is known so far."""
         for followed in self._rings.values():
-            _enter(writer, followed)
+            enter(writer, followed)
             followed.ring.want()
 
     def _take(self, followed: Followed) -> None:
@@ -204,7 +223,7 @@ class Recorder:
 
     def _record(self, followed: Followed, text: bytes) -> None:
         if text:
-            self._files.put(lambda writer: _add(writer, followed, text), text)
+            self._files.put(lambda writer: add(writer, followed, text), text)
 
     # -- what else is written ----------------------------------------------------------
 
@@ -276,7 +295,14 @@ class Recorder:
         self._tell(wire.Note(int(severity), code, text))
 
 
-def _enter(writer: LogWriter, followed: Followed) -> None:
+def hide(about: TaskAbout, names: Iterable[str]) -> None:
+    """Say of a task which of its variables are not recorded."""
+    each = (about.inconst, about.invar, about.outconst, about.outvar)
+    own = {variable.name for variables in each for variable in variables}
+    about.hidden = [name for name in names if name in own]
+
+
+def enter(writer: LogWriter, followed: Followed) -> None:
     """Make the channels of a task, and attach its code."""
     about = followed.about
     followed.writer, followed.number = writer, writer.add_task(about)
@@ -289,10 +315,10 @@ def _enter(writer: LogWriter, followed: Followed) -> None:
                 writer.attach(Attached(code.path, data, "text/x-python"))
 
 
-def _add(writer: LogWriter, followed: Followed, text: bytes) -> None:
+def add(writer: LogWriter, followed: Followed, text: bytes) -> None:
     """Write what a ring gave."""
     if followed.writer is not writer:  # it was gone when the file began
-        _enter(writer, followed)
+        enter(writer, followed)
     writer.add(followed.number, text)
 
 

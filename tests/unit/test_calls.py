@@ -164,9 +164,13 @@ def test_calls_do_what_the_commands_do(arm):
     assert {one.name for one in arm.display(writer="target")} == {"X_DES", "X^_DES"}
     assert arm.write("Q^_CMD", [0.5] * 6).values == [0.5] * 6
     assert arm.module("gain")[0].name == "gain"
-    assert arm.events(1, task="target", code="STATE")[0].text == "OFF to ON"
+    assert arm.events(1, task="target", code="STATE")[0].text == "on: ON"
     counts = arm.events_count("target")
-    assert counts == [{"rtpu": "arm1", "task": "target", "code": "STATE", "count": 4}]
+    told = {"rtpu": "arm1", "task": "target"}
+    assert counts == [
+        told | {"code": "SPAWNED", "count": 1},
+        told | {"code": "STATE", "count": 3},
+    ]
     assert [one.name for one in arm.help("on")] == ["on"]
     assert len(arm.help()) == len(COMMANDS)
 

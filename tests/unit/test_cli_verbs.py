@@ -254,7 +254,8 @@ def test_a_run_is_looked_at(call, tmp_path):
     assert call("log", "diff", one, two)[0] == 0, "a simulation gives the same twice"
     merged = tmp_path / "m.mcap"
     out = json.loads(call("log", "merge", one, "-o", merged, "--json")[1])
-    assert out == {"file": str(merged), "messages": 180, "clocks": []}
+    count = sum(part.count for part in Log(one).parts)
+    assert out == {"file": str(merged), "messages": count, "clocks": []}
     assert call("log", "recover", merged, "-o", merged)[0] == 1, "it stands"
     assert call("log", "plot", one, "Q_MEZ", "-o", tmp_path / "a.png")[0] == 0
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"

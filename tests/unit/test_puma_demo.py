@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from pbonet.log import Log
-from pbonet.master.sim import simulate
+from pbonet.master.oneshot import Place
+from pbonet.master.run import run
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "puma"
 
@@ -27,9 +28,13 @@ def demo() -> ModuleType:
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("puma") / "run.mcap"
-    simulate(EXAMPLE / "puma.job", 3.0).save(path)
-    return path
+    return recorded(tmp_path_factory.mktemp("puma"), 3.0)
+
+
+def recorded(folder: Path, seconds: float) -> Path:
+    """Return the log of a simulated run."""
+    job, place = EXAMPLE / "puma.job", Place()
+    return Path(run(job, place, seconds=seconds, sim=True, runs=folder, quiet=True).log)
 
 
 def test_error_is_that_of_the_newest_reference(demo: ModuleType, file: Path) -> None:
@@ -77,10 +82,10 @@ def test_plot_and_summary_are_made_of_a_recording(
 
 
 def test_recording_that_shows_nothing_is_told(demo: ModuleType, tmp_path: Path) -> None:
-    empty = tmp_path / "empty.mcap"
-    simulate(EXAMPLE / "puma.job", 0.0).save(empty)
+    empty = recorded(tmp_path, 0.0)
     with pytest.raises(SystemExit, match="let it run longer"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])
+    empty = tmp_path / "empty.mcap"
     empty.write_bytes(b"")
     with pytest.raises(SystemExit, match="nothing stands in the log"):
         demo.main(["--from", str(empty), "--plot", str(tmp_path / "a.png")])

@@ -1,15 +1,12 @@
-"""A recording keeps every cycle, and its file gives back what was put in."""
+"""A recording keeps every cycle, and gives back what was put in."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pbonet.config.model import Variable
-from pbonet.errors import LogError, UnknownVariableError
-from pbonet.log import Cycles, Log
+from pbonet.errors import UnknownVariableError
 from pbonet.master.recording import Recording
 
 VARIABLES = (
@@ -31,7 +28,8 @@ def filled() -> Recording:
     return recording
 
 
-def check(recording: Cycles) -> None:
+def test_it_gives_back_what_was_put_in() -> None:
+    recording = filled()
     assert recording.about == {"job": "demo", "seconds": 1.5}
     assert recording.tasks == ["one", "two", "idle"]
     one = recording.arrays("one")
@@ -50,18 +48,6 @@ def check(recording: Cycles) -> None:
     assert len(recording.arrays("idle")["cycle"]) == 0
 
 
-def test_it_gives_back_what_was_put_in() -> None:
-    check(filled())
-
-
-def test_its_file_says_the_same(tmp_path: Path) -> None:
-    filled().save(tmp_path / "x" / "run.mcap")
-    log = Log(tmp_path / "x")
-    assert log.about["job"] == "demo"
-    log.about = filled().about
-    check(log)
-
-
 def test_of_two_writers_the_first_counts() -> None:
     recording = filled()
     recording.task("three", VARIABLES, ["B"])
@@ -72,10 +58,3 @@ def test_unknown_variable_offers_the_nearest() -> None:
     with pytest.raises(UnknownVariableError, match="no task of the run wrote BB") as e:
         filled().series("BB")
     assert e.value.remedy == "did you mean B?"
-
-
-def test_log_that_cannot_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    for path in (tmp_path / "file" / "run.mcap", tmp_path / "file"):
-        with pytest.raises(LogError, match="the log cannot be written"):
-            filled().save(path)
