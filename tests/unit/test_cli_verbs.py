@@ -259,7 +259,9 @@ def test_a_run_is_looked_at(call, tmp_path):
     assert call("log", "recover", merged, "-o", merged)[0] == 1, "it stands"
     assert call("log", "plot", one, "Q_MEZ", "-o", tmp_path / "a.png")[0] == 0
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-    assert json.loads(call("log", "events", one, "--json")[1]) == {"events": []}
+    told = json.loads(call("log", "events", one, "--json")[1])["events"]
+    assert {event["code"] for event in told} == {"SPAWNED", "STATE", "STOPPED"}
+    assert json.loads(call("log", "commands", one, "--json")[1]) == {"commands": []}
     status, out, _ = call("replay", one, "grav_comp", "--verify")
     assert status == 0
     assert "not verifiable: it is of a simulation" in out
