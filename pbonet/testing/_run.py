@@ -461,7 +461,7 @@ def alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool
 def not_again(life: Life) -> str:
     """Return why a task cannot be run again; empty: it can."""
     if not life.about.rmod:
-        return "it is of a simulation, or its RMOD is not on record"
+        return "its RMOD is not on record"
     if not _from_birth(life):
         return (
             f"{life.part.path.name} begins amid the task's life: what its module held "
