@@ -20,6 +20,7 @@ from pbonet.errors import NoAnswerError, PbonetError, Severity, StateError
 from pbonet.pbo import State
 
 from . import _rt, wire
+from .tasks import error_of
 
 if TYPE_CHECKING:
     from .events import EventLog
@@ -269,7 +270,7 @@ async def come(task: Task, limit: float) -> None:
             remedy="look at its state, and at what else its RTPU has to do",
         ) from None
     if notice.error is not None:
-        raise PbonetError.from_wire(notice.error)
+        raise error_of(notice)
 
 
 async def rest(rtpu: Home, task: Task) -> None:

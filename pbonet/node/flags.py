@@ -42,6 +42,9 @@ class Flags:
         self._outputs: dict[tuple[str, str], Collection[str]] = {}
         self._refused: dict[tuple[str, str], str] = {}
         """Causes for which there was no room; raised again when others have gone."""
+        self._ceded: dict[str, dict[int, int]] = {}
+        """What tasks wrote last that have ended and whose heir has failed: by subsystem
+        the number of a commit for each register."""
         self._looks: dict[str, list[asyncio.TimerHandle]] = {}
         """To come at what the last list has handed over, by subsystem."""
 
@@ -84,11 +87,27 @@ class Flags:
     def written(
         self, subsystem: str, outputs: Collection[str], *, but: str = ""
     ) -> bool:
-        """Tell whether tasks own all of these variables, and other ones than `but`."""
+        """Tell whether tasks own all of these variables, and other ones than `but`.
+
+        Those that have ended, and wait for an heir that will not come, are none.
+        """
         opened = self._tables.sound(subsystem)
-        return opened is not None and all(
-            opened.table.info(output).owner not in {None, but} for output in outputs
+        if opened is None:
+            return False
+        gone = self._ceded.get(subsystem, {})
+        found = [opened.table.info(output) for output in outputs]
+        return all(
+            one.owner not in {None, but} and gone.get(one.register) != one.seq
+            for one in found
         )
+
+    def ceded(self, subsystem: str, outputs: Collection[str]) -> None:
+        """Take note that whoever owns variables has ended, and nobody takes over."""
+        opened = self._tables.sound(subsystem)
+        if opened is not None:
+            owned = [opened.table.info(output) for output in outputs]
+            last = {one.register: one.seq for one in owned}
+            self._ceded.setdefault(subsystem, {}).update(last)
 
     def expect(
         self, subsystem: str, outputs: Collection[str], done: str, within: float
@@ -117,6 +136,7 @@ class Flags:
         """Withdraw what was raised for the last list, and look at it no more."""
         for timer in self._looks.pop(subsystem, ()):
             timer.cancel()
+        self._ceded.pop(subsystem, None)
         self.down(subsystem, UNFINISHED)
 
     def owners(self, subsystem: str, outputs: Collection[str]) -> set[str]:

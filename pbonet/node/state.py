@@ -348,6 +348,8 @@ class Rtpu:
             task.on_rank = self.turned_on
         subsystem = task.facts.subsystem
         original = self.tasks.get((subsystem, task.stands_by))
+        if not task.stands_by and task.state is State.ERROR:
+            self.flags.ceded(subsystem, task.facts.outputs)
         self.fallbacks.engaged(task, notice)
         if original is not None and self.flags.written(
             subsystem, original.facts.outputs, but=original.name

@@ -370,8 +370,8 @@ class Task:
         )
 
 
-def error_of(done: wire.Done) -> PbonetError:
-    """Return the error of an answer as an exception."""
+def error_of(done: wire.Done | wire.Notice) -> PbonetError:
+    """Return the error of an answer or a notice as an exception."""
     error = PbonetError.from_wire(done.error or {})
     if isinstance(error, MethodError):
         error.number, error.place = done.errnum, done.place

@@ -159,6 +159,10 @@ def test_on_that_raises_frees_the_place(arm, tmp_path, nodes):
         arm.swap("a", "bad")
     assert "done: off a" in str(caught.value)
     assert states(arm)["bad"] == "ERROR"
+    said = [event for event in arm.events() if "bad is in ERROR" in event.text]
+    assert {event.code for event in said} == {"ILLEGAL"}, "it was up all the time"
+    (failed,) = [event for event in arm.events() if event.code == "SIGNAL_FAILED"]
+    assert (failed.task, failed.errnum) == ("bad", 1)
     with Table.attach(f"{nodes.domain}.t") as table:
         assert table.info("Y0").owner is None  # and not a, which ceded it
     assert any("nobody took over Y0" in cause for cause in causes(arm))

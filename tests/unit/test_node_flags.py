@@ -87,3 +87,21 @@ def test_entering_and_leaving_are_events_with_the_cause(table):
         ("ILLEGAL", "equation 2 (master)"),
         ("LEGAL", "no longer: servo has died (arm0/servo)"),
     ]
+
+
+def test_who_has_ended_for_an_heir_that_failed_is_no_writer(table):
+    """It owns the variable until its RTPU gives that up; then whoever comes counts."""
+    made = flags(table)
+    old = table.local("old", 1, outvar=["X"])
+    old.claim()
+    assert made.written("arm", ["X"], but="heir")
+    made.ceded("arm", ["X"])
+    assert not made.written("arm", ["X"], but="heir")
+    made.up("arm", "heir", "heir is in ERROR", ["X"])
+    made.relieve()
+    assert len(table.illegal) == 1
+    old.release()
+    old.claim()
+    assert made.written("arm", ["X"], but="heir")
+    made.relieve()
+    assert not table.illegal
