@@ -104,6 +104,7 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
                 done.spawn(by_name[name])
         crew.rank()
         gate.must_hold()
+        pair(crew, wanted)  # before a task may fail for which somebody stands by
         for name in verify.on_order([one for one in tasks if not one.fallback_of]):
             go_on(stopped)
             if not crew.picture.find(name).is_on:

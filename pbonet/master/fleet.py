@@ -15,6 +15,7 @@ import socket
 from types import NoneType
 from typing import TYPE_CHECKING, TypeVar
 
+import msgspec
 import zenoh
 
 from pbonet.errors import (
@@ -224,9 +225,10 @@ class Fleet:
             )
 
     def _signed(self, rtpu: str, request: m.Request) -> m.Request:
-        request.subsystem = self.sbs.subsystem
-        request.epoch = self.epochs.get(rtpu, 0)
-        return request
+        """Return the request to one RTPU; the same one may be meant for others, too."""
+        return msgspec.structs.replace(
+            request, subsystem=self.sbs.subsystem, epoch=self.epochs.get(rtpu, 0)
+        )
 
     def _declare(self) -> None:
         """Show a token as long as this master lives; agents look for it."""

@@ -78,6 +78,7 @@ async def control(
     lifecycle.rule(task.state, event, where=task.name)
     if event is lifecycle.Event.ON:
         rtpu.rank(task)
+        await rtpu.fallbacks.ready(task)
     try:
         await task.command(
             signal,
@@ -88,6 +89,8 @@ async def control(
         )
     except PbonetError as error:
         note(rtpu, task, event, error)
+        if event is lifecycle.Event.ON:
+            await rtpu.fallbacks.spare(task)
         raise
     note(rtpu, task, event)
     return []

@@ -2,7 +2,8 @@
 
 The dispatcher does the engaging, alone and at once (``standby.h``). Here is only
 decided who stands by, which is arranged beforehand, and told what has happened, which
-is done afterwards. A pair is arranged while the original is ON and the standby OFF.
+is done afterwards. A pair is arranged while the original is ON and the standby OFF, and
+before the original comes on for the first time.
 
 Nothing flaps: an original that is cleared does not take its place back, a standby that
 fails too has nobody behind it, and after `LIMIT` times a pair is not arranged again.
@@ -92,6 +93,9 @@ class Fallbacks:
                 where=self._rtpu.name,
                 remedy="name another task",
             )
+        known = self._pairs.get((subsystem, standby))
+        if known is not None and task.stands_by == known.original == original:
+            return
         await self.withdraw(task)
         self._pairs.pop((subsystem, standby), None)
         if not original:
@@ -110,6 +114,22 @@ class Fallbacks:
             del self._pairs[key]
 
     # -- standing by -------------------------------------------------------------------
+
+    async def ready(self, original: Task) -> None:
+        """Have those stand by for a task that is about to come on for the first time.
+
+        It may fail in its first cycle. Not for one that was ON before: if it has fallen
+        then, the dispatcher knows that until it is ON again.
+        """
+        if original.on_rank:
+            return
+        for pair in list(self._pairs.values()):
+            if (pair.subsystem, pair.original) == (
+                original.facts.subsystem,
+                original.name,
+            ):
+                with contextlib.suppress(PbonetError):  # told when the task is ON
+                    await self._arrange(pair, State.OFF)
 
     def look(self, task: Task) -> None:
         """Arrange or dissolve pairs, as the state of one of the two has changed."""
@@ -140,8 +160,8 @@ class Fallbacks:
                 pair.told = str(error)
                 self._tell(Severity.WARNING, pair, f"cannot stand by: {error}")
 
-    def _due(self, pair: Pair) -> bool:
-        """Tell whether the standby is to stand by, and does not."""
+    def _due(self, pair: Pair, state: State = State.ON) -> bool:
+        """Tell whether the standby is to stand by for an original in that state."""
         standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
         original = self._rtpu.tasks.get((pair.subsystem, pair.original))
         return (
@@ -153,13 +173,13 @@ class Fallbacks:
             and not original.stopping
             and not standby.stands_by
             and standby.state is State.OFF
-            and original.state is State.ON
+            and original.state is state
             and not self._rtpu.core.snapshot(original.facts.slot).dead
         )
 
-    async def _arrange(self, pair: Pair) -> None:
+    async def _arrange(self, pair: Pair, state: State = State.ON) -> None:
         async with self._lock:
-            if not self._due(pair):
+            if not self._due(pair, state):
                 return
             standby = self._rtpu.need(pair.subsystem, pair.standby)
             original = self._rtpu.need(pair.subsystem, pair.original)

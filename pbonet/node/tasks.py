@@ -212,7 +212,7 @@ class Task:
             done = await asyncio.wait_for(asyncio.shield(answer), limit)
         except TimeoutError:
             raise NoAnswerError(
-                f"the task did not finish {what!r} within {limit:g} s",
+                f"the task did not finish {what!r} within {limit:.3g} s",
                 where=self.name,
                 remedy="wait for it, or `kill` the task",
             ) from None

@@ -96,6 +96,20 @@ def test_an_error_releases_the_standby(start):
         arm.control("first", "on")
 
 
+def test_an_error_in_the_very_first_cycle_releases_the_standby(start):
+    """It stands by before its original comes on."""
+    arm = start("raises_in_cycle")
+    told(arm)
+    for task in ("first", "second"):
+        arm.control(task, "kill")
+    arm.write("Y0", [9.0, 0.0])  # one short of where it raises
+    arm.start("watch")
+    told(arm, 2)
+    assert states(arm) == {"first": "ERROR", "second": "ON", "hold": "ON"}
+    assert arm.status("first").cycle == 0
+    wait_for(lambda: not causes(arm), "the flag to go down")
+
+
 def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):
     arm = start("counts")
     wait_standing(arm)
