@@ -178,25 +178,22 @@ class Shop:
             self.a.cycle()
             self.b.cycle()
 
-    def log(self, *, hidden=(), without="", attached=True, machine=""):
+    def log(self, *, hidden=(), without="", attached=True, files=(), **more):
         """Write what there is; return the log."""
-        about = RunAbout(
-            run="r",
-            job="j",
-            subsystem="arm",
-            domain="d",
-            rtpu="arm0",
-            machine=machine,
-        )
+        named = {"run": "r", "job": "j", "subsystem": "arm", "rtpu": "arm0"}
+        about = RunAbout(domain="d", **(named | more))
         path = self.folder / "run.mcap"
         writer = LogWriter(path, about)
         for task in self.tasks:
             one = task.about
             each = (one.inconst, one.invar, one.outconst, one.outvar)
             names = {variable.name for variables in each for variable in variables}
+            task.about.subsystem = about.subsystem
             task.about.hidden = [name for name in hidden if name in names]
             if task.task != without:
                 writer.add(writer.add_task(task.about), b"".join(task.records))
+        for name, content in dict(files).items():
+            writer.attach(Attached(name, content))
         if attached:
             writer.attach(Attached(str(self.code), self.code.read_bytes()))
         writer.close()

@@ -15,11 +15,11 @@ import numpy as np
 from pbonet.errors import LogError
 
 from . import scan
-from .records import FORMAT, METADATA, Attached, RunAbout
+from .records import ATTACHED, FORMAT, METADATA, Attached, RunAbout
 from .rows import Rows, gathered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
     from typing import BinaryIO
 
@@ -42,6 +42,14 @@ class Schema(NamedTuple):
 
 
 _NONE: Final = Schema("", "", b"")
+
+
+class Source(NamedTuple):
+    """One of the files that a file was made of."""
+
+    about: RunAbout
+    attached: dict[str, str]
+    """Names that its attachments have now, by its own; others kept theirs."""
 
 
 class Channel(NamedTuple):
@@ -106,8 +114,9 @@ class Part:
                 self._take_summary(file, summary)
             else:
                 self._take_scan(file, scan.scan(file, str(path)))
-        known = self.metadata.get(METADATA)
-        self.about = None if known is None else _run_about(known, path)
+        self.sources = list(_sources(self.metadata, path))
+        """The files that it was made of; of one that was not merged, itself."""
+        self.about = self.sources[0].about if METADATA in self.metadata else None
 
     # -- opening -----------------------------------------------------------------------
 
@@ -275,6 +284,21 @@ class Part:
         (size,) = struct.unpack("<I", _read(file, at + 2, 4))
         entries = np.frombuffer(_read(file, at + 6, size // _ENTRY * _ENTRY), _ENTRIES)
         return np.sort(np.concatenate([own, entries["at"].astype(np.int64)]))
+
+
+def _sources(metadata: dict[str, dict[str, str]], path: Path) -> Iterator[Source]:
+    """Yield what a file says of itself, and of others that it was made of.
+
+    Raises:
+        LogError: It was written by a newer pbonet.
+    """
+    number, name = 1, METADATA
+    while name in metadata:
+        told = metadata[name].get(ATTACHED, "{}")
+        names = msgspec.json.decode(told, type=dict[str, str])
+        yield Source(_run_about(metadata[name], path), names)
+        number += 1
+        name = f"{METADATA} {number}"
 
 
 def _run_about(values: dict[str, str], path: Path) -> RunAbout:

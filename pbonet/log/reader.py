@@ -15,7 +15,17 @@ from pbonet.errors import LogError, UnknownTaskError, did_you_mean
 from .clocks import common
 from .cycles import COLUMNS, Cycles
 from .part import Part
-from .records import EPOCH, MACHINE, Attached, Step, TaskAbout, free_name
+from .records import (
+    EPOCH,
+    MACHINE,
+    RUN,
+    Attached,
+    Origin,
+    Step,
+    Table,
+    TaskAbout,
+    free_name,
+)
 from .rows import Rows
 from .schema import HEAD, TaskSchema, head
 
@@ -57,9 +67,15 @@ class Life:
         self.epoch_ns = epoch_ns
         self.schema = TaskSchema(about)
         self._pieces = [(part, keys)]
-        told = part.about.machine if part.about else ""
-        self.machine = part.channels[keys[0]].metadata.get(MACHINE, told)
-        """Where it ran, by boot identity: registers are numbered there."""
+        told = part.channels[keys[0]].metadata
+        here = (part.about.machine, part.about.run) if part.about else ("", "")
+        self.origin = Origin(
+            told.get(MACHINE, here[0]), told.get(RUN, here[1]), epoch_ns
+        )
+        self.table = Table(*self.origin[:2], about.domain, about.subsystem)
+        """Where its commits are numbered."""
+        self.name = about.task
+        """Of the task in this log; `SUBSYSTEM/TASK` where two subsystems have one."""
 
     def go_on(self, part: Part, keys: tuple[int, ...]) -> None:
         """Add what stands of it in the file behind."""
@@ -119,6 +135,7 @@ class Log(Cycles):
         self.clocks = common(self.parts)
         """What brings the times of each file to those of the first one."""
         self._lives = _lives(self.parts, self.clocks)
+        self._names = _name(self._lives)
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
         first = next((part.about for part in self.parts if part.about), None)
         self.about = msgspec.to_builtins(first) if first is not None else {}
@@ -126,7 +143,11 @@ class Log(Cycles):
     @property
     def tasks(self) -> list[str]:
         """The names of the tasks."""
-        return list(dict.fromkeys(life.about.task for life in self._lives))
+        return list(dict.fromkeys(life.name for life in self._lives))
+
+    def name_of(self, subsystem: str, task: str) -> str:
+        """Return the name that a task of a subsystem has in this log."""
+        return self._names.get((subsystem, task), task)
 
     def all_lives(self) -> list[Life]:
         """Return each spawn of every task."""
@@ -138,7 +159,7 @@ class Log(Cycles):
         Raises:
             UnknownTaskError: The log has no such task.
         """
-        found = [life for life in self._lives if life.about.task == task]
+        found = [life for life in self._lives if life.name == task]
         if not found:
             raise UnknownTaskError(
                 f"the log has no task {task}",
@@ -298,7 +319,9 @@ class Log(Cycles):
             if "/status/" not in one.topic:
                 continue
             status = cast("dict[str, Any]", msgspec.json.decode(one.data))
-            for task, counts in status["tasks"].items():
+            subsystem = one.topic.partition("/status/")[0]
+            for short, counts in status["tasks"].items():
+                task = self.name_of(subsystem, short)
                 cycles, count = counts["cycles"], counts["missed"]
                 last = before.get(task, (0, 0))
                 again = cycles < last[0] or count < last[1]  # it was spawned anew
@@ -313,8 +336,7 @@ class Log(Cycles):
             last = [one[-1] for one in (life.commits, life.steps) if one]
             count = max((int(head(one)["lost"]) for one in last), default=0)
             if count:
-                task = life.about.task
-                found[task] = found.get(task, 0) + count
+                found[life.name] = found.get(life.name, 0) + count
         return found
 
 
@@ -384,11 +406,23 @@ def log_name(file: str, part: int) -> str:
     return f"{file}.mcap" if part == 1 else f"{file}-{part}.mcap"
 
 
-def _place_of(part: Part) -> tuple[bool, str, int, str]:
-    """Return where a file comes among those of its run, behind them if of none."""
-    if part.about is None:
-        return True, "", 0, part.path.name
-    return False, part.about.rtpu, part.about.part, part.path.name
+def _place_of(part: Part) -> tuple[bool, str, str, str, int, str]:
+    """Return where a file comes among others: by run, those of none at the end."""
+    one = part.about
+    if one is None:
+        return True, "", "", "", 0, part.path.name
+    return False, one.run, one.subsystem, one.rtpu, one.part, part.path.name
+
+
+def _name(lives: list[Life]) -> dict[tuple[str, str], str]:
+    """Tell tasks of one name apart by their subsystems; return the names of all."""
+    homes: dict[str, set[str]] = {}
+    for life in lives:
+        homes.setdefault(life.about.task, set()).add(life.about.subsystem)
+    for life in lives:
+        if len(homes[life.about.task]) > 1:
+            life.name = life.about.topic
+    return {(one.about.subsystem, one.about.task): one.name for one in lives}
 
 
 def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
@@ -422,11 +456,11 @@ def goes_on(part: Part, last: Part) -> bool:
     """Tell whether a file goes on where the one before it ended."""
     if part.about is None or last.about is None or not part.about.goes_on:
         return False
-    next_one = (part.about.rtpu, part.about.part) == (
-        last.about.rtpu,
-        last.about.part + 1,
+    one, before = part.about, last.about
+    return last.complete and (one.run, one.subsystem, one.rtpu, one.part) == (
+        *(before.run, before.subsystem, before.rtpu),
+        before.part + 1,
     )
-    return next_one and last.complete
 
 
 def _tasks(part: Part) -> Iterator[tuple[TaskAbout, tuple[int, ...]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from msgspec import Struct
 
@@ -24,6 +24,11 @@ EPOCH = "epoch_ns"
 """Of a task's channel in a merged log: what is added to its CLOCK_MONOTONIC."""
 MACHINE = "machine"
 """Of a task's channel in a log of several machines: that on which it ran."""
+RUN = "run"
+"""Of a task's channel in a log of several runs: that in which it ran."""
+ATTACHED = "attached"
+"""In what a merged log says of one of its files: names of attachments, by that file's
+own, as JSON."""
 
 
 class Step(IntEnum):
@@ -69,6 +74,25 @@ class Did(Struct, omit_defaults=True):
     name: str = ""
     """Of the parameter, for ``set``; of the method that failed, for ``fault``."""
     hz: float = 0.0
+
+
+class Origin(NamedTuple):
+    """Where a task of a log came from."""
+
+    machine: str
+    """By boot identity."""
+    run: str
+    epoch_ns: int
+    """What is added to its CLOCK_MONOTONIC to get nanoseconds since 1970."""
+
+
+class Table(NamedTuple):
+    """The table that a task's commits went to: they are numbered there."""
+
+    machine: str
+    run: str
+    domain: str
+    subsystem: str
 
 
 class CodeFile(Struct, frozen=True):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import heapq
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
+import msgspec
+
 from pbonet.errors import LogError
 
 from .clocks import Clock, common
 from .part import Part
 from .reader import goes_on, parts_of
-from .records import CLOCKS, EPOCH, MACHINE, free_name
+from .records import ATTACHED, CLOCKS, EPOCH, MACHINE, METADATA, RUN, free_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -82,14 +84,8 @@ def _write(
 
     writer = McapWriter(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
     writer.start(profile="", library="pbonet")
-    for part in parts[:1]:
-        for name, values in part.metadata.items():
-            writer.add_metadata(name, values)
-    if len(parts) > 1:
-        names = [f"{n} {part.path.name}" for n, part in enumerate(parts, 1)]
-        told = dict(zip(names, map(str, clocks), strict=True))
-        writer.add_metadata(CLOCKS, told)
-    _attach(parts, writer)
+    for name, values in _metadata(parts, clocks, _attach(parts, writer)):
+        writer.add_metadata(name, values)
     numbers = _channels(parts, clocks, writer)
     count = 0
     messages = [
@@ -103,15 +99,65 @@ def _write(
     return count
 
 
-def _attach(parts: Sequence[Part], writer: Writer) -> None:
-    """Attach what the files carry; others of one name get numbers behind it."""
-    taken: dict[str, bytes] = {}
+def _metadata(
+    parts: Sequence[Part],
+    clocks: Sequence[Clock],
+    renamed: Sequence[dict[str, str]],
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the metadata records of all files, those of one name with numbers.
+
+    Args:
+        parts: The files.
+        clocks: By which their times were moved.
+        renamed: New names of each one's attachments.
+    """
+    number = 0
+    for part, names in zip(parts, renamed, strict=True):
+        for source in part.sources if part.about else ():
+            number += 1
+            own = source.attached or {name: name for name in names}
+            told = {name: names[now] for name, now in own.items() if now in names}
+            fields = {k: str(v) for k, v in msgspec.to_builtins(source.about).items()}
+            fields[ATTACHED] = msgspec.json.encode(told).decode()
+            yield METADATA if number == 1 else f"{METADATA} {number}", fields
+    taken: dict[str, dict[str, str]] = {}
     for part in parts:
+        for name, values in part.metadata.items():
+            if not _ours(name):
+                free = free_name(name, values, taken)
+                if free not in taken:
+                    yield free, values
+                taken[free] = values
+    if len(parts) > 1:
+        each = [f"{n} {part.path.name}" for n, part in enumerate(parts, 1)]
+        told = dict(zip(each, map(str, clocks), strict=True))
+        yield free_name(CLOCKS, told, taken), told
+
+
+def _ours(name: str) -> bool:
+    """Tell whether a metadata record says which run a file is of."""
+    first, _, rest = name.partition(" ")
+    return first == METADATA and (not rest or rest.isdecimal())
+
+
+def _attach(parts: Sequence[Part], writer: Writer) -> list[dict[str, str]]:
+    """Attach what the files carry; others of one name get numbers behind it.
+
+    Returns:
+        For each file, the names that its attachments have now by those that they had.
+    """
+    taken: dict[str, bytes] = {}
+    renamed: list[dict[str, str]] = []
+    for part in parts:
+        names: dict[str, str] = {}
         for one in part.attached.values():
             name = free_name(one.name, one.data, taken)
             if name not in taken:
                 writer.add_attachment(0, 0, name, one.media_type, one.data)
             taken[name] = one.data
+            names[one.name] = name
+        renamed.append(names)
+    return renamed
 
 
 def _channels(
@@ -134,6 +180,7 @@ def _channels(
             if channel.encoding == "cdr":
                 metadata[EPOCH] = _epoch(metadata, clocks[place])
                 metadata.setdefault(MACHINE, part.about.machine if part.about else "")
+                metadata.setdefault(RUN, part.about.run if part.about else "")
             if "of" in metadata:
                 metadata["of"] = str(numbers[place, int(metadata["of"])])
             known = _identity(channel, metadata, origin)

@@ -25,19 +25,21 @@ def timelines(log: Log) -> dict[str, list[Stretch]]:
     """Return the states of each task, one behind the other, by name.
 
     A task's first state is that behind its first event on record; its last one goes on
-    to the end of the log. A simulation has no events.
+    to the end of the log.
     """
     changes: dict[str, list[tuple[str, int]]] = {}
-    homes: dict[str, str] = {}
+    homes: dict[str, tuple[str, str]] = {}
     for one in log.messages("json", "/events"):
         event = cast("dict[str, Any]", msgspec.json.decode(one.data)["event"])
         task, state = event.get("task", ""), event.get("state", "")
+        task = task and log.name_of(event.get("subsystem", ""), task)
         if task and state:
-            homes[task] = event["rtpu"]
+            homes[task] = event.get("subsystem", ""), event["rtpu"]
             changes.setdefault(task, []).append((state, one.time_ns))
         elif event["code"] == "STOPPED":
-            for name, rtpu in homes.items():
-                if rtpu == event["rtpu"]:
+            stopped = event.get("subsystem", ""), event["rtpu"]
+            for name, home in homes.items():
+                if home == stopped or (not stopped[0] and home[1] == stopped[1]):
                     changes[name].append((GONE, one.time_ns))
     _, end = log.span_ns
     return {task: _stretches(found, end) for task, found in changes.items()}

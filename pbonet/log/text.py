@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from pbonet.errors import LogError
@@ -12,7 +14,7 @@ from .records import CLOCKS
 from .states import ON, timelines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -55,7 +57,18 @@ def info(log: Log) -> JsonObject:
         "merged": [
             text
             for part in log.parts
-            for text in part.metadata.get(CLOCKS, {}).values()
+            for name, values in part.metadata.items()
+            if name.startswith(CLOCKS)
+            for text in values.values()
+        ],
+        "sources": [
+            {
+                "file": str(part.path),
+                **msgspec.to_builtins(one.about),
+                "attached": one.attached,
+            }
+            for part in log.parts
+            for one in part.sources
         ],
         "tasks": {
             task: task_info(log, task, missed.get(task), states.get(task, []))
@@ -144,6 +157,7 @@ def info_text(data: JsonObject) -> str:
             f"{file['path']}: {file['bytes'] / 1e6:.2f} MB, "
             f"{file['messages']} messages in {file['chunks']} chunks{damaged}, {state}"
         )
+    lines += _sources_text(data["sources"])
     lines += [one["text"] for one in data["clocks"] if one["matters"]]
     lines += [f"merged: {text}" for text in data["merged"]]
     head = f"{'task':<16}{'rtpu':<10}{'cycles':>9}{'Hz':>9}{'missed':>8}{'lost':>7}"
@@ -158,6 +172,20 @@ def info_text(data: JsonObject) -> str:
         counts = ", ".join(f"{count} {code}" for code, count in data["events"].items())
         lines += ["", f"events: {counts}"]
     return "\n".join(lines)
+
+
+def _sources_text(sources: Sequence[JsonObject]) -> Iterator[str]:
+    """Yield what merged files were made of, each as a line."""
+    counts = Counter(one["file"] for one in sources)
+    for one in sources:
+        if counts[one["file"]] > 1:
+            part = f", part {one['part']}" if one["part"] > 1 else ""
+            other = {k: v for k, v in one["attached"].items() if k != v}
+            names = "".join(f", its {name} is {now}" for name, now in other.items())
+            yield (
+                f"made of run {one['run']}, subsystem {one['subsystem']}, "
+                f"{one['rtpu'] or '?'} on {one['host'] or '?'}{part}{names}"
+            )
 
 
 _CHANGES = 8

@@ -18,9 +18,12 @@ from pbonet.errors import LogError
 
 from .events import LOG_SCHEMA, log_message
 from .records import (
+    EPOCH,
     MACHINE,
     METADATA,
+    RUN,
     Attached,
+    Origin,
     RunAbout,
     Step,
     TaskAbout,
@@ -74,8 +77,11 @@ class _Whole:
 class _Task:
     """The two channels of a task."""
 
-    def __init__(self, schema: TaskSchema, cycles: int, steps: int) -> None:
+    def __init__(
+        self, schema: TaskSchema, cycles: int, steps: int, epoch_ns: int
+    ) -> None:
         self.schema = schema
+        self.epoch_ns = epoch_ns
         self.cycles = cycles
         self.steps = steps
 
@@ -158,17 +164,18 @@ class LogWriter:
         now = time.time_ns()
         self._writer.add_attachment(now, now, name, file.media_type, file.data)
 
-    def add_task(self, about: TaskAbout, machine: str | None = None) -> int:
+    def add_task(self, about: TaskAbout, origin: Origin | None = None) -> int:
         """Return a number for `add`, under which a task's records are written.
 
         Args:
             about: The task.
-            machine: Where it ran, by boot identity; None for the log's own.
+            origin: Where it came from; None for the log's own machine, run and clock.
         """
         schema = TaskSchema(about)
         metadata = schema.metadata()
-        if machine is not None:
-            metadata[MACHINE] = machine
+        if origin is not None:
+            metadata |= {MACHINE: origin.machine, RUN: origin.run}
+            metadata[EPOCH] = str(origin.epoch_ns)
         if not self._step_schema:
             self._step_schema = self._writer.register_schema(
                 StepSchema.NAME, "ros2msg", StepSchema.text().encode()
@@ -185,7 +192,8 @@ class LogWriter:
             f"{about.topic}/steps", "cdr", self._step_schema, {"of": str(cycles)}
         )
         number = len(self._tasks) + 1
-        self._tasks[number] = _Task(schema, cycles, steps)
+        epoch = self.about.epoch_ns if origin is None else origin.epoch_ns
+        self._tasks[number] = _Task(schema, cycles, steps, epoch)
         return number
 
     def add(self, task: int, records: bytes) -> int:
@@ -195,7 +203,7 @@ class LogWriter:
             OSError: No room is left.
         """
         one, text, at, count = self._tasks[task], memoryview(records), 0, 0
-        encode, epoch = one.schema.encode, self.about.epoch_ns
+        encode, epoch = one.schema.encode, one.epoch_ns
         while at < len(text):
             size = record_size(text, at)
             record = text[at : at + size]

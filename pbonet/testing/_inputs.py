@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pbonet.log import Life, Log, TaskAbout
+    from pbonet.log.records import Table
 
 Key = tuple[int, int]
 """Register and number of a commit."""
@@ -40,16 +41,16 @@ class Commits:
 
     Args:
         log: The run.
-        machine: Only what was recorded there counts: tables of others have their own.
+        table: Only what was committed there counts: others have numbers of their own.
     """
 
     fresh = False
     """Whether commits may be other ones than were recorded."""
 
-    def __init__(self, log: Log, machine: str) -> None:
+    def __init__(self, log: Log, table: Table) -> None:
         self._found: dict[Key, tuple[Life, int]] = {}
         for life in log.all_lives():
-            if life.machine != machine:
+            if life.table != table:
                 continue
             head = life.schema.arrays(life.commits)
             keys = zip(head["register"].tolist(), head["number"].tolist(), strict=True)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.log import Life
+    from pbonet.log.records import Table
 
 
 class DivergedError(AssertionError):
@@ -48,17 +49,17 @@ def verify(
         PbonetError: A module does not load, or does not fit its RMOD.
     """
     log = path if isinstance(path, Log) else Log(path)
-    commits: dict[str, Commits] = {}
+    commits: dict[Table, Commits] = {}
     verdicts: list[Verdict] = []
     for task in tasks or log.tasks:
         verdict = Verdict(task=task, changed=changed(log, log.task_about(task)))
         for life in log.lives(task):
             cycles = cycles_of(life)
             verdict.recorded += cycles
-            if life.machine not in commits:
-                commits[life.machine] = Commits(log, life.machine)
+            if life.table not in commits:
+                commits[life.table] = Commits(log, life.table)
             if verdict.divergence is None:
-                _again(life, commits[life.machine], libraries, verdict, rtol)
+                _again(life, commits[life.table], libraries, verdict, rtol)
         verdicts.append(verdict)
     return verdicts
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from pbonet.config.model import Variable
     from pbonet.log import Life
+    from pbonet.log.records import Table
 
     from ._inputs import Key
 
@@ -40,13 +41,13 @@ class _Made(Commits):
 
     Args:
         log: The run.
-        machine: Whose table.
+        table: Which table.
     """
 
     fresh = True
 
-    def __init__(self, log: Log, machine: str) -> None:
-        super().__init__(log, machine)
+    def __init__(self, log: Log, table: Table) -> None:
+        super().__init__(log, table)
         self.made: dict[Key, bytes] = {}
         self.parts: dict[int, _Part] = {}
         """By the identity of their life."""
@@ -89,6 +90,7 @@ class _Part(Run):
     ) -> None:
         super().__init__(life, made, libraries, verdict, rtol)
         self._made = made
+        self.name = life.name
         self._busy = False
         self.stopped = False
         self.diverged_ns = 0
@@ -210,18 +212,18 @@ def rerun(
         task: Verdict(task=task, changed=changed(log, log.task_about(task)))
         for task in names
     }
-    made: dict[str, _Made] = {}
+    made: dict[Table, _Made] = {}
     parts: list[_Part] = []
     begun = time.perf_counter()
     for task in names:
         for life in log.lives(task):
             verdicts[task].recorded += cycles_of(life)
-            if life.machine not in made:
-                made[life.machine] = _Made(log, life.machine)
+            if life.table not in made:
+                made[life.table] = _Made(log, life.table)
             if why := not_again(life):
                 verdicts[task].gaps.append(why)
                 continue
-            one = made[life.machine]
+            one = made[life.table]
             parts.append(_Part(life, one, libraries, verdicts[task], rtol))
     _go(parts)
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
@@ -245,7 +247,7 @@ def _go(parts: list[_Part]) -> None:
 
 
 def _sum_up(found: Replayed, parts: list[_Part]) -> None:
-    first = [(one.diverged_ns, one.about.task) for one in parts if one.diverged_ns]
+    first = [(one.diverged_ns, one.name) for one in parts if one.diverged_ns]
     stopped = [one.divergence for one in found.tasks if one.divergence]
     found.first = min(first)[1] if first else ""
     if not first and stopped:
@@ -253,8 +255,8 @@ def _sum_up(found: Replayed, parts: list[_Part]) -> None:
     found.seconds = max((one.seconds for one in found.tasks), default=0.0)
 
 
-def _write(log: Log, each: dict[str, dict[Key, bytes]], out: Path) -> None:
-    """Write a log of what was made, by machine, beside what was recorded else."""
+def _write(log: Log, each: dict[Table, dict[Key, bytes]], out: Path) -> None:
+    """Write a log of what was made, by table, beside what was recorded else."""
     about = log.parts[0].about or RunAbout(
         run="", job="", subsystem="", domain="", rtpu=""
     )
@@ -262,10 +264,10 @@ def _write(log: Log, each: dict[str, dict[Key, bytes]], out: Path) -> None:
     for file in log.attached.values():
         writer.attach(file)
     for life in log.all_lives():
-        made = each.get(life.machine, {})
+        made = each.get(life.table, {})
         hidden = life.about.hidden if _partly(life, made) else []
         told = msgspec.structs.replace(life.about, hidden=hidden)
-        number = writer.add_task(told, life.machine)
+        number = writer.add_task(told, life.origin)
         writer.add(number, b"".join(_records(life, made)))
     writer.close()
 

@@ -84,14 +84,14 @@ def test_registers_of_two_machines_are_two_though_their_logs_are_one(
     merge([tmp_path / "both.mcap"], tmp_path / "again.mcap")
     for name in ("both", "again"):
         log = Log(tmp_path / f"{name}.mcap")
-        assert [life.machine for life in log.lives("b")] == ["boot-1", "boot-2"]
+        assert [life.origin.machine for life in log.lives("b")] == ["boot-1", "boot-2"]
         for verdict, cycles in zip(verify(log), (40, 42), strict=True):
             assert (verdict.good, verdict.cycles) == (True, cycles), str(verdict)
     found = rerun(tmp_path / "both.mcap", out=tmp_path / "now.mcap")
     assert found.good, str(found)
     then, now = Log(tmp_path / "both.mcap"), Log(tmp_path / "now.mcap")
     for old, new in zip(then.all_lives(), now.all_lives(), strict=True):
-        assert (new.about.task, new.machine) == (old.about.task, old.machine)
+        assert (new.about.task, new.origin) == (old.about.task, old.origin)
         assert [new.schema.group(one) for one in new.commits] == [
             old.schema.group(one) for one in old.commits
         ]
