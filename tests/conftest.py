@@ -80,9 +80,13 @@ def call(capsys):
 
 
 @pytest.fixture
-def nodes(monkeypatch, tmp_path):
+def nodes(request, monkeypatch, tmp_path):
     """Real agents in a domain of their own; see `nodekit.Nodes`."""
     from nodekit import Nodes
+    from patience import be_patient
+
+    if request.node.get_closest_marker("own_limits") is None:
+        be_patient(monkeypatch)
 
     folder = Path(tempfile.mkdtemp(prefix="pbonet-", dir="/tmp"))
     monkeypatch.setenv("PBONET_RUN_DIR", str(folder))

@@ -13,7 +13,7 @@ from pathlib import Path
 from watching import clean_folder, processes_of, wait_for
 
 ROOT = Path(__file__).parents[1]
-PATIENCE = 60.0
+PATIENCE = 120.0
 """Seconds for one command on a machine that does much else."""
 
 

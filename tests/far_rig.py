@@ -19,7 +19,7 @@ class Site:
     def __init__(self, machine: Machine) -> None:
         self.domain = machine.domain
         where = [f"tcp/127.0.0.1:{machine.port}"]
-        self.session = session.client(machine.domain, connect=where, timeout=20.0)
+        self.session = session.client(machine.domain, connect=where, timeout=60.0)
 
 
 PROGRAM = """
@@ -93,12 +93,12 @@ class Hand:
 
     def kill(self) -> None:
         self.process.kill()
-        self.process.wait(10)
+        self.process.wait(60)
         for pipe in (self.process.stdin, self.process.stdout):
             with contextlib.suppress(OSError):
                 pipe.close()
 
-    def wait(self, code: str, wanted: str, limit: float = 15.0) -> None:
+    def wait(self, code: str, wanted: str, limit: float = 60.0) -> None:
         """Wait until something is so."""
         wait_for(lambda: self.do(code) == wanted, f"{code} to be {wanted}", limit)
 

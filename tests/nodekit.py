@@ -19,7 +19,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from watching import clean_folder, processes_of, wait_for
+from patience import LIMIT
+from watching import END_TIME, clean_folder, processes_of, wait_for
 
 from pbonet.config.model import AgentConfig
 from pbonet.errors import PbonetError
@@ -35,7 +36,10 @@ AGENT = """
 import json, sys
 from pbonet.config.model import AgentConfig
 from pbonet.node.life import main
+from pbonet.xm import session
 import msgspec
+session.LEASE_MS = int(sys.argv[2])
+session.OPEN_MS = max(session.OPEN_MS, session.LEASE_MS)
 sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
 """
 SVAR = """
@@ -118,27 +122,29 @@ class Master:
         self.claimed = self.ask(m.Claim(**claim), m.Claimed)
         self.epoch = self.claimed.epoch
 
-    def ask(self, request, result=object, *, limit=5.0, rtpu=None):
+    def ask(self, request, result=object, *, limit=LIMIT, rtpu=None):
         """Send a request and return its result."""
         request.subsystem, request.epoch = self.subsystem, self.epoch
+        if isinstance(request, m.Reconfig):
+            request.timeout = limit
         return self.client.call(rtpu or self.rtpu, request, result, timeout=limit)
 
     def open_table(self, text=None, *, keep=True):
         text = svar() if text is None else text
         return self.ask(m.OpenTable(svar=text, svar_name="t.svar", keep=keep))
 
-    def spawn(self, task, module, limit=10.0, **settings):
+    def spawn(self, task, module, limit=LIMIT, **settings):
         """Spawn one of the modules in `misbehaving`; return its status."""
         keep = {k: settings.pop(k) for k in ("crit", "priority") if k in settings}
         text = settings.pop("text", None) or rmod(module, **settings)
         request = m.Spawn(
             task=task, rmod=text, rmod_name=f"{task}.rmod", timeout=limit, **keep
         )
-        return self.ask(request, m.TaskStatus, limit=limit + 2)
+        return self.ask(request, m.TaskStatus, limit=limit + LIMIT)
 
-    def control(self, task, name, limit=5.0, **more):
+    def control(self, task, name, limit=LIMIT, **more):
         request = m.Control(task=task, signal=name, timeout=limit, **more)
-        return self.ask(request, m.TaskStatus, limit=limit + 2)
+        return self.ask(request, m.TaskStatus, limit=limit + LIMIT)
 
     def on(self, task, **more):
         return self.control(task, "on", **more)
@@ -165,9 +171,9 @@ class Master:
     def value(self, name):
         return self.ask(m.Display(names=[name]), list[m.VarValue])[0]
 
-    def stop(self, limit=5.0, order=()):
+    def stop(self, limit=LIMIT, order=()):
         request = m.Stop(timeout=limit, order=list(order))
-        return self.ask(request, m.Stopped, limit=limit + 2)
+        return self.ask(request, m.Stopped, limit=limit + LIMIT)
 
     def events(self, code=None, task=None):
         """Return the events so far, of one code and task if told."""
@@ -222,7 +228,7 @@ class Nodes:
         self._session = None
 
     def config(self, name, **more):
-        more = {"core": CORE, "grace": 3.0, **more}
+        more = {"core": CORE, "grace": LIMIT, **more}
         libraries = (str(MISBEHAVING), str(self.library), *more.pop("libraries", ()))
         return AgentConfig(name=name, domain=self.domain, libraries=libraries, **more)
 
@@ -235,7 +241,8 @@ class Nodes:
     def agent_process(self, name, *, wait=True, **more):
         """Start an agent as a process of its own and wait until it answers."""
         config = msgspec.json.encode(self.config(name, **more)).decode()
-        process = subprocess.Popen([sys.executable, "-c", AGENT, config])
+        words = [sys.executable, "-c", AGENT, config, str(session.LEASE_MS)]
+        process = subprocess.Popen(words)
         self.processes[name] = process
         if wait:
             self.wait_agent(name, process)
@@ -251,7 +258,7 @@ class Nodes:
             except PbonetError:
                 return False
 
-        wait_for(there, f"agent {name}", 30.0)
+        wait_for(there, f"agent {name}")
 
     @property
     def session(self):
@@ -287,7 +294,7 @@ class Nodes:
             info = self.client().call(name, m.Hello(), m.AgentInfo)
             return info if info.rtpu_pid not in {0, old} else None
 
-        return wait_for(there, f"another RTPU process of {name}", 30.0)
+        return wait_for(there, f"another RTPU process of {name}")
 
     def fork_server(self, name):
         """Return the process id of an RTPU's fork server."""
@@ -303,7 +310,7 @@ class Nodes:
         """End everything that was started, in order where that still works."""
         with contextlib.ExitStack() as everything:
             for process in self.processes.values():
-                everything.callback(process.wait, 30.0)
+                everything.callback(process.wait, END_TIME)
             for process in self.processes.values():
                 everything.callback(process.send_signal, signal.SIGTERM)
             for agent in self.agents.values():
@@ -339,8 +346,8 @@ def alive(pid):
     return stat.rpartition(")")[2].split()[0] not in {"Z", "X"}
 
 
-def wait_gone(pids, limit=10.0):
-    wait_for(lambda: not any(map(alive, pids)), f"the end of {pids}", limit)
+def wait_gone(pids):
+    wait_for(lambda: not any(map(alive, pids)), f"the end of {pids}")
 
 
 __all__ = [

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 from nodekit import AGENT, CORE, MISBEHAVING
-from watching import clean_folder, free_port, wait_for
+from watching import END_TIME, clean_folder, free_port, processes_of, wait_for
 
 from pbonet.config.model import AgentConfig
 from pbonet.xm import messages as m
@@ -84,7 +84,7 @@ class Program:
 
     def kill(self, which: int = signal.SIGKILL) -> None:
         self.process.send_signal(which)
-        self.process.wait(10)
+        self.process.wait(60)
         for pipe in (self.process.stdin, self.process.stdout):
             pipe.close()
 
@@ -133,22 +133,23 @@ class Machine:
             name=name,
             domain=self.domain,
             core=CORE,
-            grace=5.0,
+            grace=30.0,
             listen=listen,
             connect=self.connect,
             libraries=(str(MISBEHAVING), *map(str, libraries)),
             files=str(self.files) if self.files else None,
         )
         text = msgspec.json.encode(config).decode()
-        command = [*self.prefix, sys.executable, "-c", AGENT, text]
+        lease = str(session.LEASE_MS)
+        command = [*self.prefix, sys.executable, "-c", AGENT, text, lease]
         agent = subprocess.Popen(command, env=self.env)
         lock = self.run / self.domain / f"{name}.agent"
-        wait_for(lambda: rundir.is_held(lock), f"the lock of {name}", 30.0)
+        wait_for(lambda: rundir.is_held(lock), f"the lock of {name}")
         return agent
 
     def kill_agent(self) -> None:
         self.agent.kill()
-        self.agent.wait(10)
+        self.agent.wait(60)
 
     def writer(self, name="x", dtype="f8", period=0.001, home=None) -> Program:
         return self._run(WRITER, name=name, dtype=dtype, period=period, home=home)
@@ -171,7 +172,10 @@ class Machine:
                 program.kill()
         for agent in filter(None, (self.other, self.agent)):
             agent.terminate()
-            agent.wait(30)
+            agent.wait(60)
+        for pid, command in processes_of("PBONET_RUN_DIR", str(self.run)):
+            if "pbonet.node.rtpu" in command:  # of an agent that was killed
+                os.kill(pid, signal.SIGTERM)
         clean_folder(self.run, "PBONET_RUN_DIR")
         clean_folder(self.shm, "PBONET_SHM_DIR")
 
@@ -206,7 +210,7 @@ class Pair:
             finally:
                 link.close()
 
-        wait_for(seen, "both agents", 30.0)
+        wait_for(seen, "both agents")
 
     def close(self) -> None:
         with contextlib.ExitStack() as everything:
@@ -225,7 +229,7 @@ class Pair:
         return [event.text for event in found if event.code == code]
 
 
-def flows(reader: Program, limit: float = 10.0) -> dict:
+def flows(reader: Program, limit: float = END_TIME) -> dict:
     """Wait for a new record and return it."""
     return wait_for(
         lambda: (found := reader.look())["new"] and found, "a new record", limit

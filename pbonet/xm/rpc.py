@@ -60,7 +60,11 @@ _SILENCE_TIME: Final = 1.0
 always sent."""
 _ALONE_TIME: Final = 1.2
 """When nobody at all can be reached, the agent through which we reach the others has
-gone; in this time zenoh finds the next."""
+gone; in this time zenoh finds the next. So long one is waited for, too, that is not
+seen while its process runs on this machine: its link is being restored."""
+_LEAST_TRIES: Final = 10
+"""So often an agent is looked for at least: behind a standstill of the whole machine
+all times are over, and the links are only being restored."""
 _TOKEN_TIME: Final = 1.0
 _DIGITS: Final = "0123456789"
 _RETRY_PAUSE: Final = 0.05
@@ -257,7 +261,7 @@ class Client:
         end = time.monotonic() + timeout + 0.5
         give_up = time.monotonic() + ANSWER_TIME
         alone = time.monotonic() + _ALONE_TIME
-        while True:
+        for tries in itertools.count(1):
             reply = self._ask(rtpu, leaf, payload, end)
             if reply is not None and reply.ok is not None:
                 return self._answer(rtpu, request, reply.ok.payload.to_bytes())
@@ -265,14 +269,18 @@ class Client:
                 raise _no_answer(rtpu, timeout)
             names = self.rtpus()
             now = time.monotonic()
-            if rtpu not in names and (names or now > alone):
+            patient = tries <= _LEAST_TRIES
+            if rtpu not in names and not (
+                self._may_come_back(rtpu, names) and (patient or now <= alone)
+            ):
                 raise unreachable(rtpu, self.domain, names)
             if greeted:  # it answered a moment ago, but not this
                 raise _no_access(rtpu)
             greeted = leaf == "sbs" and rtpu in names and self._hello(rtpu)
-            if now > min(give_up, end):
-                raise _no_answer(rtpu, ANSWER_TIME)
+            if now > min(give_up, end) and not patient:
+                break
             time.sleep(_RETRY_PAUSE)  # it starts up, or our own link is being restored
+        raise _no_answer(rtpu, ANSWER_TIME)
 
     def _ask(
         self, rtpu: str, leaf: str, payload: bytes, end: float
@@ -290,7 +298,8 @@ class Client:
         waiter = self._get(rtpu, leaf, payload, end - time.monotonic())
         while True:
             if not self._hello(rtpu, waiter):
-                self._must_be_there(rtpu)
+                if rtpu not in self.rtpus():
+                    return None
                 self._silent[rtpu] = time.monotonic()
                 raise _no_sign(rtpu)
             if waiter.done.wait(ASK_TIME) or time.monotonic() >= end:
@@ -337,10 +346,15 @@ class Client:
         answered = waiter.reply is not None and waiter.reply.ok is not None
         return answered or (other is not None and other.done.is_set())
 
-    def _must_be_there(self, rtpu: str) -> None:
-        names = self.rtpus()
-        if rtpu not in names:
-            raise unreachable(rtpu, self.domain, names)
+    def _may_come_back(self, rtpu: str, names: list[str]) -> bool:
+        """Tell whether links are being restored: to all, or to an agent that runs here.
+
+        Args:
+            rtpu: Whose agent.
+            names: Those that are seen; it is not among them.
+        """
+        pid = rundir.agent_processes(self.domain).get(rtpu, 0)
+        return not names or (pid > 0 and not rundir.is_stopped(pid))
 
     def _answer(self, rtpu: str, request: Request, data: bytes) -> Answer:
         answer = self._codec.answer(data)

@@ -29,7 +29,7 @@ def test_agents_come_and_go_with_the_program(program):
         assert child.rtpu == "arm7"
         alone.spawn("constant")
         alone.on("constant")
-        wait_for(lambda: alone.status("constant").cycle > 3, "cycles", 30.0)
+        wait_for(lambda: alone.status("constant").cycle > 3, "cycles")
         tid = alone.status("constant").tid
     assert child.process.poll() == 0
     assert not Path(f"/proc/{tid}").exists()

@@ -84,9 +84,9 @@ def come(cell):
     """Open sessions with the keys of somebody."""
     opened = []
 
-    def open_session(who, where):
+    def open_session(who, where, limit=30.0):
         made = session.client(
-            cell.nodes.domain, connect=[where], key_folder=cell.lab[who], timeout=0.5
+            cell.nodes.domain, connect=[where], key_folder=cell.lab[who], timeout=limit
         )
         opened.append(made)
         return made
@@ -114,7 +114,7 @@ def test_observer_looks_and_changes_nothing(cell, come, edge):
     boss.on("a")
     watcher = come("lab observer", getattr(cell, edge))
     client = Client(watcher, cell.nodes.domain, "watcher")
-    assert client.rtpus() == ["arm0", "arm1"]
+    wait_for(lambda: client.rtpus() == ["arm0", "arm1"], "both agents")
     status = client.call("arm0", m.Status(subsystem="arm"), m.RtpuStatus)
     assert [task.state for task in status.tasks] == ["ON"]
     shown = m.Display(subsystem="arm", names=["Y0"])
@@ -181,7 +181,7 @@ def test_observer_cannot_steer_on_the_key_for_looking(cell, come):
     watcher = come("lab observer", cell.near)
     asked = codec.Codec().pack(m.Stop(id="1", client="w"))
     key = keys.rtpu(cell.nodes.domain, "arm0", "status")
-    replies = list(watcher.get(key, payload=asked, timeout=5.0))
+    replies = list(watcher.get(key, payload=asked, timeout=30.0))
     answer = codec.Codec().answer(replies[0].ok.payload.to_bytes())
     assert (answer.ok, answer.error["code"]) == (False, "ACCESS")
 
@@ -201,14 +201,15 @@ def test_observer_cannot_speak_for_others(cell, come):
     boss.put(keys.rtpu(domain, "arm0", "event"), b"from the master")
     wait_for(lambda: heard, "the master's own event")
     assert [one.payload.to_bytes() for one in heard] == [b"from the master"]
-    assert session.rtpus(boss, domain) == ["arm0", "arm1"]
+    both = ["arm0", "arm1"]
+    wait_for(lambda: session.rtpus(boss, domain) == both, "both agents, no other")
     assert not list(boss.get(keys.rtpu(domain, "fake", "sbs"), timeout=1.0))
 
 
 @pytest.mark.parametrize("who", ["other agent", "other master"])
 def test_keys_of_another_authority_open_nothing(cell, come, who):
     with pytest.raises(UnreachableError) as caught:
-        come(who, cell.near)
+        come(who, cell.near, 0.5)
     assert "one authority" in caught.value.remedy
 
 
@@ -240,11 +241,12 @@ def test_agent_of_another_authority_stays_alone(cell, nodes):
         except UnreachableError:  # it starts up
             return False
 
-    wait_for(alone, "the agent eye0 by itself", 30.0)
+    wait_for(alone, "the agent eye0 by itself")
     with session.client(
         nodes.domain, connect=[cell.near], key_folder=cell.lab["lab master"]
     ) as ours:
-        assert session.rtpus(ours, nodes.domain) == ["arm0", "arm1"]
+        both = ["arm0", "arm1"]
+        wait_for(lambda: session.rtpus(ours, nodes.domain) == both, "both agents")
 
 
 def test_observers_verbs(cell, tmp_path):

@@ -14,7 +14,7 @@ from watching import wait_for
 
 from pbonet.node import _rt, runtime
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def ages(reader, seconds):
         found = reader.look()
         return found["age"] is not None and found["age"] > seconds and found
 
-    return wait_for(old, f"an age of {seconds} s", 20.0)
+    return wait_for(old, f"an age of {seconds} s")
 
 
 def test_records_arrive_whole_whoever_comes_first(pair):
@@ -75,7 +75,10 @@ def test_who_carries_records_goes_before_all_but_tasks_and_commands(pair):
     with ThreadPoolExecutor(1) as pool:
         allowed = pool.submit(runtime.go_before_others).result()
     expected = {runtime.LINK_LEVEL} if allowed else set()
-    assert levels(pair.a.agent.pid) == levels(pair.b.agent.pid) == expected
+    for machine in (pair.a, pair.b):
+        wait_for(
+            lambda pid=machine.agent.pid: levels(pid) == expected, "the carrier's level"
+        )
     assert runtime.LINK_LEVEL < _rt.COMMAND_LEVEL
 
 
@@ -86,7 +89,7 @@ def test_killed_agents_come_back_without_anybody(pair):
         machine.kill_agent()
         ages(reader, 0.3)
         machine.start()
-        assert flows(reader, 30.0)["restarts"] == 0
+        assert flows(reader)["restarts"] == 0
     assert writer.process.poll() is None
 
 
@@ -120,7 +123,7 @@ def test_a_cut_is_told_by_the_age_and_heals(pair):
     ages(reader, 1.0)
     wait_for(lambda: pair.events(pair.b, "LINK_DOWN"), "the agent to say so")
     pair.cable.heal()
-    found = flows(reader, 30.0)
+    found = flows(reader)
     assert found["restarts"] == 0
     assert found["values"] == [found["number"]]
     (text,) = set(pair.events(pair.b, "LINK_UP"))
@@ -138,7 +141,7 @@ def test_the_other_byte_order(pair):
 def test_other_records_are_told_and_not_taken(pair):
     pair.a.writer(dtype="(3,)f8", period=0.01)
     reader = pair.b.reader("vision0:x", "(4,)f8")
-    (text,) = wait_for(lambda: pair.events(pair.b, "LINK_MISFIT"), "the refusal")
+    (text,) = set(wait_for(lambda: pair.events(pair.b, "LINK_MISFIT"), "the refusal"))
     assert text == (
         "records of link vision0:x are not taken: vision0:x: the two ends of the link "
         "have different records (expected ('<f8', (4,)), got ('<f8', (3,))); give "

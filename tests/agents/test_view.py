@@ -68,7 +68,7 @@ class Watcher:
         self.topics = {}
 
     def take(self):
-        data = self.socket.recv(timeout=20)
+        data = self.socket.recv(timeout=60)
         if isinstance(data, str):
             for one in json.loads(data).get("channels", []):
                 self.channels[one["topic"]] = one
@@ -109,9 +109,10 @@ def test_a_viewer_sees_values_states_and_events(levels) -> None:
             assert "a level [m]" in channel["schema"]
             first = watcher.wait("levels/LEVEL", lambda one: one["cycle"] > 0)
             assert (first["value"], first["writer"]) == ([1.5, 3.0], "level")
-            watcher.subscribe("levels/tasks/level")
             watcher.subscribe("levels/events")
-            levels.set("level", "value", "-2")
+            watcher.subscribe("levels/tasks/level")
+            watcher.wait("levels/tasks/level", lambda one: one["cycle"] > 0)
+            levels.set("level", "value", "-2")  # both subscriptions stand by now
             watcher.wait("levels/LEVEL", lambda one: one["value"] == [-2.0, -4.0])
             event = watcher.wait(
                 "levels/events", lambda one: one["event"]["code"] == "SET"
@@ -122,7 +123,7 @@ def test_a_viewer_sees_values_states_and_events(levels) -> None:
             levels.control("level", "off")
             watcher.wait("levels/tasks/level", lambda one: one["state"] == "OFF")
         server.send_signal(signal.SIGINT)
-        server.communicate(timeout=20)
+        server.communicate(timeout=60)
     assert server.returncode == 0
 
 

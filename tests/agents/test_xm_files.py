@@ -4,7 +4,7 @@ import pytest
 from far_rig import Cell, RefusedError, Site
 from nodekit import Master, rmod
 
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 TASK = """
 import fsspec
 from typing import Annotated as A

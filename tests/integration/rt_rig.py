@@ -16,6 +16,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -211,7 +212,9 @@ class HostProcess:
         self.dispatcher = _rt.Dispatcher(self.table, backend)
         self.dispatcher.start()
         self.rings: dict[int, _rt.Ring] = {}
-        self.since = 0
+        self.since = self.lost = 0
+        self.taken: list[tuple] = []
+        self.taking = threading.Lock()
 
     def _ask(self, order: dict):
         self.orders.write(json.dumps(order) + "\n")
@@ -267,6 +270,30 @@ class HostProcess:
         self.since, lost, records = self.table.trace(self.since)
         return lost, [(r.kind, r.slot, r.arg, r.a, r.b) for r in records]
 
+    def follow(self):
+        """Take the trace from here on, whatever keeps the test from looking."""
+
+        def take():
+            while True:
+                with self.taking:
+                    self._take()
+                time.sleep(0.02)
+
+        threading.Thread(target=take, daemon=True).start()
+
+    def _take(self):
+        lost, records = self.trace()
+        self.lost += lost
+        self.taken += records
+
+    def followed(self):
+        """Return what was taken since the last call."""
+        with self.taking:
+            self._take()
+            found, self.taken = self.taken, []
+        assert not self.lost
+        return found
+
     def stop_dispatcher(self):
         self.dispatcher.stop()
 
@@ -316,7 +343,7 @@ class Host:
         assert self._answer() == "ready"
 
     def _answer(self):
-        ready, _, _ = select.select([self.process.stdout], [], [], 30)
+        ready, _, _ = select.select([self.process.stdout], [], [], 120)
         assert ready, "the host does not answer"
         line = self.process.stdout.readline()
         assert line, f"the host ended with {self.process.wait()}"
@@ -366,7 +393,7 @@ class Spawned:
     def status(self) -> dict:
         return self.host.status(slot=self.slot)
 
-    def until(self, key: str, value: int, seconds: float = 20.0) -> dict:
+    def until(self, key: str, value: int, seconds: float = 60.0) -> dict:
         return until(
             lambda: (s := self.status())[key] >= value and s,
             f"{key} of slot {self.slot} reaches {value}",
@@ -387,7 +414,7 @@ class Spawned:
         return [tuple(r) for r in self.host.drain(slot=self.slot)]
 
 
-def until(condition, what: str, seconds: float = 20.0):
+def until(condition, what: str, seconds: float = 60.0):
     """Wait for a condition, with a bound that only a failure meets."""
     end = time.monotonic() + seconds
     while not (result := condition()):

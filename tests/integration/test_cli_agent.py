@@ -30,7 +30,7 @@ def pbonet(nodes):
             capture_output=True,
             text=True,
             cwd=ROOT,
-            timeout=50,
+            timeout=200,
             check=False,
         )
 
@@ -59,7 +59,7 @@ def agent(nodes):
     for process in started:
         if process.poll() is None:
             process.terminate()
-        process.communicate(timeout=30)
+        process.communicate(timeout=100)
 
 
 def test_agent_answers_until_it_is_told_to_end(agent, pbonet):
@@ -69,7 +69,7 @@ def test_agent_answers_until_it_is_told_to_end(agent, pbonet):
     assert shown.returncode == 0
     assert any(one["what"].startswith(f"arm0: core {CORE} of ") for one in found)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=100)
     assert process.returncode == 0
     assert "started RTPU process" in err
 

@@ -25,7 +25,7 @@ def arm(nodes):
 
 def cycles(arm, task, more=20):
     goal = arm.status(task).cycle + more
-    wait_for(lambda: arm.status(task).cycle >= goal, f"cycles of {task}", 30.0)
+    wait_for(lambda: arm.status(task).cycle >= goal, f"cycles of {task}")
 
 
 def test_a_controller_in_one_task(arm):

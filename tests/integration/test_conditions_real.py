@@ -188,7 +188,7 @@ def test_a_stop_ends_the_waiting(arm):
 
     waiting = threading.Thread(target=wait)
     waiting.start()
-    wait_for(lambda: arm.stop() and not waiting.is_alive(), "the waiting's end", 30.0)
+    wait_for(lambda: arm.stop() and not waiting.is_alive(), "the waiting's end")
     waiting.join()
     assert "a stop came while conditions were waited for" in str(caught[0])
 
@@ -202,7 +202,7 @@ def test_a_start_asks_its_pre(arm, files):
     with pytest.raises(ConditionError, match=r"5 == 0 m does not hold"):
         arm.start("high")
     arm.write("TWIN", [5.0, 0.0])
-    arm.start("high", wait=5.0)
+    arm.start("high", wait=60.0)
     assert tasks(arm) == {"level": "ON", "echo": "ON"}
 
 

@@ -31,7 +31,7 @@ def start(nodes, tmp_path):
     opened = []
 
     def one(first, second="counts", freq=200.0, text=None):
-        nodes.agent_process("arm0", grace=20.0)
+        nodes.agent_process("arm0")
         nodes.agent_process("arm1")
         (tmp_path / "t.sbs").write_text(SBS)
         (tmp_path / "t.svar").write_text(svar())
@@ -81,7 +81,8 @@ def wait_standing(arm, standby="second"):
 
 
 def test_an_error_releases_the_standby(start):
-    arm = start("raises_in_cycle", freq=10.0)  # 1 s until it does
+    arm = start("raises_in_cycle", freq=2.5)  # 4 s until it does
+    wait_standing(arm)
     (text,) = told(arm)
     assert text.startswith("first is in ERROR: its fallback second was released by the")
     assert "state ON, time 1 of 3" in text

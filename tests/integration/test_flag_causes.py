@@ -70,8 +70,12 @@ def hold(arm, reads):
     arm.on("hold")
 
 
+def value(arm):
+    return arm.value("Y1").values[0]
+
+
 def wait_level(arm, level):
-    wait_for(lambda: arm.value("Y1").values[0] == level, f"level {level}")
+    wait_for(lambda: value(arm) == level, f"level {level}")
 
 
 def illegal(arm):
@@ -89,8 +93,8 @@ def test_a_stale_input_makes_a_critical_task_stable(arm):
     wait_level(arm, -1.0)  # it was never written
     assert illegal(arm) == [cause]
     arm.on("source")
-    wait_level(arm, 3.0)
-    assert illegal(arm) == []
+    # At one look: a machine that stalls makes the input stale once more.
+    wait_for(lambda: not illegal(arm) and value(arm) == 3.0, "a fresh input")
     arm.off("source")
     wait_level(arm, -1.0)
     assert illegal(arm) == [cause]
@@ -149,7 +153,7 @@ def test_a_module_raises_and_withdraws(arm, nodes):
     wait_for(lambda: illegal(arm) == ["fire has died (arm0/fire)"], "only its death")
     arm.kill("fire")
     wait_level(arm, 3.0)
-    assert "too hot (arm0/fire)" in texts(arm, "ILLEGAL")
+    wait_for(lambda: "too hot (arm0/fire)" in texts(arm, "ILLEGAL"), "its event")
 
 
 @pytest.mark.parametrize("who", ["task", "fork server"])
@@ -191,7 +195,8 @@ def test_a_reconfiguration_that_takes_longer_than_a_cycle(arm, tmp_path, heir):
             go_on.touch()
         assert done.result().done == 2
     assert illegal(arm) == []
-    assert texts(arm, "LEGAL") == [f"no longer: {cause}"]
+    told = [f"no longer: {cause}"]
+    wait_for(lambda: texts(arm, "LEGAL") == told, "its end as an event")
 
 
 def set_hot(arm, word):
@@ -210,5 +215,10 @@ def test_an_error_and_a_death_are_told_by_the_vigil(arm):
     wait_level(arm, -1.0)
     arm.kill("bad")
     wait_level(arm, 3.0)
-    assert texts(arm, "ILLEGAL").count("bad is in ERROR (arm0/bad)") == 2
-    assert texts(arm, "LEGAL").count("no longer: bad is in ERROR (arm0/bad)") == 2
+    cause = "bad is in ERROR (arm0/bad)"
+
+    def told():
+        up, down = texts(arm, "ILLEGAL"), texts(arm, "LEGAL")
+        return (up.count(cause), down.count(f"no longer: {cause}")) == (2, 2)
+
+    wait_for(told, "both errors and both ends as events")

@@ -15,7 +15,7 @@ from pbonet.svar import Table
 from pbonet.xm import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nEOF\n"
-RATE = 100.0
+RATE = 50.0
 PERIOD = 1e9 / RATE
 
 
@@ -53,26 +53,23 @@ def rings(arm):
         ring.close()
 
 
-def cycles(rings, task):
-    """Return the cycles of a task that came since the last look."""
-    return [record for record in rings[task].drain() if not record.kind]
-
-
-def first_and_last(rings, new, old):
-    """Return the first cycle of the new task and the last one of the old."""
-    begun = wait_for(lambda: cycles(rings, new), f"cycles of {new}")
-    return begun[0], cycles(rings, old)[-1]
-
-
 def test_the_new_one_is_released_on_the_grid_behind_the_old_one(arm, rings):
-    gaps = []
+    gaps, latest = [], {}
+
+    def cycles(task):
+        """Return what has come since the last time; what came last is kept."""
+        found = [record for record in rings[task].drain() if not record.kind]
+        if found:
+            latest[task] = found[-1]
+        return found
+
     old, new = "a", "b"
     for _ in range(10):
-        wait_for(lambda old=old: cycles(rings, old), f"a cycle of {old}")
+        wait_for(lambda old=old: cycles(old), f"a cycle of {old}")
         arm.swap(old, new)
-        wait_for(lambda new=new: arm.status(new).cycle, f"a cycle of {new}")
-        begins, last = first_and_last(rings, new, old)
-        gap = (begins.release_ns - last.release_ns) / PERIOD
+        begins = wait_for(lambda new=new: cycles(new), f"cycles of {new}")[0]
+        cycles(old)
+        gap = (begins.release_ns - latest[old].release_ns) / PERIOD
         assert gap == round(gap) >= 1
         gaps.append(gap)
         old, new = new, old

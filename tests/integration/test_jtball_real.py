@@ -43,7 +43,7 @@ class Operator:
                 self.device.push(*axes)
             return until()
 
-        result = wait_for(pushing, what, 20.0)
+        result = wait_for(pushing, what)
         self.device.push(0, 0, 0, 0, 0, 0)
         return result
 
@@ -126,7 +126,7 @@ def test_every_cycle_of_a_run_is_on_record(nodes: Nodes, job: Path) -> None:
     job.write_text(job.read_text().replace("jtball", "jttrace"))
     with Subsystem(job, domain=nodes.domain) as subsystem:
         subsystem.start()
-        wait_for(lambda: subsystem.status("puma_pidg").cycle > 1500, "1500 cycles", 30)
+        wait_for(lambda: subsystem.status("puma_pidg").cycle > 1500, "1500 cycles")
         recording = subsystem.logbook.finish(subsystem.fleet)
     assert recording is not None
     assert recording.lost() == {}

@@ -120,7 +120,7 @@ def test_a_part_is_played_over_and_over_until_an_interrupt(
             error = line.refused(SvarOwnerError, spawn_and_turn_on, line)
             assert "replay:a" in str(error), "the player owns them like a task"
         player.send_signal(which)
-        out, _ = player.communicate(timeout=20)
+        out, _ = player.communicate(timeout=60)
     assert player.returncode == 0
     assert "a: " in out
     values = {value for value in seen if value}

@@ -183,10 +183,10 @@ def test_a_killed_task_leaves_its_cycles(line):
 
 @pytest.fixture
 def small(tmp_path):
-    """A file system of 300 KiB."""
+    """A file system of 3 MiB: more than a log that nobody looks at for seconds."""
     folder = tmp_path / "small"
     folder.mkdir()
-    with mounting.tmpfs(folder, "300k"):
+    with mounting.tmpfs(folder, "3m"):
         yield folder
 
 

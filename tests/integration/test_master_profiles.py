@@ -88,9 +88,9 @@ def test_after_a_second_on_the_extremes_bound_all_cycles(running):
     before = running.profile(["grav_comp"])[0]
     running.control("grav_comp", "off")
     running.control("grav_comp", "on")
-    wait_for(lambda: running.status("grav_comp").cycle > 1, "two more cycles", 30.0)
+    wait_for(lambda: running.status("grav_comp").cycle > 1, "two more cycles")
     after = running.profile(["grav_comp"])[0]
-    assert after.status.cycle < before.status.cycle
+    assert after.status.on_ns > before.status.on_ns, "its cycles count anew"
     assert after.least <= before.least
     assert after.most >= before.most
     assert sum(count for _, count in after.cpu) > sum(count for _, count in before.cpu)
@@ -103,14 +103,17 @@ def test_the_command_shows_every_figure(running):
     assert {rtpu["rtpu"] for rtpu in reply.data["rtpus"]} == {"arm0", "arm1"}
     one = desk.execute("profile puma_pidg").data
     (task,) = one["tasks"]
-    figures = "ptime cycle miss mezF mezT totC minC maxC avgC minU maxU avgU tick"
-    figures += " firstC nowC"
-    assert all(task["figures"][name] is not None for name in figures.split())
-    assert task["figures"]["mezF"] == pytest.approx(500, rel=0.2)
+    names = "ptime cycle miss mezF mezT totC minC maxC avgC minU maxU avgU tick"
+    names += " firstC nowC"
+    assert all(task["figures"][name] is not None for name in names.split())
+    figures = task["figures"]
+    assert figures["mezF"] == pytest.approx(figures["cycle"] / figures["ptime"])
+    released = figures["cycle"] + figures["miss"]
+    assert released / figures["ptime"] == pytest.approx(500, rel=0.1)
     assert 0 < task["least"] <= task["quantiles"]["p50"] <= task["most"]
     assert task["psi"][-1][1] == 1.0
     assert one["rtpus"][0]["dispatcher"] > 0
-    assert all(one["rtpus"][0][name] is not None for name in figures.split())
+    assert all(one["rtpus"][0][name] is not None for name in names.split())
 
 
 def test_profiles_are_saved_used_and_adopted(running, puma, call, tmp_path):

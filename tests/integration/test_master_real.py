@@ -62,7 +62,7 @@ def cycles(arm, task, more):
         status = arm.status(task)
         return status if status.cycle >= goal else None
 
-    return wait_for(there, f"{more} cycles of {task}", 30.0)
+    return wait_for(there, f"{more} cycles of {task}")
 
 
 def test_job_is_assembled_runs_and_is_gone_after(arm, two):
@@ -83,19 +83,24 @@ def test_job_is_assembled_runs_and_is_gone_after(arm, two):
 
 def test_status_agrees_with_the_kernel(arm):
     arm.start("puma")
-    before = arm.status("puma_pidg")
-    spent = kernel_cpu(before.tid)
-    begin = time.monotonic()
-    now = cycles(arm, "puma_pidg", 500)
-    kernel = kernel_cpu(before.tid) - spent
-    passed = time.monotonic() - begin
+    tid = arm.status("puma_pidg").tid
+
+    def look():
+        """Return a status between two looks at the clock and at the kernel's figure."""
+        begun = time.monotonic(), kernel_cpu(tid)
+        status = arm.status("puma_pidg")
+        return begun, status, (time.monotonic(), kernel_cpu(tid))
+
+    begun, before, going = look()
+    cycles(arm, "puma_pidg", 500)
+    still, now, over = look()
     fields = profile(now, before).fields
     assert fields["refT"] == 0.002
     assert fields["cycle"] >= 500
     # The kernel's figure covers the waiting and waking between the cycles too.
-    assert fields["totC"] <= kernel * 1.1
-    assert fields["totC"] >= kernel * 0.6
-    assert fields["ptime"] == pytest.approx(passed, abs=0.2)
+    assert fields["totC"] <= (over[1] - begun[1]) * 1.1
+    assert fields["totC"] >= (still[1] - going[1]) * 0.6
+    assert still[0] - going[0] <= fields["ptime"] <= over[0] - begun[0]
     released = fields["cycle"] + fields["miss"]
     assert fields["mezT"] == pytest.approx(fields["ptime"] / released)
     assert released / fields["ptime"] == pytest.approx(500.0, rel=0.05)
@@ -163,7 +168,7 @@ from pbonet.master.subsystem import Subsystem
 arm = Subsystem(sys.argv[1], domain=sys.argv[2]).open()
 arm.start("puma")
 print("running", flush=True)
-time.sleep(60)
+time.sleep(600)
 """
 
 
@@ -187,6 +192,7 @@ def test_tasks_outlive_a_killed_master_and_the_next_takes_them_up(two, puma):
         arm.control("grav_comp", "on")
 
 
+@pytest.mark.own_limits
 @pytest.mark.parametrize("hung", ["arm0", "arm1"])
 def test_agent_that_hangs_keeps_nobody_from_the_other(arm, two, puma, hung):
     """Also the one through which the master reaches the others."""

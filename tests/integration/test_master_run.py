@@ -61,7 +61,7 @@ def verb(nodes, puma):
             capture_output=True,
             text=True,
             cwd=ROOT,
-            timeout=50,
+            timeout=200,
             check=False,
         )
 
@@ -89,14 +89,16 @@ def test_run_for_a_time_leaves_nothing_and_records_every_cycle(
     run, nodes, tmp_path, shared_memory
 ):
     process = run("--seconds", "1.5", "--runs", tmp_path / "kept", "--json")
-    out, err = process.communicate(timeout=50)
+    out, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
     outcome = json.loads(out)
     assert outcome["reason"] == "1.5 s are over"
     tasks = {task["task"]: task for task in outcome["tasks"]}
     assert set(tasks) == {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
     servo = tasks["puma_pidg"]
-    assert servo["cycles"] + servo["missed"] == pytest.approx(750, rel=0.1)
+    released, passed = servo["cycles"] + servo["missed"], servo["cycles"] / servo["hz"]
+    assert released >= 675
+    assert released == pytest.approx(500 * passed, rel=0.05)
     assert servo["jitter_exact"]
     assert 0 < servo["jitter_p50"] <= servo["jitter_p99"] <= servo["jitter_max"]
     assert "nobody runs arm0: embedded agent on core" in err
@@ -119,7 +121,7 @@ def test_interrupt_turns_everything_off_in_order(run, nodes, which):
     process = run()
     until_on(process)
     process.send_signal(which)
-    out, err = process.communicate(timeout=50)
+    out, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
     assert "interrupted" in out
     assert left_of(nodes) == []
@@ -131,7 +133,7 @@ def test_interrupt_during_the_start_undoes_it(run, nodes):
         if "embedded agent" in line and "arm1" in line:
             break
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=50)
+    process.communicate(timeout=200)
     assert left_of(nodes) == []
 
 
@@ -143,20 +145,20 @@ def test_run_waits_for_agents_that_come_later(run, nodes):
     nodes.agent_process("arm0")
     until_on(process)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=50)
+    _, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
 
 
 def test_run_waits_no_longer_than_it_is_told_and_ends_at_ctrl_c(run, nodes):
     process = run("--wait", "0")
-    _, err = process.communicate(timeout=50)
+    _, err = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "nobody runs arm0 and arm1" in err
     assert "start 'pbonet agent --name arm0'" in err
     process = run("--wait", "1000")
     assert "waiting for arm0 and arm1" in process.stdout.readline()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=50)
+    _, err = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "it was given up to wait for arm0 and arm1" in err
     assert left_of(nodes) == []
@@ -168,7 +170,7 @@ def test_killed_run_takes_its_agents_with_it(run, nodes, shared_memory):
     assert left_of(nodes)
     process.kill()
     process.communicate()
-    wait_for(lambda: not left_of(nodes), "the end of the embedded agents", 20.0)
+    wait_for(lambda: not left_of(nodes), "the end of the embedded agents")
     assert list(shared_memory.iterdir()) == []
 
 
@@ -187,7 +189,7 @@ def test_verbs_steer_a_run_and_stop_ends_it(run, verb):
     done = verb("stop", "puma", file=False)
     assert done.returncode == 0
     assert "puma_pidg" in done.stdout
-    out, err = process.communicate(timeout=50)
+    out, err = process.communicate(timeout=200)
     assert process.returncode == 0, out + err
     assert "stopped from elsewhere" in out
 
@@ -195,7 +197,7 @@ def test_verbs_steer_a_run_and_stop_ends_it(run, verb):
 def test_agent_that_is_there_is_used_and_stays(run, nodes):
     nodes.agent_process("arm1")
     process = run("--seconds", "0.5")
-    out, err = process.communicate(timeout=50)
+    out, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
     assert "nobody runs arm0" in out
     assert "nobody runs arm1" not in out
@@ -206,7 +208,7 @@ def test_agent_that_is_there_is_used_and_stays(run, nodes):
 
 def test_without_embedding_a_missing_rtpu_is_an_error(run):
     process = run("--no-embed", "--seconds", "1")
-    _, err = process.communicate(timeout=50)
+    _, err = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "no agent of domain" in err
     assert "Traceback" not in err
@@ -217,7 +219,7 @@ def test_illegal_job_is_refused_and_nothing_is_left(run, nodes, puma):
     text = job.read_text().replace("TASK  grav_comp  arm1\n", "")
     job.write_text(text.replace(" puma_pidg grav_comp\n", " puma_pidg\n"))
     process = run("--seconds", "1")
-    _, err = process.communicate(timeout=50)
+    _, err = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "T_GRAV" in err
     assert "grav_comp" in err
@@ -234,7 +236,7 @@ def test_job_that_fails_in_init_is_rolled_back(run, nodes, puma):
     job = puma.with_suffix(".job")
     job.write_text(job.read_text().replace("grav_comp", "bad"))
     process = run("--seconds", "1", "--library", library)
-    _, err = process.communicate(timeout=50)
+    _, err = process.communicate(timeout=200)
     assert process.returncode == 1
     assert "init" in err
     assert left_of(nodes) == []
@@ -242,7 +244,7 @@ def test_job_that_fails_in_init_is_rolled_back(run, nodes, puma):
 
 def test_run_in_virtual_time_needs_no_agents(run, nodes):
     process = run("--sim", "--seconds", "0.2")
-    out, _ = process.communicate(timeout=50)
+    out, _ = process.communicate(timeout=200)
     assert process.returncode == 0
     assert "virtual time" in out
     assert rundir.live_agents(nodes.domain) == []

@@ -112,7 +112,7 @@ class TestAgent:
 
         def ask():
             key = f"pbonet/{nodes.domain}/rtpu/arm0/sbs"
-            reply = next(iter(nodes.session.get(key, payload=payload, timeout=5.0)))
+            reply = next(iter(nodes.session.get(key, payload=payload, timeout=30.0)))
             return codec.Codec().answer(reply.ok.payload.to_bytes())
 
         first = ask()
@@ -147,7 +147,7 @@ class TestAgent:
         books, pids = start_pair(split, tmp_path)
         process = nodes.processes["arm0"]
         process.send_signal(which)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert all(said(book, "off False") and said(book, "kill") for book in books)
         assert not any(map(alive, pids))
         assert list(nodes.folder.glob("*/*")) == []
@@ -168,8 +168,8 @@ class TestRtpuProcess:
         old = nodes.state("arm0").pid
         forks = nodes.fork_server("arm0")
         with Reference(CORE, _rt.COMMAND_LEVEL) as reference:
-            killed = time.monotonic()
             os.kill(old, signal.SIGKILL)
+            killed = time.monotonic()
             wait_gone([old, forks, *pids])
             check_last_words(books, killed, reference)
         assert nodes.wait_restarted("arm0", old).claims == {}
@@ -188,11 +188,12 @@ class TestRtpuProcess:
         hung = hang_above(arm, ["t0", "t1"])
         old = nodes.state("arm0").pid
         with Reference(CORE, ABOVE_TASKS) as reference:
-            killed = time.monotonic()
+            begun = time.monotonic()
             os.kill(old, signal.SIGKILL)
+            killed = time.monotonic()
             wait_gone([hung, *pids])
             check_last_words(books, killed, reference)
-        assert time.monotonic() > killed + 0.9  # the last resort came for the one
+        assert time.monotonic() > begun + 0.9  # the last resort came for the one
         nodes.wait_restarted("arm0", old)
 
     def test_killed_together_with_its_agent(
@@ -234,7 +235,7 @@ class TestRtpuProcess:
         assert not list(shared_memory.glob("*.ring"))
         assert not list(shared_memory.glob("*.svar"))
         process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 0
+        assert process.wait(60) == 0
         assert list(shared_memory.iterdir()) == []
 
     @pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
@@ -243,14 +244,14 @@ class TestRtpuProcess:
     ):
         books, pids = start_pair(split, tmp_path)
         os.kill(nodes.state("arm0").pid, which)
-        assert nodes.processes["arm0"].wait(20) == 1
+        assert nodes.processes["arm0"].wait(60) == 1
         assert all(said(book, "off False") and said(book, "kill") for book in books)
         assert not any(map(alive, pids))
 
     def test_requests_meanwhile_are_answered(self, arm, nodes):
         old = nodes.state("arm0").pid
         os.kill(old, signal.SIGKILL)
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 60.0
         outcomes = []
         while time.monotonic() < deadline:
             try:
@@ -318,8 +319,8 @@ class TestTwoRtpus:
         slot = core.find(f"{nodes.domain}/arm0", "arm/bad")
         so_far, _, _ = core.trace()
         with Reference(CORE, ABOVE_TASKS) as reference:
-            killed = time.monotonic()
             os.kill(old, signal.SIGKILL)
+            killed = time.monotonic()
             wait_gone(pids)
             check_last_words(books, killed, reference)
         kinds = [one.kind for one in core.trace(so_far)[2] if one.slot == slot]
@@ -338,8 +339,8 @@ class TestForkServer:
         books, pids = start_pair(arm, tmp_path)
         pids.append(hang_above(arm, ["t0", "t1"]))
         with Reference(CORE, ABOVE_TASKS) as reference:
-            killed = time.monotonic()
             os.kill(nodes.fork_server("arm0"), signal.SIGKILL)
+            killed = time.monotonic()
             wait_gone(pids)
             check_last_words(books, killed, reference)
 
@@ -348,8 +349,8 @@ class TestForkServer:
         books, pids = start_pair(arm, tmp_path)
         rtpu = nodes.state("arm0").pid
         with Reference(CORE, _rt.COMMAND_LEVEL) as reference:
-            killed = time.monotonic()
             os.kill(nodes.fork_server("arm0"), which)
+            killed = time.monotonic()
             wait_gone(pids)
             check_last_words(books, killed, reference)
         event = arm.wait_event("FORK_SERVER_DIED")

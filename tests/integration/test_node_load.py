@@ -84,7 +84,7 @@ def test_as_many_tasks_as_one_likes(nodes):
     for name in names[:16]:
         assert arm.kill(name).state == "NOT-CREATED"
     assert {one.state for one in arm.status().values()} == {"ON"}
-    stopped = arm.stop(20.0)
+    stopped = arm.stop(60.0)
     assert stopped.killed == []
     assert stopped.off == names[:15:-1]  # the last one on goes first
     wait_gone(pids)

@@ -114,7 +114,7 @@ def test_the_program_on_the_page(nodes, tmp_path):
         ],
         capture_output=True,
         text=True,
-        timeout=40,
+        timeout=200,
         check=False,
         cwd=tmp_path,
     )

@@ -126,11 +126,17 @@ def test_both_guarantees_hold_and_nobody_else_misses(core):
         before = core.status("hard")
         records = drain(core, "soft", CYCLES)
         after = core.status("hard")
+        away = reference.away()
         lost = reference.lost(50.0)
         lost_hard = reference.lost(100.0)
     assert sum(record.cpu_ns > E for record in records) >= CYCLES // 5
-    late = [r for r in records if r.end_ns > r.release_ns + PERIOD]
-    assert len(late) > lost, "nothing was so tight that the soft task had to miss"
+    late = [
+        r
+        for r in records
+        if r.end_ns > r.release_ns + PERIOD
+        and not any(ran > r.release_ns - PERIOD and due < r.end_ns for due, ran in away)
+    ]
+    assert late, "nothing was so tight that the soft task had to miss"
     assert len(overtime(records, 1)) <= lost
     assert len(overtime(records, 2)) <= lost
     assert len(overtime(records, 3)) <= lost

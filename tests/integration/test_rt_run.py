@@ -8,6 +8,7 @@ import signal
 import time
 
 import pytest
+from reference import Reference
 from rt_rig import CORE, MS, Host, cpu_ns, until
 
 from pbonet.node import _rt
@@ -16,6 +17,8 @@ from pbonet.sched.events import Event
 from pbonet.sched.records import Decision
 
 FIFO = _rt.probe().fifo
+ABOVE_ALL = 90
+"""A level of the reference loop above all tasks, and below the dispatcher."""
 needs_fifo = pytest.mark.skipif(not FIFO, reason="; ".join(_rt.probe().reasons))
 
 
@@ -119,26 +122,36 @@ def test_off_and_on_again_starts_with_a_fresh_release(host) -> None:
     task = host.spawn(
         "idle", order={"commands": 5, "off_on": 0.03, "dts": True}, period_ns=5 * MS
     )
-    for count in range(1, 5):
-        task.until("cycles", count * 5)
-        before = task.status()["on_ns"]
-        task.request()
-        until(lambda b=before: task.status()["on_ns"] > b, "armed again")
-    notes = task.end()
-    assert task.status()["missed"] == 0 or not FIFO
-    assert notes["dts"].count(pytest.approx(0.005)) >= len(notes["dts"]) - 20
-    assert max(notes["dts"]) < 0.03 or not FIFO  # else cycles may be missed
+    with Reference(CORE, ABOVE_ALL) as reference:
+        for count in range(1, 5):
+            task.until("cycles", count * 5)
+            before = task.status()["on_ns"]
+            task.request()
+            until(lambda b=before: task.status()["on_ns"] > b, "armed again")
+        notes = task.end()
+        lost = reference.lost(200.0)
+    assert task.status()["missed"] <= lost or not FIFO
+    dts = notes["dts"]
+    assert dts.count(pytest.approx(0.005)) >= len(dts) - 20 - lost
+    long = [dt for dt in dts if dt >= 0.03]
+    assert len(long) <= lost or not FIFO  # else cycles may be missed
 
 
 def test_cpu_time_is_the_kernels_own(host) -> None:
     task = host.spawn("busy", {"ns": MS}, period_ns=5 * MS, crit=5)
     task.until("cycles", 20)
-    time.sleep(0)
-    first, kernel_first = task.status(), cpu_ns(task.pid)
+
+    def look():
+        """Return our figure between two of the kernel's: nobody stops for a look."""
+        before = cpu_ns(task.pid)
+        status = task.status()
+        return before, status, cpu_ns(task.pid)
+
+    begun, first, going = look()
     task.until("cycles", first["cycles"] + 100)
-    last, kernel_last = task.status(), cpu_ns(task.pid)
+    still, last, over = look()
     ours = last["cpu_total_ns"] - first["cpu_total_ns"]
-    assert ours == pytest.approx(kernel_last - kernel_first, rel=0.05, abs=2 * MS)
+    assert 0.95 * (still - going) - 2 * MS <= ours <= 1.05 * (over - begun) + 2 * MS
     assert ours >= 99 * MS
     task.end()
 
@@ -190,6 +203,7 @@ def test_a_stopped_host_leaves_one_release_and_a_count(host) -> None:
     task.until("cycles", 20)
     os.kill(host.process.pid, signal.SIGSTOP)
     time.sleep(0.25)
+    resumed = time.monotonic_ns()
     os.kill(host.process.pid, signal.SIGCONT)
     cycles = task.status()["cycles"]
     task.until("cycles", cycles + 20)
@@ -197,7 +211,7 @@ def test_a_stopped_host_leaves_one_release_and_a_count(host) -> None:
     records = task.records()
     gap = max(range(1, len(records)), key=lambda k: records[k][1] - records[k - 1][1])
     assert records[gap][1] - records[gap - 1][1] >= 240 * MS
-    late = [r for r in records[gap + 1 :] if r[2] - r[1] > 100 * MS]
+    late = [r for r in records[gap + 1 :] if r[1] < resumed - 2 * MS]
     assert late == [], "old releases were run after the stop"
     assert task.status()["missed"] >= 110
 
@@ -217,9 +231,9 @@ def test_a_real_run_replays_in_the_twin(host) -> None:
     trace: list[Decision] = []
     releases = 0
     pick = itertools.cycle(tasks)
+    host.follow()
     while releases < 10_500:
-        lost, records = host.trace()
-        assert lost == 0
+        records = host.followed()
         trace += [Decision(*r) for r in records]
         releases += sum(r[0] == Event.RELEASE for r in records)
         next(pick).request()
@@ -228,8 +242,7 @@ def test_a_real_run_replays_in_the_twin(host) -> None:
         os.kill(task.pid, signal.SIGKILL)
         host.wait(pid=task.pid)
         host.free(slot=task.slot)
-    lost, records = host.trace()
-    trace += [Decision(*r) for r in records]
+    trace += [Decision(*r) for r in host.followed()]
     assert replay(trace) >= 10_000
     kinds = {record.kind for record in trace}
     assert kinds >= {Event.MODE, Event.BEGUN, Event.MISS, Event.LEVEL, Event.LIFE}

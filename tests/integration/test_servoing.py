@@ -43,7 +43,7 @@ FAST = 1.0
 
 def cycles(subsystem, task, more):
     goal = subsystem.status(task).cycle + more
-    wait_for(lambda: subsystem.status(task).cycle >= goal, f"cycles of {task}", 30.0)
+    wait_for(lambda: subsystem.status(task).cycle >= goal, f"cycles of {task}")
 
 
 def writer(arm):
@@ -60,7 +60,7 @@ def recording(steering):
         arm.set("target", "TIME", SLOWLY)
 
         def sigma(passed, why):
-            wait_for(lambda: passed(steering.value("SIGMA")), why, 30.0)
+            wait_for(lambda: passed(steering.value("SIGMA")), why)
 
         cycles(arm, "target", 30)  # the first looks at the target make the arm move
         sigma(lambda now: now < TOWARDS, "an arm on its way to the singularity")

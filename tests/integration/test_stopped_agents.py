@@ -19,6 +19,7 @@ from watching import wait_for
 from pbonet.master.subsystem import Subsystem
 from pbonet.xm import rpc, session
 
+pytestmark = pytest.mark.own_limits
 START_UP = 0.6
 """Seconds that Python and its imports take on the machine of the benchmark."""
 
@@ -46,7 +47,7 @@ def verb(two, puma):
         command = [sys.executable, "-m", "pbonet.cli", name, *where, *words]
         command += ["--domain", two.domain, *(["--json"] if data else [])]
         return subprocess.run(
-            command, capture_output=True, text=True, timeout=50, check=False
+            command, capture_output=True, text=True, timeout=200, check=False
         )
 
     return run

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from nodekit import rmod, svar
+from patience import LIMIT
 from watching import causes, states, wait_for
 
 from pbonet.errors import ProtocolError, ReconfigError, SvarOwnerError
@@ -45,7 +46,7 @@ def arm(nodes, tmp_path):
     subsystem.finish()
 
 
-def stand_by(arm, heir, old, limit=20.0):
+def stand_by(arm, heir, old, limit=LIMIT):
     """Have a task of arm1 stand by for one of arm0; return whom that has to call."""
     request = m.Heirs(after={heir: [old]}, timeout=limit)
     return arm.fleet.call("arm1", request, dict[str, list[m.Call]])
@@ -121,7 +122,9 @@ def test_two_that_leave_for_one(arm):
     arm.control("c", "on")
     calls = stand_by(arm, "b", "a")
     again = arm.fleet.call(
-        "arm1", m.Heirs(after={"b": ["a", "c"]}), dict[str, list[m.Call]]
+        "arm1",
+        m.Heirs(after={"b": ["a", "c"]}, timeout=LIMIT),
+        dict[str, list[m.Call]],
     )
     assert set(again) == {"a", "c"}
     assert calls["a"][0].ticket != again["a"][0].ticket

@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 
 import pytest
 from nodekit import alive, rmod, svar, wait_gone
@@ -103,15 +104,27 @@ def test_on_that_raises_and_back_again(arm, write, tmp_path):
     assert "off True" in text  # it was told that somebody would take over
 
 
-def test_off_that_hangs_is_given_up_and_killed(arm, gate, monkeypatch):
+@pytest.fixture
+def briefly(monkeypatch):
+    """Wait for tasks that hang no longer than needed, within a `with` block."""
+
+    @contextmanager
+    def wait():
+        with monkeypatch.context() as short:
+            short.setattr(crew, "CONTROL_TIME", 1.0)
+            yield
+
+    return wait
+
+
+def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     """On another RTPU; it leaves the core, which both share here, to its heir."""
     begun, _ = gate
     start(arm, "old", "arm1")
     before = arm.status("stays")
-    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
-    with pytest.raises(ReconfigError) as caught:
+    with briefly(), pytest.raises(ReconfigError) as caught:
         arm.swap("old", "good")
-    assert begun.exists()
+    wait_for(begun.exists, "the beginning of off")
     assert isinstance(caught.value.__cause__, NoAnswerError)
     assert (caught.value.done, caught.value.rest) == (
         0,
@@ -123,22 +136,23 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, monkeypatch):
     assert "not known" not in said  # it was the task that did not answer
     assert states(arm) == {"stays": "ON", "old": "ON", "good": "OFF"}
     assert writer(arm) == "old"
-    with pytest.raises(ReconfigError, match=r"off old: .*still busy with 'off'"):
+    busy = r"off old: .*still busy with 'off'"
+    with briefly(), pytest.raises(ReconfigError, match=busy):
         arm.swap("old", "good")
-    arm.control("old", "kill")
+    with briefly():
+        arm.control("old", "kill")
     assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
     assert states(arm) == {"stays": "ON", "good": "ON"}
     assert writer(arm) == "good"
     assert arm.status("stays").on_ns == before.on_ns
 
 
-def test_off_that_hangs_in_an_exchange(arm, write, monkeypatch):
+def test_off_that_hangs_in_an_exchange(arm, write, briefly):
     """Both on one RTPU: the heir stands by at the dispatcher meanwhile."""
     write("bad", "hangs_in_off", freq=50.0)
     start(arm, "bad")
     before = arm.status("stays")
-    monkeypatch.setattr(crew, "CONTROL_TIME", 1.0)
-    with pytest.raises(ReconfigError) as caught:
+    with briefly(), pytest.raises(ReconfigError) as caught:
         arm.swap("bad", "good")
     assert (caught.value.done, caught.value.rest) == (
         0,
@@ -148,24 +162,23 @@ def test_off_that_hangs_in_an_exchange(arm, write, monkeypatch):
     assert "did not finish 'off'" in str(caught.value)
     assert states(arm) == {"stays": "ON", "bad": "ON", "good": "OFF"}
     assert writer(arm) == "bad"
-    with pytest.raises(ReconfigError, match="still busy with 'off'"):
+    with briefly(), pytest.raises(ReconfigError, match="still busy with 'off'"):
         arm.swap("bad", "good")
-    arm.control("bad", "kill")
+    with briefly():
+        arm.control("bad", "kill")
     assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
     assert writer(arm) == "good"
     assert arm.status("stays").on_ns == before.on_ns
 
 
 def test_off_in_an_exchange_that_ends_when_nobody_waits_any_more(
-    arm, gate, nodes, monkeypatch
+    arm, gate, nodes, briefly
 ):
     """What it was to hand over is given up, so that whoever comes can have it."""
     begun, go_on = gate
     start(arm, "old")
-    with monkeypatch.context() as short:
-        short.setattr(crew, "CONTROL_TIME", 0.5)
-        with pytest.raises(ReconfigError) as caught:
-            arm.swap("old", "good")
+    with briefly(), pytest.raises(ReconfigError) as caught:
+        arm.swap("old", "good")
     assert isinstance(caught.value.__cause__, NoAnswerError)
     wait_for(begun.exists, "the beginning of off")
     go_on.touch()

@@ -50,7 +50,7 @@ def killed(nodes, tmp_path):
         words = [str(tmp_path / "t.sbs"), nodes.domain, "new", rtpu, how]
         words = [sys.executable, "-c", MASTER, *words, *libraries]
         master = subprocess.Popen(words)
-        wait_for(begun.exists, "the beginning of off", 20.0)
+        wait_for(begun.exists, "the beginning of off")
         master.kill()
         master.wait()
         go_on.touch()

@@ -75,7 +75,7 @@ def killed(nodes, files, gate):
         ])
         begun, go_on = gate
         try:
-            wait_for(begun.exists, "the method that waits", 30.0)
+            wait_for(begun.exists, "the method that waits")
         finally:
             master.kill()
             master.wait()
@@ -115,7 +115,7 @@ def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
     assert states(arm) == everybody
     assert arm.display(["MASS"])[0].writer == "drill"
     said = "drill gives the constants of grip, which is still ON"
-    wait_for(lambda: any(said in cause for cause in causes(arm)), "the flag", 30.0)
+    wait_for(lambda: any(said in cause for cause in causes(arm)), "the flag")
     assert any(said in e.text for e in arm.events() if e.code == "ILLEGAL")
     arm.switch("drill")
     assert states(arm) == {"drill": "ON", "weigh": "ON", "hold": "ON"}

@@ -3,6 +3,7 @@
 import os
 import signal
 
+import numpy as np
 import pytest
 from nodekit import Master, rmod
 from tbuf_rig import Pair
@@ -12,7 +13,7 @@ from pbonet.errors import NodeError
 from pbonet.tbuf.native import parts
 from pbonet.xm import keys, session
 
-pytestmark = pytest.mark.timeout(150)
+pytestmark = pytest.mark.timeout(300)
 TABLE = """
 NAME Z
 TYPE double
@@ -107,7 +108,7 @@ def fresh(arm, beyond=0.0):
             return False  # our own way to the agent is still coming back
         return not value.stale and value.values[0] > beyond and value
 
-    found = wait_for(seen, "fresh values", 30.0)
+    found = wait_for(seen, "fresh values")
     assert found.values[1] == 2 * found.values[0], "a whole record"
     assert "from_vision" in found.writer
     return found.values[0]
@@ -115,7 +116,7 @@ def fresh(arm, beyond=0.0):
 
 def stale(arm):
     """Wait until what the arm has is stale, although its task goes on."""
-    wait_for(lambda: arm.value("Z").stale, "stale values", 20.0)
+    wait_for(lambda: arm.value("Z").stale, "stale values")
     assert arm.status("from_vision").state == "ON"
 
 
@@ -158,7 +159,8 @@ def test_a_cycle_wakes_the_agent_when_it_is_over(linked):
     )
     wait_for(lambda: len(numbers) > 100, "a hundred records")
     subscriber.undeclare()
-    assert numbers[100] - numbers[0] < 500, "a look around finds one in ten"
+    steps = np.diff(numbers[:101])
+    assert np.median(steps) < 5, "a look around finds one in ten"
 
 
 def test_the_receivers_agent_is_killed_and_comes_back(linked):

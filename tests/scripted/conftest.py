@@ -30,7 +30,7 @@ class Fakes(dict):
         for group in groups:
             link = Link(self.world, *group)
             self.update({name: FakeAgent(self.world, name, link) for name in group})
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 60.0
         while any(fake.neighbours() != sorted(self) for fake in self.values()):
             assert time.monotonic() < deadline, "the agents do not find each other"
             time.sleep(0.01)

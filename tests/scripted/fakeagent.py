@@ -114,6 +114,7 @@ class FakeAgent:
         self.silent = False
         self.fail: dict[tuple[str, str], PbonetError] = {}
         self.slow: dict[str, float] = {}
+        self.held: dict[str, threading.Event] = {}
         self.executed: dict[str, bytes] = {}
         self.requests: list[m.Request] = []
         self.standing: list[m.Standing] = []
@@ -186,6 +187,8 @@ class FakeAgent:
     def do(self, request: m.Request) -> object:
         op = type(request).__struct_config__.tag
         time.sleep(self.slow.get(op, 0.0))
+        if op in self.held:
+            self.held[op].wait(60.0)
         if isinstance(request, GUARDED):
             self.check_epoch(request)
         if self.exists_error(op, request):

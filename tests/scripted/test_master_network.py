@@ -7,7 +7,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 
 import msgspec
@@ -124,7 +123,7 @@ def foreign_when_served(world, *commands):
         )
         opened.close()
         client = foreign(world, *commands)
-        client.communicate(timeout=30)
+        client.communicate(timeout=100)
         return client
 
     pool = ThreadPoolExecutor(1)
@@ -144,7 +143,7 @@ def test_foreign_program_assembles_steers_and_hands_back(arm, port, world):
         {"command": "quit"},
     )
     port.serve(threading.Event())  # control comes back by its quit
-    out, _ = client.communicate(timeout=30)
+    out, _ = client.communicate(timeout=100)
     answers = [json.loads(line) for line in out.splitlines()]
     assert client.returncode == 0
     assert [answer["ok"] for answer in answers] == [True] * 4 + [False, True], answers
@@ -251,16 +250,20 @@ def test_what_is_not_understood_is_answered(caller, payload, what):
 def test_stop_does_not_wait_for_the_command_before_it(caller, agents):
     token = caller.token("one")
     caller("one", "spawn", {"rmod": "puma_pidg"})
-    agents["arm0"].slow["control"] = 2.0
+    go_on = agents["arm0"].held["control"] = threading.Event()
     slow = threading.Thread(target=caller, args=("one", "on", {"task": ["puma_pidg"]}))
-    begin = time.monotonic()
     slow.start()
-    while not any(isinstance(r, m.Control) for r in agents["arm0"].requests):
-        assert time.monotonic() - begin < 10
-        time.sleep(0.005)
-    assert caller("two", "stop").ok
-    assert slow.is_alive()
-    slow.join()
+
+    def asked():
+        return any(isinstance(r, m.Control) for r in agents["arm0"].requests)
+
+    try:
+        wait_for(asked, "the slow command")
+        assert caller("two", "stop").ok
+        assert slow.is_alive()
+    finally:
+        go_on.set()
+        slow.join()
     token.undeclare()
 
 

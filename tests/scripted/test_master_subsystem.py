@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 
 import pytest
-from watching import states
+from watching import states, wait_for
 
 from pbonet.errors import (
     ClaimError,
@@ -25,6 +24,7 @@ from pbonet.errors import (
 )
 from pbonet.master.crew import UNFED
 from pbonet.master.subsystem import Subsystem
+from pbonet.xm import rpc
 
 ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
 
@@ -63,12 +63,15 @@ def test_keeper_opens_the_table_before_the_others(arm, world):
     ]
 
 
-def test_agent_that_is_missing_is_named_and_nothing_stays_claimed(world, agents, puma):
+def test_agent_that_is_missing_is_named_and_nothing_stays_claimed(
+    world, agents, puma, monkeypatch
+):
+    """At once: whoever waited for it, would wait for ever here."""
+    for name in ("ANSWER_TIME", "_ALONE_TIME", "PROOF_TIME"):
+        monkeypatch.setattr(rpc, name, 86_400.0)
     agents("arm0")
-    start = time.monotonic()
     with pytest.raises(UnreachableError, match=r"^arm1: no agent of this name"):
         Subsystem(puma, domain=world.domain).open()
-    assert time.monotonic() - start < 2.0  # the promise of the issue
     assert agents["arm0"].claims == {}
 
 
@@ -413,7 +416,7 @@ def test_stop_lets_the_flag_down(arm, agents):
 def test_stop_ends_a_start_that_is_under_way(arm, agents):
     import threading
 
-    agents["arm1"].slow["spawn"] = 0.3
+    go_on = agents["arm1"].held["spawn"] = threading.Event()
     failed = []
 
     def start():
@@ -424,11 +427,10 @@ def test_stop_ends_a_start_that_is_under_way(arm, agents):
 
     thread = threading.Thread(target=start)
     thread.start()
-    deadline = time.monotonic() + 10
-    while not agents["arm0"].tasks and time.monotonic() < deadline:
-        time.sleep(0.005)
+    wait_for(lambda: agents["arm0"].tasks, "the first task")
     arm.stop()
-    thread.join(20)
+    go_on.set()
+    thread.join()
     assert failed == ["the start was given up because a stop came in between"]
     assert agents["arm0"].tasks == agents["arm1"].tasks == {}
 
