@@ -57,6 +57,7 @@ QUICK = {
     "costs": "--blocks 1",
     "aperiodic": "--seconds 1",
     "steering": "--rounds 2",
+    "unreachable": "--rounds 1",
     "swap": "--swaps 20 --rounds 1",
     "swap-across": "--swaps 20",
     "swap-machines": "--swaps 5",

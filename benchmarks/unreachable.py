@@ -1,7 +1,7 @@
 """Verbs while agents are stopped: how long it takes until the error stands there.
 
 Two real agents, stopped by SIGSTOP just before each verb; the whole command is timed,
-from its start as a process to its end.
+from its start as a process to its end. Status 3: a goal was missed.
 
     python -m benchmarks.unreachable [--rounds 10] [--json FILE]
 """
@@ -33,6 +33,8 @@ VERBS = (
     ("stop", "puma"),
 )
 CASES = {"none": (), "one of two": ("arm1",), "the table's": ("arm0",), "both": NAMES}
+LONGEST = 2.0
+"""Seconds that a command may take until its error stands there."""
 RESUME = 0.6
 """Seconds in which agents that go on are seen by each other again."""
 
@@ -69,7 +71,7 @@ def measure(
 
 
 def main() -> None:
-    """Measure and print a table in seconds: median and longest."""
+    """Measure and print a table in seconds: median and longest; judge the medians."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=10)
     parser.add_argument("--json", type=Path)
@@ -102,6 +104,12 @@ def main() -> None:
         print(f"{verb:8}" + "".join(f"{cell:>16}" for cell in cells))
     if args.json:
         args.json.write_text(json.dumps(found, indent=1))
+    rtbench.judge(
+        rtbench.verdict(f"{verb}, {case} stopped, s, median", float(median), LONGEST)
+        for verb, cases in found.items()
+        for case, times in cases.items()
+        for median in [np.median(times)]
+    )
 
 
 if __name__ == "__main__":

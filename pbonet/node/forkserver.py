@@ -166,7 +166,7 @@ def become_child(request: wire.Fork, fds: list[int], server: int) -> int:
     try:
         output.take_over()
         runtime.set_title(request.title)
-        faulthandler.enable(crash_fd, all_threads=True)
+        faulthandler.enable(crash_fd, all_threads=False)  # others run on meanwhile
         run = inspector.run if request.kind == "inspect" else task.run
         return run(sock_fd, spec_fd, crash_fd, server)
     except BaseException:  # noqa: BLE001 - the end of the process, told to the RTPU

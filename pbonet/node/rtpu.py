@@ -264,7 +264,7 @@ def main(argv: list[str]) -> int:
     config = msgspec.json.decode(argv[0], type=wire.RtpuConfig)
     try:
         forks = Server(*forkserver.beside(config.core, close=config.ready_fd))
-        faulthandler.enable()
+        faulthandler.enable(all_threads=False)  # others run on meanwhile
         survive_cuts()
         runtime.set_title("pbonet-rtpu")
         return asyncio.run(run(config, forks))
