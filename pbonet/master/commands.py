@@ -16,7 +16,7 @@ from pbonet.errors import NodeError, did_you_mean
 from pbonet.master import actions
 
 if TYPE_CHECKING:
-    from pbonet.master.desk import Desk
+    from pbonet.master.seat import Seat
 
     Given = dict[str, Any]
 
@@ -99,7 +99,7 @@ class Command(Struct, frozen=True):
 
     name: str
     help: str
-    run: Callable[[Desk, Given], Any]
+    run: Callable[[Seat, Given], Any]
     """Does it and returns what there is to show, as plain data."""
     args: tuple[Arg, ...] = ()
     changes: bool = False

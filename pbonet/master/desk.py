@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from pbonet.errors import ClaimError, NodeError, StateError, did_you_mean
-from pbonet.master import profile
-from pbonet.master.actions import no_task
 from pbonet.master.commands import (
     BY_NAME,
     COMMANDS,
@@ -24,12 +22,11 @@ from pbonet.master.commands import (
     Scope,
     find,
 )
+from pbonet.master.seat import Seat
 from pbonet.master.words import collected, is_sequence, sequence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    from pbonet.master.subsystem import Subsystem
 
 
 _LONGEST: Final = 1000
@@ -69,68 +66,8 @@ class Call(Struct, frozen=True):
         return self.command.judged
 
 
-class Desk:
-    """The state of one interface.
-
-    Args:
-        subsystem: What it steers.
-        hand_over: Called with a port name to let a program on the network steer; None
-            where this interface cannot do that.
-    """
-
-    def __init__(
-        self,
-        subsystem: Subsystem,
-        *,
-        hand_over: Callable[[str], None] | None = None,
-    ) -> None:
-        self.subsystem = subsystem
-        self.hand_over = hand_over
-        self.default = ""
-        """The task that the last command was for."""
-        self.shown: tuple[str, ...] = profile.DEFAULT
-        self.baselines = profile.Baselines()
-        self.ended = False
-        """Set by `quit`."""
-
-    @property
-    def prompt(self) -> str:
-        """The prompt of section 4.4.1: subsystem and default RMOD."""
-        return f"SBS {self.subsystem.name}<{self.default}> "
-
-    # -- tasks ------------------------------------------------------------------------
-
-    def point_at(self, task: str) -> None:
-        """Make `task` the default of the next command."""
-        self.default = task
-
-    def task(self, named: str | None, meant: str | None = None) -> str:
-        """Return the task a command is for, and make it the default.
-
-        Args:
-            named: The task that was named.
-            meant: A word that may have been meant as one, for the error.
-
-        Raises:
-            UnknownTaskError: None was named, and there is no default.
-        """
-        task = named or self.default
-        if not task:
-            raise no_task(meant or "", self.subsystem.picture.names)
-        self.default = task
-        return task
-
-    def tasks(self, named: list[str]) -> list[str]:
-        """Return the tasks a command is for; the default when none is named.
-
-        Raises:
-            UnknownTaskError: None was named, and there is no default.
-        """
-        tasks = list(dict.fromkeys(named)) or [self.task(None)]
-        self.default = tasks[-1]
-        return tasks
-
-    # -- commands ---------------------------------------------------------------------
+class Desk(Seat):
+    """Takes commands for one interface, and carries them out."""
 
     def read(self, line: str) -> Call | None:
         """Return what a command line asks for; None for a blank line or a comment.

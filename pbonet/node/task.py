@@ -55,8 +55,7 @@ _RECOVERIES = {
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     """Be the task that the specification describes; return the exit code."""
     orphan_fd = _rt.orphan_guard(ORPHAN_SIGNAL, server)
-    # Only the thread that takes the signal, and stands still meanwhile: others run on,
-    # and reading the stack of one that runs can end the process.
+    # Only its own stack: reading those of threads that run can end the process.
     faulthandler.register(DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)
     data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)

@@ -32,9 +32,9 @@ def steering(nodes):
     return load("steering").Steering(job, domain=nodes.domain)
 
 
-SLOWLY = ("0", "1", "9")
-"""When the target reaches its poses, s: half as fast as in the example, so that there
-is time to swap."""
+SLOWLY = ("0", "1", "13")
+"""When the target reaches its poses, s: a third as fast as in the example, so that
+there is time to swap."""
 TOWARDS, CLOSE = 0.35, 0.05
 """SIGMA below which the controllers are swapped, and that is passed then."""
 FAST = 1.0
