@@ -38,8 +38,9 @@ from pbonet.config.model import AgentConfig
 from pbonet.node.life import main
 from pbonet.xm import session
 import msgspec
-session.LEASE_MS = int(sys.argv[2])
-session.OPEN_MS = max(session.OPEN_MS, session.LEASE_MS)
+if sys.argv[2:]:
+    session.LEASE_MS = int(sys.argv[2])
+    session.OPEN_MS = max(session.OPEN_MS, session.LEASE_MS)
 sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
 """
 SVAR = """
