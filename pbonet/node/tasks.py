@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 import re
 import signal
 import time
@@ -46,6 +47,8 @@ DUMP_SIGNAL = signal.SIGQUIT
 """Makes a task write where it stands into its crash file, whatever it is doing."""
 END_TIME = 1.0
 """Seconds that a task which said good-bye may take to end."""
+_SLICE = 0.1
+"""Seconds of a wait that a standstill of the machine may cost."""
 _DUMP_TIME = 0.1
 
 
@@ -256,11 +259,18 @@ class Task:
         return ""
 
     async def end(self, patience: float) -> bool:
-        """Wait for the end, then make it; return whether it came by itself."""
+        """Wait for the end, then make it; return whether it came by itself.
+
+        In slices: if the whole machine stands still, for us as for the task, that is
+        one slice, and not the task's delay.
+        """
         self.stopping = True
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self.gone.wait(), max(patience, 0.0))
-            return True
+        for _ in range(max(1, math.ceil(patience / _SLICE))):
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(
+                    self.gone.wait(), min(_SLICE, max(patience, 0.0))
+                )
+                return True
         self.child.send_signal(signal.SIGKILL)
         await self.gone.wait()
         return False
