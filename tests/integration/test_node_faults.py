@@ -32,6 +32,11 @@ def sibling(arm):
         assert after.miss - before.miss <= reference.lost(40.0)
 
 
+def names(folder):
+    """Return what stands in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
 def slots_in_use(arm, nodes):
     """Return the tasks that the core table has, as (RTPU, task)."""
     from pbonet.node import _rt
@@ -138,7 +143,7 @@ class TestDying:
         ],
     )
     def test_in_cycle(self, arm, nodes, shared_memory, module, how):
-        before = sorted(path.name for path in shared_memory.iterdir())
+        before = names(shared_memory)
         slots = slots_in_use(arm, nodes)
         arm.spawn("bad", module)
         arm.on("bad")
@@ -154,7 +159,7 @@ class TestDying:
         assert arm.value("Y0").values == [9.0, 0.0]
         assert arm.rtpu_status().illegal == ["bad has died (arm0/bad)"]
         assert slots_in_use(arm, nodes) == slots
-        assert sorted(path.name for path in shared_memory.iterdir()) == before
+        wait_for(lambda: names(shared_memory) == before, "its ring to go")
         arm.spawn("other", "counts", out="Y0")
         assert arm.on("other").state == "ON"  # the dead one's claim is gone
         arm.kill("other")
