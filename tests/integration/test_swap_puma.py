@@ -259,12 +259,10 @@ def test_the_arm_does_not_drop_and_nobody_misses_a_cycle(arm, nodes):
             cycles(arm, "robot", 40)
             trace.look()
 
-    with (
-        Reference(CORE, _rt.DISPATCHER_LEVEL, late=LATE) as reference,
-        Trace(nodes, rates) as trace,
-    ):
+    with Reference(CORE, _rt.DISPATCHER_LEVEL, late=LATE) as reference:
         swing = undisturbed(arm, reference, lambda: cycles(arm, "robot", 400))
-        swapped = undisturbed(arm, reference, swaps)
+        with Trace(nodes, rates) as trace:
+            swapped = undisturbed(arm, reference, swaps)
         lost = trace.unexcused(stalls := reference.away())
     assert trace.released > 6 * 40
     assert lost == [], f"not in {stalls}, of {len(trace.misses)} misses"
