@@ -8,12 +8,18 @@ the first file's machine, by the surest chain of measurements.
 from __future__ import annotations
 
 import heapq
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
+from .moves import Moves
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from .part import Part
 
@@ -22,12 +28,17 @@ SAME: Final = "one clock"
 MEASURED: Final = "measured"
 UNKNOWN: Final = "not measured"
 _SET_ANEW: Final = 1_000_000
+_WINDOW: Final = 10 * 10**9
+"""Nanoseconds for which one value counts, where clocks drift measurably."""
+_MOST: Final = 500
+"""Values of one clock; a longer run has longer windows."""
 
 
 class Apart(NamedTuple):
-    """By how much one clock is ahead of another, in nanoseconds."""
+    """How far two clocks are apart."""
 
-    offset_ns: int
+    moves: Moves
+    """What is added to a time of the one to get the other's."""
     within_ns: int
     """How wrong that may be."""
 
@@ -39,20 +50,54 @@ class Clock(NamedTuple):
     host: str
     how: str
     """`SAME`, `MEASURED` or `UNKNOWN`; the wall clocks are believed then."""
-    epoch_ns: int
-    """What is added to CLOCK_MONOTONIC of its machine."""
-    shift_ns: int
-    """What is added to the times that its messages have in the file."""
+    moves: Moves
+    """What is added to CLOCK_MONOTONIC of its machine, to get nanoseconds since 1970
+    by the first file's clock."""
+    own_ns: int
+    """What the file itself adds to it."""
     within_ns: int
     """How wrong that may be; 0 where it is not known."""
+
+    @property
+    def epoch_ns(self) -> int:
+        """What is added at first."""
+        return self.moves.add[0]
+
+    @property
+    def shift_ns(self) -> int:
+        """What is added at first to the times that its messages have in the file."""
+        return self.moves.add[0] - self.own_ns
+
+    def shifts(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what is added to times that messages have in the file."""
+        return self.moves.of(times - self.own_ns) - self.own_ns
+
+    def shift(self, time_ns: int) -> int:
+        """Return what is added to one."""
+        return self.moves.one(time_ns - self.own_ns) - self.own_ns
+
+    def moved(self, told: str | None) -> Moves:
+        """Return what is added to the instants of a task.
+
+        Args:
+            told: What its channel says of that, in a merged file.
+        """
+        if told is None:
+            return self.moves
+        bends = [at + self.own_ns for at in self.moves.at] if self.moves.drifts else []
+        return Moves.parse(told).then(self.shift, bends)
 
     def __str__(self) -> str:
         """Return it as a sentence."""
         whose = f"{self.rtpu} on {self.host or '?'}"
         if self.how == MEASURED:
+            moved = f"{self.shift_ns * 1e-9:+.6f} s"
+            if self.moves.drifts:
+                last = (self.moves.add[-1] - self.own_ns) * 1e-9
+                moved += f" at first and by {last:+.6f} s at last"
             return (
-                f"{whose}: its times are moved by {self.shift_ns * 1e-9:+.6f} s, as "
-                f"was measured within {self.within_ns * 1e-6:.3f} ms"
+                f"{whose}: its times are moved by {moved}, as was measured within "
+                f"{self.within_ns * 1e-6:.3f} ms"
             )
         if self.how == UNKNOWN:
             return (
@@ -61,10 +106,33 @@ class Clock(NamedTuple):
             )
         return f"{whose}: the clock of all, moved by {self.shift_ns * 1e-9:+.6f} s"
 
+    def plain(self) -> dict[str, Any]:
+        """Return it as data."""
+        return {
+            "rtpu": self.rtpu,
+            "host": self.host,
+            "how": self.how,
+            "epoch_ns": self.epoch_ns,
+            "shift_ns": self.shift_ns,
+            "drift_ns": self.moves.add[-1] - self.moves.add[0],
+            "within_ns": self.within_ns,
+            "matters": self.matters,
+            "text": str(self),
+        }
+
     @property
     def matters(self) -> bool:
         """Whether people should know: it is another machine's, or was set anew."""
         return self.how != SAME or abs(self.shift_ns) > _SET_ANEW
+
+
+class _Seen(NamedTuple):
+    """One measurement."""
+
+    at_ns: int
+    """By the clock of whom the other one is ahead."""
+    offset_ns: int
+    within_ns: int
 
 
 def common(parts: Sequence[Part]) -> list[Clock]:
@@ -82,58 +150,86 @@ def common(parts: Sequence[Part]) -> list[Clock]:
 def _clock(part: Part, first: Part, known: dict[str, Apart]) -> Clock:
     about, base = part.about, first.about
     if about is None or base is None:
-        return Clock("?", "", SAME, 0, 0, 0)  # of another program, or cut at once
+        return Clock("?", "", SAME, Moves.always(0), 0, 0)  # of another program, or cut
+    own = about.epoch_ns
     apart = known.get(about.machine)
     if apart is None or part is first:
         how = SAME if part is first else UNKNOWN
-        return Clock(about.rtpu, about.host, how, about.epoch_ns, 0, 0)
-    epoch = base.epoch_ns - apart.offset_ns
+        return Clock(about.rtpu, about.host, how, Moves.always(own), own, 0)
+    moves = apart.moves.plus(base.epoch_ns)
     how = SAME if about.machine == base.machine else MEASURED
-    shift = epoch - about.epoch_ns
-    return Clock(about.rtpu, about.host, how, epoch, shift, apart.within_ns)
+    return Clock(about.rtpu, about.host, how, moves, own, apart.within_ns)
 
 
 def _measured(parts: Sequence[Part]) -> dict[str, dict[str, Apart]]:
     """Return by how much clocks are ahead of others: theirs by machine, by machine."""
-    seen: dict[tuple[str, str], list[Apart]] = {}
-    for one in _messages(parts):
+    seen: dict[tuple[str, str], list[_Seen]] = {}
+    for at, one in _messages(parts):
         for other in one["others"]:
             offset, within = other["offset_ns"], other["within_ns"]
             pair = one["machine"], other["machine"]
-            seen.setdefault(pair, []).append(Apart(offset, within))
+            seen.setdefault(pair, []).append(_Seen(at, offset, within))
             back = seen.setdefault((pair[1], pair[0]), [])
-            back.append(Apart(-offset, within))
+            back.append(_Seen(at + offset, -offset, within))
     found: dict[str, dict[str, Apart]] = {}
     for (mine, other), each in seen.items():
-        found.setdefault(mine, {})[other] = _of_all(each)
+        found.setdefault(mine, {})[other] = _over_time(each)
     return found
 
 
-def _of_all(each: Sequence[Apart]) -> Apart:
-    """Return one value for the whole time: clocks drift, which makes it less sure."""
+def _over_time(each: Sequence[_Seen]) -> Apart:
+    """Return one value for all times if all measurements allow it, else several."""
+    if _agree(each):
+        value, within = _of_all(each)
+        return Apart(Moves.always(value), within)
+    ordered = sorted(each)
+    begin = ordered[0].at_ns
+    window = max(_WINDOW, (ordered[-1].at_ns - begin) // _MOST + 1)
+    points: list[tuple[int, int]] = []
+    worst = 0
+    for _, group in groupby(ordered, lambda one: (one.at_ns - begin) // window):
+        inside = list(group)
+        value, within = _of_all(inside)
+        points.append(((inside[0].at_ns + inside[-1].at_ns) // 2, value))
+        worst = max(worst, within)
+    return Apart(Moves.through(points), worst)
+
+
+def _agree(each: Sequence[_Seen]) -> bool:
+    """Tell whether one value is within all measurements."""
+    low = max(one.offset_ns - one.within_ns for one in each)
+    return low <= min(one.offset_ns + one.within_ns for one in each)
+
+
+def _of_all(each: Sequence[_Seen]) -> tuple[int, int]:
+    """Return one value for some time, and how wrong it may be at most."""
     low = min(one.offset_ns - one.within_ns for one in each)
     high = max(one.offset_ns + one.within_ns for one in each)
-    return Apart((low + high) // 2, (high - low + 1) // 2)
+    return (low + high) // 2, (high - low + 1) // 2
 
 
-def _messages(parts: Sequence[Part]) -> Iterator[dict[str, Any]]:
+def _messages(parts: Sequence[Part]) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield what was measured, and when by the clock of whom."""
     for part in parts:
         for key, channel in part.channels.items():
             if channel.encoding == "json" and TOPIC in channel.topic:
-                for data in part.rows(key).all():
-                    yield msgspec.json.decode(data)
+                rows, own = part.rows(key), part.about.epoch_ns if part.about else 0
+                for time_ns, data in zip(rows.times.tolist(), rows.all(), strict=True):
+                    yield time_ns - own, msgspec.json.decode(data)
 
 
 def _chains(pairs: dict[str, dict[str, Apart]], first: str) -> dict[str, Apart]:
-    """Return how far each machine's clock is ahead of one, by the surest chain."""
+    """Return what brings each machine's times to one's, by the surest chain."""
     found: dict[str, Apart] = {}
-    waiting = [(0, first, 0)]
+    waiting = [(0, first, Moves.always(0))]
     while waiting:
-        within, machine, offset = heapq.heappop(waiting)
+        within, machine, moves = heapq.heappop(waiting)
         if machine in found:
             continue
-        found[machine] = Apart(offset, within)
-        for other, apart in pairs.get(machine, {}).items():
-            step = (within + apart.within_ns, other, offset + apart.offset_ns)
-            heapq.heappush(waiting, step)
+        found[machine] = Apart(moves, within)
+        for other in pairs.get(machine, {}):
+            apart = pairs[other][machine]
+            bends = moves.at if moves.drifts else ()
+            whole = apart.moves.then(moves.one, bends)
+            heapq.heappush(waiting, (within + apart.within_ns, other, whole))
     return found

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .clocks import Clock
+    from .moves import Moves
 
 
 _ABOUT: Final = msgspec.json.Decoder(TaskAbout)
@@ -55,23 +56,21 @@ class Life:
         about: What it was.
         part: The file in which it begins.
         keys: Its channels of cycles and of steps there.
-        epoch_ns: What is added to CLOCK_MONOTONIC of its machine to get nanoseconds
-            since 1970, by the clock of all.
+        moves: What is added to CLOCK_MONOTONIC of its machine to get nanoseconds since
+            1970, by the clock of all.
     """
 
     def __init__(
-        self, about: TaskAbout, part: Part, keys: tuple[int, ...], epoch_ns: int
+        self, about: TaskAbout, part: Part, keys: tuple[int, ...], moves: Moves
     ) -> None:
         self.about = about
         self.part = part
-        self.epoch_ns = epoch_ns
+        self.moves = moves
         self.schema = TaskSchema(about)
         self._pieces = [(part, keys)]
         told = part.channels[keys[0]].metadata
         here = (part.about.machine, part.about.run) if part.about else ("", "")
-        self.origin = Origin(
-            told.get(MACHINE, here[0]), told.get(RUN, here[1]), epoch_ns
-        )
+        self.origin = Origin(told.get(MACHINE, here[0]), told.get(RUN, here[1]), moves)
         self.table = Table(*self.origin[:2], about.domain, about.subsystem)
         """Where its commits are numbered."""
         self.name = about.task
@@ -217,7 +216,7 @@ class Log(Cycles):
         """Return what a task did, its instants by the first file's clock."""
         arrays = life.schema.arrays(life.commits)
         for name in ("release_ns", "start_ns", "end_ns"):
-            arrays[name] += life.epoch_ns - self.epoch_ns
+            arrays[name] += life.moves.of(arrays[name]) - self.epoch_ns
         return arrays
 
     @property
@@ -230,7 +229,7 @@ class Log(Cycles):
         """The least and the greatest time of a message, in nanoseconds since 1970."""
         pairs = zip(self.parts, self.clocks, strict=True)
         spans = [
-            (part.span_ns[0] + clock.shift_ns, part.span_ns[1] + clock.shift_ns)
+            tuple(time_ns + clock.shift(time_ns) for time_ns in part.span_ns)
             for part, clock in pairs
             if part.span_ns is not None
         ]
@@ -264,11 +263,12 @@ class Log(Cycles):
         for number, part in enumerate(self.parts):
             for key, channel in part.channels.items():
                 if channel.encoding == encoding and channel.topic.endswith(ending):
-                    rows, shift = part.rows(key), self.clocks[number].shift_ns
+                    rows = part.rows(key)
+                    times = rows.times + self.clocks[number].shifts(rows.times)
                     found += [
-                        (time_ns + shift, number, at, channel.topic, data)
+                        (time_ns, number, at, channel.topic, data)
                         for time_ns, at, data in zip(
-                            rows.times.tolist(),
+                            times.tolist(),
                             rows.places.tolist(),
                             rows.all(),
                             strict=True,
@@ -302,9 +302,10 @@ class Log(Cycles):
     def begin_time_ns(self) -> int:
         """When the first commit of any task was made, in nanoseconds since 1970."""
         times = [
-            int(head(one.commits[0])["end_ns"]) + one.epoch_ns
+            end + one.moves.one(end)
             for one in self._lives
             if one.commits
+            for end in [int(head(one.commits[0])["end_ns"])]
         ]
         return min(times, default=0)
 
@@ -442,8 +443,7 @@ def _lives(parts: list[Part], clocks: list[Clock]) -> list[Life]:
             )
             if life is None:
                 told = part.channels[keys[0]].metadata.get(EPOCH)
-                epoch = clock.epoch_ns if told is None else int(told) + clock.shift_ns
-                life = Life(about, part, keys, epoch)
+                life = Life(about, part, keys, clock.moved(told))
                 found.append(life)
             else:
                 life.go_on(part, keys)

@@ -12,6 +12,8 @@ from pbonet.config.model import Variable
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from .moves import Moves
+
 T = TypeVar("T")
 
 FORMAT = 1
@@ -21,7 +23,8 @@ METADATA = "pbonet"
 CLOCKS = "pbonet clocks"
 """That of the one that says, in a merged log, what times were brought together by."""
 EPOCH = "epoch_ns"
-"""Of a task's channel in a merged log: what is added to its CLOCK_MONOTONIC."""
+"""Of a task's channel in a merged log: what is added to its CLOCK_MONOTONIC, as
+`pbonet.log.moves.Moves` has it."""
 MACHINE = "machine"
 """Of a task's channel in a log of several machines: that on which it ran."""
 RUN = "run"
@@ -82,7 +85,7 @@ class Origin(NamedTuple):
     machine: str
     """By boot identity."""
     run: str
-    epoch_ns: int
+    moves: Moves
     """What is added to its CLOCK_MONOTONIC to get nanoseconds since 1970."""
 
 

@@ -89,8 +89,7 @@ def _write(
     numbers = _channels(parts, clocks, writer)
     count = 0
     messages = [
-        _messages(place, part, clocks[place].shift_ns)
-        for place, part in enumerate(parts)
+        _messages(place, part, clocks[place]) for place, part in enumerate(parts)
     ]
     for time_ns, place, _, key, data in heapq.merge(*messages):
         writer.add_message(numbers[place, key], time_ns, data, time_ns, count)
@@ -178,7 +177,7 @@ def _channels(
                 schemas[channel.schema] = writer.register_schema(*channel.schema)
             metadata = dict(channel.metadata)
             if channel.encoding == "cdr":
-                metadata[EPOCH] = _epoch(metadata, clocks[place])
+                metadata[EPOCH] = str(clocks[place].moved(metadata.get(EPOCH)))
                 metadata.setdefault(MACHINE, part.about.machine if part.about else "")
                 metadata.setdefault(RUN, part.about.run if part.about else "")
             if "of" in metadata:
@@ -190,12 +189,6 @@ def _channels(
                 )
             numbers[place, key] = channels[known]
     return numbers
-
-
-def _epoch(metadata: dict[str, str], clock: Clock) -> str:
-    """Return what is added to the instants of a task in the new file."""
-    told = metadata.get(EPOCH)
-    return str(clock.epoch_ns if told is None else int(told) + clock.shift_ns)
 
 
 def _identity(
@@ -211,7 +204,7 @@ def _identity(
 
 
 def _messages(
-    number: int, part: Part, shift_ns: int
+    number: int, part: Part, clock: Clock
 ) -> Iterator[tuple[int, int, int, int, bytes]]:
     """Yield time, file, place and channel of each message, by place in the file.
 
@@ -220,12 +213,13 @@ def _messages(
     """
     part.load()
     rows = [
-        (at, time_ns + shift_ns, key, data)
+        (at, time_ns, key, data)
         for key in part.channels
+        for one in [part.rows(key)]
         for at, time_ns, data in zip(
-            part.rows(key).places.tolist(),
-            part.rows(key).times.tolist(),
-            part.rows(key).all(),
+            one.places.tolist(),
+            (one.times + clock.shifts(one.times)).tolist(),
+            one.all(),
             strict=True,
         )
     ]

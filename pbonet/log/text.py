@@ -46,12 +46,7 @@ def info(log: Log) -> JsonObject:
             for part in log.parts
         ],
         "clocks": [
-            {
-                "file": str(part.path),
-                **clock._asdict(),
-                "matters": clock.matters,
-                "text": str(clock),
-            }
+            {"file": str(part.path), **clock.plain()}
             for part, clock in zip(log.parts, log.clocks, strict=True)
         ],
         "merged": [

@@ -17,6 +17,7 @@ import msgspec
 from pbonet.errors import LogError
 
 from .events import LOG_SCHEMA, log_message
+from .moves import Moves
 from .records import (
     EPOCH,
     MACHINE,
@@ -78,10 +79,11 @@ class _Task:
     """The two channels of a task."""
 
     def __init__(
-        self, schema: TaskSchema, cycles: int, steps: int, epoch_ns: int
+        self, schema: TaskSchema, cycles: int, steps: int, moves: Moves
     ) -> None:
         self.schema = schema
-        self.epoch_ns = epoch_ns
+        self.epoch_ns = None if moves.drifts else moves.add[0]
+        self.moves = moves
         self.cycles = cycles
         self.steps = steps
 
@@ -175,7 +177,7 @@ class LogWriter:
         metadata = schema.metadata()
         if origin is not None:
             metadata |= {MACHINE: origin.machine, RUN: origin.run}
-            metadata[EPOCH] = str(origin.epoch_ns)
+            metadata[EPOCH] = str(origin.moves)
         if not self._step_schema:
             self._step_schema = self._writer.register_schema(
                 StepSchema.NAME, "ros2msg", StepSchema.text().encode()
@@ -192,8 +194,8 @@ class LogWriter:
             f"{about.topic}/steps", "cdr", self._step_schema, {"of": str(cycles)}
         )
         number = len(self._tasks) + 1
-        epoch = self.about.epoch_ns if origin is None else origin.epoch_ns
-        self._tasks[number] = _Task(schema, cycles, steps, epoch)
+        moves = Moves.always(self.about.epoch_ns) if origin is None else origin.moves
+        self._tasks[number] = _Task(schema, cycles, steps, moves)
         return number
 
     def add(self, task: int, records: bytes) -> int:
@@ -203,11 +205,12 @@ class LogWriter:
             OSError: No room is left.
         """
         one, text, at, count = self._tasks[task], memoryview(records), 0, 0
-        encode, epoch = one.schema.encode, one.epoch_ns
+        encode, same = one.schema.encode, one.epoch_ns
         while at < len(text):
             size = record_size(text, at)
             record = text[at : at + size]
             release, end, kind = times(record)
+            epoch = one.moves.one(end) if same is None else same
             if kind in _COMMITS:
                 self._put(one.cycles, end + epoch, encode(record), release + epoch)
             else:

@@ -99,17 +99,23 @@ class _Source:
             )
 
     def _add(self, life: Life) -> None:
-        epoch, arrays = life.epoch_ns, life.schema.arrays(life.commits)
+        arrays = life.schema.arrays(life.commits)
         first = len(self._lives)
         self._lives.append(arrays)
         self._rows += [(first, row) for row in range(len(life.commits))]
-        self.times = np.concatenate([self.times, arrays["end_ns"] + epoch])
+        self.times = np.concatenate([self.times, self._moved(life, arrays["end_ns"])])
         for message in life.steps:
             found = head(message)
             if found["kind"] == Step.CONSTS_OUT:
                 data = StepSchema.data(message)
-                at = int(found["end_ns"]) + epoch
+                end = int(found["end_ns"])
+                at = end + life.moves.one(end)
                 self._sent.append((at, life.about.outconst, data))
+
+    @staticmethod
+    def _moved(life: Life, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return instants as nanoseconds since 1970, by the clock of all."""
+        return times + life.moves.of(times)
 
     def row_at(self, time_ns: int) -> int:
         """Return the last commit up to a time; the first one if there is none."""

@@ -95,9 +95,9 @@ class _Part(Run):
         self.stopped = False
         self.diverged_ns = 0
         """When its first other value was made then; 0: none was."""
-        self._epoch_ns = life.epoch_ns
         rows = [head(one) for one in self._records]
-        self._ends = [int(row["end_ns"]) + self._epoch_ns for row in rows]
+        ends = np.array([row["end_ns"] for row in rows], np.int64)
+        self._ends: list[int] = (ends + life.moves.of(ends)).tolist()
         self._places = {
             (int(row["register"]), int(row["number"])): place
             for place, row in enumerate(rows)

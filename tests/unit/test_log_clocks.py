@@ -123,7 +123,7 @@ def test_merged_logs_are_in_order_and_say_by_which_clocks(two, tmp_path) -> None
         assert releases(one, task) == releases(both, task)
         raw = one.lives(task)[0].commits
         assert list(raw) == list(both.lives(task)[0].commits), "to the bit"
-        assert one.lives(task)[0].epoch_ns == both.lives(task)[0].epoch_ns
+        assert one.lives(task)[0].moves == both.lives(task)[0].moves
     assert one.span_ns == both.span_ns
     assert "merged: b on b: its times are moved by" in text.info_text(text.info(one))
     again = tmp_path / "again.mcap"
@@ -166,6 +166,64 @@ def test_clocks_that_drift_are_less_sure(two) -> None:
     clock = Log(folder).clocks[1]
     assert clock.within_ns == 2.5 * MS
     assert clock.shift_ns == (3000 - 2) * MS
+    assert not clock.moves.drifts, "at one instant"
+
+
+PPM = 50
+"""How much too fast the clock of machine b goes; 3 ms a minute."""
+MINUTES = 20
+
+
+@pytest.fixture
+def drifting(tmp_path):
+    """Two machines that see the same instants, by clocks of which one is too fast."""
+    a, b = Host(tmp_path / "r", "a"), Host(tmp_path / "r", "b", 7000, -3000)
+    each = [60_000 * n for n in range(MINUTES + 1)]
+    a.cycles("left", each)
+    b.cycles("right", [at * (1 + PPM * 1e-6) for at in each])
+    for at in range(0, 60_000 * MINUTES + 1, 5000):
+        b.ahead = 7000 + at * PPM * 1e-6
+        wrong = 0.2 if at % 2 else -0.2
+        a.measured(b, within_ms=0.25, wrong_ms=wrong, at=at)
+    closed(a, b)
+    return tmp_path / "r"
+
+
+def test_a_clock_that_drifts_measurably_is_followed(drifting, tmp_path) -> None:
+    log = Log(drifting)
+    clock = log.clocks[1]
+    assert clock.moves.drifts
+    assert clock.within_ns < 1.5 * MS, "one value would be wrong by 30 ms"
+    left, right = (log.arrays(task)["release_ns"] for task in ("left", "right"))
+    assert np.abs(right - left).max() < clock.within_ns
+    lines = text.info_text(text.info(log)).splitlines()
+    (line,) = [one for one in lines if one.startswith("b on b")]
+    assert "moved by +3.000" in line
+    assert "at first and by +2.94" in line
+
+    merge([drifting], tmp_path / "one.mcap")
+    merge([tmp_path / "one.mcap"], tmp_path / "again.mcap")
+    for name in ("one", "again"):
+        merged = Log(tmp_path / f"{name}.mcap")
+        assert np.array_equal(merged.arrays("right")["release_ns"], right)
+        assert merged.lives("right")[0].moves == log.lives("right")[0].moves
+        assert merged.span_ns == log.span_ns
+    turns = [one for one in topics(tmp_path / "one.mcap") if "clocks" not in one]
+    pairs = [set(turns[n : n + 2]) for n in range(0, len(turns), 2)]
+    assert pairs == [{"arm/left", "arm/right"}] * (MINUTES + 1)
+
+
+def test_drift_is_followed_along_a_chain(drifting) -> None:
+    c, b = Host(drifting, "c", -800, 40), Host(drifting.parent, "b")
+    c.cycles("far", [60_000 * n for n in range(MINUTES + 1)])
+    for at in range(0, 60_000 * MINUTES + 1, 5000):
+        b.ahead = 7000 + at * PPM * 1e-6
+        c.measured(b, within_ms=0.25, at=at)
+    closed(b, c)
+    log = Log(drifting)
+    assert [one.how for one in log.clocks] == ["one clock", "measured", "measured"]
+    left, far = (log.arrays(task)["release_ns"] for task in ("left", "far"))
+    assert np.abs(far - left).max() < log.clocks[2].within_ns < 3 * MS
 
 
 def test_a_wall_clock_that_was_set_moves_nothing(tmp_path) -> None:

@@ -1,0 +1,93 @@
+"""What is added to the times of one clock, which may drift, to get those of another."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from numpy.typing import NDArray
+
+
+class Moves(NamedTuple):
+    """Nanoseconds to be added, at some times; between these in a straight line.
+
+    Before the first time and behind the last one nothing changes.
+    """
+
+    at: tuple[int, ...]
+    """Times of the clock that is moved, rising."""
+    add: tuple[int, ...]
+
+    @classmethod
+    def always(cls, add: int) -> Moves:
+        """Return what adds the same at all times."""
+        return cls((0,), (add,))
+
+    @classmethod
+    def through(cls, points: Iterable[tuple[int, int]]) -> Moves:
+        """Return what adds these, at these times; the first of each time counts."""
+        known: dict[int, int] = {}
+        for at, add in points:
+            known.setdefault(at, add)
+        rising = sorted(known)
+        return cls(tuple(rising), tuple(known[at] for at in rising))
+
+    @classmethod
+    def parse(cls, text: str) -> Moves:
+        """Return what `str` gave."""
+        found = msgspec.json.decode(text, type=int | list[tuple[int, int]])
+        return cls.always(found) if isinstance(found, int) else cls.through(found)
+
+    def __str__(self) -> str:
+        """Return it as JSON: one number, or pairs of time and number."""
+        if not self.drifts:
+            return str(self.add[0])
+        return msgspec.json.encode(list(zip(self.at, self.add, strict=True))).decode()
+
+    @property
+    def drifts(self) -> bool:
+        """Whether it is not the same at all times."""
+        return len(set(self.add)) > 1
+
+    def of(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what is added at some times."""
+        if not self.drifts:
+            return np.full(times.shape, self.add[0], np.int64)
+        begin, base = self.at[0], self.add[0]
+        at = np.array([one - begin for one in self.at], float)
+        more = np.array([one - base for one in self.add], float)
+        found = np.interp((times - begin).astype(float), at, more)
+        added: NDArray[np.int64] = np.rint(found).astype(np.int64)
+        added += base
+        return added
+
+    def one(self, time_ns: int) -> int:
+        """Return what is added at a time."""
+        if not self.drifts:
+            return self.add[0]
+        return int(self.of(np.array([time_ns], np.int64))[0])
+
+    def then(self, more: Callable[[int], int], at: Iterable[int] = ()) -> Moves:
+        """Return this and what is added to the times behind it.
+
+        Args:
+            more: What is added to a time that was moved by this.
+            at: Times, moved by this, at which that bends.
+        """
+        bends = {*self.at, *(one - self._before(one) for one in at)}
+        points = [(one, self.one(one) + more(one + self.one(one))) for one in bends]
+        return Moves.through(points)
+
+    def _before(self, moved_ns: int) -> int:
+        """Return what was added where a time came out; clocks drift slowly."""
+        first = self.one(moved_ns - self.add[0])
+        return self.one(moved_ns - first)
+
+    def plus(self, add: int) -> Moves:
+        """Return what adds so much more."""
+        return Moves(self.at, tuple(one + add for one in self.add))
