@@ -22,7 +22,7 @@ from pbonet.node._ring import Ring
 from pbonet.node.executor import Executor
 from pbonet.node.taskparams import set_param
 from pbonet.node.taskports import local_table
-from pbonet.outside import Outside, Tape, using
+from pbonet.outside import Tape, Told, using
 from pbonet.pbo import Counted, TaskContext, bind, decode_params
 from pbonet.svar import Table
 
@@ -57,6 +57,32 @@ class Time:
         yield self.tick()
 
 
+class Schedule(Counted):
+    """What a module is told of its criticality, and its log."""
+
+    def __init__(self, told, clock):
+        self.told, self.true = told, 5
+        super().__init__(clock)
+
+    @property
+    def crit(self):
+        return self.told.now("crit", lambda: self.true, 0)
+
+    @crit.setter
+    def crit(self, _):
+        pass
+
+
+class Context(TaskContext):
+    """What a module is told of the signals that nobody wants, and its log."""
+
+    true = 0
+
+    @property
+    def sigmask(self):
+        return self.source.told.now("sigmask", lambda: self.true, 0)
+
+
 class Task:
     """A task whose cycles are done here, and recorded as the native loop does it."""
 
@@ -85,12 +111,12 @@ class Task:
         self.ring = Ring.create(spec.ring)
         self.tape = Tape()
         with using(self.tape):
-            Outside("task")
+            self.told = Told()
         self.journal = journal.Journal(
             self.local, self.ring, self.about, self.time, self.tape
         )
-        self.source = Counted(lambda: self.time.now)
-        context = TaskContext(task, freq=100.0, source=self.source)
+        self.source = Schedule(self.told, lambda: self.time.now)
+        context = self.context = Context(task, freq=100.0, source=self.source)
         arrays = {
             port.attr: self.local.array(rmod.svar_name(port.name))
             for port in self.info.ports
@@ -138,7 +164,8 @@ class Task:
         if keeps != self.seen:
             inputs, self.seen = pack(self.about.invar, self.local.array), keeps
         self.source.release = release
-        self.executor.instance.cycle(PERIOD * 1e-9)
+        with using(self.tape):
+            self.executor.instance.cycle(PERIOD * 1e-9)
         self.source.release = None
         self.source.cyclecount += 1
         self.local.commit(release, 1)
@@ -149,9 +176,11 @@ class Task:
             head[name] = release
         head["register"], head["number"] = self.local.out_uid, self.local.out_number
         data = pack(self.about.outvar, self.local.array)
+        heard = self.tape.take()
         body = head.tobytes() + data + np.array(pairs, np.uint64).tobytes() + inputs
-        sizes = (RECORD.size + len(body), len(pairs), len(data), len(inputs), 0, 0)
-        self.records.append(RECORD.pack(*sizes) + body)
+        sizes = [len(body) + len(heard), len(pairs), len(data), len(inputs)]
+        sizes[0] += RECORD.size
+        self.records.append(RECORD.pack(*sizes, len(heard), 0) + body + heard)
 
 
 class Shop:

@@ -77,6 +77,8 @@ class Did(Struct, omit_defaults=True):
     name: str = ""
     """Of the parameter, for ``set``; of the method that failed, for ``fault``."""
     hz: float = 0.0
+    calls: list[int] = []
+    """For ``abort``: how often each source outside was asked by then."""
 
 
 class Origin(NamedTuple):
@@ -129,6 +131,8 @@ class TaskAbout(Struct, kw_only=True):
     """Its variables that are not recorded: no columns, and 0 in what is copied."""
     hears: bool = False
     """What it hears from outside is on record."""
+    timing: bool = False
+    """So is what its handler of timing failures was told, and answered."""
 
     @property
     def topic(self) -> str:

@@ -152,7 +152,8 @@ cdef class Slot:
         memset(r, 0, sizeof(ring_record))
         r.kind = RING_SYNC
         r.cycle = rt_cycles(self.task.slot)
-        r.release_ns = r.start_ns = r.end_ns = rt_now()
+        r.release_ns = self.task.rel_ns     # the time that the module was told
+        r.start_ns = r.end_ns = rt_now()
         r.bytes = self.tape.t.used
         ring_put(ring.r, r, NULL, self.tape.t.bytes, NULL)
         tape_empty(&self.tape.t)

@@ -264,6 +264,7 @@ def about(
         outvar=variables(rmod.outvar),
         code=code_of(_files(rmod, library)),
         hears=True,
+        timing=True,
     )
 
 

@@ -9,6 +9,8 @@ from pbonet.pbo import TaskContext, check_criticality, check_deadline, check_sec
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
+    from pbonet.outside import Told
+
     from ._rt import Failures
 
 
@@ -19,6 +21,9 @@ class SlotWatch:
         failures: The native half, which tells the dispatcher.
     """
 
+    told: Told
+    """Puts on record what the module is told here."""
+
     def __init__(self, failures: Failures) -> None:
         self._failures = failures
         self._sections: dict[str, AbstractContextManager[None]] = {}
@@ -27,7 +32,7 @@ class SlotWatch:
     @property
     def criticality(self) -> int:
         """What the dispatcher ranks the task by at this moment."""
-        return self._failures.criticality
+        return self.told.now("criticality", self.ranked, -1)
 
     @criticality.setter
     def criticality(self, value: int) -> None:
@@ -36,7 +41,7 @@ class SlotWatch:
     @property
     def deadline(self) -> float:
         """Seconds from the release of this cycle to its deadline."""
-        return self._failures.deadline
+        return self.told.now("deadline", self._due, -1.0)
 
     @deadline.setter
     def deadline(self, value: float) -> None:
@@ -57,3 +62,10 @@ class SlotWatch:
             check_section(name, self._sections, where=self.task.name)
             found = self._sections[name] = self._failures.timed(name)
         return found
+
+    def ranked(self) -> int:
+        """Return the criticality at this moment, which goes on no record."""
+        return self._failures.criticality
+
+    def _due(self) -> float:
+        return self._failures.deadline

@@ -24,8 +24,8 @@ from pbonet.config.library import Library
 from pbonet.config.model import TaskType
 from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did
-from pbonet.outside import Outside, Tape, use
-from pbonet.pbo import Recovery, State, TimingFailure, bind, decode_params
+from pbonet.outside import Tape, Told, use
+from pbonet.pbo import State, bind, decode_params
 from pbonet.svar import Table
 from pbonet.xm import live_on
 
@@ -40,16 +40,12 @@ from .taskparams import get_params, set_param
 from .taskports import ages, check_ports, local_table
 from .tasks import DUMP_SIGNAL, Ready
 from .tasktalk import Context, SlotTime, Voice
+from .telling import Telling
 
 if TYPE_CHECKING:
     from pbonet.config.model import Rmod
 
 ORPHAN_SIGNAL = signal.SIGUSR1
-_RECOVERIES = {
-    Recovery.CONTINUE: _rt.CONTINUE,
-    Recovery.ABORT: _rt.ABORT,
-    Recovery.SKIP: _rt.SKIP,
-}
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
@@ -126,8 +122,8 @@ class Host:
         self.ring = Ring.create(spec.ring, about=msgspec.json.encode(told))
         self.tape = self.slot.tape = Tape()
         use(self.tape)
-        outside = Outside("task")
-        self.time = SlotTime(self.slot, outside)
+        told_of = Told()
+        self.time = SlotTime(self.slot, told_of)
         self.journal = journal.Journal(
             self.local, self.ring, told, self.time, self.tape
         )
@@ -140,7 +136,8 @@ class Host:
             handler=self.rmod.handler,
             watch=self.watch,
         )
-        self.context.slot, self.context.outside = self.slot, outside
+        self.context.slot = self.slot
+        self.context.told = self.watch.told = told_of
         self.voice.own = {one.name: one.bit for one in self.info.signals}
         self.watch.task = self.context
         self.context.on_off = lambda: self.core.request(spec.slot)
@@ -151,15 +148,19 @@ class Host:
         live_on(
             spec.rtpu,
             domain=spec.domain,
-            priority=lambda: self.watch.criticality,
+            priority=self.watch.ranked,
             subsystem=spec.subsystem,
         )
         instance = bind(loaded.cls, params, arrays, self.context)
         stale = ages(self.rmod, self.info, self.local.stale)
-        self.context.is_stale = lambda port: outside.ask(stale, port, default=False)
+        self.context.is_stale = lambda port: told_of.ask(
+            lambda: stale(port), default=False
+        )
         illegal = (lambda: self.local.illegal) if self.rmod.critical else None
         self.executor = Executor(instance, self.journal, illegal=illegal)
         self.executor.cycling = self._method
+        ours = {Host._cycle.__code__, Host._sync.__code__}
+        self.telling = Telling(self.executor, told_of, self.time, ours)
         self.alarm = Alarm(self.table, f"{spec.rtpu}/{spec.task}", self.context)
         with self.journal.doing(Did("spawn")), self.local.replacing(spec.replaces):
             self.executor.spawn()
@@ -262,7 +263,7 @@ class Host:
                 sync=self._sync if self.outside else None,
                 ring=self.ring,
                 leave=ALL_REFUSED,
-                failing=self._tell,
+                failing=self.telling,
                 aged=self._aged if self.rmod.critical else None,
             )
             if reason == _rt.FLAGS:
@@ -307,14 +308,10 @@ class Host:
         if self._waiting_outside:
             raise tasktalk.Interrupted
 
-    def _tell(self, kind: str) -> int:
-        """Tell the module of a timing failure, amid its cycle."""
-        return _RECOVERIES[self.executor.timing_failure(TimingFailure(kind))]
-
     def _begin_anew(self) -> None:
         """Carry out what follows a cycle that the module's handler ended."""
         try:
-            with self.journal.doing(Did("abort")):
+            with self.journal.doing(Did("abort", calls=self.tape.calls())):
                 self.executor.abort()
         except PbonetError as error:
             self.voice.report(error, self.executor, self.time.cyclecount)

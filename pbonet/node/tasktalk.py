@@ -21,7 +21,7 @@ from .signalling import severity
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from pbonet.outside import Outside
+    from pbonet.outside import Told
 
     from ._rt import Slot
     from .executor import Executor
@@ -186,14 +186,13 @@ class SlotTime:
 
     Args:
         slot: The task's.
-        outside: Keeps on record what the module is told of it that is in no cycle's
+        told: Keeps on record what the module is told of it that is in no cycle's
             record.
     """
 
-    def __init__(self, slot: Slot, outside: Outside) -> None:
+    def __init__(self, slot: Slot, told: Told) -> None:
         self._slot = slot
-        self._outside = outside
-        self._crit = 0
+        self._told = told
         self._base = slot.cycles
         self._held = 0
         self.cycling = False
@@ -236,9 +235,8 @@ class SlotTime:
     @property
     def crit(self) -> int:
         """The criticality that the dispatcher ranks the task by."""
-        now = self._slot.failures.own_criticality
-        self._crit = self._outside.ask(lambda: now, default=self._crit)
-        return self._crit
+        failures = self._slot.failures
+        return self._told.now("crit", lambda: failures.own_criticality, 0)
 
 
 class Context(TaskContext):
@@ -249,8 +247,7 @@ class Context(TaskContext):
 
     on_off: Callable[[], None] | None = None
     slot: Slot
-    outside: Outside
-    _sigmask = 0
+    told: Told
 
     @property
     def stamp_ns(self) -> int:
@@ -264,9 +261,7 @@ class Context(TaskContext):
     @property
     def sigmask(self) -> int:
         """Signals that the master does not want from this task, as bits."""
-        now = self.slot.sigmask
-        self._sigmask = self.outside.ask(lambda: now, default=self._sigmask)
-        return self._sigmask
+        return self.told.now("sigmask", lambda: self.slot.sigmask, 0)
 
     def signal(self, signal: Signal | int, text: str = "") -> None:
         """Send `signal` to the master; see `TaskContext.signal`."""

@@ -8,6 +8,7 @@ ring takes along with each cycle; a replay gives them again and opens nothing.
 from ._tape import Outside, Tape, active, plays, use
 from .answers import NotRecordedError
 from .playing import BrokenOffError, Player, refuse, using
+from .told import Told
 
 __all__ = [
     "BrokenOffError",
@@ -15,6 +16,7 @@ __all__ = [
     "Outside",
     "Player",
     "Tape",
+    "Told",
     "active",
     "plays",
     "refuse",

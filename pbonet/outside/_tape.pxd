@@ -24,6 +24,7 @@ cdef extern from "../outside/tape.h" nogil:
 cdef class Tape:
     cdef tape t
     cdef readonly int opened
+    cdef list sources
 
 
 cdef class Outside:
@@ -31,7 +32,7 @@ cdef class Outside:
     cdef object player
     cdef readonly str name
     cdef readonly int number
-    cdef readonly uint64_t calls
+    cdef public uint64_t calls
     cdef bint recording(self)
     cdef void put(self, uint8_t kind, const void *first, uint32_t n,
                   const void *second, uint32_t m) noexcept

@@ -44,6 +44,8 @@ class Tape:
         """Have room for one answer of this size more, within 4 MiB; not in a cycle."""
     def take(self) -> bytes:
         """Return all entries, and forget them."""
+    def calls(self) -> list[int]:
+        """Return how often each source was asked, in the order of their opening."""
 
 class Outside:
     """Something outside that a module asks: its answers are recorded, and played again.

@@ -41,6 +41,10 @@ cdef class Tape:
         if self.t.bytes is NULL:
             raise MemoryError("no room for what a module hears")
         self.t.room = room
+        self.sources = []
+
+    def calls(self) -> list:
+        return [source.calls for source in self.sources]
 
     def reserve(self, uint64_t size) -> None:
         cdef uint64_t room = min(self.t.room + tape_size(size), <uint64_t>MOST)
@@ -70,12 +74,13 @@ cdef class Outside:
             self.tape = _current
             self.tape.opened += 1
             self.number = self.tape.opened
+            self.tape.sources.append(self)
             if room:
                 self.tape.reserve(room)
             self.put(TAPE_NAME, <char *>text, len(text), NULL, 0)
         elif _current is not None:
             self.player = _current
-            self.number = self.player.open(name)
+            self.number = self.player.open(self)
 
     @property
     def plays(self) -> bool:

@@ -10,7 +10,7 @@ from ._tape import BROKEN, LOST, RAISED, plays, use
 from .answers import ALWAYS, NotRecordedError, unpack, unpack_error
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Generator, Sequence
 
     from ._tape import Outside, Tape
 
@@ -27,7 +27,7 @@ class Player:
 
     def __init__(self) -> None:
         self._heard: dict[tuple[int, int], tuple[int, bytes]] = {}
-        self._opened = 0
+        self._sources: list[Outside] = []
         self.lost = False
         """Whether something found no room: what has no record is no default then."""
 
@@ -43,18 +43,28 @@ class Player:
             at += -(-size // 8) * 8
         return lost
 
-    def open(self, name: str) -> int:
+    def open(self, source: Outside) -> int:
         """Return the number of the next source, which must be this.
 
         Raises:
             NotRecordedError: Something else was opened then, or nothing.
         """
-        self._opened += 1
-        found = self._heard.pop((self._opened, 0), None)
-        if found is not None and found[1].decode() == name:
-            return self._opened
+        self._sources.append(source)
+        number = len(self._sources)
+        found = self._heard.pop((number, 0), None)
+        if found is not None and found[1].decode() == source.name:
+            return number
         then = "nothing more" if found is None else found[1].decode()
-        raise NotRecordedError(f"it opens {name}, recorded is {then}")
+        raise NotRecordedError(f"it opens {source.name}, recorded is {then}")
+
+    def waits(self, source: Outside) -> bool:
+        """Tell whether the next call to a source is on record."""
+        return (source.number, source.calls + 1) in self._heard
+
+    def go_on(self, calls: Sequence[int]) -> None:
+        """Have each source be asked as often as it was by then (`Tape.calls`)."""
+        for source, count in zip(self._sources, calls, strict=False):
+            source.calls = count
 
     def answer(self, source: Outside, default: object) -> Any:  # noqa: ANN401
         """Return what a call was answered, or raise what it raised.

@@ -17,7 +17,7 @@ from ._describe import (
     render,
     source_version,
 )
-from ._handling import ErrorScope, Handling, Jump, number_of, place_of
+from ._handling import ErrorScope, Handling, Jump, line_of, number_of, place_of
 from ._object import METHODS, Interface, PortBasedObject, interface
 from ._param import Param, param
 from ._params import (
@@ -109,6 +109,7 @@ __all__ = [
     "faults",
     "find_param",
     "interface",
+    "line_of",
     "local_text",
     "make_params",
     "memory",

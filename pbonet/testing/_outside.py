@@ -15,8 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pbonet.io import no_devices
-from pbonet.outside import NotRecordedError, Outside, Player, using
-from pbonet.pbo import Counted, TaskContext
+from pbonet.outside import NotRecordedError, Player, Told, using
+from pbonet.pbo import (
+    Counted,
+    PythonWatch,
+    TaskContext,
+    check_criticality,
+    check_deadline,
+)
 from pbonet.xm import names
 
 if TYPE_CHECKING:
@@ -39,54 +45,80 @@ class Time(Counted):
     """The time, the cycles and the criticality that a module was told.
 
     Args:
-        outside: What was heard of the task itself.
+        told: What was told of the task itself.
         clock: Gives nanoseconds between cycles.
     """
 
-    _crit = 0
-
-    def __init__(self, outside: Outside, clock: Callable[[], int]) -> None:
-        self._outside = outside
+    def __init__(self, told: Told, clock: Callable[[], int]) -> None:
+        self._told = told
         super().__init__(clock)
 
     @property
     def crit(self) -> int:
         """The criticality that the dispatcher ranked the task by."""
-        self._crit = self._outside.ask(int, default=self._crit)
-        return self._crit
+        return self._told.now("crit", int, 0)
 
     @crit.setter
     def crit(self, value: int) -> None:
-        self._crit = value
+        """It is as it was recorded, whatever it is made with."""
 
 
 class Context(TaskContext):
     """``self.task`` of a module that is run again.
 
     Args:
-        outside: What was heard of the task itself.
+        told: What was told of the task itself.
         args: As for `TaskContext`.
         more: As for `TaskContext`.
     """
 
-    _sigmask = 0
-
-    def __init__(self, outside: Outside, *args: Any, **more: Any) -> None:  # noqa: ANN401
+    def __init__(self, told: Told, *args: Any, **more: Any) -> None:  # noqa: ANN401
         super().__init__(*args, **more)
-        self._outside = outside
-        self.is_stale = lambda _port: outside.ask(bool, default=False)
+        self._told = told
+        self.is_stale = lambda _port: told.ask(bool, default=False)
 
     @property
     def sigmask(self) -> int:
         """Signals that the master did not want from this task, as bits."""
-        self._sigmask = self._outside.ask(int, default=self._sigmask)
-        return self._sigmask
+        return self._told.now("sigmask", int, 0)
 
 
-def of_task(player: Player | None) -> Outside:
-    """Return what was heard of the task itself: the first source of each task."""
+class Watch(PythonWatch):
+    """Criticality and deadline as they were told; a handler's wishes change nothing.
+
+    Args:
+        told: What was told of the task itself.
+        task: The task.
+    """
+
+    def __init__(self, told: Told, task: TaskContext) -> None:
+        super().__init__(task)
+        self._told = told
+        self._of = task
+
+    @property
+    def criticality(self) -> int:
+        """What the dispatcher ranked the task by."""
+        return self._told.now("criticality", int, -1)
+
+    @criticality.setter
+    def criticality(self, value: int) -> None:
+        check_criticality(self._of, value)
+
+    @property
+    def deadline(self) -> float:
+        """Seconds from the release of the cycle to its deadline."""
+        return self._told.now("deadline", float, -1.0)
+
+    @deadline.setter
+    def deadline(self, value: float) -> None:
+        check_deadline(self._of, value)
+
+
+def of_task(player: Player | None, *, timing: bool) -> Told:
+    """Return what was told of the task itself: the first sources of each task."""
     with using(player):
-        return Outside("task")
+        return Told(timing=timing)
 
 
 @contextmanager

@@ -13,7 +13,8 @@ from pbonet.errors import LogError
 from pbonet.log import Log
 
 from ._inputs import Commits
-from ._run import Run, cycles_of, not_again
+from ._records import cycles_of, not_again
+from ._run import Run
 from ._verdict import Verdict, changed
 
 if TYPE_CHECKING:

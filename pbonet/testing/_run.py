@@ -7,17 +7,15 @@ bring what was recorded, and hand on what the module made of it.
 from __future__ import annotations
 
 import contextlib
-import struct
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
 
 from pbonet.config import parse_rmod
 from pbonet.config.library import Library
 from pbonet.config.model import Limit
 from pbonet.errors import PbonetError, SvarOwnerError
-from pbonet.log import STABLE, Did, Step
+from pbonet.log import STABLE, Step
 from pbonet.log.groups import size, unpack
 from pbonet.log.schema import CDR, StepSchema
 from pbonet.node.executor import Executor
@@ -25,10 +23,12 @@ from pbonet.node.failures import RAISED
 from pbonet.node.taskparams import set_param
 from pbonet.node.taskports import check_ports
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
-from pbonet.pbo import bind, decode_params
+from pbonet.pbo import PythonWatch, bind, decode_params
 
 from . import _outside
+from ._failing import Failing, HandlerError
 from ._inputs import Commits, Inputs, Key
+from ._records import DID, HEAD, alike, did, kind_of
 from ._verdict import Divergence, Verdict
 
 if TYPE_CHECKING:
@@ -39,14 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pbonet.config.model import Variable
-    from pbonet.log import Life
-
-_HEAD: Final = struct.Struct("<QqqqqQQQQII")
-_KIND: Final = struct.Struct("<I")
-_KIND_AT: Final = len(CDR) + _HEAD.size - _KIND.size
-_DID: Final = msgspec.json.Decoder(Did)
-_END: Final = frozenset({"abort", "fault"})
-"""Behind these the module's state is not known: what failed is not on record."""
+    from pbonet.log import Did, Life
 
 
 class Stop(BaseException):
@@ -136,6 +129,8 @@ class Run:
         self._player = Player() if life.about.hears else None
         self._unheard: int | None = None
         """The record of the first method of which something heard found no room."""
+        self._aborted: dict[int, bytes] = {}
+        """What aborted cycles heard, by the record that says so."""
         self._records = self._listen(life)
         self._at = 0
         self._verdict = verdict
@@ -158,20 +153,32 @@ class Run:
             return life.records
         rest: list[bytes] = []
         began = 0
+        heard: bytes = b""
         for one in life.records:
-            kind = kind_of(one)
-            if kind == Step.HEARD:
-                if self._player.feed(StepSchema.data(one)) and self._unheard is None:
-                    self._unheard = began
+            if kind_of(one) == Step.HEARD:
+                self._hear(heard, began)
+                heard = StepSchema.data(one)
                 continue
+            done = did(one)
+            if heard and done is not None and done.what == "abort":
+                self._aborted[len(rest)] = heard  # by the cycle that it ended
+            else:
+                self._hear(heard, began)
+            heard = b""
             rest.append(one)
-            if kind in {Step.CYCLE, Step.SYNC}:
+            if kind_of(one) in {Step.CYCLE, Step.SYNC}:
                 began = len(rest)
-            elif (
-                kind == Step.DID and _DID.decode(StepSchema.data(one)).what != "refused"
-            ):
+            elif done is not None and done.what != "refused":
                 began = len(rest) - 1
+        self._hear(heard, began)
         return rest
+
+    def _hear(self, heard: bytes, began: int) -> None:
+        """Take what a method heard, whose first record is this."""
+        if not heard or self._player is None:
+            return
+        if self._player.feed(heard) and self._unheard is None:
+            self._unheard = began
 
     def outside(self) -> AbstractContextManager[None]:
         """Return what lets the module hear what is on record, and nothing else."""
@@ -204,16 +211,20 @@ class Run:
         loaded = Library(folders).load_rmod(rmod)
         check_ports(rmod, loaded.info)
         params = decode_params(loaded.cls, rmod.settings, where=rmod.file)
-        heard = _outside.of_task(self._player)
-        self._source = _outside.Time(heard, lambda: self._now)
+        told = _outside.of_task(self._player, timing=about.timing)
+        self._source = _outside.Time(told, lambda: self._now)
         self._context = _outside.Context(
-            heard,
+            told,
             about.task,
             rmod=rmod.name,
             freq=about.freq,
             source=self._source,
             handler=rmod.handler,
         )
+        self._watch = PythonWatch(self._context)
+        if about.timing:
+            self._watch = _outside.Watch(told, self._context)
+        self._context.watch = self._watch
         arrays = {
             port.attr: self.arrays[rmod.svar_name(port.name)]
             for port in loaded.info.ports
@@ -222,6 +233,8 @@ class Run:
         self._instance = bind(loaded.cls, params, arrays, self._context)
         illegal = (lambda: self._stable) if rmod.critical else None
         self._executor = Executor(self._instance, _Copies(self), illegal=illegal)
+        player = self._player if about.timing else None
+        self._failing = Failing(told, player, self._executor, self._source, self._watch)
 
     # -- going through the records -----------------------------------------------------
 
@@ -245,6 +258,8 @@ class Run:
             self._step()
         except (NotRecordedError, BrokenOffError) as error:
             raise Stop(f"{self._place()}: {error}") from None
+        except HandlerError as error:
+            self._diverged(str(error))
 
     def _feed(self, heard: bytes) -> None:
         """Take what a cycle or `sync` heard."""
@@ -255,7 +270,7 @@ class Run:
         message = self._records[self._at]
         if self._at == self._unheard and self._player is not None:
             self._player.lost = True
-        head = _HEAD.unpack_from(message, len(CDR))
+        head = HEAD.unpack_from(message, len(CDR))
         if head[8] != self._lost:
             count, self._lost = head[8] - self._lost, head[8]
             raise Stop(f"{count} records were lost behind cycle {self._cycle}")
@@ -265,10 +280,10 @@ class Run:
         elif head[10] == Step.DID:
             self._at += 1
             self._now = head[1]
-            self._obey(_DID.decode(StepSchema.data(message)))
+            self._obey(DID.decode(StepSchema.data(message)))
         elif head[10] == Step.SYNC:
             self._at += 1
-            self._wait(StepSchema.data(message))
+            self._wait(StepSchema.data(message), head[1])
         else:
             self._diverged(f"the module did not get to {Step(head[10]).name}")
 
@@ -282,7 +297,8 @@ class Run:
         self._source.release = release
         instance = self._instance
         try:
-            (instance.stable if flags & STABLE else instance.cycle)(dt * 1e-9)
+            method = instance.stable if flags & STABLE else instance.cycle
+            self._failing.run(method, dt * 1e-9)
         except RAISED as error:
             self._diverged(f"it raised {type(error).__name__}: {error}")
         finally:
@@ -294,47 +310,58 @@ class Run:
         self._verdict.cycles += self.compare(self.about.outvar, recorded, made)
         self._verdict.seconds += dt * 1e-9
 
-    def _wait(self, heard: bytes) -> None:
+    def _wait(self, heard: bytes, now: int) -> None:
         """Have the module wait for its event, as it did then."""
-        self._where = "sync"
+        self._where, self._source.release = "sync", now
         self._feed(heard)
-        with contextlib.suppress(BrokenOffError):
-            self._instance.sync()
+        try:
+            with contextlib.suppress(BrokenOffError):
+                self._failing.run(self._instance.sync)
+        finally:
+            self._source.release = None
 
     def _place(self) -> str:
         if self._where == "cycle":
             return f"cycle {self._cycle}"
         return f"{self._where} behind cycle {self._cycle}"
 
-    def _obey(self, did: Did) -> None:
+    def _obey(self, done: Did) -> None:
         """Do what the task did between two cycles."""
-        self._where = did.what
-        if did.what in _END:
-            what = did.arg or "a timing failure ended it"
-            raise Stop(f"{did.name or 'cycle'} behind cycle {self._cycle}: {what}")
+        self._where = done.what
+        if done.what == "fault" or (done.what == "abort" and not self.about.timing):
+            what = done.arg or "a timing failure ended it"
+            raise Stop(f"{done.name or 'cycle'} behind cycle {self._cycle}: {what}")
         executor = self._executor
         try:
-            if did.what == "spawn":
+            if done.what == "spawn":
                 executor.spawn()
-            elif did.what == "set":
-                set_param(executor, self._info, did.name, did.arg)
-            elif did.what == "freq":
-                self._context.freq = did.hz
-            elif did.what != "refused":
-                executor.signal(did.what, did.arg, handover=did.handover, cede=did.cede)
+            elif done.what == "abort":
+                self._abort(done)
+            elif done.what == "set":
+                set_param(executor, self._info, done.name, done.arg)
+            elif done.what == "freq":
+                self._context.freq = done.hz
+            elif done.what != "refused":
+                executor.signal(
+                    done.what, done.arg, handover=done.handover, cede=done.cede
+                )
         except PbonetError as error:
             # As it may have been in the task; what was recorded behind it will tell.
             self._failed = error
 
+    def _abort(self, done: Did) -> None:
+        """Leave a cycle that is on no record, and begin anew."""
+        self._feed(self._aborted.pop(self._at - 1, b""))
+        self._failing.aborted(self._cycle, done.calls)
+        self._executor.abort()
+
     def refused(self, what: str) -> int:
         """Return the flags of a copy that was refused in the recording; else 0."""
         if self._at < len(self._records):
-            message = self._records[self._at]
-            if _HEAD.unpack_from(message, len(CDR))[10] == Step.DID:
-                did = _DID.decode(StepSchema.data(message))
-                if (did.what, did.name) == ("refused", what):
-                    self._at += 1
-                    return int(did.arg or 1)
+            done = did(self._records[self._at])
+            if done is not None and (done.what, done.name) == ("refused", what):
+                self._at += 1
+                return int(done.arg or 1)
         return 0
 
     def next(self, step: Step) -> bytes:
@@ -342,7 +369,7 @@ class Run:
         if self._at >= len(self._records):
             raise Stop(f"the log ends amid {self._where} behind cycle {self._cycle}")
         message = self._records[self._at]
-        head = _HEAD.unpack_from(message, len(CDR))
+        head = HEAD.unpack_from(message, len(CDR))
         kind, self._now = Step(head[10]), head[1]
         if kind is not step:
             self._diverged(f"it came to {step.name}, recorded is {kind.name}")
@@ -432,8 +459,10 @@ class Run:
         """Return unless the module began from values that are not recorded.
 
         Raises:
-            Stop: It did, so nothing can be said.
+            Stop: It did, or a timing failure came, so nothing can be said.
         """
+        if self._failing.unsure:
+            raise Stop(f"{self._place()}: {name} differs, but {self._failing.unsure}")
         if self._unseen:
             raise Stop(
                 f"{self._place()}: {name} differs, but {min(self._unseen)}, which `on` "
@@ -441,49 +470,9 @@ class Run:
             )
 
     def _diverged(self, reason: str) -> None:
+        if self._failing.unsure:
+            raise Stop(f"{self._place()}: {reason}, but {self._failing.unsure}")
         self._verdict.divergence = Divergence(
             cycle=self._cycle, where=self._where, reason=reason
         )
         raise Stop
-
-
-def alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
-    """Tell for each element whether it is the same, NaN and signs of 0 included."""
-    bits = np.dtype(f"V{then.dtype.itemsize}")
-    same = np.array(
-        [a == b for a, b in zip(then.view(bits), now.view(bits), strict=True)], bool
-    )
-    if rtol and then.dtype.kind == "f":
-        same |= np.isclose(then, now, rtol=rtol, atol=0.0, equal_nan=True)
-    return same
-
-
-def not_again(life: Life) -> str:
-    """Return why a task cannot be run again; empty: it can."""
-    if not life.about.rmod:
-        return "its RMOD is not on record"
-    if not _from_birth(life):
-        return (
-            f"{life.part.path.name} begins amid the task's life: what its module held "
-            "then is not on record"
-        )
-    return ""
-
-
-def kind_of(message: bytes) -> int:
-    """Return the kind of a record."""
-    return int(_KIND.unpack_from(message, _KIND_AT)[0])
-
-
-def _from_birth(life: Life) -> bool:
-    if not life.records:
-        return False
-    first = next((one for one in life.records if kind_of(one) != Step.HEARD), None)
-    if first is None or kind_of(first) != Step.DID:
-        return False
-    return _DID.decode(StepSchema.data(first)).what == "spawn"
-
-
-def cycles_of(life: Life) -> int:
-    """Return how many cycles of a task are on record."""
-    return int((life.schema.arrays(life.commits)["kind"] == Step.CYCLE).sum())

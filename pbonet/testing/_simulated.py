@@ -18,7 +18,7 @@ from pbonet.master.oneshot import Place
 from pbonet.master.runsim import simulate
 from pbonet.master.sim import BEGIN_NS
 
-from ._run import alike
+from ._records import alike
 from ._verdict import Divergence, Replayed, Verdict
 
 if TYPE_CHECKING:

@@ -20,7 +20,8 @@ from pbonet.log.groups import size
 from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
 
 from ._inputs import Commits
-from ._run import Run, Stop, cycles_of, not_again
+from ._records import cycles_of, not_again
+from ._run import Run, Stop
 from ._verdict import Replayed, Verdict, changed
 
 if TYPE_CHECKING:

@@ -1,0 +1,68 @@
+"""Records of a task, looked at one by one, and what makes values the same."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+import numpy as np
+
+from pbonet.log import Did, Step
+from pbonet.log.schema import CDR, StepSchema
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pbonet.log import Life
+
+HEAD: Final = struct.Struct("<QqqqqQQQQII")
+DID: Final = msgspec.json.Decoder(Did)
+_KIND: Final = struct.Struct("<I")
+_KIND_AT: Final = len(CDR) + HEAD.size - _KIND.size
+
+
+def kind_of(message: bytes) -> int:
+    """Return the kind of a record."""
+    return int(_KIND.unpack_from(message, _KIND_AT)[0])
+
+
+def did(message: bytes) -> Did | None:
+    """Return what a record says that was done; None where it says something else."""
+    if kind_of(message) != Step.DID:
+        return None
+    return DID.decode(StepSchema.data(message))
+
+
+def not_again(life: Life) -> str:
+    """Return why a task cannot be run again; empty: it can."""
+    if not life.about.rmod:
+        return "its RMOD is not on record"
+    if not _from_birth(life):
+        return (
+            f"{life.part.path.name} begins amid the task's life: what its module held "
+            "then is not on record"
+        )
+    return ""
+
+
+def _from_birth(life: Life) -> bool:
+    first = next((one for one in life.records if kind_of(one) != Step.HEARD), None)
+    done = None if first is None else did(first)
+    return done is not None and done.what == "spawn"
+
+
+def cycles_of(life: Life) -> int:
+    """Return how many cycles of a task are on record."""
+    return int((life.schema.arrays(life.commits)["kind"] == Step.CYCLE).sum())
+
+
+def alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:
+    """Tell for each element whether it is the same, NaN and signs of 0 included."""
+    bits = np.dtype(f"V{then.dtype.itemsize}")
+    same = np.array(
+        [a == b for a, b in zip(then.view(bits), now.view(bits), strict=True)], bool
+    )
+    if rtol and then.dtype.kind == "f":
+        same |= np.isclose(then, now, rtol=rtol, atol=0.0, equal_nan=True)
+    return same

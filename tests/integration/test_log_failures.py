@@ -1,0 +1,167 @@
+"""Timing failures are on record: what their handlers asked and answered is verified.
+
+Where a failure came in a loop no log can say; what differs because of that is said to
+be not verifiable, and is no divergence.
+"""
+
+from __future__ import annotations
+
+import pytest
+from logkit import finish, record
+from nodekit import rmod
+from watching import wait_for
+
+from pbonet.testing import rerun, verify
+
+ASKS = """
+import time
+from typing import Annotated as A
+
+from pbonet import OutVar, Params, PortBasedObject, Recovery, Vector, param
+
+
+class Told(Params):
+    answer: A[str, param("none", "of the handler")] = "continue"
+    busy: A[float, param("s", "CPU time of a long cycle")] = 0.02
+
+
+class Asks(PortBasedObject[Told]):
+    y: A[Vector, OutVar("Y", "2", "none", "what was told, and to the handler")]
+
+    def on(self) -> None:
+        self.cycles = 0
+        self.told = 0.0
+
+    def cycle(self, dt: float) -> None:
+        self.cycles += 1
+        self.y[0] = self.task.deadline + self.task.criticality + self.task.crit
+        if self.cycles % 4 == 0:
+            self.work(self.params.busy)
+        self.y[1] = self.told
+
+    def work(self, seconds: float) -> None:
+        end = time.thread_time() + seconds
+        while time.thread_time() < end:
+            pass
+
+    def timing_failure(self, kind):
+        task = self.task
+        self.told += task.deadline + task.crit + task.criticality / 7
+        self.told += task.now % 1e9 + task.cyclecount
+        if self.params.answer == "lower":
+            task.criticality, task.deadline = 2, 0.015
+            self.told += task.criticality / 3
+        elif self.params.answer == "raise":
+            raise ValueError("the handler does not like it")
+        else:
+            return Recovery(self.params.answer)
+"""
+STOPS = ASKS.replace("< end:", "< end and not self.stopped:").replace(
+    "self.told += task.now", "self.stopped = True\n        self.told += task.now"
+)
+ANYTIME = (
+    STOPS.replace("        end =", "        self.stopped = False\n        end =")
+    .replace("            pass\n", "            self.steps += 1\n")
+    .replace("self.told = 0.0", "self.told = self.steps = 0.0")
+)
+COUNTS = ANYTIME.replace("self.y[1] = self.told", "self.y[1] = self.steps")
+ENDLESS = STOPS.replace("        end =", "        self.stopped = False\n        end =")
+ENDLESS = ENDLESS.replace("time.thread_time() < end and not", "not")
+KEEPS = ASKS.replace("    def on(", "    def init(").replace(
+    "self.y[0] = self", "self.y[0] = self.cycles + self"
+)
+
+
+@pytest.fixture
+def line(nodes):
+    nodes.write_module("asks", ASKS)
+    nodes.agent_process("arm0")
+    return nodes.master("arm0", "arm")
+
+
+def run(line, nodes, code=ASKS, *, module="asks", failures=3, more=(), **local):
+    """Record a task that fails in time; return the run."""
+    if module == "asks":
+        nodes.write_module("asks", code)
+    path = record(line)
+    lines = rmod(module, "Y2", freq=50.0, local=local).splitlines()
+    at = lines.index("FREQ 50") + 1
+    text = "\n".join([*lines[:at], "MAXC 0.005", *more, *lines[at:], ""])
+    line.spawn("asks", module, text=text)
+    line.on("asks")
+    wait_for(
+        lambda: line.status("asks").failures.get("maxexec", 0) >= failures, "failures"
+    )
+    line.wait_cycles("asks", 6)
+    if line.status("asks").state == "ON":
+        line.off("asks")
+    line.kill("asks")
+    return finish(line, path)
+
+
+def verdict_of(log):
+    (verdict,) = verify(log, ["asks"])
+    assert verdict.divergence is None, str(verdict)
+    return verdict
+
+
+@pytest.mark.parametrize("answer", ["continue", "skip", "abort", "lower"])
+def test_a_handler_is_told_again_what_it_asked(line, nodes, answer):
+    log = run(line, nodes, answer=answer, more=["HANDLER 6"])
+    verdict = verdict_of(log)
+    assert verdict.good, str(verdict)
+    assert verdict.cycles >= 6
+    assert rerun(log, ["asks"]).good
+    told = log.arrays("asks")["Y2"][:, 1]
+    assert answer == "abort" or told.max() > 10.0, "it has asked"
+
+
+@pytest.mark.parametrize("answer", ["continue", "abort"])
+def test_a_handler_of_another_module(line, nodes, answer):
+    log = run(line, nodes, module="overruns", answer=answer, every=3, busy=0.01)
+    assert verdict_of(log).good, str(verdict_of(log))
+
+
+def test_other_code_of_a_handler_is_found_out(line, nodes):
+    log = run(line, nodes, answer="continue")
+    nodes.write_module("asks", ASKS.replace("Recovery(self", "Recovery.SKIP or (self"))
+    (verdict,) = verify(log, ["asks"])
+    assert not verdict.good
+    assert "timing_failure answers skip, recorded continue" in str(verdict)
+    assert "asks.py has changed" in str(verdict)
+
+
+def test_a_loop_that_its_handler_ends(line, nodes):
+    log = run(line, nodes, ANYTIME)
+    assert verdict_of(log).good, str(verdict_of(log))
+
+
+def test_a_loop_that_nothing_but_its_handler_ends(line, nodes):
+    log = run(line, nodes, ENDLESS)
+    assert verdict_of(log).good, str(verdict_of(log))
+
+
+def test_how_often_a_loop_was_run_is_not_verifiable(line, nodes):
+    verdict = verdict_of(run(line, nodes, COUNTS, busy=0.1))
+    assert verdict.cycles == 3
+    (gap,) = verdict.gaps
+    assert gap.startswith("cycle 4: Y2 differs, but a timing failure (maxexec) came at ")
+    assert "asks.py:" in gap
+    assert " in work, and how often that line had been run" in gap
+
+
+def test_what_an_aborted_cycle_left_is_not_verifiable(line, nodes):
+    verdict = verdict_of(run(line, nodes, KEEPS, answer="abort"))
+    assert verdict.cycles == 3
+    (gap,) = verdict.gaps
+    assert gap == (
+        "cycle 4: Y2 differs, but the cycle behind cycle 3 was aborted, and what it had "
+        "done by then is not on record"
+    )
+
+
+def test_a_handler_that_raised_ends_what_can_be_verified(line, nodes):
+    verdict = verdict_of(run(line, nodes, answer="raise", failures=1))
+    assert verdict.cycles == 3
+    (gap,) = verdict.gaps
+    assert gap == "timing_failure behind cycle 3: the handler does not like it"
