@@ -37,6 +37,8 @@ VARIABLES = (
     Variable(
         name="Y1", type="double", nelem=2, limit=Limit.CLIP, min=(0, 0), max=(9, 9)
     ),
+    Variable(name="Y0W", type="double"),
+    Variable(name="Y1W", type="double"),
 )
 PERIOD = 10_000_000
 
@@ -86,9 +88,9 @@ class Context(TaskContext):
 class Task:
     """A task whose cycles are done here, and recorded as the native loop does it."""
 
-    def __init__(self, table, library, task, z, y):
+    def __init__(self, table, library, task, text):
         self.task, self.time = task, Time()
-        rmod = parse_rmod(RMOD.format(z=z, y=y), f"{task}.rmod")
+        rmod = parse_rmod(text, f"{task}.rmod")
         loaded = library.load_rmod(rmod)
         self.info, self.local = loaded.info, local_table(table, task, rmod)
         spec = wire.TaskSpec(
@@ -100,7 +102,7 @@ class Task:
             slot=0,
             table="t",
             layout="",
-            rmod=RMOD.format(z=z, y=y),
+            rmod=text,
             rmod_name=f"{task}.rmod",
             freq=100.0,
             ring=f"d.arm.{task}",
@@ -186,14 +188,14 @@ class Task:
 class Shop:
     """Two tasks in a line, X to a to Y0 to b to Y1, and their log."""
 
-    def __init__(self, folder, code=ADDS):
+    def __init__(self, folder, code=ADDS, text=RMOD):
         self.folder = folder
         self.code = folder / "adds.py"
         self.code.write_text(code)
         self.table = Table.create("t", VARIABLES)
         library = Library([folder])
-        self.a = Task(self.table, library, "a", "X", "Y0")
-        self.b = Task(self.table, library, "b", "Y0", "Y1")
+        self.a = Task(self.table, library, "a", text.format(z="X", y="Y0"))
+        self.b = Task(self.table, library, "b", text.format(z="Y0", y="Y1"))
         self.c = None
         """Another one from X to Y0, where a test has one."""
         self.on()

@@ -262,14 +262,14 @@ def about(
         invar=variables(rmod.invar),
         outconst=variables(rmod.outconst),
         outvar=variables(rmod.outvar),
-        code=code_of(_files(rmod, library)),
+        code=code_of(files_of(rmod, library)),
         hears=True,
         timing=True,
     )
 
 
-def _files(rmod: Rmod, library: Library) -> list[str]:
+def files_of(rmod: Rmod, library: Library) -> list[str]:
     """Return the files of the modules that an RMOD runs."""
     if not rmod.parts:
         return [library.load(rmod.module).info.file]
-    return [file for part in rmod.parts for file in _files(part, library)]
+    return [file for part in rmod.parts for file in files_of(part, library)]

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from pbonet.errors import LogError
 from pbonet.log import Log
 
+from ._changed import changed
 from ._inputs import Commits
 from ._records import cycles_of, not_again
 from ._run import Run
-from ._verdict import Verdict, changed
+from ._verdict import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,7 +54,9 @@ def verify(
     commits: dict[Table, Commits] = {}
     verdicts: list[Verdict] = []
     for task in tasks or log.tasks:
-        verdict = Verdict(task=task, changed=changed(log, log.task_about(task)))
+        verdict = Verdict(
+            task=task, changed=changed(log, log.task_about(task), libraries)
+        )
         for life in log.lives(task):
             cycles = cycles_of(life)
             verdict.recorded += cycles
@@ -77,10 +80,8 @@ def _again(
         return
     begun = time.perf_counter()
     run = Run(life, commits, libraries, verdict, rtol)
-    loaded = time.perf_counter()
+    verdict.loading += time.perf_counter() - begun
     run.go()
-    verdict.loading += loaded - begun
-    verdict.took += time.perf_counter() - loaded
 
 
 def replay(

@@ -7,6 +7,7 @@ bring what was recorded, and hand on what the module made of it.
 from __future__ import annotations
 
 import contextlib
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -240,13 +241,19 @@ class Run:
 
     def go(self) -> None:
         """Run it all again; what comes of it is in the verdict."""
+        begun = time.perf_counter()
         try:
             with self.outside():
+                self.step()  # its birth; what `init` needs is imported there
+                self._verdict.loading += time.perf_counter() - begun
+                begun = time.perf_counter()
                 while self._at < len(self._records):
                     self.step()
         except Stop as stop:
             if self._verdict.divergence is None:
                 self._verdict.gaps.append(str(stop))
+        finally:
+            self._verdict.took += time.perf_counter() - begun
 
     def step(self) -> None:
         """Run what belongs to the next record.

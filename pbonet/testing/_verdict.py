@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
-import hashlib
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from msgspec import Struct
-
-if TYPE_CHECKING:
-    from pbonet.log import Log, TaskAbout
 
 
 class Divergence(Struct, kw_only=True):
@@ -44,8 +38,9 @@ class Changed(Struct, kw_only=True):
     """A file of the module's code that is another one now."""
 
     path: str
+    """Of the present file; of the recorded one when there is none."""
     recorded: str
-    """SHA-256 of the recorded file."""
+    """SHA-256 of the recorded file; empty when there was none."""
     now: str
     """SHA-256 of the present one; empty when there is none."""
     lines: list[int] = []
@@ -55,6 +50,8 @@ class Changed(Struct, kw_only=True):
         """Return it in one sentence."""
         if not self.now:
             return f"{self.path} is gone (recorded {self.recorded[:12]})"
+        if not self.recorded:
+            return f"{self.path} is new ({self.now[:12]})"
         lines = f", lines {ranges(self.lines)}" if self.lines else ""
         return (
             f"{self.path} has changed: {self.recorded[:12]} to {self.now[:12]}{lines}"
@@ -76,9 +73,9 @@ class Verdict(Struct, kw_only=True):
     seconds: float = 0.0
     """Of the run that were verified."""
     took: float = 0.0
-    """Seconds that it took, once its code was loaded."""
+    """Seconds that it took, once `init` had run."""
     loading: float = 0.0
-    """Seconds that this took before: modules, and the packages that they import."""
+    """Seconds until then: modules, and the packages that they import."""
 
     @property
     def good(self) -> bool:
@@ -124,46 +121,6 @@ class Replayed(Struct, kw_only=True):
         if self.first:
             lines.append(f"the first to differ is {self.first}")
         return "\n".join([*lines, *map(str, self.tasks)])
-
-
-def changed(log: Log, about: TaskAbout) -> list[Changed]:
-    """Return the files of a task's code that are other ones now."""
-    found: list[Changed] = []
-    for code in about.code:
-        try:
-            now = Path(code.path).read_bytes()
-        except OSError:
-            found.append(Changed(path=code.path, recorded=code.sha256, now=""))
-            continue
-        digest = hashlib.sha256(now).hexdigest()
-        if digest == code.sha256:
-            continue
-        before = next(
-            (
-                one.data
-                for one in log.attached.values()
-                if hashlib.sha256(one.data).hexdigest() == code.sha256
-            ),
-            None,
-        )
-        lines = [] if before is None else _other_lines(before, now)
-        found.append(
-            Changed(path=code.path, recorded=code.sha256, now=digest, lines=lines)
-        )
-    return found
-
-
-def _other_lines(before: bytes, now: bytes) -> list[int]:
-    """Return the numbers of lines of `now` that are not those of `before`."""
-    old = before.decode(errors="replace").splitlines()
-    new = now.decode(errors="replace").splitlines()
-    found: list[int] = []
-    for tag, _, _, first, last in difflib.SequenceMatcher(
-        None, old, new, autojunk=False
-    ).get_opcodes():
-        if tag != "equal":
-            found += range(first + 1, max(last, first + 1) + 1)
-    return sorted(set(found))
 
 
 def ranges(numbers: list[int]) -> str:

@@ -19,10 +19,11 @@ from pbonet.log import Log, LogWriter, RunAbout
 from pbonet.log.groups import size
 from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
 
+from ._changed import changed
 from ._inputs import Commits
 from ._records import cycles_of, not_again
 from ._run import Run, Stop
-from ._verdict import Replayed, Verdict, changed
+from ._verdict import Replayed, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -210,7 +211,7 @@ def rerun(
     log.load()
     names = list(tasks or log.tasks)
     verdicts = {
-        task: Verdict(task=task, changed=changed(log, log.task_about(task)))
+        task: Verdict(task=task, changed=changed(log, log.task_about(task), libraries))
         for task in names
     }
     made: dict[Table, _Made] = {}

@@ -49,7 +49,7 @@ class Asks(PortBasedObject[Told]):
         self.told += task.deadline + task.crit + task.criticality / 7
         self.told += task.now % 1e9 + task.cyclecount
         if self.params.answer == "lower":
-            task.criticality, task.deadline = 2, 0.015
+            task.criticality, task.deadline = 2, 0.5
             self.told += task.criticality / 3
         elif self.params.answer == "raise":
             raise ValueError("the handler does not like it")
@@ -60,13 +60,18 @@ STOPS = ASKS.replace("< end:", "< end and not self.stopped:").replace(
     "self.told += task.now", "self.stopped = True\n        self.told += task.now"
 )
 ANYTIME = (
-    STOPS.replace("        end =", "        self.stopped = False\n        end =")
+    STOPS
+    .replace("        end =", "        self.stopped = False\n        end =")
     .replace("            pass\n", "            self.steps += 1\n")
     .replace("self.told = 0.0", "self.told = self.steps = 0.0")
 )
 COUNTS = ANYTIME.replace("self.y[1] = self.told", "self.y[1] = self.steps")
 ENDLESS = STOPS.replace("        end =", "        self.stopped = False\n        end =")
 ENDLESS = ENDLESS.replace("time.thread_time() < end and not", "not")
+LOCKED = ASKS.replace(
+    "self.work(self.params.busy)",
+    "with self.task.critical():\n                self.work(self.params.busy)",
+)
 KEEPS = ASKS.replace("    def on(", "    def init(").replace(
     "self.y[0] = self", "self.y[0] = self.cycles + self"
 )
@@ -92,8 +97,10 @@ def run(line, nodes, code=ASKS, *, module="asks", failures=3, more=(), **local):
     wait_for(
         lambda: line.status("asks").failures.get("maxexec", 0) >= failures, "failures"
     )
-    line.wait_cycles("asks", 6)
-    if line.status("asks").state == "ON":
+    if local.get("answer") == "raise":
+        wait_for(lambda: line.status("asks").state == "ERROR", "the state ERROR")
+    else:
+        line.wait_cycles("asks", 6)
         line.off("asks")
     line.kill("asks")
     return finish(line, path)
@@ -131,6 +138,11 @@ def test_other_code_of_a_handler_is_found_out(line, nodes):
     assert "asks.py has changed" in str(verdict)
 
 
+def test_a_failure_that_waits_for_the_end_of_a_critical_section(line, nodes):
+    log = run(line, nodes, LOCKED, busy=0.012)
+    assert verdict_of(log).good, str(verdict_of(log))
+
+
 def test_a_loop_that_its_handler_ends(line, nodes):
     log = run(line, nodes, ANYTIME)
     assert verdict_of(log).good, str(verdict_of(log))
@@ -145,7 +157,9 @@ def test_how_often_a_loop_was_run_is_not_verifiable(line, nodes):
     verdict = verdict_of(run(line, nodes, COUNTS, busy=0.1))
     assert verdict.cycles == 3
     (gap,) = verdict.gaps
-    assert gap.startswith("cycle 4: Y2 differs, but a timing failure (maxexec) came at ")
+    assert gap.startswith(
+        "cycle 4: Y2 differs, but a timing failure (maxexec) came at "
+    )
     assert "asks.py:" in gap
     assert " in work, and how often that line had been run" in gap
 
@@ -155,8 +169,8 @@ def test_what_an_aborted_cycle_left_is_not_verifiable(line, nodes):
     assert verdict.cycles == 3
     (gap,) = verdict.gaps
     assert gap == (
-        "cycle 4: Y2 differs, but the cycle behind cycle 3 was aborted, and what it had "
-        "done by then is not on record"
+        "cycle 4: Y2 differs, but the cycle behind cycle 3 was aborted, and what it "
+        "had done by then is not on record"
     )
 
 

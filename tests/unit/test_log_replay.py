@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from adding import ADDS
-from logshop import Shop, Task, drive
+from logshop import RMOD, Shop, Task, drive
 
 from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError
@@ -83,7 +83,7 @@ def test_a_method_that_heard_too_much_spoils_no_cycle_before_it(tmp_path) -> Non
 
 def test_tasks_that_hand_over_give_the_same_again(shop) -> None:
     shop.cycles(3)
-    shop.c = Task(shop.table, Library([shop.folder]), "c", "X", "Y0")
+    shop.c = Task(shop.table, Library([shop.folder]), "c", RMOD.format(z="X", y="Y0"))
     for old, new in ((shop.a, shop.c), (shop.c, shop.a)):
         before = shop.table.generation
         old.hand_over()
@@ -130,6 +130,42 @@ def test_the_first_divergence_is_named(shop, old, new, where) -> None:
         caught.value
     )
     assert f", lines {number}" in str(caught.value)
+
+
+def test_what_counts_is_the_code_that_is_run_again(shop, tmp_path) -> None:
+    """A log of another machine, whose folders are not here, with the code that is."""
+    shop.cycles(2)
+    path = shop.log()
+    here = tmp_path / "elsewhere" / "modules"
+    here.mkdir(parents=True)
+    shop.code.rename(here / "adds.py")
+    (one,) = verify(path, ["a"], libraries=[here])
+    assert one.good
+    assert not one.changed, "it stands elsewhere, and is the same"
+    code = ADDS.replace("dt / 3.0", "2.0 * dt / 6.0")
+    helper = "from ._more import NOTHING\n"
+    (here / "adds.py").write_text(f"{code}{helper}")
+    (here / "_more.py").write_text("NOTHING = 0\n")
+    shop.code.write_text(ADDS)
+    verdict = verify(path, ["a"], libraries=[here])[0]
+    number = next(i for i, line in enumerate(ADDS.splitlines(), 1) if "dt / 3" in line)
+    end = len(ADDS.splitlines()) + 1
+    other, new = map(str, verdict.changed)
+    assert other.startswith(f"{here / 'adds.py'} has changed: ")
+    assert other.endswith(f", lines {number}, {end}")
+    assert new.startswith(f"{here / '_more.py'} is new (")
+
+
+def test_a_file_that_is_used_no_more_is_told(shop) -> None:
+    (shop.folder / "_more.py").write_text("NOTHING = 0\n")
+    about = shop.a.about
+    more = msgspec.structs.replace(about.code[0], path=f"{shop.folder}/_more.py")
+    about.code.append(more)
+    shop.cycles(2)
+    (one,) = verify(shop.log(), ["a"])
+    assert [str(it) for it in one.changed] == [
+        f"{shop.folder}/_more.py is gone (recorded {more.sha256[:12]})"
+    ]
 
 
 def test_one_other_bit_is_a_divergence_unless_told(shop) -> None:

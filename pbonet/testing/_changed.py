@@ -1,0 +1,101 @@
+"""Which files of a module's code are other ones than those that ran."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from itertools import takewhile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pbonet.config import parse_rmod
+from pbonet.config.library import Library
+from pbonet.errors import PbonetError
+from pbonet.log.code import code_of
+from pbonet.node.journal import files_of
+
+from ._verdict import Changed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.log import CodeFile, Log, TaskAbout
+
+
+def changed(
+    log: Log, about: TaskAbout, libraries: Sequence[str | Path] = ()
+) -> list[Changed]:
+    """Return the files of a task's code that are other ones now.
+
+    What counts is the code that a replay runs, wherever it stands: the folders of the
+    recording may be those of another machine.
+
+    Args:
+        log: Carries the files that ran.
+        about: Of the task.
+        libraries: Folders of modules that come before those of the recording.
+    """
+    present = {one.path: one for one in _present(about, libraries)}
+    found: list[Changed] = []
+    for then in about.code:
+        now = _same(then.path, present)
+        if now is None:
+            found.append(Changed(path=then.path, recorded=then.sha256, now=""))
+            continue
+        del present[now.path]
+        if now.sha256 != then.sha256:
+            found.append(
+                Changed(
+                    path=now.path,
+                    recorded=then.sha256,
+                    now=now.sha256,
+                    lines=_lines(log, then, now),
+                )
+            )
+    new = present.values() if about.code else ()
+    return found + [Changed(path=one.path, recorded="", now=one.sha256) for one in new]
+
+
+def _present(about: TaskAbout, libraries: Sequence[str | Path]) -> list[CodeFile]:
+    """Return the files that a replay runs; where it cannot, those of the recording."""
+    try:
+        rmod = parse_rmod(about.rmod, about.rmod_name)
+        return code_of(files_of(rmod, Library([*libraries, *about.libraries])))
+    except PbonetError:  # the replay itself will say it
+        return code_of(one.path for one in about.code)
+
+
+def _same(path: str, present: dict[str, CodeFile]) -> CodeFile | None:
+    """Return the file that stands for a recorded one: of its name, and nearest."""
+    if path in present:
+        return present[path]
+    name = Path(path).name
+    each = [one for one in present.values() if Path(one.path).name == name]
+    return max(each, key=lambda one: _common_end(path, one.path), default=None)
+
+
+def _common_end(a: str, b: str) -> int:
+    """Return how many of their last folders two paths have in common."""
+    pairs = zip(reversed(Path(a).parts), reversed(Path(b).parts), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def _lines(log: Log, then: CodeFile, now: CodeFile) -> list[int]:
+    """Return which lines are new or other; none where the log lacks the file."""
+    for one in log.attached.values():
+        if hashlib.sha256(one.data).hexdigest() == then.sha256:
+            return _other_lines(one.data, Path(now.path).read_bytes())
+    return []
+
+
+def _other_lines(before: bytes, now: bytes) -> list[int]:
+    """Return the numbers of lines of `now` that are not those of `before`."""
+    old = before.decode(errors="replace").splitlines()
+    new = now.decode(errors="replace").splitlines()
+    found: list[int] = []
+    for tag, _, _, first, last in difflib.SequenceMatcher(
+        None, old, new, autojunk=False
+    ).get_opcodes():
+        if tag != "equal":
+            found += range(first + 1, max(last, first + 1) + 1)
+    return sorted(set(found))
