@@ -77,12 +77,12 @@ def command(
         result = player.play(run, names, span, domain=domain, subsystem=subsystem)
     elif verify:
         result = testing.verify(run, tasks or (), libraries=libraries, rtol=rtol)
-        status = int(any(one.divergence is not None for one in result))
+        status = int(not all(one.good for one in result))
     else:
         result = testing.rerun(
             run, tasks or (), libraries=libraries, rtol=rtol, out=out
         )
-        status = int(any(one.divergence is not None for one in result.tasks))
+        status = int(not result.good)
     if json_:
         print(msgspec.json.encode(result).decode())
     else:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from pbonet.errors import LogError
+from pbonet.errors import LogError, PbonetError
 from pbonet.log import Log
 
 from ._changed import changed
@@ -48,7 +48,8 @@ def verify(
     Raises:
         LogError: There is no log there.
         UnknownTaskError: The log has no such task.
-        PbonetError: A module does not load, or does not fit its RMOD.
+        PbonetError: The module of a task that is named does not load, or does not fit
+            its RMOD.
     """
     log = path if isinstance(path, Log) else Log(path)
     commits: dict[Table, Commits] = {}
@@ -62,8 +63,14 @@ def verify(
             verdict.recorded += cycles
             if life.table not in commits:
                 commits[life.table] = Commits(log, life.table)
-            if verdict.divergence is None:
+            if verdict.divergence is not None:
+                continue
+            try:
                 _again(life, commits[life.table], libraries, verdict, rtol)
+            except PbonetError as error:
+                if tasks:
+                    raise
+                verdict.gaps.append(str(error))  # the others can be run again
         verdicts.append(verdict)
     return verdicts
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from pbonet.errors import PbonetError
 from pbonet.log import Log, LogWriter, RunAbout
 from pbonet.log.groups import size
 from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
@@ -201,7 +202,8 @@ def rerun(
     Raises:
         LogError: There is no log there, or `out` cannot be written.
         UnknownTaskError: The log has no such task.
-        PbonetError: A module does not load, or does not fit its RMOD.
+        PbonetError: The module of a task that is named does not load, or does not fit
+            its RMOD; or a simulation cannot be simulated any more.
     """
     log = path if isinstance(path, Log) else Log(path)
     if log.about.get("seconds"):
@@ -226,7 +228,12 @@ def rerun(
                 verdicts[task].gaps.append(why)
                 continue
             one = made[life.table]
-            parts.append(_Part(life, one, libraries, verdicts[task], rtol))
+            try:
+                parts.append(_Part(life, one, libraries, verdicts[task], rtol))
+            except PbonetError as error:  # of the others the record stands
+                if tasks:
+                    raise
+                verdicts[task].gaps.append(str(error))
     _go(parts)
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
     _sum_up(found, parts)

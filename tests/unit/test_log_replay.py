@@ -22,7 +22,7 @@ from pbonet.log import Did, Log
 from pbonet.node import wire
 from pbonet.node._ring import Ring
 from pbonet.node.recorder import Recorder
-from pbonet.testing import DivergedError, replay, verify
+from pbonet.testing import DivergedError, replay, rerun, verify
 
 OFF_HEARS = """def off(self) -> None:
         self.it.ask(bytes, 1 << 17)"""
@@ -154,6 +154,18 @@ def test_what_counts_is_the_code_that_is_run_again(shop, tmp_path) -> None:
     assert other.startswith(f"{here / 'adds.py'} has changed: ")
     assert other.endswith(f", lines {number}, {end}")
     assert new.startswith(f"{here / '_more.py'} is new (")
+
+
+def test_a_task_whose_code_is_missing_hides_no_other(shop) -> None:
+    shop.cycles(2)
+    path = shop.log(hidden=["Y0"])
+    shop.code.unlink()
+    for verdicts in (verify(path), rerun(path).tasks):
+        assert [one.cycles for one in verdicts] == [0, 0]
+        for one in verdicts:
+            assert one.divergence is None
+            assert "the library has no module adds" in str(one)
+            assert "adds.py is gone" in str(one)
 
 
 def test_a_file_that_is_used_no_more_is_told(shop) -> None:

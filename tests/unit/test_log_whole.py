@@ -123,7 +123,8 @@ def test_a_log_without_its_attachments_is_run_all_the_same(record) -> None:
     assert rerun(path).good
     code.unlink()
     with pytest.raises(ModuleLoadError):
-        rerun(path)
+        rerun(path, ["a"])
+    assert "the library has no module adds" in str(rerun(path))
 
 
 SVAR = (
