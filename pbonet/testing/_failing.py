@@ -28,8 +28,11 @@ _MOST_LINES: Final = 2_000_000
 """How many lines a cycle may take to the one at which its failure came."""
 
 
-class HandlerError(Exception):
-    """The handler of timing failures does something else than was recorded."""
+class HandlerError(BaseException):
+    """The handler of timing failures does something else than was recorded.
+
+    No `Exception`, so that no module catches it.
+    """
 
 
 class Failing:

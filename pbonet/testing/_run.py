@@ -131,7 +131,7 @@ class Run:
         self._unheard: int | None = None
         """The record of the first method of which something heard found no room."""
         self._aborted: dict[int, bytes] = {}
-        """What aborted cycles heard, by the record that says so."""
+        """What cycles heard that are on no record, by the record that says why."""
         self._records = self._listen(life)
         self._at = 0
         self._verdict = verdict
@@ -161,7 +161,7 @@ class Run:
                 heard = StepSchema.data(one)
                 continue
             done = did(one)
-            if heard and done is not None and done.what == "abort":
+            if heard and done is not None and done.what in {"abort", "fault"}:
                 self._aborted[len(rest)] = heard  # by the cycle that it ended
             else:
                 self._hear(heard, began)
