@@ -6,13 +6,18 @@ import secrets
 import time
 
 import pytest
+from patience import LEASE_MS
+
+from pbonet.xm import session
 
 
 @pytest.fixture
-def world(run_dir):  # noqa: ARG001 - it must stand first
-    """One machine of fake agents, in a domain of its own."""
+def world(run_dir, monkeypatch):  # noqa: ARG001 - it must stand first
+    """One machine of fake agents, in a domain of its own, whose links stand long."""
     from fakeagent import World
 
+    monkeypatch.setattr(session, "LEASE_MS", LEASE_MS)
+    monkeypatch.setattr(session, "OPEN_MS", LEASE_MS)
     return World(domain=f"t{secrets.token_hex(3)}")
 
 
