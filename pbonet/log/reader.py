@@ -129,7 +129,7 @@ class Log(Cycles):
                 where=str(self.path),
                 expected="one run",
                 got=", ".join(sorted(runs)),
-                remedy="name one of the files",
+                remedy="name one of the files, or merge them by `pbonet log merge`",
             )
         self.clocks = common(self.parts)
         """What brings the times of each file to those of the first one."""

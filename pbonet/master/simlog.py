@@ -210,7 +210,7 @@ class SimLog:
             task=member.name,
             freq=member.freq,
             rmod=member.source.text,
-            rmod_name=member.rmod.file,
+            rmod_name=f"{member.name}.rmod",
             libraries=self._libraries,
         )
         info = library.load_rmod(member.rmod).info
