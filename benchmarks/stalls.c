@@ -15,7 +15,7 @@
 #include <sys/prctl.h>
 #include <time.h>
 
-enum { MOST = 1 << 16 };
+enum { MOST = 1 << 20 };
 static int64_t due_at[MOST], came_at[MOST];
 
 static int64_t now(void)

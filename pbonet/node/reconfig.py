@@ -179,6 +179,8 @@ class _List:
                 note(self._rtpu, task, event, error, ranked=True)
         self._rtpu.rank()
         for task in made.hanging:
+            cause = f"{task.name} hangs in off"
+            self._rtpu.flags.up(subsystem, task.name, cause, task.facts.outputs)
             self._rtpu.later(self._late(made, task), f"off of {task.name}")
         undone = made.undone
         if undone and not made.unseen:

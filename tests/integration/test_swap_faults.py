@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 from nodekit import alive, rmod, svar, wait_gone
-from watching import states, wait_for
+from watching import causes, states, wait_for
 
 from pbonet.errors import (
     MethodError,
@@ -136,6 +136,7 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     assert "not known" not in said  # it was the task that did not answer
     assert states(arm) == {"stays": "ON", "old": "ON", "good": "OFF"}
     assert writer(arm) == "old"
+    assert set(causes(arm)) == {"old hangs in off (arm1/old)"}
     busy = r"off old: .*still busy with 'off'"
     with briefly(), pytest.raises(ReconfigError, match=busy):
         arm.swap("old", "good")
@@ -144,6 +145,7 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     assert arm.reconfig(caught.value.rest[1:]) == {"good": "ON"}
     assert states(arm) == {"stays": "ON", "good": "ON"}
     assert writer(arm) == "good"
+    assert causes(arm) == []
     assert arm.status("stays").on_ns == before.on_ns
 
 
@@ -162,6 +164,7 @@ def test_off_that_hangs_in_an_exchange(arm, write, briefly):
     assert "did not finish 'off'" in str(caught.value)
     assert states(arm) == {"stays": "ON", "bad": "ON", "good": "OFF"}
     assert writer(arm) == "bad"
+    assert set(causes(arm)) == {"bad hangs in off (arm0/bad)"}
     with briefly(), pytest.raises(ReconfigError, match="still busy with 'off'"):
         arm.swap("bad", "good")
     with briefly():
@@ -184,6 +187,7 @@ def test_off_in_an_exchange_that_ends_when_nobody_waits_any_more(
     go_on.touch()
     wait_for(lambda: states(arm)["old"] == "OFF", "the end of off")
     assert states(arm)["good"] == "OFF", "it does not stand by any more"
+    wait_for(lambda: causes(arm) == [], "that nothing is said to hang")
     with Table.attach(f"{nodes.domain}.t") as table:
         wait_for(lambda: table.info("Y0").owner is None, "that nobody owns it")
     assert arm.swap("old", "good").items == [("good", "on")], "what is left"
