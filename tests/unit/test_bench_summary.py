@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 
@@ -37,6 +38,16 @@ def test_every_benchmark_is_a_program(bench) -> None:
     for path in (ROOT / "benchmarks").glob("*.py"):
         if '__name__ == "__main__"' in path.read_text() and path.stem != "run":
             assert path.stem in programs, f"`make bench` does not run {path.name}"
+
+
+def test_those_without_a_goal_are_named(bench, monkeypatch, capsys) -> None:
+    for program in {line.split()[0] for line in bench.RUNS.values()}:
+        text = (ROOT / "benchmarks" / f"{program}.py").read_text()
+        judges = re.search(r"judge\(|sys\.exit\(3\)|else 3|MISSED", text) is not None
+        assert judges != (program in bench.NO_GOAL), program
+    _, out = ends(bench, monkeypatch, capsys, "svar", "ports")
+    assert out[-3].endswith(" good")
+    assert out[-2].endswith("shown, it has no goal")
 
 
 def test_all_good(bench, monkeypatch, capsys) -> None:
