@@ -49,7 +49,6 @@ def test_the_page_has_what_is_tested_here():
     ]
 
 
-@pytest.mark.timeout(240)
 def test_it_runs_in_virtual_time_and_is_drawn(desk):
     check, run = COMMANDS["run"]
     *_, verdict = desk.call(check).splitlines()

@@ -61,7 +61,6 @@ def size(pid):
     return pages * 4096
 
 
-@pytest.mark.timeout(180)
 def test_an_agent_outlives_what_is_sent_to_it(nodes, tmp_path):
     files = tmp_path / "files"
     files.mkdir()

@@ -58,7 +58,6 @@ def desk(tmp_path_factory):
     desk.close()
 
 
-@pytest.mark.timeout(240)
 def test_a_job_is_checked_and_run_by_hand(desk, shared_memory):
     check, run = BY_HAND[2:]
     *_, verdict = desk.call(check).splitlines()

@@ -21,7 +21,6 @@ def left():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_link_is_cut_and_heals_by_itself():
     if why := missing():
         pytest.skip(why)

@@ -36,7 +36,7 @@ def demo(nodes, monkeypatch):
     return found
 
 
-@pytest.mark.timeout(280)
+@pytest.mark.timeout(600)
 def test_a_part_is_carried_the_tool_is_changed_and_a_stuck_gripper_refused(demo, nodes):
     change = ["long_fingers for short_fingers", "tip is back"]
     before = [*JOBS, *change, *JOBS[:3]]

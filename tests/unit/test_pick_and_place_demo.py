@@ -38,7 +38,6 @@ def demo() -> ModuleType:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_two_parts_are_carried_with_two_tools(demo: ModuleType) -> None:
     said: list[str] = []
     with demo.open_cell(sim=True) as cell:
@@ -64,7 +63,6 @@ def test_two_parts_are_carried_with_two_tools(demo: ModuleType) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_jaws_that_do_not_close_are_noticed_before_the_lift(
     demo: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
