@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import get_args
 
 import msgspec
-import pytest
 import zenoh
 from watching import wait_for
 
