@@ -30,7 +30,7 @@ def test_its_link_is_closed_and_nothing_is_answered_any_more(
     with session.client(nodes.domain, connect=[where], key_folder=keys) as link:
         anna = Client(link, nodes.domain, "anna")
         assert anna.call("arm0", m.Hello(), m.AgentInfo).name == "arm0"
-        wait_for(lambda: not list(link.info.links()), "the end of its link", 30.0)
+        wait_for(lambda: not list(link.info.links()), "the end of its link")
         with pytest.raises(PbonetError) as caught:
             anna.call("arm0", m.Stop(), m.Stopped)
         print(caught.value)

@@ -121,7 +121,7 @@ class Lab:
             assert process.poll() is None, f"agent {name} has ended"
             return name in self.seen(host)
 
-        wait_for(there, f"agent {name} from host {host}", 30.0)
+        wait_for(there, f"agent {name} from host {host}")
 
     def wait_all(self):
         """Wait until every agent is seen from every host that has one."""
@@ -170,7 +170,7 @@ class Lab:
                 return self.info(name, host)
             return None
 
-        return wait_for(reached, f"agent {name} by way of host {host}", 20.0)
+        return wait_for(reached, f"agent {name} by way of host {host}")
 
     def program(self, host, code, **settings):
         """Start a program with an end of a link on a host; see `tbuf_rig`."""
@@ -239,7 +239,7 @@ class Lab:
 
     def wait_no_orphans(self):
         """Wait until every process stands under a test's own, or an agent's RTPU."""
-        wait_for(lambda: not self.orphans(), "the end of orphans", 20.0)
+        wait_for(lambda: not self.orphans(), "the end of orphans")
 
     def orphans(self):
         """Return the processes whose parents have all ended, but agents' RTPUs."""
@@ -251,7 +251,7 @@ class Lab:
         return [p for f in folders for p in processes_of("PBONET_RUN_DIR", str(f))]
 
     def _check(self):
-        wait_for(lambda: not self._left(), f"the end of {self._left()}", 20.0)
+        wait_for(lambda: not self._left(), f"the end of {self._left()}")
         for folder in (*self.run_dirs.values(), *self.shm_dirs.values()):
             files = [str(p) for p in folder.rglob("*") if not p.is_dir()]
             assert not files, f"left: {files}"

@@ -116,7 +116,7 @@ def test_a_swap_and_a_list_from_a_third_host(arm):
     assert done.states == {"jttrace": "OFF", "hold": "ON"}
     assert arm.display("Q_REF")[0].writer == "hold"
     first = apart(arm)
-    wait_for(lambda: apart(arm) < first - 0.05, "the reference to go there", 20.0)
+    wait_for(lambda: apart(arm) < first - 0.05, "the reference to go there")
     states = arm.reconfig([("hold", "off"), ("jttrace", "on")])
     assert states == {"hold": "OFF", "jttrace": "ON"}
     assert arm.display("Q_REF")[0].writer == "jttrace@host-b"

@@ -56,7 +56,7 @@ def lab(lan, tmp_path):
 def comes(cell):
     """Wait for news of src on the other machine."""
     before = cell.value("arm1", "Z0").cycle
-    wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src", 30.0)
+    wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src")
 
 
 def told(lab, name, code="KEYS_RUN_OUT"):
@@ -96,7 +96,7 @@ def test_keys_that_run_out_are_a_pulled_cable_until_others_are_there(lab, keys, 
     after = cell.status("arm0", "src")
     assert (after.state, after.tid) == ("ON", before.tid)
     assert after.cycle > before.cycle
-    wait_for(lambda: not cell.illegal("arm1"), "no flag", 20.0)
+    wait_for(lambda: not cell.illegal("arm1"), "no flag")
     cell.close()
 
 
@@ -114,7 +114,7 @@ def test_keys_that_are_no_good_are_not_taken(lab, keys):
     for name, data in kept.items():
         (lab.keys["a"] / name).write_bytes(data)
     process.send_signal(signal.SIGHUP)
-    wait_for(lambda: is_another(lab, before), "another session", 30.0)
+    wait_for(lambda: is_another(lab, before), "another session")
     assert process.poll() is None
 
 

@@ -84,7 +84,7 @@ def test_a_table_and_a_link(lab, lan):
         assert writer.process.poll() is None
         lan.heal("a", "b")
         comes(cell)
-        assert flows(reader, 30.0)["restarts"] == 0
+        assert flows(reader)["restarts"] == 0
     finally:
         for program in (writer, reader):
             program.kill()
@@ -142,7 +142,7 @@ def test_a_router_whose_keys_are_no_agents(lab, folders, keys):
     stranger = lab.program("c", STRANGER, config=settings)
     try:
         if keys == "lab observer":
-            wait_for(lambda: "arm1" in stranger.look()["names"], "its link", 20.0)
+            wait_for(lambda: "arm1" in stranger.look()["names"], "its link")
         for _ in range(3):
             found = stranger.look()
             assert lab.seen("a") == lab.seen("b") == ["arm0", "arm1"]

@@ -48,7 +48,7 @@ def test_two_machines_logs_are_merged_by_measured_clocks(lab, tmp_path) -> None:
     desk.on("arm0", "src")
     desk.on("arm1", "sink")
     for path in paths.values():
-        wait_for(lambda path=path: on_record(path), "clocks on record", 30.0)
+        wait_for(lambda path=path: on_record(path), "clocks on record")
     for rtpu in desk.rtpus:
         desk.ask(rtpu, m.Record(mode="off"), m.Recorded)
     folder = tmp_path / "both"

@@ -77,7 +77,7 @@ def wait_steady(desk, rtpu="arm1"):
         level = desk.value(rtpu, written).values[0]
         return now.cycle != first and not now.stale and level != -1.0
 
-    wait_for(steady, f"news of {read}", 20.0)
+    wait_for(steady, f"news of {read}")
     writer = {"Z0": "src@host-a", "Z2": "sink@host-b"}[read]
     assert desk.value(rtpu, read).writer == writer
 
@@ -93,7 +93,7 @@ def wait_stable(desk, rtpu):
 def wait_healed(desk):
     """Wait until all is well on both sides, and no process is left over."""
     for rtpu in RTPUS:
-        wait_for(lambda r=rtpu: not desk.illegal(r), f"healing of {rtpu}", 20.0)
+        wait_for(lambda r=rtpu: not desk.illegal(r), f"healing of {rtpu}")
         wait_steady(desk, rtpu)
     desk.lab.wait_no_orphans()
 
@@ -118,12 +118,12 @@ def test_a_split_in_which_both_sides_write(cell, lan, lab):
     wait_for(lambda: "out of sight" in cell.illegal("arm1"), "the flag")
     cell.spawn("arm1", "two", "counts", out="Z0")
     cell.on("arm1", "two")
-    wait_for(lambda: "Z0" not in cell.illegal("arm1"), "a writer on this side", 20.0)
+    wait_for(lambda: "Z0" not in cell.illegal("arm1"), "a writer on this side")
     lan.heal("a", "b")
     fight = "Z0 is written on two machines"
-    wait_for(lambda: fight in cell.illegal("arm1"), "the fight on b", 20.0)
+    wait_for(lambda: fight in cell.illegal("arm1"), "the fight on b")
     lab.wait_reached("arm0", "b")
-    wait_for(lambda: fight in cell.illegal("arm0"), "the fight on a", 20.0)
+    wait_for(lambda: fight in cell.illegal("arm0"), "the fight on a")
     assert cell.value("arm0", "Z0").writer == "src"
     assert cell.value("arm1", "Z0").writer == "two"
     cell.off("arm1", "two")
@@ -134,7 +134,7 @@ def test_a_slow_cable_is_no_loss(cell, lan, lab):
     """News come late and are as old as they are; nobody is out of sight."""
     lan.slow("a", "b", 0.04)
     try:
-        wait_for(lambda: trip(lab) > 0.07, "round trips that take their time", 20.0)
+        wait_for(lambda: trip(lab) > 0.07, "round trips that take their time")
         first = cell.value("arm1", "Z0")
         late = [first]
         while late[-1].cycle < first.cycle + 100:
@@ -146,7 +146,7 @@ def test_a_slow_cable_is_no_loss(cell, lan, lab):
     finally:
         lan.quick()
     wait_healed(cell)
-    wait_for(lambda: cell.value("arm1", "Z0").age < 0.02, "news in time", 20.0)
+    wait_for(lambda: cell.value("arm1", "Z0").age < 0.02, "news in time")
 
 
 def trip(lab):
@@ -260,7 +260,7 @@ def test_another_agent_of_the_machine_carries_on(pair, runs):
         assert not carried(cell, "arm2")
         pair.kill("arm0")
         wait_for(lambda: carried(cell, "arm2"), "the second agent to carry it")
-        wait_for(lambda: not cell.illegal("arm1"), "healing", 20.0)
+        wait_for(lambda: not cell.illegal("arm1"), "healing")
         before = cell.value("arm1", "Z0").cycle
         wait_for(lambda: cell.value("arm1", "Z0").cycle > before, "news of src")
         assert not cell.value("arm1", "Z0").stale
@@ -290,6 +290,6 @@ def test_an_agent_that_stays_away_leaves_everything_off(own_lab):
     desk.spawn("arm0", "src", "counts", out="Y0", local={"diary": diary})
     desk.on("arm0", "src")
     own_lab.kill("arm0")
-    wait_for(lambda: not own_lab.orphans(), "the end of all", 20.0)
+    wait_for(lambda: not own_lab.orphans(), "the end of all")
     assert "off" in diary.read_text()
     diary.unlink()

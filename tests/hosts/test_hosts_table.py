@@ -136,7 +136,7 @@ def test_a_link_between_tasks_at_1_khz(cell, lab, lan):
     finally:
         lan.heal("a", "c")
     silent = tally(cell)
-    wait_for(lambda: tally(cell)["lost"] > silent["lost"] + 100, "a gap", 20.0)
+    wait_for(lambda: tally(cell)["lost"] > silent["lost"] + 100, "a gap")
     end = taken(cell, silent["taken"] + 500)
     assert end["wrong"] == end["restarts"] == 0
     assert end["taken"] + end["lost"] == end["last"] - end["first"] + 1

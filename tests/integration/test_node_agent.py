@@ -105,7 +105,7 @@ def test_namesakes_that_meet_later_say_so(nodes, monkeypatch):
     other.mkdir(mode=0o700)
     monkeypatch.setenv("PBONET_RUN_DIR", str(other))
     twin = nodes.agent_process("arm0", wait=False, connect=(hub,))
-    wait_for(lambda: nodes.state("arm0"), "the second one's RTPU process", 30.0)
+    wait_for(lambda: nodes.state("arm0"), "the second one's RTPU process")
     monkeypatch.setenv("PBONET_RUN_DIR", str(nodes.folder))
     nodes.agent("hub", listen=(hub,), connect=(first,))
 
