@@ -60,18 +60,30 @@ def command(
     from pbonet.errors import StateError
     from pbonet.master import player
 
-    if play is not None and (verify or tasks or out):
+    span = player.Span(rate=rate, start=start, end=end, loop=loop)
+    names = [name for task in (play or "").split(",") if (name := task.strip())]
+    if play is not None and (verify or tasks or out or not names):
         raise StateError(
             "--play goes with a rate and a part of the run, and with nothing else",
             expected="pbonet replay RUN --play TASK,...",
-            remedy=f"pbonet replay {run} --play {play}",
+            remedy=f"pbonet replay {run} --play {','.join(names) or 'TASK'}",
+        )
+    if play is None and (span != player.Span() or subsystem):
+        raise StateError(
+            "--rate, --start, --end, --loop and --subsystem go with --play only",
+            expected="pbonet replay RUN --play TASK,... --rate 2",
+            remedy="leave them out: code is run again as fast as it goes, and whole",
+        )
+    if verify and out:
+        raise StateError(
+            "--out goes without --verify, which makes nothing that could be written",
+            expected="pbonet replay RUN --out FILE, or pbonet replay RUN --verify",
+            remedy=f"pbonet replay {run} --out {out}",
         )
     libraries = library or ()
     result: object
     status = 0
     if play is not None:
-        span = player.Span(rate=rate, start=start, end=end, loop=loop)
-        names = [task.strip() for task in play.split(",")]
         for one in (signal.SIGINT, signal.SIGTERM):  # a shell may have ignored one
             signal.signal(one, signal.default_int_handler)
         result = player.play(run, names, span, domain=domain, subsystem=subsystem)

@@ -265,7 +265,17 @@ def test_a_run_is_looked_at(call, tmp_path):
     status, out, _ = call("replay", one, "grav_comp", "--verify")
     assert status == 0
     assert out.startswith("grav_comp: 50 cycles identical")
-    assert call("replay", one, "--play", "jttrace", "--verify")[0] == 1
+    for words, why in (
+        (("--play", "jttrace", "--verify"), "--play goes with"),
+        (("--play", ","), "--play goes with"),
+        (("--rate", "2"), "go with --play only"),
+        (("--verify", "--loop"), "go with --play only"),
+        (("--start", "1"), "go with --play only"),
+        (("--subsystem", "arm"), "go with --play only"),
+        (("--verify", "-o", tmp_path / "x.mcap"), "--out goes without --verify"),
+    ):
+        status, _, err = call("replay", one, *words)
+        assert (status, why in err) == (1, True), err
     status, out, _ = call("replay", one)
     assert status == 0, out
     assert out.startswith("4 tasks together: identical")
