@@ -214,10 +214,12 @@ class Run:
         infos = self._tell_limits(subsystem)
         statuses: list[RtpuStatus] = []
         begin = time.monotonic()
+        listener = Listener(subsystem)
         try:
             self._interrupts.force = subsystem.stop
+            listener.open()  # before a task may fail
             begin = self._start(subsystem, infos)
-            statuses = self._watch(subsystem, begin)
+            statuses = self._watch(subsystem, begin, listener)
         except BaseException:
             with contextlib.suppress(PbonetError):  # the first error is the one to tell
                 subsystem.finish()
@@ -312,10 +314,10 @@ class Run:
         self._view.say(f"job {self.job.name} is ON: {names}")
         return time.monotonic()
 
-    def _watch(self, subsystem: Subsystem, begin: float) -> list[RtpuStatus]:
+    def _watch(
+        self, subsystem: Subsystem, begin: float, listener: Listener
+    ) -> list[RtpuStatus]:
         """Show the status until it is time to end; return the last one."""
-        listener = Listener(subsystem)
-        listener.open()
         last: list[RtpuStatus] = []
         with self._port(subsystem), self._view:
             while True:

@@ -242,6 +242,40 @@ def test_job_that_fails_in_init_is_rolled_back(run, nodes, puma):
     assert left_of(nodes) == []
 
 
+def test_an_error_in_the_very_first_cycle_is_told(run, nodes, puma):
+    """Though the job is not said to be ON yet."""
+    nodes.write_module(
+        "fails",
+        """
+        from typing import Annotated as A
+
+        from pbonet import OutVar, PortBasedObject, Vector
+
+
+        class Fails(PortBasedObject):
+            '''Raises in its first cycle.'''
+
+            y: A[Vector, OutVar("T_GRAV", "6", "N*m", "nothing")]
+
+            def cycle(self, dt: float) -> None:
+                raise ValueError("not even one cycle works")
+        """,
+    )
+    folder = puma.parent
+    (folder / "fails.rmod").write_text(
+        "MODULE fails\nDESC fails\nINCONST none\nOUTCONST none\nINVAR none\n"
+        "OUTVAR T_GRAV\nTASKTYPE periodic\nFREQ 100\nEOF\n"
+    )
+    job = folder / "fails.job"
+    job.write_text(f"JOB fails\nDESC fails\nSBS {puma.name}\nTASK fails arm0\nEOF\n")
+    process = run("--library", nodes.library, "--seconds", 1, job=job)
+    said, _ = process.communicate(timeout=60)
+    told = [line for line in said.splitlines() if " METHOD " in line]
+    assert len(told) == 1, said
+    assert "arm0/fails" in told[0]
+    assert "not even one cycle works: ERROR" in told[0]
+
+
 def test_run_in_virtual_time_needs_no_agents(run, nodes):
     process = run("--sim", "--seconds", "0.2")
     out, _ = process.communicate(timeout=200)
