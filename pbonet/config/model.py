@@ -11,6 +11,8 @@ from enum import StrEnum
 
 from msgspec import Struct
 
+from .types import numpy_type
+
 
 class Place(Struct, frozen=True, order=True):
     """Where something stands: file name, line and column, both from 1."""
@@ -58,8 +60,6 @@ class Variable(Struct, frozen=True, kw_only=True):
     @property
     def dtype(self) -> str:
         """The numpy type string of one element, such as ``<f8`` or ``V32``."""
-        from .types import numpy_type
-
         return numpy_type(self.type)
 
 

@@ -7,6 +7,7 @@ The names of section 5.5.2 keep the sizes they had on the thesis's machines (``i
 from __future__ import annotations
 
 import re
+from functools import cache
 from typing import NamedTuple
 
 MAX_STRUCT = 1 << 20
@@ -109,6 +110,7 @@ def element_type(name: str) -> ElementType | None:
     return TYPES.get(name)
 
 
+@cache
 def numpy_type(name: str) -> str:
     """Return numpy's type string of `name`, such as ``<f8`` or ``V32``.
 

@@ -278,9 +278,13 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
     for name, report in sorted(reports.items()):
         for news in report.tables:
             yield Finding(
-                Level.PASS,
+                Level.WARN if news.lost else Level.PASS,
                 f"{name} has {news.commits} commits of {news.subsystem} from "
-                f"{news.host}, passed over {news.gaps}, refused {news.refused}",
+                f"{news.host}, passed over {news.gaps}, refused {news.refused}"
+                + (f", lost {news.lost} packets" if news.lost else ""),
+                "its agent was kept from running: see what else runs there"
+                if news.lost
+                else "",
             )
         for other in report.double:
             yield Finding(

@@ -183,13 +183,12 @@ class Agent:
         self._twins.start()
         self._ways = Ways(self._session, self.info, self._recorders.tell)
         self._ways.start()
-        self._mirrors = Mirrors(self._session, self.config.domain, self._ways.offset)
+        where = self._session, self.config.domain
+        self._mirrors = Mirrors(*where, self._ways.offset, self._note)
         self._mirrors.start()
         self._mirrors.carry(info.tables)
         self._ears = Ears(self._session, self.config.events, self._arrived)
-        self._links = Links(
-            self._session, self.config.domain, self.name, self._offset, self._note
-        )
+        self._links = Links(*where, self.name, self._offset, self._note)
         self._term = KeyTerm(self._key_folder, self.name, self._note)
         self._term.start()
         self._token = self._session.liveliness().declare_token(

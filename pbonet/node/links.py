@@ -19,7 +19,7 @@ import zenoh
 from pbonet.errors import PbonetError, Severity, XmError
 from pbonet.tbuf import places
 from pbonet.tbuf.native import CARER, READER, WRITER, Buffer
-from pbonet.xm import folders, keys, names
+from pbonet.xm import keys, names
 
 from . import wire
 from .linkends import Receiver, Sender
@@ -87,8 +87,7 @@ class Links:
         self._name = name
         self._offset = offset
         self._tell = tell
-        self._changes = folders.Changes(str(names.folder()))
-        self._standing: list[str] = []
+        self._standing = places.Standing(domain)
         self._cares: dict[str, Care] = {}
         self._later: dict[str, float] = {}
         self._there: dict[str, Elsewhere] = {}
@@ -154,9 +153,7 @@ class Links:
             self._news.wait(LOOK)
 
     def _look(self) -> None:
-        if self._changes.look():
-            self._standing = places.standing(self._domain)
-        standing = self._standing
+        standing = self._standing.names()
         for text in standing:
             if text not in self._cares:
                 self._adopt(text)

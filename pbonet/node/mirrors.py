@@ -10,12 +10,10 @@ machines meet, and before an agent answers a command that has changed its table.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 import os
 import queue
 import secrets
-import struct
 import threading
 import time
 from functools import partial
@@ -23,14 +21,16 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from pbonet.errors import SvarError
+from pbonet.errors import Severity, SvarError
 from pbonet.svar import Table, packets
 from pbonet.svar.mirror import Mirror
 from pbonet.svar.native import Watch
 from pbonet.xm import keys, rundir
 from pbonet.xm import messages as m
 
-from .tables import remove_unused, table_name
+from . import wire
+from .incoming import Incoming
+from .tables import lock_to_carry, remove_unused, table_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,7 +57,10 @@ ANSWER_TIME = 0.5
 """Seconds that another machine has to take a state."""
 TAKE = b"take"
 """Asks the agent that carries a table to take the others' states, too."""
-_LOCK = struct.Struct("hhqqi4x")
+ASKED = 1000
+"""What others have asked and answered that waits for the carrier; more is refused."""
+TOLD_NS = 10_000_000_000
+"""Nanoseconds between two words about packets that were lost."""
 
 
 class Carried:
@@ -76,12 +79,23 @@ class Carried:
         self.keep = keep
         self.mirror: Mirror | None = None
         self.next = 0.0
+        self.incoming = Incoming(lambda: owner.do(self._take_waiting))
         self._beat = self._flag = 0.0
+        self._lost, self._told_ns = 0, -TOLD_NS
+        self._there: set[str] = set()
+        self._settled = False
         self._zenoh: list[
             zenoh.Subscriber[None] | zenoh.Queryable[None] | zenoh.LivelinessToken
         ] = []
         self._publisher: zenoh.Publisher | None = None
         self._lock = -1
+
+    @property
+    def alone(self) -> bool:
+        """Whether no other machine is there: what it will ask for then stands here."""
+        if self.mirror is None or not self._settled:
+            return False
+        return not (self._there or self.mirror.others)
 
     def turn(self, now: float) -> None:
         """Do what is due, and say when the next time is."""
@@ -135,7 +149,8 @@ class Carried:
 
     def _begin(self) -> bool:
         """Take the machine's part, unless another agent has it."""
-        if not self._take_lock():
+        self._lock = lock_to_carry(self.table.path)
+        if self._lock < 0:
             return False
         owner = self._owner
         self.mirror = Mirror(
@@ -169,23 +184,11 @@ class Carried:
             ),
             session.liveliness().declare_token(key("here", owner.machine)),
         ]
-        self._exchange(lambda: None)
+        self._exchange(self._settle)
         return True
 
-    def _take_lock(self) -> bool:
-        """Lock the table's file, as one agent of a machine may while it lives."""
-        try:
-            fd = os.open(self.table.path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
-        except OSError:
-            return False
-        try:
-            whole = _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
-            fcntl.fcntl(fd, fcntl.F_OFD_SETLK, whole)
-        except OSError:
-            os.close(fd)
-            return False
-        self._lock = fd
-        return True
+    def _settle(self) -> None:
+        self._settled = True
 
     def _put(self, packet: packets.Packet, now: float) -> None:
         if packet.full is not None:
@@ -205,20 +208,23 @@ class Carried:
     # -- zenoh's threads ---------------------------------------------------------------
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        data = sample.payload.to_bytes()
-        self._owner.do(lambda: self._take(data))
+        machine = keys.last(str(sample.key_expr))
+        self.incoming.heard(machine, sample.payload.to_bytes())
 
     def _met(self, sample: zenoh.Sample) -> None:
         machine = keys.last(str(sample.key_expr))
         if machine == self._owner.machine:
             return
         if sample.kind == zenoh.SampleKind.PUT:
+            self._there.add(machine)
             self._owner.do(lambda: self._exchange(lambda: None))
         else:
+            self._there.discard(machine)
             self._owner.do(lambda: self._lose(machine))
 
     def _asked(self, query: zenoh.Query) -> None:
-        self._owner.do(lambda: self._answer(query))
+        if not self._owner.offer(lambda: self._answer(query)):
+            query.drop()  # type: ignore[no-untyped-call]
 
     def _flushed(self, query: zenoh.Query) -> None:
         def done() -> None:
@@ -226,9 +232,25 @@ class Carried:
                 query.reply(str(query.key_expr), b"")  # pyright: ignore[reportUnknownMemberType]
 
         take = query.payload is not None and query.payload.to_bytes() == TAKE
-        self._owner.do(lambda: self.spread(done, take=take))
+        if not self._owner.offer(lambda: self.spread(done, take=take)):
+            query.drop()  # type: ignore[no-untyped-call]
 
     # -- the carrier's thread ----------------------------------------------------------
+
+    def _take_waiting(self) -> None:
+        for data in self.incoming.taken():
+            self._owner.safely(partial(self._take, data))
+        lost, now = self.incoming.lost.total(), time.monotonic_ns()
+        if lost > self._lost and now - self._told_ns > TOLD_NS:
+            self._owner.tell(
+                wire.Note(
+                    int(Severity.WARNING),
+                    "TABLE_BEHIND",
+                    f"{lost - self._lost} packets for the table of {self.subsystem} "
+                    "came faster than they could be taken",
+                )
+            )
+            self._lost, self._told_ns = lost, now
 
     def _take(self, data: bytes) -> str:
         """Take in what another machine tells; return which one it is."""
@@ -275,7 +297,7 @@ class Carried:
         def replied(reply: zenoh.Reply) -> None:
             if reply.ok is not None:
                 answer = reply.ok.payload.to_bytes()
-                owner.do(lambda: self._take(answer))
+                owner.offer(lambda: self._take(answer))
 
         try:
             owner.session.get(
@@ -302,6 +324,7 @@ class Mirrors:
         domain: Its domain.
         offset: Tells by how many nanoseconds another machine's clock is ahead; None
             while that is not known.
+        tell: Takes what is to be told to masters.
     """
 
     def __init__(
@@ -309,8 +332,9 @@ class Mirrors:
         session: zenoh.Session,
         domain: str,
         offset: Callable[[str], int | None],
+        tell: Callable[[wire.Note], None] = lambda _: None,
     ) -> None:
-        self.session, self.domain = session, domain
+        self.session, self.domain, self.tell = session, domain, tell
         self.machine = keys.machine(rundir.machine())
         self._offset = offset
         self._carried: dict[str, Carried] = {}
@@ -337,6 +361,13 @@ class Mirrors:
         self._todo.put(what)
         self._watch.ring()
 
+    def offer(self, what: Callable[[], object]) -> bool:
+        """Have something done unless too much waits; return whether it will be."""
+        room = self._todo.qsize() < ASKED
+        if room:
+            self.do(what)
+        return room
+
     def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
         """Carry exactly these tables, by subsystem; the value tells who keeps them."""
         done = threading.Event()
@@ -348,7 +379,7 @@ class Mirrors:
     def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
-        It is called in a thread of zenoh's, or in the carrier's.
+        It is called in a thread of zenoh's, in the carrier's, or at once.
 
         Args:
             subsystem: Whose table.
@@ -356,6 +387,10 @@ class Mirrors:
             take: Whether this machine must have taken what theirs say as well, as
                 behind the opening of a table that stands elsewhere.
         """
+        carried = self._carried.get(subsystem)
+        if carried is not None and carried.alone and not take:
+            done()
+            return
 
         def spread() -> None:
             carried = self._carried.get(subsystem)
@@ -378,6 +413,7 @@ class Mirrors:
         def look() -> None:
             for subsystem, carried in self._carried.items():
                 others = carried.mirror.others if carried.mirror is not None else {}
+                lost = carried.incoming.lost
                 found.extend(
                     m.TableNews(
                         subsystem=subsystem,
@@ -385,8 +421,9 @@ class Mirrors:
                         commits=other.counts.commits,
                         gaps=other.counts.gaps,
                         refused=other.counts.refused,
+                        lost=lost[machine],
                     )
-                    for other in others.values()
+                    for machine, other in others.items()
                 )
             done.set()
 
@@ -420,12 +457,12 @@ class Mirrors:
             self._sleep()
             with contextlib.suppress(queue.Empty):
                 while True:
-                    self._safely(self._todo.get_nowait())
+                    self.safely(self._todo.get_nowait())
             now = time.monotonic()
             for one in list(self._carried.values()):
                 if now >= one.next:
                     one.next = now + ALONE  # unless the turn says otherwise
-                    self._safely(partial(one.turn, now))
+                    self.safely(partial(one.turn, now))
 
     def _sleep(self) -> None:
         """Sleep until there is something to do."""
@@ -438,7 +475,8 @@ class Mirrors:
                 one.next = 0.0
 
     @staticmethod
-    def _safely(what: Callable[[], object]) -> None:
+    def safely(what: Callable[[], object]) -> None:
+        """Do something, and go on whatever becomes of it."""
         try:
             what()
         except Exception:  # one table's trouble is not that of the others
@@ -446,5 +484,5 @@ class Mirrors:
 
 
 def _at_once(what: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
-    """Return a handler that runs in zenoh's own thread: it only hands over."""
+    """Have zenoh's own thread do something, which only hands over."""
     return zenoh.handlers.Callback(what, indirect=False)

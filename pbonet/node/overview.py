@@ -73,6 +73,7 @@ class Overview:
     ) -> None:
         self._recorder = recorder
         self._domain, self._rtpu = domain, rtpu
+        self._links = places.Standing(domain)
         self._answers = Answers(
             rtpu, lambda text: note(Note(int(Severity.ERROR), "INTERNAL", text))
         )
@@ -148,9 +149,9 @@ class Overview:
             return self._answers.bad(request, error)
 
     def at_once(self, request: object) -> bytes | None:
-        """Return the packed answer to a request that looks at little.
+        """Return the packed answer to a request that takes little.
 
-        None to any other, and where the RTPU process is to be waited for.
+        None to any other, and where somebody is to be waited for.
         """
         if isinstance(request, m.Display):
             few = request.names is not None and 0 < len(request.names) <= FEW
@@ -160,12 +161,20 @@ class Overview:
         tasks = self._known.tasks
         if tasks is None or self._core is None:
             return None
-        if len(tasks) + len(places.standing(self._domain)) > FEW:
+        if len(tasks) + len(self._links.names()) > FEW:
             return None
         found = self._match(tasks)
         if len(found) < len(tasks):
             return None
         return self._answer(request, partial(self._status, request, found))
+
+    def write_at_once(self, request: m.Write) -> bytes | None:
+        """Set a variable, and return the packed answer; None: the table is locked."""
+        try:
+            done = self._set(request, wait=False)
+            return None if done is None else self._answers.good(request, done, [])
+        except Exception as error:  # noqa: BLE001 - the server outlives any request
+            return self._answers.bad(request, error)
 
     def _status(self, request: m.Status, seen: list[Seen]) -> m.RtpuStatus:
         whose = request.subsystem
@@ -181,7 +190,7 @@ class Overview:
             spent_ns=sum(one.slot.cpu_total_ns for one in seen),
             illegal=self._causes(whose),
             events=events.by_task(self._known.counts or [], whose),
-            tbufs=tbuf.seen(self._domain),
+            tbufs=tbuf.seen(self._links),
             recorder=self._recorder(whose),
         )
 
@@ -199,12 +208,15 @@ class Overview:
     def _display(self, request: m.Display) -> list[m.VarValue]:
         return values.display(self._table(request.subsystem)[0], request.names)
 
-    def _write(self, request: m.Write) -> m.VarValue:
+    def _write(self, request: m.Write) -> m.VarValue | None:
+        return self._set(request, wait=True)
+
+    def _set(self, request: m.Write, *, wait: bool) -> m.VarValue | None:
         claims.check(self._rtpu, self._claim(request.subsystem), request)
         if request.subsystem in (self._known.stopping or []):
             raise being_stopped(self._rtpu, request.subsystem)
         table, keep = self._table(request.subsystem)
-        return values.write(table, request.name, request.values, keep=keep)
+        return values.write(table, request.name, request.values, keep=keep, wait=wait)
 
     # -- what is seen ------------------------------------------------------------------
 

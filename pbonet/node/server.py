@@ -12,12 +12,13 @@ import contextlib
 import itertools
 import logging
 import queue
+import re
 import secrets
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 import zenoh
 
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-AT_ONCE = (b"hello", b"status", b"display")
+AT_ONCE = re.compile(rb"hello|status|display|write")
 SHORT = 1024
 """Bytes of a request that is answered at once, at the most."""
 PENDING = 2000
@@ -81,6 +82,10 @@ class Node(Protocol):
     def ways(self) -> LinkReport:
         """Return the ways to the other agents, measured now."""
         ...
+
+
+_Work: TypeAlias = "Callable[[], None]"
+"""What the server's thread does next."""
 
 
 class _Waiting(NamedTuple):
@@ -136,7 +141,7 @@ class Server:
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
         self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
-        self._arrived: queue.SimpleQueue[zenoh.Query | None] = queue.SimpleQueue()
+        self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._queryables: list[zenoh.Queryable[None]] = []
         self._publisher: zenoh.Publisher | None = None
         self._thread = threading.Thread(
@@ -211,34 +216,49 @@ class Server:
         """Take a query from zenoh's own thread, which nothing may hold up.
 
         Only who the agent is and how a few tasks or variables stand can be told at
-        once; another thread does the rest.
+        once, and one variable be set; another thread does the rest.
         """
         data = query.payload.to_bytes() if query.payload is not None else b""
-        if len(data) <= SHORT and any(word in data for word in AT_ONCE):
+        if len(data) <= SHORT and AT_ONCE.search(data):
             with contextlib.suppress(PbonetError):
-                request = self._codec.request(data)
-                if isinstance(request, m.Hello):
-                    self._introduce(query, request)
+                if self._at_once(query, self._codec.request(data)):
                     return
-                answer = self._overview.at_once(request)
-                if answer is not None:
-                    self._reply(query, answer)
-                    return
-        self._arrived.put(query)
+        self._arrived.put(partial(self._take, query))
+
+    def _at_once(self, query: zenoh.Query, request: codec.AnyMessage) -> bool:
+        """Answer a request, or see to it that it will be; else return False."""
+        if isinstance(request, m.Hello):
+            self._introduce(query, request)
+            return True
+        if isinstance(request, m.Write):
+            roles.check(request, str(query.key_expr))
+            self._once(query, request, self._overview.write_at_once)
+            return True
+        answer = self._overview.at_once(request)
+        if answer is None:
+            return False
+        self._reply(query, answer)
+        return True
 
     def _introduce(self, query: zenoh.Query, request: m.Hello) -> None:
         answer = m.Answer(id=request.id, ok=True, result=self._node.info())
         self._reply(query, self._codec.pack(answer))
 
     def _serve(self) -> None:
-        while (query := self._arrived.get()) is not None:
+        while (work := self._arrived.get()) is not None:
             try:
-                self._take(query)
+                work()
             except Exception:  # the server outlives any request
                 log.exception("a request could not be taken")
-                query.drop()  # type: ignore[no-untyped-call]
 
     def _take(self, query: zenoh.Query) -> None:
+        try:
+            self._carry_out(query)
+        except Exception:
+            query.drop()  # type: ignore[no-untyped-call]
+            raise
+
+    def _carry_out(self, query: zenoh.Query) -> None:
         data = query.payload.to_bytes() if query.payload is not None else b""
         try:
             request = self._codec.request(data)
@@ -272,17 +292,42 @@ class Server:
 
     def _handle(self, query: zenoh.Query, request: Handled) -> None:
         """Have a request carried out in this process; what changes something, once."""
-        reply = partial(self._reply, query)
-        if roles.only_looks(request):
-            self._looks.submit(lambda: reply(self._overview.answer(request)))
-            return
+        if isinstance(request, m.Write):
+            self._once(query, request, self._overview.answer)
+        else:
+            self._looks.submit(
+                lambda: self._reply(query, self._overview.answer(request))
+            )
+
+    def _once(
+        self,
+        query: zenoh.Query,
+        request: m.Write,
+        do: Callable[[m.Write], bytes | None],
+    ) -> None:
+        """Have a request carried out, unless it was before; `do` may decline."""
         who = request.client, request.id or secrets.token_hex(8)
-        begun_ns = time.monotonic_ns()
-        if self._repeats.begin(who, reply):
-            data = self._overview.answer(request)
-            self._tell(request, data, begun_ns)
-            end = partial(self._repeats.end, who, data)
-            self._node.spread(request.subsystem, end, take=False)
+        if self._repeats.begin(who, partial(self._reply, query)):
+            begun_ns = time.monotonic_ns()
+            data = do(request)
+            if data is None:
+                rest = partial(self._finish_later, who, request, begun_ns)
+                self._arrived.put(rest)
+            else:
+                self._finish(who, request, data, begun_ns)
+
+    def _finish_later(
+        self, who: tuple[str, str], request: m.Write, begun_ns: int
+    ) -> None:
+        self._finish(who, request, self._overview.answer(request), begun_ns)
+
+    def _finish(
+        self, who: tuple[str, str], request: m.Write, data: bytes, begun_ns: int
+    ) -> None:
+        """Answer a request that was carried out, then put it on record."""
+        end = partial(self._repeats.end, who, data)
+        self._node.spread(request.subsystem, end, take=False)
+        self._arrived.put(partial(self._tell, request, data, begun_ns))
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import struct
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 
     from pbonet.config.model import SvarFile
     from pbonet.xm.messages import OpenTable
+
+
+_LOCK = struct.Struct("hhqqi4x")
 
 
 class Opened(Struct):
@@ -220,6 +224,25 @@ def no_table(subsystem: str) -> SvarMissingError:
         f"the table of subsystem {subsystem!r} is not open here",
         remedy="the master opens it when it starts the subsystem",
     )
+
+
+def lock_to_carry(path: Path) -> int:
+    """Lock a table's file, as one agent of a machine may while it lives.
+
+    Returns:
+        The descriptor that holds the lock; -1 if another agent has it.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return -1
+    try:
+        whole = _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, whole)
+    except OSError:
+        os.close(fd)
+        return -1
+    return fd
 
 
 def remove_unused(path: Path) -> bool:

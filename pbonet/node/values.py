@@ -28,24 +28,33 @@ def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
         SvarDamagedError: Its file was truncated.
     """
     wanted = list(names or table.names())
+    if len(wanted) == 1:
+        found = [_value(table, wanted[0], whole=True)]
+        table.must_be_whole()
+        return found
     with table.local("display", os.getpid(), invar=wanted) as local:
         flags = local.copy_in()
         if flags & Flags.COPY_LOST:
-            return [_value(table, name) for name in wanted]
+            return [_value(table, name, whole=False) for name in wanted]
         whole = not flags & Flags.COPY_TORN
         values = [_of_cut(table, local, name, whole=whole) for name in wanted]
     table.must_be_whole()  # else zeros were read for values
     return values
 
 
-def write(table: Table, name: str, values: Sequence[float], *, keep: bool) -> VarValue:
-    """Set a variable that no task writes.
+def write(
+    table: Table, name: str, values: Sequence[float], *, keep: bool, wait: bool = True
+) -> VarValue | None:
+    """Set a variable that no task writes; return how it stands then.
+
+    Without `wait` nothing is done, and None returned, if the table is locked just now.
 
     Args:
         table: The table.
         name: The variable.
         values: All its elements.
         keep: Whether this RTPU keeps the table, and so may.
+        wait: Whether to wait for the table's lock.
 
     Raises:
         SvarOwnerError: A task writes it.
@@ -57,14 +66,15 @@ def write(table: Table, name: str, values: Sequence[float], *, keep: bool) -> Va
             where=table.name,
             remedy="send it to the RTPU that MASTER names, or the first one",
         )
-    table.write(name, values)
-    return _value(table, name)
+    if not table.write(name, values, wait=wait):
+        return None
+    return _value(table, name, whole=True)
 
 
-def _value(table: Table, name: str) -> VarValue:
-    """Return a variable by itself."""
-    info = table.info(name)
-    return _shown(table, name, table.read(name), info, stale=info.stale, whole=False)
+def _value(table: Table, name: str, *, whole: bool) -> VarValue:
+    """Return a variable by itself, of one look."""
+    value, info = table.see(name)
+    return _shown(table, name, value, info, stale=info.stale, whole=whole)
 
 
 def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:

@@ -93,7 +93,7 @@ cdef extern from "local.h" nogil:
     pb_table pb_table_at(void *base)
     int pb_verify(const void *base, uint64_t bytes)
     int pb_look(pb_table *t, uint32_t v, void *to, pb_view *view)
-    int pb_set(pb_table *t, uint32_t v, const void *value, int64_t now_ns)
+    int pb_set(pb_table *t, uint32_t v, const void *value, int64_t now_ns, bint wait)
     int pb_enter(pb_table *t, pb_group *g, pb_reg *who, uint8_t *named)
     int pb_ask(pb_table *t, pb_group *g, const uint8_t *data, bint constants, uint32_t *rival)
     int pb_claim(pb_table *t, pb_group *g, const uint8_t *data, pb_stamp stamp, bint constants,

@@ -146,10 +146,10 @@ cdef class Arena:
         return (view.reg, view.live != 0, view.stamp.time_ns, view.stamp.cycle, view.uid,
                 view.seq, view.task.decode(errors="replace"))
 
-    def set(self, unsigned v, const uint8_t[::1] value, long long now) -> int:
+    def set(self, unsigned v, const uint8_t[::1] value, long long now, bint wait=True) -> int:
         if v >= table(self).fixed.n_vars or <size_t>value.shape[0] < table(self).vars[v].bytes:
             raise ValueError("the value is too short")
-        return pb_set(table(self), v, &value[0], now)
+        return pb_set(table(self), v, &value[0], now, wait)
 
     def registers(self):
         """Return (index, uid, owner, pid, task, bytes, commits, held) of those in use.

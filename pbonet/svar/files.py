@@ -13,7 +13,6 @@ import os
 import re
 import stat
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pbonet.errors import (
     SvarAccessError,
@@ -26,12 +25,35 @@ from pbonet.errors import (
 )
 
 from .codes import Verdict
-from .native import VERSION
-
-if TYPE_CHECKING:
-    from .native import Arena
+from .native import VERSION, Arena
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
+
+
+def machine() -> bytes:
+    """Return the name of this machine, as causes of the flag carry it."""
+    return os.uname().nodename.encode()
+
+
+def map_whole(path: Path, fd: int, size: int) -> Arena:
+    """Map a file whole; the descriptor is the arena's then, or closed.
+
+    Raises:
+        SvarFullError: It cannot be mapped.
+    """
+    try:
+        return Arena(fd, size, machine())
+    except MemoryError:
+        os.close(fd)
+        raise SvarFullError(
+            "the table's file cannot be mapped into memory",
+            where=str(path),
+            expected=f"{size} bytes of address space that may be locked",
+            remedy="look at `ulimit -v` and `ulimit -l`",
+        ) from None
+    except BaseException:
+        os.close(fd)
+        raise
 
 
 def folder() -> Path:

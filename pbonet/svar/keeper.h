@@ -6,16 +6,17 @@
 #include "owner.h"
 
 /* Set a variable that no task owns: the keeper's register gets all its values again with
- * this one changed, then the variable is moved there if it stood elsewhere. */
+ * this one changed, then the variable is moved there if it stood elsewhere. Without `wait`
+ * a lock that somebody holds is not waited for. */
 static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value,
-                         int64_t now_ns) {
+                         int64_t now_ns, bool wait) {
     struct pb_reg *reg = t->regs + PB_KEEPER;
     uint8_t *slots = t->base + t->fixed->arena, *slot, *before;
     uint64_t head, stride = pb_stride(t->fixed->keep_bytes);
     struct pb_stamp stamp = {now_ns, 0};
     const struct pb_entry *now;
     uint8_t *mark;
-    if (pb_lock(t->live)) return PB_STUCK;
+    if (wait ? pb_lock(t->live) : pb_lock_now(t->live)) return PB_STUCK;
     now = pb_directory(t, pb_generation(t)) + v;
     if (now->live && pb_alive(t->regs + now->reg)) {
         pb_unlock(t->live);

@@ -74,6 +74,12 @@ static inline int pb_lock(struct pb_live *live) {
     return error;
 }
 
+/* As pb_lock, for who may not wait: EBUSY when somebody holds the lock. */
+static inline int pb_lock_now(struct pb_live *live) {
+    int error = pthread_mutex_trylock(&live->lock); /* SYNC POINT L1 */
+    return error == EOWNERDEAD ? pthread_mutex_consistent(&live->lock) : error;
+}
+
 static inline void pb_unlock(struct pb_live *live) {
     PBONET_STEP(6);
     /* SYNC POINT L2, partner L1 in pb_lock. */

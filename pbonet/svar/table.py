@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -94,7 +93,7 @@ class Table(Closing):
         values = lay.initial_values(variables)
         fd, fresh = files.make(path, plan.size, mode)
         try:
-            arena = _map(path, fd, plan.size)
+            arena = files.map_whole(path, fd, plan.size)
         except BaseException:
             fresh.unlink(missing_ok=True)
             raise
@@ -122,7 +121,7 @@ class Table(Closing):
         """
         path = files.path_of(name)
         fd, size = files.open_file(path, STATIC_BYTES)
-        arena = _map(path, fd, size)
+        arena = files.map_whole(path, fd, size)
         files.verify(path, arena, size)
         files.check_mode(path, arena.fileno, arena.mode)
         try:
@@ -198,14 +197,18 @@ class Table(Closing):
 
     def info(self, which: str | int) -> VarInfo:
         """Return who wrote a variable, when, and who owns it now."""
+        return self.see(which)[1]
+
+    def see(self, which: str | int) -> tuple[NDArray[Any], VarInfo]:
+        """Return the newest value of a variable and its `info`, of one instant."""
         number = self._number(which)
         variable = self._variables[number]
-        (_, live, time_ns, cycle, uid, seq, task) = self._look(number)[1]
+        value, (_, live, time_ns, cycle, uid, seq, task) = self._look(number)
         age = now_ns() - time_ns if time_ns else None
         stale = variable.maxage is not None and (
             age is None or age > variable.maxage * 1e9
         )
-        return VarInfo(
+        return value, VarInfo(
             owner=task if live else None,
             writer=task or None,
             time_ns=time_ns,
@@ -216,8 +219,13 @@ class Table(Closing):
             stale=stale,
         )
 
-    def write(self, which: str | int, values: Sequence[float] | bytes) -> None:
+    def write(
+        self, which: str | int, values: Sequence[float] | bytes, *, wait: bool = True
+    ) -> bool:
         """Set a variable that no task owns, as an operator does (svarWrite).
+
+        Returns:
+            Whether it was set: not if, without `wait`, the table is locked just now.
 
         Raises:
             SvarOwnerError: A task owns it.
@@ -230,7 +238,7 @@ class Table(Closing):
         value = guards.typed(self.name, variable, values)
         room = _room(variable)
         room[: value.nbytes] = value.view(np.uint8)
-        code = self._open().set(number, room, now_ns())
+        code = self._open().set(number, room, now_ns(), wait)
         if code == RIVAL:
             owner = self.info(number).owner
             raise SvarOwnerError(
@@ -240,7 +248,9 @@ class Table(Closing):
                 got=f"owner {owner}",
                 remedy=f"turn {owner} off first",
             )
-        self._check_stuck(code)
+        if wait:
+            self._check_stuck(code)
+        return code != STUCK
 
     def peek(
         self, number: int, room: NDArray[np.uint8]
@@ -387,7 +397,7 @@ class Table(Closing):
             SvarFullError: There is no room; the refusal is counted. The flag is up, but
                 not by this cause: raise it again when others have gone.
         """
-        words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
+        words = (cause.encode(), raiser.encode(), machine.encode() or files.machine())
         if self._open().raise_illegal(*words) == FULL:
             raise SvarFullError(
                 f"too many causes stand, this one was not added: {cause}",
@@ -402,7 +412,7 @@ class Table(Closing):
         Raises:
             SvarOwnerError: Another process has raised it, and lives.
         """
-        words = (cause.encode(), raiser.encode(), machine.encode() or _machine())
+        words = (cause.encode(), raiser.encode(), machine.encode() or files.machine())
         if (code := self._open().clear_illegal(*words)) == ALIVE:
             raise SvarOwnerError(
                 f"what {raiser} raised is not cleared, its process lives",
@@ -477,24 +487,3 @@ class Table(Closing):
 
 def _room(variable: Variable) -> NDArray[np.uint8]:
     return np.zeros(lay.var_bytes(variable), np.uint8)
-
-
-def _map(path: Path, fd: int, size: int) -> Arena:
-    """Map a file whole; the descriptor is the arena's then, or closed."""
-    try:
-        return Arena(fd, size, _machine())
-    except MemoryError:
-        os.close(fd)
-        raise SvarFullError(
-            "the table's file cannot be mapped into memory",
-            where=str(path),
-            expected=f"{size} bytes of address space that may be locked",
-            remedy="look at `ulimit -v` and `ulimit -l`",
-        ) from None
-    except BaseException:
-        os.close(fd)
-        raise
-
-
-def _machine() -> bytes:
-    return os.uname().nodename.encode()

@@ -24,7 +24,7 @@ from pbonet.errors import (
     XmNameError,
     XmTakenError,
 )
-from pbonet.xm import files, names
+from pbonet.xm import files, folders, names
 
 from . import _tbuf, layout
 from ._tbuf import CARER, READER, WRITER, Buffer
@@ -186,6 +186,25 @@ def leave(end: Buffer) -> None:
 def standing(domain: str) -> list[str]:
     """Return the names of the links of a domain that stand on this machine."""
     return names.standing(KIND, domain)
+
+
+class Standing:
+    """The links of a domain that stand on this machine, for who looks again and again.
+
+    Args:
+        domain: The domain.
+    """
+
+    def __init__(self, domain: str) -> None:
+        self.domain = domain
+        self._changes = folders.Changes(str(names.folder()))
+        self._found: list[str] = []
+
+    def names(self) -> list[str]:
+        """Return their names; the folder is listed only when it has changed."""
+        if self._changes.look():
+            self._found = standing(self.domain)
+        return self._found
 
 
 def sweep(domain: str) -> list[str]:

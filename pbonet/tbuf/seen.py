@@ -13,12 +13,12 @@ from . import places
 from ._tbuf import READER, WRITER, Buffer
 
 
-def seen(domain: str) -> list[TbufStatus]:
+def seen(standing: places.Standing) -> list[TbufStatus]:
     """Return the links of a domain that stand on this machine, by name."""
     found: list[TbufStatus] = []
-    for text in places.standing(domain):
+    for text in standing.names():
         with contextlib.suppress(XmError):  # it has gone, or is no link
-            found.append(_look(text, domain))
+            found.append(_look(text, standing.domain))
     return found
 
 

@@ -67,6 +67,8 @@ class TableNews(Struct, kw_only=True):
     """Commits that were passed over, because newer ones were there."""
     refused: int
     """Commits that a task of this machine or a guard kept out."""
+    lost: int = 0
+    """Packets that came faster than this machine could take them."""
 
 
 class LinkReport(Struct, kw_only=True):

@@ -27,7 +27,7 @@ int main(void) {
     rig_enter(task, 0);
     rig_fill(task, 0, 10);
     if (rig_claim(task) || rig_release(task, false)) die("on and off");
-    if (pb_set(&t, 0, &set, pb_now())) die("set");
+    if (pb_set(&t, 0, &set, pb_now(), true)) die("set");
     rig_fill(task, 0, 20);
     reader = looker;
     if (rig_claim(task)) die("on again");

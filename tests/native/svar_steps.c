@@ -74,7 +74,7 @@ int main(int argc, char **argv) {
         uint64_t *value = zeroed(t.vars[0].bytes);
         for (uint64_t i = 0; i < t.vars[0].bytes / 8; i++) value[i] = counter;
         steps_left = step;
-        if (pb_set(&t, 0, value, pb_now())) die("set");
+        if (pb_set(&t, 0, value, pb_now(), true)) die("set");
     } else if (!strcmp(what, "raise")) {
         cause = pb_cause_of("killed while it raised", argv[5], "here");
         steps_left = step;
@@ -88,7 +88,7 @@ int main(int argc, char **argv) {
         uint64_t *value = zeroed(t.vars[0].bytes);
         for (uint64_t i = 0; i < t.vars[0].bytes / 8; i++) value[i] = counter - 1;
         claim_as(l, writer, counter - 1);
-        if (rig_release(l, false) || pb_set(&t, 0, value, pb_now())) die("set");
+        if (rig_release(l, false) || pb_set(&t, 0, value, pb_now(), true)) die("set");
         rig_fill(l, writer, counter);
         steps_left = step;
         if (rig_claim(l)) die("claim");

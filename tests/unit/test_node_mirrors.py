@@ -6,8 +6,11 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
+import zenoh
 
 from pbonet.config.model import Variable
+from pbonet.node import incoming
+from pbonet.node import mirrors as mirrors_module
 from pbonet.node.mirrors import Carried, Mirrors
 from pbonet.node.tables import table_name
 from pbonet.svar import Table
@@ -32,15 +35,76 @@ def turn(mirrors):
         mirrors._todo.get()()
 
 
+@pytest.fixture
+def table():
+    variables = [Variable(name="Q", type="double", nelem=3)]
+    made = Table.create(table_name("d", "arm"), variables)
+    yield made
+    made.destroy()
+
+
+@pytest.fixture
+def carrying(table):
+    """Who carries the table, where no other machine is; and what it has told."""
+    told = []
+    network = Network()
+    mirrors = Mirrors(network, "d", lambda _: None, told.append)
+    mirrors.carry({table.name.removeprefix("d."): True})
+    turn(mirrors)
+    mirrors._carried["arm"].turn(0.0)
+    network.asked.drop()  # nobody else
+    yield mirrors, told
+    mirrors.carry({})
+    turn(mirrors)
+
+
+def token(kind):
+    return SimpleNamespace(key_expr="pbonet/d/sbs/arm/svar/here/m2", kind=kind)
+
+
+def test_who_is_alone_waits_for_nobody(carrying):
+    mirrors, _ = carrying
+    carried, done = mirrors._carried["arm"], []
+    mirrors.spread("arm", lambda: done.append("alone"), take=False)
+    assert done == ["alone"]
+    carried._met(token(zenoh.SampleKind.PUT))  # before anything was exchanged with it
+    mirrors.spread("arm", lambda: done.append("two"), take=False)
+    assert done == ["alone"]
+    carried._met(token(zenoh.SampleKind.DELETE))
+    mirrors.spread("arm", lambda: done.append("alone again"), take=False)
+    assert done == ["alone", "alone again"]
+
+
+def test_packets_that_come_too_fast_are_told_of(carrying):
+    mirrors, told = carrying
+    payload = SimpleNamespace(to_bytes=lambda: b"no packet")
+    sample = SimpleNamespace(key_expr="pbonet/d/sbs/arm/svar/news/m2", payload=payload)
+    carried = mirrors._carried["arm"]
+    for _ in range(incoming.WAITING + 7):
+        carried._heard(sample)
+    turn(mirrors)
+    (note,) = told
+    assert note.code == "TABLE_BEHIND"
+    assert "7 packets for the table of arm" in note.text
+    assert carried.incoming.lost == {"m2": 7}
+
+
+def test_what_others_ask_is_bounded(carrying):
+    mirrors, _ = carrying
+    queries = [MagicMock(payload=None) for _ in range(mirrors_module.ASKED + 1)]
+    for query in queries:
+        mirrors._carried["arm"]._asked(query)
+    assert [q.drop.called for q in queries] == [False] * mirrors_module.ASKED + [True]
+
+
 @pytest.mark.parametrize(
     ("take", "in_order"), [(True, [b"state", "done"]), (False, ["done", b"state"])]
 )
+@pytest.mark.usefixtures("table")
 def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_order):
     """The carrier's thread comes late; only who opens a table waits for it."""
     happened = []
     monkeypatch.setattr(Carried, "_take", lambda _, data: happened.append(data))
-    variables = [Variable(name="Q", type="double", nelem=3)]
-    table = Table.create(table_name("d", "arm"), variables)
     network = Network()
     mirrors = Mirrors(network, "d", lambda _: None)
     try:
@@ -53,4 +117,3 @@ def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_
     finally:
         mirrors.carry({})
         turn(mirrors)
-        table.destroy()

@@ -3,37 +3,49 @@
 from __future__ import annotations
 
 import os
+import time
 
 import pytest
 
-from pbonet.xm.folders import Changes
+from pbonet.xm.folders import TICK_NS, Changes
 
 
 @pytest.fixture
-def changes(tmp_path):
-    made = Changes(str(tmp_path))
-    assert made.look()
-    return made
+def folder(tmp_path):
+    before(tmp_path, 10 * TICK_NS)
+    return tmp_path
 
 
-def test_once_more_and_then_no_more(changes):
-    assert changes.look()
-    assert not changes.look()
-    assert not changes.look()
+def before(folder, ns):
+    """Have the folder's last change be so long ago."""
+    stamp = time.time_ns() - ns
+    os.utime(folder, ns=(0, stamp))
 
 
-def test_made_and_removed(changes, tmp_path):
+def test_once_and_then_no_more(folder):
+    changes = Changes(str(folder))
+    assert [changes.look() for _ in range(3)] == [True, False, False]
+
+
+def test_made_and_removed(folder):
+    changes = Changes(str(folder))
     changes.look()
-    for change in ((tmp_path / "x").touch, (tmp_path / "x").unlink):
+    for n, change in enumerate(((folder / "x").touch, (folder / "x").unlink)):
         change()
-        os.utime(tmp_path, ns=(0, tmp_path.stat().st_mtime_ns + 1))
-        assert changes.look()
-        assert changes.look()
-        assert not changes.look()
+        before(folder, (9 - n) * TICK_NS)
+        assert [changes.look() for _ in range(3)] == [True, False, False]
 
 
-def test_what_comes_in_the_same_tick_behind_a_listing(changes, tmp_path):
-    stamp = tmp_path.stat().st_mtime_ns
-    (tmp_path / "x").touch()
-    os.utime(tmp_path, ns=(0, stamp))  # as if the clock had not moved on
-    assert changes.look()
+def test_what_comes_in_the_same_tick_behind_a_listing(folder, monkeypatch):
+    changes = Changes(str(folder))
+    changes.look()
+    before(folder, 0)
+    stamp = folder.stat().st_mtime_ns
+    now = stamp
+    monkeypatch.setattr(time, "time_ns", lambda: now)
+    for _ in range(5):  # as if many looked within the tick
+        assert changes.look()
+    (folder / "x").touch()
+    os.utime(folder, ns=(0, stamp))  # as if the clock had not moved on
+    now += 2 * TICK_NS
+    assert [changes.look() for _ in range(3)] == [True, False, False]

@@ -377,7 +377,9 @@ class Arena(Flag):
             self._set_reg(r, _STATE, LEFT)
         return 0
 
-    def set(self, v: int, value: NDArray[Any], now: int) -> int:
+    def set(  # as the native one, which has a lock
+        self, v: int, value: NDArray[Any], now: int, _wait: object = None
+    ) -> int:
         """Set a variable that no task owns."""
         reg, live, _ = self.entry(v)
         if live and self._alive(reg):

@@ -1,0 +1,54 @@
+"""Packets that wait to be taken: so many at the most, and what is lost is counted.
+
+They come in zenoh's threads and are taken in the carrier's. When that comes too late
+for too many, the oldest go: each packet tells the newest values, and every half second
+a machine tells everything again.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+WAITING = 256
+"""Packets that wait at the most, for each table."""
+
+
+class Incoming:
+    """The packets of one table that were heard and not yet taken.
+
+    Args:
+        ring: Has the carrier's thread call `taken`; may be called from any thread.
+        room: Packets that wait at the most.
+    """
+
+    def __init__(self, ring: Callable[[], None], room: int = WAITING) -> None:
+        self._ring = ring
+        self._guard = threading.Lock()
+        self._waiting: deque[tuple[str, bytes]] = deque()
+        self._room = room
+        self._rung = False
+        self.lost: Counter[str] = Counter()
+        """Packets that were never taken, by machine."""
+
+    def heard(self, machine: str, data: bytes) -> None:
+        """Keep a packet; runs in zenoh's threads."""
+        with self._guard:
+            if len(self._waiting) >= self._room:
+                self.lost[self._waiting.popleft()[0]] += 1
+            self._waiting.append((machine, data))
+            rung, self._rung = self._rung, True
+        if not rung:
+            self._ring()
+
+    def taken(self) -> list[bytes]:
+        """Return what has come, the oldest first."""
+        with self._guard:
+            found = [data for _, data in self._waiting]
+            self._waiting.clear()
+            self._rung = False
+        return found
