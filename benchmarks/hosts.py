@@ -253,7 +253,8 @@ def latency(pair: Pair, seconds: float) -> dict[str, Any]:
                 plain.append((time.monotonic_ns() - sent) * 1e-9)  # noqa: B023
 
             with raw("put", str(rate), str(seconds)) as link:
-                link.declare_subscriber("bench/put", zenoh.handlers.Callback(heard))
+                handler = zenoh.handlers.Callback(heard, indirect=False)
+                link.declare_subscriber("bench/put", handler)
                 time.sleep(seconds)
         found[f"{rate:g} Hz"] = {
             "table": quantiles(mirrored),

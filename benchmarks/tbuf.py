@@ -17,7 +17,9 @@ Cost, seen from Python, in nanoseconds:
 Latency, at 1 kHz, in microseconds, from the writer's process to the reader's:
     pbonet      `Writer.write` to the return of `Reader.read` behind a wait, over two
                 agents with shared memory of their own, linked by TCP
-    raw zenoh   `put` to the callback between two processes, linked by TCP
+    raw zenoh   `put` to the callback between two processes, linked by TCP, as who
+                knows zenoh sets it up: with the options that pbonet uses, and the
+                callback in zenoh's own thread
 """
 
 from __future__ import annotations
@@ -114,7 +116,12 @@ PUT = (
     + RAW
     + """
 session = zenoh.open(config("listen", settings["port"]))
-publisher = session.declare_publisher("x")
+publisher = session.declare_publisher(
+    "x",
+    priority=zenoh.Priority.REAL_TIME,
+    congestion_control=zenoh.CongestionControl.DROP,
+    reliability=zenoh.Reliability.BEST_EFFORT,
+)
 rest = bytes(size - 8)
 tell("ready")
 for line in sys.stdin:
@@ -133,7 +140,7 @@ def take(sample):
     data = sample.payload.to_bytes()
     late.append(time.monotonic_ns() - int.from_bytes(data[:8], "little"))
 session = zenoh.open(config("connect", settings["port"]))
-session.declare_subscriber("x", take)
+session.declare_subscriber("x", zenoh.handlers.Callback(take, indirect=False))
 tell("ready")
 for line in sys.stdin:
     late.clear()
