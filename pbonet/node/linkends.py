@@ -78,7 +78,8 @@ class Sender:
         places.leave(self._end)
 
     def _work(self) -> None:
-        runtime.go_before_others()
+        if runtime.go_before_others():
+            runtime.send_before_others()
         end = self._end
         with contextlib.suppress(XmError, zenoh.ZError):  # destroyed, or cut off
             while not self._over:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 LINK_LEVEL = 2
 """Of the threads that carry records from machine to machine; commands have 3."""
+_SENDS = "tx-"
+"""How the names of zenoh's threads begin that send."""
 PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 
@@ -64,6 +66,19 @@ def go_before_others() -> bool:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, level)
         return True
     return False
+
+
+def send_before_others() -> None:
+    """Give zenoh's threads that send that level too, where this process has the right.
+
+    They are the session's own, and known by their names alone.
+    """
+    level = os.sched_param(LINK_LEVEL)
+    for task in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):
+            if (task / "comm").read_text().startswith(_SENDS):
+                how = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+                os.sched_setscheduler(int(task.name), how, level)
 
 
 def settle_memory() -> None:

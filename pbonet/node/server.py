@@ -114,7 +114,7 @@ class Server:
         mail: Who carries out those about semaphores and queues.
         overview: Who carries out those that need no RTPU process.
         commanded: Is told of what changes something: the request, its packed answer,
-            and when it came.
+            and when it came; returns what is to be done about it, if anything is.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Server:
         node: Node,
         mail: Mail,
         overview: Overview,
-        commanded: Callable[[m.AnyRequest, bytes, int], None],
+        commanded: Callable[[m.AnyRequest, bytes, int], Callable[[], None] | None],
     ) -> None:
         self._session = session
         self._domain = domain
@@ -190,7 +190,9 @@ class Server:
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Have a command put on record."""
         if not roles.only_looks(request):
-            self._commanded(request, answer, begun_ns)
+            record = self._commanded(request, answer, begun_ns)
+            if record is not None:
+                record()
 
     def publish(self, data: bytes) -> None:
         """Publish a packed event; it is dropped rather than waited for."""
@@ -327,7 +329,9 @@ class Server:
         """Answer a request that was carried out, then put it on record."""
         end = partial(self._repeats.end, who, data)
         self._node.spread(request.subsystem, end, take=False)
-        self._arrived.put(partial(self._tell, request, data, begun_ns))
+        record = self._commanded(request, data, begun_ns)
+        if record is not None:  # that takes longer than zenoh's thread may take
+            self._arrived.put(record)
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

@@ -24,7 +24,7 @@ cdef extern from "doze.h" nogil:
     struct tb_bells:
         int defer
     struct tb_pace:
-        int64_t last_ns, period_ns
+        int64_t last_ns, period_ns, due_ns
     void tb_paced(tb_pace *pace, int64_t time_ns, uint64_t lost)
     int tb_doze_paced(tb_buffer *b, tb_pace *pace, int64_t until_ns)
     uint64_t tb_size(uint64_t bytes)

@@ -39,37 +39,54 @@ static inline int tb_doze(struct tb_buffer *b, int64_t until_ns) {
 }
 
 /* When the next record is to be expected, for a reader that may spend a little processor time
- * to have it sooner: waking a process takes longer than all else on a record's way. */
+ * to have it sooner: waking a process takes longer than all else on a record's way. A record
+ * that is late moves the next one's time by a quarter of that, for who is late once is not
+ * late by as much again. */
 struct tb_pace {
-    int64_t last_ns, period_ns;
-    int rest; /* records for which nothing is expected: the last guess was wrong */
+    int64_t last_ns, period_ns, due_ns;
+    bool steady;
 };
 
-enum { TB_EARLY = 50000, TB_LATE = 30000, TB_SHORTEST = 800000, TB_REST = 4 };
+enum { TB_EARLY = 50000, TB_LATE = 30000, TB_NAP = 60000, TB_SHORTEST = 800000 };
 
 /* Take note of a record; `lost` were missed before it. */
 static inline void tb_paced(struct tb_pace *pace, int64_t time_ns, uint64_t lost) {
-    int64_t period = (time_ns - pace->last_ns) / (int64_t)(lost + 1);
-    bool steady = pace->period_ns && period > pace->period_ns / 2 &&
-                  period < pace->period_ns * 2;
-    pace->period_ns = steady ? (7 * pace->period_ns + period) / 8 : period;
-    if (pace->rest) pace->rest--;
-    if (!steady) pace->rest = 1;
+    const int64_t since = (time_ns - pace->last_ns) / (int64_t)(lost + 1);
+    int64_t off = 0;
+    pace->steady = pace->period_ns && since > pace->period_ns / 2 &&
+                   since < pace->period_ns * 2;
+    if (pace->steady) {
+        off = time_ns - pace->due_ns - (int64_t)lost * pace->period_ns;
+        if (off > pace->period_ns / 2 || off < -pace->period_ns / 2) off = 0;
+        pace->period_ns += (since - pace->period_ns) / 8;
+    } else {
+        pace->period_ns = since;
+    }
+    pace->due_ns = time_ns + pace->period_ns - off * 3 / 4;
     pace->last_ns = time_ns;
 }
 
-/* As tb_doze. Awake a little before the next record is due, and for a little behind that, so
- * that a writer that is on time need wake nobody. */
+static inline void tb_nap(int64_t ns) {
+    struct timespec time = {0, ns};
+    clock_nanosleep(CLOCK_MONOTONIC, 0, &time, NULL);
+}
+
+/* As tb_doze. Awake a little before the next record is due, and for a little behind that;
+ * then it looks now and then, for three periods or 5 ms, and is asleep behind that.
+ * So a writer that is regular need wake nobody. */
 static inline int tb_doze_paced(struct tb_buffer *b, struct tb_pace *pace, int64_t until_ns) {
-    int64_t due = pace->last_ns + pace->period_ns;
-    if (pace->rest || pace->period_ns < TB_SHORTEST || due - TB_EARLY >= until_ns)
+    const int64_t more = 3 * pace->period_ns, most = 5000000;
+    const int64_t gone = pace->due_ns + (more < most ? more : most);
+    if (!pace->steady || pace->period_ns < TB_SHORTEST || pace->due_ns - TB_EARLY >= until_ns)
         return tb_doze(b, until_ns);
-    int code = tb_doze(b, due - TB_EARLY);
+    int code = tb_doze(b, pace->due_ns - TB_EARLY);
     if (code != TB_TIMED_OUT) return code; /* it came sooner */
     atomic_store(&b->bell, 0);             /* who writes now need not ring */
-    while (tb_now() < due + TB_LATE)
+    for (int64_t now = 0; now < gone && now < until_ns; now = tb_now()) {
         if (tb_news(b) || atomic_load(&b->destroyed)) return 0;
-    pace->rest = TB_REST;
+        if (now > pace->due_ns + TB_LATE) tb_nap(TB_NAP);
+    }
+    pace->steady = false;
     return tb_doze(b, until_ns);
 }
 
