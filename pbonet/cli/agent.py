@@ -68,6 +68,9 @@ def command(
     multicast: A[
         bool, typer.Option("--multicast", help="Find the domain's agents nearby.")
     ] = False,
+    awake: A[
+        bool, typer.Option("--awake", help="Keep the processors from sleeping.")
+    ] = False,
     backend: A[Backend, typer.Option(help="Scheduling.")] = Backend.AUTO,
     with_parent: A[
         int, typer.Option(help="End with this parent process.", metavar="PID")
@@ -99,6 +102,7 @@ def command(
         "files": str(files) if files else None,
         "insecure": insecure or None,
         "multicast": multicast or None,
+        "awake": awake or None,
     }
     begin = read_agent(config) if config else AgentConfig()
     given = {key: value for key, value in told.items() if value is not None}

@@ -265,6 +265,8 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """True lets the agent listen beyond this machine without protection."""
     multicast: bool = False
     """True lets the agents of the domain on one network find each other."""
+    awake: bool = False
+    """True keeps the machine's processors from sleeping while the RTPU is there."""
     files: str | None = None
     """Folder whose files others may use (``pbonet://NAME/...``); none if left out."""
     runs: str | None = None

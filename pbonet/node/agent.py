@@ -96,6 +96,7 @@ class Agent:
             libraries=tuple(os.path.abspath(p) for p in config.libraries),  # noqa: PTH100
             grace=config.grace,
             backend=backend,
+            awake=config.awake,
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
         self._recorders = Recorders(self._note, config)

@@ -19,7 +19,7 @@ from pbonet.errors import (
 from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
-from . import _rt, known, leftovers, ranking, runtime, status, wire
+from . import _rt, known, leftovers, ranking, runtime, status, waking, wire
 from ._ring import Ring
 from .claims import Claims
 from .fallbacks import Fallbacks
@@ -102,6 +102,7 @@ class Rtpu:
         self.limits: list[str] = []
         self.locks_memory = True
         self._watch: asyncio.Task[None] | None = None
+        self._awake: waking.Awake | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.changed: Callable[[], None] | None = None
         """Called when something may have changed that `pbonet.node.known` tells."""
@@ -130,6 +131,9 @@ class Rtpu:
                 self.limits.append(f"memory is not locked: {error}")
         self.locks_memory = probe.lock_memory
         await self.spawner.start()
+        if self.config.awake:
+            self._awake = waking.Awake()
+            self.limits += self._awake.limits
         self.core = _rt.CoreTable(self.config.core, member=True)
         self.dispatcher = _rt.Dispatcher(self.core, self.config.backend)
         self.dispatcher.start()
@@ -143,6 +147,8 @@ class Rtpu:
         for one in waiting:
             one.cancel()
         await asyncio.gather(*waiting, return_exceptions=True)
+        if self._awake is not None:
+            self._awake.close()
         self.tables.close_all()
         await self.spawner.close()
         for name in ("vigil", "dispatcher", "core"):

@@ -43,6 +43,7 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     backend: str = "auto"
     runs: str = "runs"
     """Folder of the logs, absolute."""
+    awake: bool = False
     ready_fd: int = -1
     """Where to write one `Ready` when commands can be taken."""
 

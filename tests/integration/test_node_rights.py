@@ -5,12 +5,13 @@ import os
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import mounting
 import pytest
 
 from pbonet.errors import PbonetError, RealTimeError, SvarFullError
-from pbonet.node import _rt
+from pbonet.node import _rt, waking
 from pbonet.node.agent import Agent
 from pbonet.xm import messages as m
 
@@ -105,6 +106,16 @@ def test_life_without_rights(nodes):
     arm.wait_cycles("a", 10)
     assert arm.off("a").state == "OFF"
     assert arm.kill("a").state == "NOT-CREATED"
+
+
+@pytest.mark.parametrize("awake", [True, False])
+def test_processors_are_kept_awake_where_that_is_asked(nodes, awake):
+    """By the RTPU process as long as it lives, or it says why not."""
+    agent = nodes.agent("arm0", awake=awake)
+    fds = Path(f"/proc/{agent.info().rtpu_pid}/fd")
+    held = any(fd.resolve() == waking.DEVICE for fd in fds.iterdir())
+    told = any("processors sleep" in text for text in agent.info().limits)
+    assert held + told == awake
 
 
 def test_as_root_without_its_rights():
