@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections import deque
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -174,7 +173,7 @@ class Recorders:
         self._fares: dict[str, wire.Recorder] = {}
         self._children: dict[str, _Child] = {}
         self._ended: list[_Child] = []
-        self._before: dict[str, deque[Callable[[], wire.Commanded]]] = {}
+        self._before: dict[str, deque[wire.Commanded]] = {}
         """Commands to subsystems that are not recorded yet."""
         self._claims: set[str] = set()
         self._guard = threading.Lock()
@@ -204,8 +203,7 @@ class Recorders:
             for subsystem, one in wanted.items():
                 if subsystem not in self._children:
                     before = self._before.pop(subsystem, ())
-                    told = [tell() for tell in before]
-                    self._children[subsystem] = _Child(one, told, self._said)
+                    self._children[subsystem] = _Child(one, before, self._said)
             self._claims = set(claims)
             for subsystem in self._before.keys() - self._claims:
                 del self._before[subsystem]
@@ -227,22 +225,18 @@ class Recorders:
         for child in children:
             child.tell(message)
 
-    def commanded(
-        self, request: AnyRequest, answer: bytes, begun_ns: int
-    ) -> Callable[[], None] | None:
-        """Keep a command until its subsystem is recorded.
-
-        Returns:
-            What puts it on record, if the subsystem is recorded now.
-        """
-        whose = request.subsystem
-        told = partial(command, request, answer, begun_ns, time.monotonic_ns())
+    def commanded(self, request: AnyRequest, answer: bytes, begun_ns: int) -> None:
+        """Put a command on record, or keep it until its subsystem is recorded."""
+        if not request.subsystem:
+            return
+        told = command(request, answer, begun_ns, time.monotonic_ns())
         with self._guard:
-            child = self._children.get(whose)
-            if child is None and whose in self._claims:
-                room: deque[Callable[[], wire.Commanded]] = deque(maxlen=BEFORE)
-                self._before.setdefault(whose, room).append(told)
-        return None if child is None else lambda: child.tell(told())
+            child = self._children.get(told.subsystem)
+            if child is None and told.subsystem in self._claims:
+                room: deque[wire.Commanded] = deque(maxlen=BEFORE)
+                self._before.setdefault(told.subsystem, room).append(told)
+        if child is not None:
+            child.tell(told)
 
     def stop(self) -> None:
         """Finish every log."""

@@ -114,7 +114,7 @@ class Server:
         mail: Who carries out those about semaphores and queues.
         overview: Who carries out those that need no RTPU process.
         commanded: Is told of what changes something: the request, its packed answer,
-            and when it came; returns what is to be done about it, if anything is.
+            and when it came.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class Server:
         node: Node,
         mail: Mail,
         overview: Overview,
-        commanded: Callable[[m.AnyRequest, bytes, int], Callable[[], None] | None],
+        commanded: Callable[[m.AnyRequest, bytes, int], None],
     ) -> None:
         self._session = session
         self._domain = domain
@@ -190,9 +190,7 @@ class Server:
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Have a command put on record."""
         if not roles.only_looks(request):
-            record = self._commanded(request, answer, begun_ns)
-            if record is not None:
-                record()
+            self._commanded(request, answer, begun_ns)
 
     def publish(self, data: bytes) -> None:
         """Publish a packed event; it is dropped rather than waited for."""
@@ -329,9 +327,8 @@ class Server:
         """Answer a request that was carried out, then put it on record."""
         end = partial(self._repeats.end, who, data)
         self._node.spread(request.subsystem, end, take=False)
-        record = self._commanded(request, data, begun_ns)
-        if record is not None:  # that takes longer than zenoh's thread may take
-            self._arrived.put(record)
+        record = partial(self._commanded, request, data, begun_ns)
+        self._arrived.put(record)  # which takes longer than zenoh's thread may take
 
     def _measure(self, query: zenoh.Query, request_id: str) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

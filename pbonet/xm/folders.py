@@ -6,14 +6,14 @@ import os
 import time
 
 TICK_NS = 20_000_000
-"""A folder's time stamp is that of the last tick of the system's clock, some ms ago."""
+"""A folder's time stamp is that of the last tick of the kernel, some ms ago at most."""
 
 
 class Changes:
     """Tells whether something was made or removed in a folder.
 
-    After a change the folder is to be listed until its time stamp is older than a tick:
-    it cannot tell what came directly behind a listing.
+    After a change the folder is to be listed until its time stamp has stood for longer
+    than a tick: it cannot tell what came directly behind a listing.
 
     Args:
         path: The folder.
@@ -22,6 +22,7 @@ class Changes:
     def __init__(self, path: str) -> None:
         self._path = path
         self._stamp = -1
+        self._since = 0
         self._settled = False
 
     def look(self) -> bool:
@@ -29,6 +30,8 @@ class Changes:
         stamp = os.stat(self._path).st_mtime_ns  # noqa: PTH116 - three times as fast
         if stamp == self._stamp and self._settled:
             return False
-        self._settled = abs(time.time_ns() - stamp) > TICK_NS
-        self._stamp = stamp
+        now = time.monotonic_ns()
+        if stamp != self._stamp:
+            self._stamp, self._since = stamp, now
+        self._settled = now - self._since > TICK_NS
         return True

@@ -10,42 +10,47 @@ import pytest
 from pbonet.xm.folders import TICK_NS, Changes
 
 
+class Clock:
+    """The monotonic clock, set by the test."""
+
+    now = 0
+
+
 @pytest.fixture
-def folder(tmp_path):
-    before(tmp_path, 10 * TICK_NS)
-    return tmp_path
+def clock(monkeypatch):
+    monkeypatch.setattr(time, "monotonic_ns", lambda: Clock.now)
+    return Clock
 
 
-def before(folder, ns):
-    """Have the folder's last change be so long ago."""
-    stamp = time.time_ns() - ns
-    os.utime(folder, ns=(0, stamp))
+def looks(changes):
+    return [changes.look() for _ in range(3)]
 
 
-def test_once_and_then_no_more(folder):
-    changes = Changes(str(folder))
-    assert [changes.look() for _ in range(3)] == [True, False, False]
+def test_until_a_tick_is_over_and_then_no_more(tmp_path, clock):
+    changes = Changes(str(tmp_path))
+    assert looks(changes) == [True] * 3
+    clock.now += TICK_NS + 1
+    assert looks(changes) == [True, False, False]
 
 
-def test_made_and_removed(folder):
-    changes = Changes(str(folder))
-    changes.look()
-    for n, change in enumerate(((folder / "x").touch, (folder / "x").unlink)):
+def test_made_and_removed(tmp_path, clock):
+    changes = Changes(str(tmp_path))
+    looks(changes)
+    clock.now += TICK_NS + 1
+    looks(changes)
+    for change in ((tmp_path / "x").touch, (tmp_path / "x").unlink):
         change()
-        before(folder, (9 - n) * TICK_NS)
-        assert [changes.look() for _ in range(3)] == [True, False, False]
+        os.utime(tmp_path, ns=(0, tmp_path.stat().st_mtime_ns + 1))
+        assert looks(changes) == [True] * 3
+        clock.now += TICK_NS + 1
+        assert looks(changes) == [True, False, False]
 
 
-def test_what_comes_in_the_same_tick_behind_a_listing(folder, monkeypatch):
-    changes = Changes(str(folder))
-    changes.look()
-    before(folder, 0)
-    stamp = folder.stat().st_mtime_ns
-    now = stamp
-    monkeypatch.setattr(time, "time_ns", lambda: now)
-    for _ in range(5):  # as if many looked within the tick
-        assert changes.look()
-    (folder / "x").touch()
-    os.utime(folder, ns=(0, stamp))  # as if the clock had not moved on
-    now += 2 * TICK_NS
-    assert [changes.look() for _ in range(3)] == [True, False, False]
+def test_what_comes_in_the_same_tick_behind_a_listing(tmp_path, clock):
+    changes = Changes(str(tmp_path))
+    assert looks(changes) == [True] * 3  # many looked within the tick
+    stamp = tmp_path.stat().st_mtime_ns
+    (tmp_path / "x").touch()
+    os.utime(tmp_path, ns=(0, stamp))  # as if the kernel's clock had not moved on
+    clock.now += TICK_NS + 1
+    assert looks(changes) == [True, False, False]
