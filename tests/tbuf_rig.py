@@ -175,7 +175,8 @@ class Machine:
             agent.wait(60)
         for pid, command in processes_of("PBONET_RUN_DIR", str(self.run)):
             if "pbonet.node.rtpu" in command:  # of an agent that was killed
-                os.kill(pid, signal.SIGTERM)
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    os.kill(pid, signal.SIGTERM)
         clean_folder(self.run, "PBONET_RUN_DIR")
         clean_folder(self.shm, "PBONET_SHM_DIR")
 
