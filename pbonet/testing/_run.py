@@ -141,6 +141,8 @@ class Run:
         """The commit that is being compared; of constants, (0, 0)."""
         self._where = "init"
         self._stable = False
+        self._failed: PbonetError | None = None
+        """What ended the last thing that was done between cycles."""
         self._unseen: set[str] = set()
         """Out-vars that `on` copied in, and that are not recorded."""
         self._lay_out()
@@ -292,7 +294,8 @@ class Run:
             self._at += 1
             self._wait(StepSchema.data(message), head[1])
         else:
-            self._diverged(f"the module did not get to {Step(head[10]).name}")
+            why = f": {self._failed}" if self._failed else ""
+            self._diverged(f"the module did not get to {Step(head[10]).name}{why}")
 
     def _run_cycle(self, message: bytes, head: tuple[int, ...]) -> None:
         number, release, _, _, dt, _, register, commit, _, flags, _ = head
@@ -338,7 +341,7 @@ class Run:
         if done.what == "fault" or (done.what == "abort" and not self.about.timing):
             what = done.arg or "a timing failure ended it"
             raise Stop(f"{done.name or 'cycle'} behind cycle {self._cycle}: {what}")
-        executor = self._executor
+        executor, self._failed = self._executor, None
         try:
             if done.what == "spawn":
                 executor.spawn()

@@ -110,6 +110,7 @@ def test_tasks_that_hand_over_give_the_same_again(shop) -> None:
         ("dt / 3.0", "dt / 3.5", "cycle 1: Y0[0] is "),
         ("= 0.1", "= 0.2", "cycle 1: Y0[0] is "),
         ("self.y[0] = self.task.cyclecount", "pass", "off, behind cycle 4: Y0[0] is "),
+        ("self.age = 0.1", "raise OSError('no scale')", "no scale"),
         (
             "self.y += self",
             "raise OSError\n        self",
