@@ -87,6 +87,39 @@ def test_each_value_goes_out_at_its_time(path, live, rate) -> None:
     assert live.table.read("N")[0] == 7, "its constants too"
 
 
+def test_several_tasks_are_played_in_one_time(tmp_path, monkeypatch) -> None:
+    """`a` writes Y each 2 ms, `b` writes Z each 3 ms; each of them owns its own."""
+    names = {"a": ("Y", 2), "b": ("Z", 3)}
+    variables = {one: Variable(name=one, type="double") for one in "YZ"}
+    writer = LogWriter(tmp_path / "run.mcap", run(epoch_ns=10**18))
+    for task, (name, period) in names.items():
+        number = writer.add_task(about(task, [variables[name]]))
+        parts = [record(bytes(8), kind=Step.CLAIM)]
+        for n in range(1, 60 // period + 1):
+            value = np.array([n * period], float).tobytes()
+            parts.append(record(value, cycle=n, end_ns=n * period * MS))
+        writer.add(number, b"".join(parts))
+    writer.close()
+    table = Table.create("d.arm", list(variables.values()))
+    seen, owners = {}, set()
+
+    def look(now):
+        at = round((now - 1000.0) * 1e3 * 2, 3)
+        seen[at] = [float(table.read(one)[0]) for one in "YZ"]
+        owners.update((one, table.info(one).owner) for one in "YZ")
+
+    monkeypatch.setattr(player, "time", Time(look))
+    try:
+        one, two = play(tmp_path, ["a", "b"], Span(rate=2.0), domain="d")
+    finally:
+        table.destroy()
+    assert (one.task, one.commits) == ("a", 31)
+    assert (two.task, two.commits) == ("b", 21)
+    assert owners == {("Y", "replay:a"), ("Z", "replay:b")}
+    assert seen == {at: [at - at % 2, at - at % 3] for at in seen}
+    assert sorted(seen) == [n for n in range(60) if not n % 2 or not n % 3]
+
+
 def test_a_part_begins_at_once(path, live) -> None:
     (played,) = play(path, ["a"], Span(start=0.02, end=0.03), domain="d")
     assert live.seen == [(2.0 * n, 10 + n) for n in range(5)]
