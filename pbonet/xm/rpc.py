@@ -35,7 +35,7 @@ from pbonet.errors import (
     UnreachableError,
     did_you_mean,
 )
-from pbonet.xm import keys, roles, rundir
+from pbonet.xm import credentials, keys, roles, rundir
 from pbonet.xm.codec import Codec
 from pbonet.xm.letters import read_result
 from pbonet.xm.messages import Answer, Hello, Request, Stop
@@ -388,13 +388,23 @@ def unreachable(rtpu: str, domain: str, names: list[str]) -> UnreachableError:
     start = f"pbonet agent --name {rtpu}"
     if domain != "default":
         start += f" --domain {domain}"
-    start = f"start it with '{start}'"
+    start = (not names and _bad_keys()) or f"start it with '{start}'"
     return UnreachableError(
         "no agent of this name can be reached",
         where=rtpu,
         got=f"RTPUs of the domain {domain} that can be reached: {there}",
         remedy=f"{hint} else {start}" if hint else start,
     )
+
+
+def _bad_keys() -> str:
+    """Return what is wrong with one's keys; empty if nothing is."""
+    try:
+        if (folder := credentials.named()) is not None:
+            credentials.prove(folder)
+    except PbonetError as error:
+        return f"your keys: {error}"
+    return ""
 
 
 def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:

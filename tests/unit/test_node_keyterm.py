@@ -1,0 +1,111 @@
+"""How long keys are good for, as agents and doctor tell it."""
+
+from __future__ import annotations
+
+import pytest
+from watching import wait_for
+
+from pbonet.errors import Severity
+from pbonet.master import doctor
+from pbonet.node import keyterm
+from pbonet.xm import credentials, pki
+from pbonet.xm.credentials import Role
+
+DAY = 86400.0
+
+
+@pytest.fixture
+def lab(tmp_path):
+    pki.make_authority(tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Set the clock forward by seconds."""
+    ahead = [0.0]
+    real = credentials.left
+    monkeypatch.setattr(credentials, "left", lambda until: real(until) - ahead[0])
+    monkeypatch.setattr(keyterm, "LOOK", 0.005)
+
+    def forward(seconds):
+        ahead[0] += seconds
+
+    return forward
+
+
+def test_it_is_told_once_a_day_and_when_it_is_over(lab, clock):
+    """Not before 30 days are left; a clock that is set is seen at the next look."""
+    folder = pki.issue(lab, Role.AGENT, "pc", hosts=["arm-pc"], days=40.5)
+    told = []
+    term = keyterm.KeyTerm(folder, "arm0", told.append)
+    term.start()
+    try:
+        assert told == []
+        clock(12 * DAY)
+        wait_for(lambda: told, "the first warning")
+        for days in (1, 1):
+            before = len(told)
+            clock(days * DAY)
+            wait_for(lambda n=before: len(told) > n, "the next one")
+        clock(30 * DAY)
+        wait_for(lambda: told[3:], "the end")
+    finally:
+        term.stop()
+    assert [note.text.partition(";")[0] for note in told] == [
+        "the keys run out in 28 days",
+        "the keys run out in 27 days",
+        "the keys run out in 26 days",
+        "the keys have run out: no other machine can be reached any more",
+    ]
+    kinds = [Severity.WARNING] * 3 + [Severity.ERROR]
+    assert [(note.code, note.severity) for note in told] == [
+        ("KEYS_RUN_OUT", int(kind)) for kind in kinds
+    ]
+    assert all(f"put them into {folder}, " in note.text for note in told)
+
+
+def test_without_keys_there_is_nothing_to_tell():
+    term = keyterm.KeyTerm(None, "arm0", pytest.fail)
+    term.start()
+    term.stop()
+    assert term.left is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [
+        (45.4, "45 seconds"),
+        (600, "10 minutes"),
+        (5 * 3600, "5 hours"),
+        (29.2 * DAY, "29 days"),
+    ],
+)
+def test_times_are_said_as_people_do(seconds, said):
+    assert credentials.days(seconds) == said
+
+
+@pytest.mark.parametrize(
+    ("days", "line"),
+    [
+        (100.5, "PASS your keys in {} are good for 100 days"),
+        (5.2, "WARN your keys in {} are good for 5 days; make others with "),
+        (-0.01, "FAIL {}/cert.pem: the certificate has run out; `pbonet keys "),
+    ],
+)
+def test_doctor_looks_at_ones_own_keys(lab, monkeypatch, days, line):
+    folder = pki.issue(lab, Role.MASTER, "anna", days=days)
+    monkeypatch.setenv(credentials.VARIABLE, str(folder))
+    (found,) = doctor.own_keys()
+    assert str(found).startswith(line.format(folder))
+
+
+def test_doctor_tells_who_cannot_be_reached(run_dir, monkeypatch):  # noqa: ARG001 - an empty folder
+    """Nobody being there is no fault; who was named, or runs, has to answer."""
+    monkeypatch.delenv(credentials.VARIABLE, raising=False)
+    (alone,) = doctor.agents("d", [0], [])
+    assert alone.level is doctor.Level.PASS
+    (named,) = doctor.agents("d", [0], ["tcp/127.0.0.1:9"])
+    assert str(named).startswith(
+        "FAIL tcp/127.0.0.1:9: no agent of domain d answers; is an agent running there"
+    )
