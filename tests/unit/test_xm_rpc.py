@@ -1,12 +1,13 @@
-"""Errors of agents: where they are said to be."""
+"""Errors of agents: where they are said to be, and what is said of who is silent."""
 
 from __future__ import annotations
 
 import pytest
 
 from pbonet.errors import NodeError, ProtocolError
-from pbonet.xm import codec
+from pbonet.xm import codec, credentials, pki, rpc
 from pbonet.xm import messages as m
+from pbonet.xm.credentials import Role
 from pbonet.xm.rpc import placed
 
 
@@ -39,3 +40,14 @@ def test_text_that_is_no_utf8_is_refused_like_all_that_is_malformed(message):
         read(packed)
     assert "utf-8" in str(caught.value)
     assert codec.request_id(packed) in {"i", ""}
+
+
+def test_who_has_keys_that_ran_out_is_told_so(tmp_path, monkeypatch, run_dir):  # noqa: ARG001 - an empty folder
+    """An agent drops them without a word."""
+    pki.make_authority(tmp_path / "lab")
+    keys = pki.issue(tmp_path / "lab", Role.MASTER, "anna", days=-0.01)
+    monkeypatch.setenv(credentials.VARIABLE, str(keys))
+    text = str(rpc.unreachable("arm0", "d", []))
+    assert f"your keys: {keys}/cert.pem: the certificate has run out" in text
+    assert "pbonet agent" not in text
+    assert "start it with" in str(rpc.unreachable("arm0", "d", ["arm1"]))
