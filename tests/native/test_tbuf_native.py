@@ -54,6 +54,14 @@ def test_address_and_undefined_sanitizers_find_nothing_in_links(tmp_path):
     judge(run(program, "processes", 0.5, 30))
 
 
+def test_a_sender_follows_the_grid_and_looks_for_what_is_late(tmp_path):
+    found = run(build("tbuf_pace.c", tmp_path / "pace", headers=HEADERS))
+    assert found["regular"] == found["lost"] == 0
+    assert 50_000 <= found["late"] <= 80_000, "a quarter of 200 us, and a longer period"
+    assert found["pause"] == -1, "nothing is expected behind a pause"
+    assert (found["found"], found["rung"]) == (0, 0)
+
+
 @pytest.fixture
 def sweep(tmp_path):
     """Return a function that goes through all schedules, with some headers."""
