@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from pbonet.errors import ModuleLoadError, PbonetError
+from pbonet.errors import ModuleLoadError, PbonetError, ProtocolError
 
 from . import wire
 from .inspector import Inspected
@@ -19,27 +19,64 @@ if TYPE_CHECKING:
     from .spawner import Child
     from .state import Rtpu
 
+    Found = tuple[list[ModuleInfo], list[str]]
+
+WAITING = 16
+"""Names that are asked for and wait for an inspector."""
 PATIENCE = 8.0
 """Seconds: the code of every module in the libraries is run."""
 
 
-async def modules(rtpu: Rtpu, name: str | None) -> tuple[list[ModuleInfo], list[str]]:
-    """Return descriptions, and a warning for each module that does not load.
+class Inspecting:
+    """Inspects for whoever asks, one after the other.
 
-    Raises:
-        PbonetError: The one module that was asked for does not load.
+    An inspector runs the code of all modules, so many at once would hold up all else
+    on the machine. Those that ask the same before it begins get the same answer.
+
+    Args:
+        rtpu: Whose libraries.
     """
-    spec = wire.InspectSpec(libraries=rtpu.config.libraries, name=name)
-    child = await rtpu.spawner.fork("inspect", "inspector", spec)
-    try:
-        found = await _result(child, name)
-    finally:
-        child.send_signal(signal.SIGKILL)
-        await child.exited
-        child.close()
-    if name is not None and found.errors:
-        raise PbonetError.from_wire(found.errors[0])
-    return found.modules, [str(PbonetError.from_wire(e)) for e in found.errors]
+
+    def __init__(self, rtpu: Rtpu) -> None:
+        self._rtpu = rtpu
+        self._turn = asyncio.Lock()
+        self._waiting: dict[str | None, asyncio.Task[Found]] = {}
+
+    async def modules(self, name: str | None) -> Found:
+        """Return descriptions, and a warning for each module that does not load.
+
+        Raises:
+            PbonetError: The one module that was asked for does not load, or too many
+                are asked for.
+        """
+        task = self._waiting.get(name)
+        if task is None:
+            if len(self._waiting) >= WAITING:
+                raise ProtocolError(
+                    "too many modules are asked for",
+                    expected=f"at most {WAITING} at a time",
+                    remedy="wait for answers before asking more",
+                )
+            task = self._waiting[name] = asyncio.create_task(self._next(name))
+        return await asyncio.shield(task)
+
+    async def _next(self, name: str | None) -> Found:
+        async with self._turn:
+            del self._waiting[name]  # who asks from now on may mean other files
+            return await self._inspect(name)
+
+    async def _inspect(self, name: str | None) -> Found:
+        spec = wire.InspectSpec(libraries=self._rtpu.config.libraries, name=name)
+        child = await self._rtpu.spawner.fork("inspect", "inspector", spec)
+        try:
+            found = await _result(child, name)
+        finally:
+            child.send_signal(signal.SIGKILL)
+            await child.exited
+            child.close()
+        if name is not None and found.errors:
+            raise PbonetError.from_wire(found.errors[0])
+        return found.modules, [str(PbonetError.from_wire(e)) for e in found.errors]
 
 
 async def _result(child: Child, name: str | None) -> Inspected:

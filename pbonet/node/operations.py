@@ -59,6 +59,7 @@ class Operations:
 
     def __init__(self, rtpu: Rtpu) -> None:
         self._rtpu = rtpu
+        self._inspecting = inspecting.Inspecting(rtpu)
         self._codec = codec.Codec()
         self._pack = Answers(rtpu.name, self._report)
         self._answers: OrderedDict[tuple[str, str], asyncio.Task[bytes]] = OrderedDict()
@@ -312,7 +313,7 @@ class Operations:
     # -- the rest ----------------------------------------------------------------------
 
     async def _modules(self, request: m.Modules) -> Result:
-        return await inspecting.modules(self._rtpu, request.name)
+        return await self._inspecting.modules(request.name)
 
     async def _events(self, request: m.Events) -> Result:
         chosen: list[m.Event] = []

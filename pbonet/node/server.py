@@ -140,6 +140,9 @@ class Server:
         self._pending: dict[int, _Waiting] = {}
         self._guard = threading.Lock()
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
+        self._ways = ThreadPoolExecutor(1, thread_name_prefix="pbonet report")
+        self._measured: list[tuple[zenoh.Query, str]] = []
+        """Who waits for the ways to be measured: one measurement is for all."""
         self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
         self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._queryables: list[zenoh.Queryable[None]] = []
@@ -170,7 +173,8 @@ class Server:
         if self._thread.is_alive():
             self._thread.join()
         self.fail_pending("the agent ends")
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        for pool in (self._pool, self._ways):
+            pool.shutdown(wait=True, cancel_futures=True)
         self._looks.shutdown(wait=True)
 
     def answer(self, n: int, data: bytes) -> None:
@@ -267,7 +271,9 @@ class Server:
                 self._introduce(query, request)
                 return
             if isinstance(request, m.Links):
-                self._pool.submit(self._measure, query, request.id)
+                with self._guard:
+                    self._measured.append((query, request.id))
+                self._ways.submit(self._measure)
                 return
             if isinstance(request, HANDLED):
                 self._handle(query, request)
@@ -330,11 +336,16 @@ class Server:
         record = partial(self._commanded, request, data, begun_ns)
         self._arrived.put(record)  # which takes longer than zenoh's thread may take
 
-    def _measure(self, query: zenoh.Query, request_id: str) -> None:
+    def _measure(self) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""
+        with self._guard:
+            asked, self._measured = self._measured, []
+        if not asked:
+            return
         report = self._node.ways()
-        answer = m.Answer(id=request_id, ok=True, result=report)
-        self._reply(query, self._codec.pack(answer))
+        for query, request_id in asked:
+            answer = m.Answer(id=request_id, ok=True, result=report)
+            self._reply(query, self._codec.pack(answer))
 
     def _claim(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
         """Forward a claim with the list of the masters that live."""

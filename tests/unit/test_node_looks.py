@@ -137,3 +137,39 @@ def test_a_look_that_waits_holds_up_no_command():
     finally:
         go.set()
         one.stop()
+
+
+def test_one_measurement_of_the_ways_is_for_all_who_wait_for_one():
+    """Many that ask hold up no claim, and don't pile up."""
+    go, begun, forwarded = threading.Event(), [], []
+
+    def ways():
+        begun.append(len(begun))
+        assert go.wait(10.0), "claims wait for reports"
+        return m.LinkReport(rtpu="arm0")
+
+    node = SimpleNamespace(ways=ways, forward=lambda *told: forwarded.append(told))
+    one = server.Server(
+        *(None, "d", "arm0"),
+        node=node,
+        mail=None,
+        overview=None,
+        commanded=lambda *_: None,
+    )
+    one._claim = lambda *told: forwarded.append(told)
+    asked = [Query(m.Links(id=f"{n}"), "status") for n in range(100)]
+    try:
+        one._take(asked[0])
+        wait_for(lambda: begun, "the first measurement")
+        for query in asked[1:]:
+            one._take(query)
+        one._take(Query(m.Claim(), "sbs"))
+        wait_for(lambda: forwarded, "the claim")
+        go.set()
+        wait_for(lambda: all(query.answers for query in asked), "all answers")
+        assert begun == [0, 1]
+        ids = [parsed(query.answers[0]).id for query in asked]
+        assert ids == [f"{n}" for n in range(100)]
+    finally:
+        go.set()
+        one.stop()
