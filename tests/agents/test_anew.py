@@ -1,0 +1,91 @@
+"""What SIGHUP does to an agent: it starts anew, or ends with its terminal."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import signal
+import subprocess
+import sys
+from subprocess import DEVNULL
+
+import pytest
+from nodekit import CORE, MISBEHAVING
+from watching import wait_for
+
+from pbonet.errors import PbonetError, XmAccessError
+from pbonet.xm import filing as f
+from pbonet.xm import messages as m
+
+
+class Program:
+    """`pbonet agent` with a configuration in a file."""
+
+    def __init__(self, nodes, folder):
+        self.nodes = nodes
+        self.file = folder / "agent.toml"
+
+    def configure(self, **more):
+        config = {"name": "arm0", "domain": self.nodes.domain, "grace": 3.0, **more}
+        lines = [f"{key} = {value!r}" for key, value in config.items()]
+        lines += [f"core = {CORE}", f"libraries = [{str(MISBEHAVING)!r}]", ""]
+        self.file.write_text("\n".join(lines))
+
+    def start(self, *before, **more):
+        words = (sys.executable, "-m", "pbonet.cli", "agent", "--config", self.file)
+        process = subprocess.Popen([*before, *words], **more)
+        self.nodes.processes["arm0"] = process
+        self.nodes.wait_agent("arm0", process)
+        return process
+
+    def zid(self):
+        """Return the identity of the agent's session, once there is one."""
+        with contextlib.suppress(PbonetError):
+            return self.nodes.client().call("arm0", m.Hello(), m.AgentInfo).zid
+        self.nodes.forget_session()
+        return None
+
+
+@pytest.fixture
+def program(nodes, tmp_path):
+    made = Program(nodes, tmp_path)
+    made.configure()
+    return made
+
+
+def test_it_starts_anew_in_its_place(program, nodes, tmp_path):
+    """As the same process, with its configuration read again; tasks go on."""
+    process = program.start()
+    master = nodes.master("arm0", "arm")
+    master.spawn("a", "counts")
+    master.on("a")
+    before, zid = master.status("a"), program.zid()
+    listing = f.FileList(path="")
+    with pytest.raises(XmAccessError, match="declares no files"):
+        nodes.client().call("arm0", listing, f.Listing)
+    program.configure(files=str(tmp_path))
+    process.send_signal(signal.SIGHUP)
+    wait_for(lambda: program.zid() not in {None, zid}, "another session", 30.0)
+    assert process.poll() is None
+    again = nodes.master("arm0", "arm", table=False, take_over=True)
+    after = again.wait_cycles("a", 10)
+    assert (after.state, after.tid) == ("ON", before.tid)
+    assert after.cycle > before.cycle
+    found = nodes.client().call("arm0", f.FileList(path=""), f.Listing)
+    assert "agent.toml" in [one.name for one in found.entries]
+
+
+@pytest.mark.parametrize("how", [[], ["nohup"]], ids=["plain", "nohup"])
+def test_a_terminal_that_is_closed(program, how, tmp_path):
+    """It ends the agent in order, unless that was started to outlive it."""
+    master, slave = pty.openpty()
+    words = ("setsid", "--ctty", *how)
+    process = program.start(*words, stdin=slave, stdout=DEVNULL, cwd=tmp_path)
+    os.close(slave)
+    zid = program.zid()
+    os.close(master)
+    if how:
+        assert program.zid() == zid
+        process.send_signal(signal.SIGTERM)
+    assert process.wait(30.0) == 0
