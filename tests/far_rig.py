@@ -6,6 +6,7 @@ import contextlib
 import json
 import subprocess
 import sys
+from unittest import mock
 
 from tbuf_rig import Machine, Pair
 from watching import wait_for
@@ -19,14 +20,33 @@ class Site:
     def __init__(self, machine: Machine) -> None:
         self.domain = machine.domain
         where = [f"tcp/127.0.0.1:{machine.port}"]
-        self.session = session.client(machine.domain, connect=where, timeout=60.0)
+        with mock.patch.object(session, "LEASE_MS", machine.lease_ms):
+            self.session = session.client(machine.domain, connect=where, timeout=60.0)
 
 
+LEASE_MS = 5000
+"""A link that is cut is given up after that; one that stands outlives a stall."""
 PROGRAM = """
-import json, sys, time
+import importlib.util, json, sys, time
 from pbonet import xm
 
 settings = json.loads(sys.argv[1])
+
+class Lease:
+    # The network is not loaded for it: it is set when somebody else loads that.
+    def find_spec(self, name, path, target=None):
+        if name != "pbonet.xm.session":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(name)
+        load = spec.loader.exec_module
+        def loaded(module):
+            load(module)
+            module.LEASE_MS = settings["lease"]
+        spec.loader.exec_module = loaded
+        return spec
+
+sys.meta_path.insert(0, Lease())
 if settings["home"]:
     xm.live_on(settings["home"], domain=settings["domain"])
 space = {"xm": xm, "now": time.monotonic_ns, "s": 1_000_000_000}
@@ -64,7 +84,8 @@ class Hand:
 
     def __init__(self, machine: Machine, home: str | None = None, **env: str) -> None:
         where = machine.name if home is None else home
-        text = json.dumps({"home": where, "domain": machine.domain})
+        settings = {"home": where, "domain": machine.domain, "lease": machine.lease_ms}
+        text = json.dumps(settings)
         self.process = subprocess.Popen(
             [*machine.prefix, sys.executable, "-c", PROGRAM, text],
             env=machine.env | {"PBONET_DOMAIN": machine.domain} | env,
@@ -105,6 +126,10 @@ class Hand:
 
 class Cell(Pair):
     """Two machines, vision0 and arm0 that dials it, and programs on them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.a.lease_ms = self.b.lease_ms = LEASE_MS
 
     def hand(self, machine: Machine, **more: str) -> Hand:
         return Hand(machine, **more)

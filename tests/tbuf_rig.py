@@ -113,6 +113,8 @@ class Machine:
         self.files: Path | None = None
         """The folder of files for others that its agent declares."""
         self.connect = tuple(f"tcp/127.0.0.1:{port}" for port in connect)
+        self.lease_ms = session.LEASE_MS
+        """Of its agent's links."""
         self.programs: list[Program] = []
         self.agent: subprocess.Popen | None = None
         self.other: subprocess.Popen | None = None
@@ -140,7 +142,7 @@ class Machine:
             files=str(self.files) if self.files else None,
         )
         text = msgspec.json.encode(config).decode()
-        lease = str(session.LEASE_MS)
+        lease = str(self.lease_ms)
         command = [*self.prefix, sys.executable, "-c", AGENT, text, lease]
         agent = subprocess.Popen(command, env=self.env)
         lock = self.run / self.domain / f"{name}.agent"
