@@ -127,9 +127,9 @@ class Hand:
 class Cell(Pair):
     """Two machines, vision0 and arm0 that dials it, and programs on them."""
 
-    def __init__(self) -> None:
+    def __init__(self, lease_ms: int = session.LEASE_MS) -> None:
         super().__init__()
-        self.a.lease_ms = self.b.lease_ms = LEASE_MS
+        self.a.lease_ms = self.b.lease_ms = lease_ms
 
     def hand(self, machine: Machine, **more: str) -> Hand:
         return Hand(machine, **more)

@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from far_rig import Cell, RefusedError, Site, traffic
+from far_rig import LEASE_MS, Cell, RefusedError, Site, traffic
 from nodekit import Master, rmod
 
 pytestmark = pytest.mark.timeout(300)
@@ -33,7 +33,7 @@ def cell(tmp_path_factory):
     """Two machines that are linked by zenoh alone."""
     library = tmp_path_factory.mktemp("library")
     (library / "porter.py").write_text(TASK)
-    made = Cell()
+    made = Cell(LEASE_MS)
     try:
         made.start(library)
         yield made
