@@ -270,7 +270,7 @@ def _differ(a: NDArray[Any], b: NDArray[Any]) -> JsonObject:
     same = a == b
     if a.dtype.kind == "f":
         same |= np.isnan(a) & np.isnan(b)
-    other = np.flatnonzero(~same.reshape(cycles, -1).all(axis=1))
+    other = np.flatnonzero(~same.all(axis=tuple(range(1, same.ndim))))
     if len(other):
         row["first"] = int(other[0])
         if a.dtype.kind in "fiu":

@@ -197,10 +197,12 @@ class _Plan:
 
     def put_in(self, member: Member) -> None:
         """Turn a task on, which stands or is to be spawned; harmless if it is ON."""
-        if member.fallback_of:
-            self._standbys[member.name] = member
-        elif not member.is_on:
+        if not member.is_on:
             self._coming[member.name] = member
+
+    def have_ready(self, member: Member) -> None:
+        """Have a standby ready, which stands or is to be spawned."""
+        self._standbys[member.name] = member
 
     def kill_all(self) -> None:
         """Kill those that are turned off."""
@@ -291,7 +293,10 @@ def _of_job(crew: Crew, job: JobFile) -> _Plan:
         stands = assembly.stands(crew, member)
         standing = crew.picture.find(member.name) if stands else member
         standing.fallback_of = member.fallback_of
-        plan.put_in(standing)
+        if member.fallback_of:
+            plan.have_ready(standing)
+        else:
+            plan.put_in(standing)
         if stands:
             _must_run_at(crew.picture.find(member.name), member)
     return plan

@@ -160,8 +160,8 @@ def _first(then: NDArray[np.generic], now: NDArray[np.generic], rtol: float) -> 
         return 0
     if not rtol and then.tobytes() == now.tobytes():
         return len(then)
-    same = alike(then.reshape(-1), now.reshape(-1), rtol).reshape(len(then), -1)
-    other = np.flatnonzero(~same.all(axis=1))
+    same = alike(then.reshape(-1), now.reshape(-1), rtol).reshape(then.shape)
+    other = np.flatnonzero(~same.all(axis=tuple(range(1, same.ndim))))
     return int(other[0]) if len(other) else len(then)
 
 

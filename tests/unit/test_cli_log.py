@@ -129,6 +129,18 @@ def test_runs_that_differ_are_told_with_a_status(call, path, tmp_path) -> None:
     assert "did you mean other?" in err
 
 
+def test_a_task_without_a_cycle_is_no_different(call, tmp_path) -> None:
+    for name in ("one", "two"):
+        writer = LogWriter(tmp_path / f"{name}.mcap", run())
+        writer.add_task(about("standby", PLAIN))
+        writer.close()
+    logs = (tmp_path / "one.mcap", tmp_path / "two.mcap")
+    status, out, err = call("log", "diff", *logs, "--json")
+    assert status == 0, err
+    rows = [(row["variable"], row["cycles"], row["first"]) for row in json.loads(out)]
+    assert rows == [("Y", [0, 0], None)]
+
+
 def test_a_picture_is_drawn(call, tmp_path) -> None:
     path, picture = tmp_path / "run.mcap", tmp_path / "a.svg"
     writer = LogWriter(path, run())

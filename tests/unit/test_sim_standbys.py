@@ -10,9 +10,12 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import Severity, StateError, UnknownTaskError
+from pbonet.master.oneshot import Place
+from pbonet.master.run import run
 from pbonet.master.sim import BEGIN_NS, Simulation
 from pbonet.master.simjob import simulate
 from pbonet.master.subsystem import Subsystem
+from pbonet.testing import rerun
 from pbonet.xm import messages as m
 
 MS = 1_000_000
@@ -217,6 +220,34 @@ def test_a_program_in_virtual_time_sees_the_same(folder):
         assert arm.status("second").stands_by
         arm.stop()
         assert arm.status_all() == []
+
+
+def test_a_swap_to_the_fallback_is_a_swap_like_others(folder):
+    source(folder, "first")
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        items = [("first", "off"), ("second", "on")]
+        assert arm.swap("first", "second", dry_run=True).items == items
+        assert arm.status("second").stands_by
+        arm.swap("first", "second")
+        states = {one.task: one.state for one in arm.status_all()}
+        assert states == {"first": "OFF", "second": "ON", "sink": "ON"}
+        assert arm.display(["Y"])[0].writer == "second"
+        arm.swap("second", "first")
+        assert arm.status("second").stands_by
+
+
+def test_one_that_never_ran_is_no_divergence(folder, tmp_path):
+    source(folder, "first")
+    place = Place(libraries=(str(folder),))
+    outcome = run(
+        folder / "j.job", place, seconds=0.2, sim=True, runs=tmp_path, quiet=True
+    )
+    found = rerun(outcome.log, rtol=1e-9)
+    assert found.good, str(found)
+    assert [(one.task, one.recorded) for one in found.tasks if not one.recorded] == [
+        ("second", 0)
+    ]
 
 
 def test_nobody_stands_by_for_a_task_of_another_rtpu(folder):
