@@ -60,6 +60,7 @@ class SimulatedArm:
         self._torque = np.zeros(data.ndof)
         self._stops = np.stack((data.lower, data.upper), axis=1).tolist()
         self._take_step(substep)
+        _cholesky()  # loads a package, for which no cycle has the time
 
     @property
     def q(self) -> Floats:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -382,3 +384,22 @@ def test_friction_solver_ends_by_single_corrections_too(monkeypatch):
     monkeypatch.setattr("pbonet.io.arm._ALL_AT_ONCE", -1)
     for seed in (7, 11):
         test_friction_solver_finds_the_one_solution(seed)
+
+
+def test_an_arm_that_begins_to_move_loads_nothing():
+    program = (
+        "import sys\n"
+        "from pbonet.io.arm import SimulatedArm\n"
+        "from pbonet.io.puma560 import PUMA560\n"
+        "arm = SimulatedArm(PUMA560)\n"
+        "arm.release_brakes()\n"
+        "arm.command(PUMA560.torque)\n"
+        "before = set(sys.modules)\n"
+        "arm.advance(0.002)\n"
+        "assert arm.qd.any()\n"
+        "print(*set(sys.modules) - before)\n"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True
+    )
+    assert told.stdout.split() == []
