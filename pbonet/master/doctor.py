@@ -219,7 +219,15 @@ def agents(
     client = rpc.Client(opened, domain, client_name("doctor"))
     try:
         infos: list[m.AgentInfo] = []
-        for name in client.rtpus():
+        names = client.rtpus()
+        if not names:
+            where = f"at {' '.join(connect)}" if connect else "on this machine"
+            yield Finding(
+                Level.FAIL,
+                f"who answers {where} has no agent of domain {domain}",
+                "name the domain of its agents with --domain",
+            )
+        for name in names:
             try:
                 infos.append(client.call(name, m.Hello(), m.AgentInfo))
                 begin = time.perf_counter()
