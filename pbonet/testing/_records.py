@@ -8,13 +8,18 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
+from pbonet.errors import LogError
 from pbonet.log import Did, Step
 from pbonet.log.schema import CDR, StepSchema
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from pbonet.log import Life
+    from pbonet.log import Life, Log
+
+    from ._verdict import Verdict
 
 HEAD: Final = struct.Struct("<QqqqqQQQQII")
 DID: Final = msgspec.json.Decoder(Did)
@@ -55,6 +60,25 @@ def _from_birth(life: Life) -> bool:
 def cycles_of(life: Life) -> int:
     """Return how many cycles of a task are on record."""
     return int((life.schema.arrays(life.commits)["kind"] == Step.CYCLE).sum())
+
+
+def must_have_cycles(
+    log: Log, verdicts: Sequence[Verdict], named: Sequence[str]
+) -> None:
+    """See to it that something was there to be run again: of each task that is named.
+
+    Raises:
+        LogError: There is no cycle.
+    """
+    without = [one.task for one in verdicts if not one.recorded]
+    if not without or (not named and len(without) < len(verdicts)):
+        return
+    raise LogError(
+        f"the log has no cycle of {', '.join(without)}",
+        where=str(log.path),
+        expected="cycles that can be run again",
+        remedy="record the run while the task is ON",
+    )
 
 
 def alike(then: NDArray[Any], now: NDArray[Any], rtol: float) -> NDArray[np.bool_]:

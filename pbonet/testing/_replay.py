@@ -9,12 +9,12 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from pbonet.errors import LogError, PbonetError
+from pbonet.errors import PbonetError
 from pbonet.log import Log
 
 from ._changed import changed
 from ._inputs import Commits
-from ._records import cycles_of, not_again
+from ._records import cycles_of, must_have_cycles, not_again
 from ._run import Run
 from ._verdict import Verdict
 
@@ -46,7 +46,7 @@ def verify(
         rtol: How far floats may be off, relative; 0: identical to the bit.
 
     Raises:
-        LogError: There is no log there.
+        LogError: There is no log there, or no cycle of a task that is named, or of any.
         UnknownTaskError: The log has no such task.
         PbonetError: The module of a task that is named does not load, or does not fit
             its RMOD.
@@ -72,6 +72,7 @@ def verify(
                     raise
                 verdict.gaps.append(str(error))  # the others can be run again
         verdicts.append(verdict)
+    must_have_cycles(log, verdicts, tasks)
     return verdicts
 
 
@@ -120,12 +121,6 @@ def replay(
         UnknownTaskError: The log has no such task.
     """
     (verdict,) = verify(path, [task], libraries=libraries, rtol=rtol)
-    if not verdict.recorded:
-        raise LogError(
-            f"the log has no cycle of {task}",
-            where=str(path),
-            remedy="record the run while the task is ON",
-        )
     if not verdict.good:
         raise DivergedError(str(verdict))
     return verdict

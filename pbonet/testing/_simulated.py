@@ -12,13 +12,16 @@ import numpy as np
 
 from pbonet.config import parse_job, parse_sbs
 from pbonet.errors import LogError
+from pbonet.log import Log
 from pbonet.log.cycles import COLUMNS
-from pbonet.master import live
+from pbonet.log.rewrite import merge
+from pbonet.master import live, simlog
 from pbonet.master.oneshot import Place
 from pbonet.master.runsim import simulate
 from pbonet.master.sim import BEGIN_NS
 
-from ._records import alike
+from ._changed import changed
+from ._records import alike, must_have_cycles
 from ._verdict import Divergence, Replayed, Verdict
 
 if TYPE_CHECKING:
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.log import Cycles, Log
+    from pbonet.log import Cycles
 
 _DEEP = "a/b/c/d"
 """A folder below which ``../`` in a job leads to folders of our own."""
@@ -38,6 +41,7 @@ def simulated(
     *,
     libraries: Sequence[str | Path],
     rtol: float,
+    out: Path | None = None,
 ) -> Replayed:
     """Run a recorded simulation again, and compare every cycle.
 
@@ -46,9 +50,11 @@ def simulated(
         tasks: Which are compared; none for all. All are run.
         libraries: Folders of modules that come before those of the recording.
         rtol: How far floats may be off, relative.
+        out: A log to be written, of what the tasks gave now.
 
     Raises:
-        LogError: A file that it was made of is not attached.
+        LogError: A file that it was made of is not attached; a task has no cycle, or
+            `out` cannot be written.
         UnknownTaskError: The log has no such task.
         PbonetError: The job cannot be simulated any more.
     """
@@ -59,13 +65,15 @@ def simulated(
     with tempfile.TemporaryDirectory(prefix="pbonet-") as folder:
         job = _unpack(log, Path(folder))
         seconds = _seconds(log)
-        now = simulate(job, place, live.view(quiet=True), seconds).recording
-    assert now is not None  # noqa: S101 - a simulation has one
+        now = _again(job, place, seconds, out)
     found = Replayed(
         tasks=[_compared(log, now, task, rtol) for task in names],
         seconds=seconds,
         took=time.perf_counter() - begun,
     )
+    must_have_cycles(log, found.tasks, tasks)
+    for one in found.tasks:
+        one.changed = changed(log, log.task_about(one.task), libraries)
     firsts = [
         (log.arrays(one.task)["release_ns"][one.cycles], one.task)
         for one in found.tasks
@@ -73,6 +81,19 @@ def simulated(
     ]
     found.first = min(firsts)[1] if firsts else ""
     return found
+
+
+def _again(job: Path, place: Place, seconds: float, out: Path | None) -> Cycles:
+    """Simulate a job, and write its log where one is wanted."""
+    view = live.view(quiet=True)
+    if out is None:
+        now = simulate(job, place, view, seconds).recording
+        assert now is not None  # noqa: S101 - a simulation has one
+        return now
+    runs = job.parent / "runs"
+    book = simlog.begin(job, place, record="outputs", runs=runs, seconds=seconds)
+    merge([Path(simulate(job, place, view, seconds, book).log)], out)
+    return Log(out)
 
 
 def _seconds(log: Log) -> float:

@@ -22,7 +22,7 @@ from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
 
 from ._changed import changed
 from ._inputs import Commits
-from ._records import cycles_of, not_again
+from ._records import cycles_of, must_have_cycles, not_again
 from ._run import Run, Stop
 from ._verdict import Replayed, Verdict
 
@@ -200,7 +200,8 @@ def rerun(
         out: A log to be written, of what the tasks gave now.
 
     Raises:
-        LogError: There is no log there, or `out` cannot be written.
+        LogError: There is no log there, no cycle of a task that is named, or of any, or
+            `out` cannot be written.
         UnknownTaskError: The log has no such task.
         PbonetError: The module of a task that is named does not load, or does not fit
             its RMOD; or a simulation cannot be simulated any more.
@@ -209,7 +210,7 @@ def rerun(
     if log.about.get("seconds"):
         from ._simulated import simulated
 
-        return simulated(log, tasks, libraries=libraries, rtol=rtol)
+        return simulated(log, tasks, libraries=libraries, rtol=rtol, out=out)
     log.load()
     names = list(tasks or log.tasks)
     verdicts = {
@@ -234,6 +235,7 @@ def rerun(
                 if tasks:
                     raise
                 verdicts[task].gaps.append(str(error))
+    must_have_cycles(log, list(verdicts.values()), tasks)
     _go(parts)
     found = Replayed(tasks=list(verdicts.values()), took=time.perf_counter() - begun)
     _sum_up(found, parts)

@@ -6,13 +6,14 @@ import contextlib
 import shutil
 from pathlib import Path
 
+import logparts
 import numpy as np
 import pytest
 from adding import ADDS
 from logshop import RMOD, Shop, drive
 
 from pbonet.errors import LogError, ModuleLoadError
-from pbonet.log import Log
+from pbonet.log import Log, LogWriter, text
 from pbonet.log.rewrite import merge
 from pbonet.master.oneshot import Place
 from pbonet.master.run import run
@@ -165,7 +166,37 @@ def test_a_simulation_is_simulated_again_from_its_log(simulation) -> None:
     found = rerun(log)
     assert (found.first, found.tasks[0].cycles) == ("a", 0)
     assert "first divergence: cycle 1: Y[0] is " in str(found)
+    path = library / "adds.py"
+    for one in found.tasks:
+        assert [change.path for change in one.changed] == [str(path)]
+        assert one.changed[0].lines
     assert rerun(log, rtol=1.0).good
+
+
+def test_what_a_simulation_gives_now_is_written(simulation, tmp_path) -> None:
+    log, library = simulation
+    (library / "adds.py").write_text(ADDS.replace("dt / 3.0", "dt / 3.5"))
+    out = tmp_path / "now.mcap"
+    found = rerun(log, out=out)
+    assert found.first == "a"
+    rows = text.diff(Log(log), Log(out))
+    assert {(row["task"], *row["cycles"], row["first"]) for row in rows} == {
+        ("a", 20, 20, 0),
+        ("b", 20, 20, 0),
+    }
+    assert rerun(out).good
+    with pytest.raises(LogError, match=r"now\.mcap: the log cannot be written"):
+        rerun(log, out=out)
+
+
+@pytest.mark.parametrize("again", [verify, rerun])
+def test_a_log_without_cycles_proves_nothing(again, tmp_path) -> None:
+    writer = LogWriter(tmp_path / "run.mcap", logparts.run())
+    for task in ("pid", "other"):
+        writer.add_task(logparts.about(task, logparts.PLAIN))
+    writer.close()
+    with pytest.raises(LogError, match="the log has no cycle of pid, other"):
+        again(tmp_path / "run.mcap")
 
 
 def test_a_simulation_without_its_files_says_which_is_missing(simulation) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from pbonet import State
-from pbonet.errors import Severity, StateError, UnknownTaskError
+from pbonet.errors import LogError, Severity, StateError, UnknownTaskError
 from pbonet.master.oneshot import Place
 from pbonet.master.run import run
 from pbonet.master.sim import BEGIN_NS, Simulation
 from pbonet.master.simjob import simulate
 from pbonet.master.subsystem import Subsystem
-from pbonet.testing import rerun
+from pbonet.testing import rerun, verify
 from pbonet.xm import messages as m
 
 MS = 1_000_000
@@ -248,6 +248,10 @@ def test_one_that_never_ran_is_no_divergence(folder, tmp_path):
     assert [(one.task, one.recorded) for one in found.tasks if not one.recorded] == [
         ("second", 0)
     ]
+    for again in (verify, rerun):
+        assert again(outcome.log)
+        with pytest.raises(LogError, match="the log has no cycle of second"):
+            again(outcome.log, ["second"])
 
 
 def test_nobody_stands_by_for_a_task_of_another_rtpu(folder):
