@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pbonet.master.files import Files
     from pbonet.master.fleet import Fleet
     from pbonet.master.logbook import Logbook
+    from pbonet.master.signalling import Inbox
     from pbonet.pbo import ModuleInfo
 
     Warned = Callable[[str], None]
@@ -60,15 +61,22 @@ class Crew:
         fleet: Its RTPUs.
         warned: Called with each warning.
         logbook: Has the run recorded.
+        inbox: Hears what tasks have sent.
     """
 
     def __init__(
-        self, files: Files, fleet: Fleet, warned: Warned, logbook: Logbook
+        self,
+        files: Files,
+        fleet: Fleet,
+        warned: Warned,
+        logbook: Logbook,
+        inbox: Inbox,
     ) -> None:
         self.files = files
         self.fleet = fleet
         self.warned = warned
         self.logbook = logbook
+        self._inbox = inbox
         self.picture = Picture()
         self._info = cache(partial(modules.on, fleet))
         self._flag_up = False
@@ -143,7 +151,8 @@ class Crew:
         return statuses
 
     def note(self, status: m.TaskStatus) -> None:
-        """Take a task's status into the picture."""
+        """Take a task's status into the picture, and its signals."""
+        self._inbox.note(status)
         member = self.picture.get(status.task)
         if member is None:
             try:

@@ -11,7 +11,7 @@ from threading import Event, Lock
 from typing import TYPE_CHECKING, Protocol
 
 import zenoh
-from msgspec import Struct
+from msgspec import Struct, field
 
 from pbonet.errors import NoAnswerError, StateError, did_you_mean
 from pbonet.master import choice
@@ -42,18 +42,55 @@ class Sent(Struct, frozen=True):
     rtpu: str
 
 
+class _Life(Struct):
+    """What was heard of one task, from its spawn on."""
+
+    tid: int
+    since: int
+    """When it was first seen, in nanoseconds."""
+    counts: dict[str, int]
+    """As they were seen last."""
+    pending: dict[str, int] = field(default_factory=dict)
+    """Sent and not taken; of a task that died also by those before it."""
+    died: int = 0
+    """When it was last seen to have died; 0: not."""
+
+    def is_other(self, status: m.TaskStatus) -> bool:
+        """Tell whether a status is that of a task that was spawned anew."""
+        if status.tid:
+            return bool(self.died) or status.tid != self.tid
+        if self.died:
+            return status.now != self.died
+        return any(status.signals.get(k, 0) < n for k, n in self.counts.items())
+
+
 class Inbox:
-    """Which signals of the tasks are pending: those counted, less those taken."""
+    """Which signals of the tasks are pending: those counted, less those taken.
+
+    It looks at each status that comes, so that a task which dies and is spawned anew
+    between two waits takes nothing with it.
+    """
 
     def __init__(self) -> None:
-        self._taken: dict[tuple[str, str], tuple[int, dict[str, int]]] = {}
+        self._lives: dict[tuple[str, str], _Life] = {}
         self._busy = Lock()
 
     def begin(self, statuses: Iterable[m.TaskStatus]) -> None:
         """Take everything that was sent so far."""
-        for status in statuses:
-            key = (status.rtpu, status.task)
-            self._taken[key] = (status.tid, dict(status.signals))
+        with self._busy:
+            for status in statuses:
+                self._note(status)
+                self._lives[status.rtpu, status.task].pending.clear()
+
+    def note(self, status: m.TaskStatus) -> None:
+        """Count what a task has sent since its last status."""
+        with self._busy:
+            self._note(status)
+
+    def clear(self) -> None:
+        """Forget all tasks, for they have been stopped."""
+        with self._busy:
+            self._lives.clear()
 
     def pending(self, statuses: Iterable[m.TaskStatus]) -> list[Sent]:
         """Return what is pending, the most urgent first."""
@@ -72,30 +109,35 @@ class Inbox:
                 if signals and sent.signal not in signals:
                     continue
                 if not tasks or sent.task in tasks:
-                    taken = self._taken[sent.rtpu, sent.task][1]
-                    taken[sent.signal] = taken.get(sent.signal, 0) + sent.count
+                    del self._lives[sent.rtpu, sent.task].pending[sent.signal]
                     return sent
         return None
 
     def _pending(self, statuses: Iterable[m.TaskStatus]) -> list[Sent]:
-        found: list[Sent] = []
-        for status in statuses:
-            taken = self._of(status)
-            found += [
-                Sent(status.task, name, count - taken.get(name, 0), status.rtpu)
-                for name, count in status.signals.items()
-                if count > taken.get(name, 0)
-            ]
+        there = dict.fromkeys((one.rtpu, one.task) for one in statuses)
+        found = [
+            Sent(key[1], name, count, key[0])
+            for key in there
+            if key in self._lives
+            for name, count in self._lives[key].pending.items()
+        ]
         return sorted(found, key=lambda one: one.signal not in _FIRST)
 
-    def _of(self, status: m.TaskStatus) -> dict[str, int]:
-        """Return what was taken of a task; a task that was spawned anew begins at 0."""
+    def _note(self, status: m.TaskStatus) -> None:
         key = (status.rtpu, status.task)
-        tid, taken = self._taken.get(key, (status.tid, {}))
-        if status.tid not in {tid, 0}:  # 0: it has died
-            taken = {}
-        self._taken[key] = (status.tid or tid, taken)
-        return taken
+        life = self._lives.get(key)
+        if life is not None and status.now < life.since:
+            return  # it came late: of the task that was there before
+        if life is None or life.is_other(status):
+            pending = life.pending if life is not None and life.died else {}
+            life = _Life(status.tid, status.now, {}, pending)
+            self._lives[key] = life
+        for name, count in status.signals.items():
+            if (more := count - life.counts.get(name, 0)) > 0:
+                life.counts[name] = count
+                life.pending[name] = life.pending.get(name, 0) + more
+        if not status.tid:
+            life.died = status.now or 1
 
 
 class Signalled(Opened, Protocol):

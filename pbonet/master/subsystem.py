@@ -214,7 +214,7 @@ class Subsystem(Switching, Calls, Signalled):
 
     def _open(self, client: rpc.Client) -> Crew:
         fleet = Fleet(client, self.files.sbs)
-        crew = Crew(self.files, fleet, self._warn, self.logbook)
+        crew = Crew(self.files, fleet, self._warn, self.logbook, self.inbox)
         try:
             if not self.watch:
                 crew.take(take_over=self._take_over, partly=self._partly)
@@ -482,6 +482,7 @@ class Subsystem(Switching, Calls, Signalled):
         """
         self.stopped.set()
         stopped, errors = self.crew.stop()
+        self.inbox.clear()
         must_be_stopped(stopped, errors)
         if self.fleet.claimed:
             self.crew.settle()

@@ -167,6 +167,22 @@ class TestSigwait:
         one = program.sigwait(["FINISH", "ERROR"], timeout=30.0)
         assert (one.task, one.signal) == ("dies", "ERROR")
 
+    def test_each_death_is_told_though_the_task_is_spawned_anew(self, program):
+        for _ in range(3):
+            program.spawn("dies")
+            program.control("dies", "on")
+            one = program.sigwait(["ERROR"], timeout=30.0)
+            assert (one.task, one.count) == ("dies", 1)
+
+    def test_a_death_is_told_behind_the_next_spawn(self, program):
+        for n in range(2):
+            program.spawn("dies")
+            program.control("dies", "on")
+            wait_for(lambda n=n: len(program.events(code="TASK_DIED")) > n, "its death")
+        program.spawn("dies")
+        one = program.sigwait(["ERROR"], timeout=0.0)
+        assert (one.task, one.count) == ("dies", 2)
+
     def test_a_task_spawned_anew_begins_anew(self, program):
         for _ in range(2):
             program.spawn("talks")
