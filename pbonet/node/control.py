@@ -214,10 +214,9 @@ async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[s
         try:
             await control(rtpu, task, "off", max(share, LEAST))
             obeyed.append(task.name)
-        except NoAnswerError:
-            _calm(task)
         except PbonetError:
-            continue  # it stands in ERROR, or has ended
+            if task.busy:  # else it stands in ERROR, or has ended
+                _calm(task)
     return obeyed
 
 

@@ -129,8 +129,8 @@ class Task:
         """True once its end is wanted, so that the end is no event."""
         self.budget = LineBudget(rate=50.0, burst=200.0)
         """How many notices of the module become events."""
-        self.lock = asyncio.Lock()
         self.gone = asyncio.Event()
+        self._lock = asyncio.Lock()
         self._wake = wake
         self._tell = tell
         self._heard = heard
@@ -174,22 +174,19 @@ class Task:
         Args:
             what: What is asked, for messages: ``on``, ``set``.
             make: Makes the message from its number.
-            limit: Seconds to wait for the answer.
+            limit: Seconds to wait for the answer, and before that for those who asked
+                earlier.
             last: It is carried out behind the task's next cycle, at the level of that.
 
         Raises:
-            StateError: The task is still carrying out an earlier message.
+            StateError: The task is still carrying out an earlier message; nothing was
+                sent.
             NoAnswerError: It did not answer in time, and may do so later.
             TaskDiedError: It ended.
             PbonetError: What the task answered.
         """
-        async with self.lock:
-            if self.busy:
-                raise StateError(
-                    f"the task is still busy with {self.busy!r}",
-                    where=self.name,
-                    remedy="wait for it, or `kill` the task",
-                )
+        left = await self._turn(limit)
+        try:
             n = next(self._count)
             answer = self._expect(n)
             self._busy[n] = what
@@ -199,7 +196,33 @@ class Task:
                 self._busy.pop(n, None)
                 self._waiting.pop(n, None)
                 raise
-            return await self.wait_for(answer, what, limit)
+            return await self.wait_for(answer, what, left)
+        finally:
+            self._lock.release()
+
+    async def _turn(self, limit: float) -> float:
+        """Take the lock, within `limit` seconds; return how many are left.
+
+        Raises:
+            StateError: The task is still carrying out an earlier message.
+        """
+        begun = time.monotonic()
+        try:
+            async with asyncio.timeout(limit):
+                await self._lock.acquire()
+        except TimeoutError:
+            raise self._still_busy() from None
+        if self.busy:
+            self._lock.release()
+            raise self._still_busy()
+        return max(limit - (time.monotonic() - begun), 0.0)
+
+    def _still_busy(self) -> StateError:
+        return StateError(
+            f"the task is still busy with {self.busy!r}",
+            where=self.name,
+            remedy="wait for it, or `kill` the task",
+        )
 
     async def wait_for(
         self, answer: asyncio.Future[wire.Done], what: str, limit: float

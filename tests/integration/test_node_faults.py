@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 
 import pytest
 from nodekit import CORE, alive, level, wait_gone, wait_hung
@@ -11,6 +12,7 @@ from watching import wait_for
 from pbonet.errors import (
     MethodError,
     NoAnswerError,
+    PbonetError,
     Severity,
     StateError,
     TaskDiedError,
@@ -266,23 +268,42 @@ def test_stop_is_bounded_and_says_what_was_forced(arm):
     assert not any(map(alive, pids))
 
 
-def test_stop_ends_a_task_in_init(arm):
-    import threading
+def meanwhile(do, *args, **more):
+    """Do something that fails in a thread; return the thread and the error's list."""
+    errors = []
 
-    outcome = []
-
-    def spawn():
+    def run():
         try:
-            arm.spawn("bad", "hangs_in_init", limit=30.0)
-        except Exception as error:  # noqa: BLE001 - looked at below
-            outcome.append(error)
+            do(*args, **more)
+        except PbonetError as error:
+            errors.append(error)
 
-    thread = threading.Thread(target=spawn)
+    thread = threading.Thread(target=run)
     thread.start()
+    return thread, errors
+
+
+def test_stop_ends_a_task_in_init(arm):
+    thread, errors = meanwhile(arm.spawn, "bad", "hangs_in_init", limit=30.0)
     wait_for(lambda: "bad" in arm.status(), "its process")
     assert arm.stop(0.5).killed == ["bad"]
     thread.join()
-    assert isinstance(outcome[0], TaskDiedError)
+    assert isinstance(errors[0], TaskDiedError)
+    assert arm.status() == {}
+
+
+@pytest.mark.parametrize("how", ["stop", "kill"])
+def test_the_end_waits_for_no_command_under_way(arm, how):
+    """Its limit is its own, however long the other command may take."""
+    arm.spawn("bad", "hangs_in_on")
+    thread, errors = meanwhile(arm.on, "bad", limit=3000.0)
+    assert arm.wait_event("OUTPUT", "bad").text == "in on"
+    if how == "stop":
+        assert arm.stop(0.5).killed == ["bad"]
+    else:
+        assert arm.kill("bad", limit=0.5).state == "NOT-CREATED"
+    thread.join()
+    assert isinstance(errors[0], TaskDiedError)
     assert arm.status() == {}
 
 

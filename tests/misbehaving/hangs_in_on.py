@@ -11,6 +11,7 @@ class Hangs(PortBasedObject):
     y: A[Vector, OutVar("Y", "2", "none", "cycles")]
 
     def on(self) -> None:
+        print("in on", flush=True)
         while True:
             pass
 
