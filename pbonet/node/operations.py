@@ -3,13 +3,15 @@
 `handle` takes a request as it came from the network and gives the packed answer; it
 never raises. A request with the same client and id is executed once, however often it
 comes: the answer is kept, here and not in the agent, so that it survives the agent.
+Another request under the same id is refused.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet.errors import (
     PbonetError,
@@ -50,6 +52,14 @@ Masters = list[tuple[str, str]] | None
 Result = tuple[object, list[str]]
 
 
+class _Known(NamedTuple):
+    """A request that came before."""
+
+    op: str
+    digest: bytes
+    answer: asyncio.Task[bytes]
+
+
 class Operations:
     """Carries out requests on one RTPU.
 
@@ -62,7 +72,7 @@ class Operations:
         self._inspecting = inspecting.Inspecting(rtpu)
         self._codec = codec.Codec()
         self._pack = Answers(rtpu.name, self._report)
-        self._answers: OrderedDict[tuple[str, str], asyncio.Task[bytes]] = OrderedDict()
+        self._answers: OrderedDict[tuple[str, str], _Known] = OrderedDict()
         self._masters: Masters = None
         self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
             m.Claim: self._claim,
@@ -96,16 +106,30 @@ class Operations:
         if isinstance(request, _READING) or not request.id:
             return await self._carry_out(request, masters)
         key = (request.client, request.id)
+        digest = hashlib.blake2b(self._codec.pack(request), digest_size=16).digest()
         known = self._answers.get(key)
         if known is None:
-            known = asyncio.create_task(self._carry_out(request, masters))
+            answer = asyncio.create_task(self._carry_out(request, masters))
+            known = _Known(request.__struct_config__.tag, digest, answer)  # type: ignore[arg-type]
             self._answers[key] = known
             self._forget_old()
-        return await asyncio.shield(known)
+        elif known.digest != digest:
+            return self._pack.bad(request, self._another(request, known.op))
+        return await asyncio.shield(known.answer)
+
+    def _another(self, request: m.Request, before: str) -> ProtocolError:
+        """Return the error for an id that was another request's."""
+        return ProtocolError(
+            f"the id {request.id} of client {request.client} was another request's",
+            where=self._rtpu.name,
+            expected=f"the same {before} again, or an id of its own",
+            got=f"{request.__struct_config__.tag} with other contents",
+            remedy="count ids up, and give each run of a program another client name",
+        )
 
     def _forget_old(self) -> None:
         for key in list(self._answers)[: len(self._answers) - KEPT_ANSWERS]:
-            if self._answers[key].done():
+            if self._answers[key].answer.done():
                 del self._answers[key]
 
     async def _carry_out(self, request: m.Request, masters: Masters) -> bytes:

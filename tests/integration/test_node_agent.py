@@ -190,6 +190,14 @@ def test_repeated_request_is_executed_once(arm, nodes):
     assert first["ok"] is True
     assert first == second
     assert len(arm.events("SPAWNED")) == 1
+    request.task = "b"
+    third = raw(nodes, "arm0", codec.Codec().pack(request))
+    assert third["ok"] is False
+    assert third["error"]["code"] == "PROTOCOL"
+    told = "the id once of client me was another request's"
+    assert third["error"]["what"] == told
+    assert third["error"]["expected"] == "the same spawn again, or an id of its own"
+    assert len(arm.events("SPAWNED")) == 1
 
 
 # -- claims ---
