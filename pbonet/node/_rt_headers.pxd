@@ -151,6 +151,7 @@ cdef extern from "failure.h" nogil:
     void rt_lock()
     int rt_unlock()
     void rt_wish(rt_task *task, int crit, int64_t dl_ns)
+    void rt_post_wish(rt_task *task, int crit, int64_t dl_ns)
     void rt_skipped(rt_task *task, uint64_t cpu_ns)
     int rt_section(rt_slot *slot, const char *name)
     void rt_time_section(rt_slot *slot, int k, uint64_t ns)

@@ -269,7 +269,7 @@ cdef class CoreTable:
         cdef rt_task task
         if wish is not None:
             task.table, task.slot = self.t, self.slot(i)
-            rt_wish(&task, wish[0], wish[1])
+            rt_post_wish(&task, wish[0], wish[1])
 
 
 def _within(name, value, low, high):

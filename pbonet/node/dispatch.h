@@ -85,7 +85,8 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     int replaces = s->engaged && s->after_kind == RT_FALLBACK;
     uint32_t changed = word ^ s->word;
     uint32_t mode = word & 3;
-    uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? 0
+    /* A dead one's last word says what it did when it died: nobody came to say more. */
+    uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? s->dead
                    : s->fell || rt_has_fallen(&t->slots[i], s, mode);
     s->word = word;
     s->fell = fell;
@@ -117,7 +118,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
 }
 
 /* Take in what the task says of itself amid a cycle. */
-static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s)
+static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     struct rt_post *post = &t->slots[i].post;
     uint32_t handled = atomic_load(&post->handled);
@@ -136,7 +137,7 @@ static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s)
         int64_t dl_ns = atomic_load_explicit(&post->wish_dl_ns, memory_order_relaxed);
         s->wish = wish;
         rt_emit(t, RT_WISH, i, (uint32_t)crit & 0xff, dl_ns, 0);
-        rt_grant_wish(t, i, s, crit, dl_ns);
+        rt_grant_wish(t, i, s, crit, dl_ns, now);
     }
     if (s->owed && !atomic_load(&post->locked)) {
         rt_emit(t, RT_UNLOCKED, i, 0, 0, 0);
@@ -220,7 +221,7 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
         s->begun = 1;
     }
     if (s->begun || s->owed || s->kind == RT_SYNCHRONOUS)
-        rt_latch_watch(t, i, s);
+        rt_latch_watch(t, i, s, now);
     if (s->armed && rt_is_server(s))
         rt_latch_event(t, i, s);
     else if (s->armed && s->kind == RT_SYNCHRONOUS)
@@ -238,9 +239,11 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
         missed = (uint64_t)(last / s->period - release / s->period);
         release = last;
     }
-    int unmet = s->ready && !s->late;
+    int64_t length = s->deadline ? s->deadline : s->period;
+    int in_time = s->ready && s->rel_ns + length > now; /* it was released off the grid */
+    int unmet = s->ready && !s->late && !in_time;
     missed += s->ready;
-    s->dl_ns = release + (s->deadline ? s->deadline : s->period);
+    s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;
     if (!s->begun) {
         s->rel_ns = release;
         if (s->granted) {       /* told, but not begun: it runs as the new one */

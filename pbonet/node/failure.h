@@ -27,9 +27,11 @@ struct rt_failing {
     volatile sig_atomic_t handling;     /* the module's handler runs */
     volatile sig_atomic_t aborting;     /* on the way to the mark */
     volatile sig_atomic_t overdue;      /* ticks of the timer since the bound */
+    int wish_crit;              /* what the handler that runs has wished; -1 and 0: nothing */
+    int64_t wish_dl_ns;
 };
 
-static struct rt_failing rt_failing;
+static struct rt_failing rt_failing = {.wish_crit = -1};
 
 /* Set the timer to the first instant and its repetition; 0, 0 stops it. */
 static inline void rt_set_timer(int64_t first_ns, int64_t every_ns)
@@ -146,6 +148,8 @@ static inline uint32_t rt_begin_handler(struct rt_task *task)
     struct rt_stats *s = &task->slot->stats;
     int64_t took = rt_now() - atomic_load(&task->slot->grant.failed_ns);
     rt_failing.overdue = 0;
+    rt_failing.wish_crit = -1;
+    rt_failing.wish_dl_ns = 0;
     rt_failing.handling = 1;
     rt_set_timer(rt_failing.bound_ns, RT_AGAIN_NS);
     rt_add(&s->handlers, 1);
@@ -192,8 +196,8 @@ static inline int rt_unlock(void)
     return rt_failing.pending && !rt_failing.handling;
 }
 
-/* A handler's wish for the time until the next release; -1 and 0 wish nothing. */
-static inline void rt_wish(struct rt_task *task, int crit, int64_t dl_ns)
+/* Post a wish for the time until the next release; -1 and 0 wish nothing. */
+static inline void rt_post_wish(struct rt_task *task, int crit, int64_t dl_ns)
 {
     struct rt_post *post = &task->slot->post;
     atomic_store_explicit(&post->wish_crit, crit, memory_order_relaxed);
@@ -201,6 +205,18 @@ static inline void rt_wish(struct rt_task *task, int crit, int64_t dl_ns)
     /* SYNC POINT: rt_latch_watch loads `wish` with acquire. */
     atomic_fetch_add_explicit(&post->wish, 1, memory_order_release);
     rt_kick(task->table);
+}
+
+/* A handler wishes something more. All that one call of it has wished is said each time:
+ * there may be no turn between two wishes. */
+static inline void rt_wish(struct rt_task *task, int crit, int64_t dl_ns)
+{
+    struct rt_failing *f = &rt_failing;
+    if (crit >= 0)
+        f->wish_crit = crit;
+    if (dl_ns)
+        f->wish_dl_ns = dl_ns;
+    rt_post_wish(task, f->wish_crit, f->wish_dl_ns);
 }
 
 /* A release was left out; what that took belongs to no cycle. */

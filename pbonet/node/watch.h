@@ -180,9 +180,10 @@ static inline int64_t rt_look(struct rt_table *t, int i, struct rt_state *s, int
     return s->ready ? next : 0;
 }
 
-/* What a handler asks for until the next release: no more than it is entitled to. */
+/* What a handler asks for until the next release: no more than it is entitled to. A
+ * deadline that has passed already is not told again. */
 static inline void rt_grant_wish(struct rt_table *t, int i, struct rt_state *s,
-                                 int32_t crit, int64_t dl_ns)
+                                 int32_t crit, int64_t dl_ns, int64_t now)
 {
     int32_t most = s->handler > s->crit ? s->handler : s->crit;
     if (crit >= 0) {
@@ -191,7 +192,7 @@ static inline void rt_grant_wish(struct rt_table *t, int i, struct rt_state *s,
     }
     if (dl_ns > 0 && (s->kind == RT_PERIODIC || (s->kind == RT_SYNCHRONOUS && s->active))) {
         s->dl_ns = dl_ns;
-        s->late = 0;
+        s->late = s->late && dl_ns <= now;
     }
 }
 

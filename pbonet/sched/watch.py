@@ -121,7 +121,8 @@ class Watch:
             self.set_rank(min(crit, max(state.handler, state.crit)))
         waits = state.kind == Kind.SYNCHRONOUS and not state.active
         if deadline > 0 and state.kind in CYCLIC and not waits:
-            state.dl_ns, state.late = deadline, False
+            state.dl_ns = deadline
+            state.late &= deadline <= self.now  # one that has passed is told once
 
     def event(self, instant: int, *, active: bool) -> None:
         """Something came to a server, or has been served."""
@@ -224,11 +225,15 @@ class Watch:
         if last > release:
             missed = last // period - release // period
             release = last
-        unmet = state.ready and not state.late
+        length = state.deadline or period
+        own = state.rel_ns + length
+        in_time = state.ready and own > now  # it was released off the grid
+        unmet = state.ready and not state.late and not in_time
         missed += state.ready
+        state.dl_ns = own if in_time and state.begun else release + length
+        state.ready = True
         if not state.begun:
             state.rel_ns = release
-        state.ready, state.dl_ns = True, release + (state.deadline or period)
         state.missed += missed
         state.next_ns = ((release + period // 2) // period + 1) * period
         self._decide(Event.RELEASE, self.slot, 0, release, state.dl_ns)

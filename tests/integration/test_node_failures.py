@@ -139,6 +139,19 @@ class TestReserve:
             "the criticality that the handler set",
         )
 
+    def test_a_handler_may_wish_two_things(self, arm, nodes):
+        """Its wishes are one, whether the dispatcher looked between them or not."""
+        start(arm, overruns(answer="lower", busy=0.05, more=["HANDLER 6"]))
+        wait_failures(arm, "maxexec")
+        table = _rt.CoreTable(nodes.state("arm0").core, member=False)
+        wishes = [
+            (record.arg, record.a)
+            for record in table.trace()[2]
+            if record.kind == Event.WISH
+        ]
+        table.close()
+        assert any(crit == 2 and deadline > 0 for crit, deadline in wishes)
+
     def test_a_critical_section_is_overruled_after_its_bound_only(self, arm):
         start(arm, overruns(work="locked", busy=0.02, maxc=0.002))
         status = wait_failures(arm, "maxexec")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from oneslot import DEADLINE, MS, failures, one_slot
+from oneslot import DEADLINE, MS, failures, kinds, one_slot
 
 from pbonet.node import _rt
 from pbonet.sched.events import Event
@@ -117,3 +117,38 @@ def test_a_cycle_behind_a_change_of_rate_has_its_whole_new_period(
         one.at(30 * MS + 1, begun=True)
         assert one.until(38 * MS - 1) == []
         assert failures(one.until(38 * MS)) == [DEADLINE]
+
+
+def test_a_first_cycle_amid_a_period_has_a_period_to_its_deadline(standby) -> None:
+    """Released at 13 ms it may last to 23 ms; the release at 20 ms has no cycle."""
+    standby.at(13 * MS, mode=Mode.ON)
+    standby.at(13 * MS + 1, begun=True)
+    found = standby.until(23 * MS - 1)
+    assert failures(found) == []
+    assert kinds(found, Event.RELEASE, Event.MISS) == [
+        (Event.RELEASE, 0),
+        (Event.MISS, 1),
+    ]
+    assert failures(standby.until(23 * MS)) == [DEADLINE]
+
+
+@pytest.mark.parametrize("last", [Mode.COMMAND, Mode.ON])
+def test_a_fallback_takes_over_from_one_that_died_in_what_no_turn_saw(
+    monkeypatch, tmp_path, last
+) -> None:
+    """It was ON, and served a command or turned ON, since the last turn."""
+    with one_slot(monkeypatch, tmp_path) as make:
+        one = make()
+        one.at(2 * MS, mode=Mode.OFF)
+        first = one.table.alloc("r", "first")
+        one.table.configure(first, pid=2, period_ns=PERIOD, crit=5)
+        one.table.follow(one.slot, _rt.FALLBACK, [first])
+        one.at(3 * MS, mode=Mode.STANDS)
+        one.table.post(first, mode=Mode.ON)
+        if last is Mode.COMMAND:
+            one.until(5 * MS)
+            one.table.post(first, mode=last)
+        one.table.died(first)
+        assert (Event.ENGAGE, 0, 6 * MS) in one.at(6 * MS)
+        assert one.table.free(first) is None
+        assert one.at(7 * MS, mode=Mode.ON, begun=True)

@@ -187,6 +187,17 @@ def test_a_wish_is_granted_up_to_what_the_task_is_entitled_to(core) -> None:
     assert one.status().rank == 5
 
 
+def test_a_deadline_that_a_handler_sets_into_the_past_is_told_once(core) -> None:
+    one = core(tells=True, deadline_ns=5 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    assert failures(one.until(15 * MS)) == [DEADLINE | TELL]
+    assert failures(one.at(15 * MS + US, wish=(-1, 12 * MS))) == []
+    assert failures(one.until(20 * MS - 1)) == []
+    assert failures(one.at(20 * MS - 1, wish=(-1, 24 * MS))) == []
+    assert failures(one.until(20 * MS)) == [DEADLINE | TELL]
+
+
 # -- critical sections ---------------------------------------------------------------
 
 
