@@ -389,8 +389,8 @@ class Mirrors:
         """
         carried = self._carried.get(subsystem)
         if carried is not None and carried.alone and not take:
-            done()
-            return
+            done()  # the mirror looks all the same: machines that are lost count too
+            done = _nothing
 
         def spread() -> None:
             carried = self._carried.get(subsystem)
@@ -481,6 +481,10 @@ class Mirrors:
             what()
         except Exception:  # one table's trouble is not that of the others
             log.exception("a table could not be carried")
+
+
+def _nothing() -> None:
+    """Be called when nobody waits."""
 
 
 def _at_once(what: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:

@@ -14,6 +14,7 @@ from pbonet.node import mirrors as mirrors_module
 from pbonet.node.mirrors import Carried, Mirrors
 from pbonet.node.tables import table_name
 from pbonet.svar import Table
+from pbonet.svar.mirror import Mirror
 
 
 class Network(MagicMock):
@@ -73,6 +74,16 @@ def test_who_is_alone_waits_for_nobody(carrying):
     carried._met(token(zenoh.SampleKind.DELETE))
     mirrors.spread("arm", lambda: done.append("alone again"), take=False)
     assert done == ["alone", "alone again"]
+
+
+def test_who_is_alone_still_looks_at_what_the_lost_ones_owned(carrying, monkeypatch):
+    """A writer that takes a lost machine's place ends what the flag says of it."""
+    looks = []
+    monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
+    mirrors, _ = carrying
+    mirrors.spread("arm", lambda: None, take=False)
+    turn(mirrors)
+    assert looks == [{"full": True}]
 
 
 def test_packets_that_come_too_fast_are_told_of(carrying):
