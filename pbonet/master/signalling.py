@@ -11,7 +11,7 @@ from threading import Event, Lock
 from typing import TYPE_CHECKING, Protocol
 
 import zenoh
-from msgspec import Struct, field
+from msgspec import Struct
 
 from pbonet.errors import NoAnswerError, StateError, did_you_mean
 from pbonet.master import choice
@@ -50,7 +50,7 @@ class _Life(Struct):
     """When it was first seen, in nanoseconds."""
     counts: dict[str, int]
     """As they were seen last."""
-    pending: dict[str, int] = field(default_factory=dict)
+    pending: dict[str, int] = {}
     """Sent and not taken; of a task that died also by those before it."""
     died: int = 0
     """When it was last seen to have died; 0: not."""
