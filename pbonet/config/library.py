@@ -86,6 +86,8 @@ class Library:
 
     def __init__(self, folders: Iterable[str | Path] = ()) -> None:
         self.folders = tuple(Path(folder).expanduser() for folder in folders)
+        self.beside: tuple[Path, ...] = ()
+        """Folders of an application's files: not searched, but named to who forgot."""
         self._loaded: dict[tuple[str, str], LoadedModule] = {}
 
     @property
@@ -213,10 +215,36 @@ class Library:
         if found := self._look_for(f"{name}.py"):
             return found
         raise ModuleLoadError(
-            f"the library has no module {name}",
+            no_module(name),
             expected=f"{name}.py in {self._places()}",
-            remedy=did_you_mean(name, self.modules()) or self._missing(),
+            remedy=self._forgotten(name)
+            or did_you_mean(name, self.modules())
+            or self._missing(),
         )
+
+    def _forgotten(self, name: str) -> str:
+        """Return what to say where a module stands beside the files that want it."""
+        for folder in self.beside:
+            if (folder / f"{name}.py").is_file():
+                place = folder.absolute()
+                return f"{name}.py stands in {place}; give --library {place}"
+        return ""
+
+    def for_agent(self, name: str, rtpu: str) -> str:
+        """Return what to do where an agent's library lacks a module.
+
+        Returns:
+            Nothing where this library, and the folders beside, do not have it either.
+        """
+        found = self._look_for(f"{name}.py")
+        if found is not None and found[0].folder in self.folders:
+            place = found[0].folder.absolute()
+            return (
+                f"{name}.py stands in {place}; the agent {rtpu} needs it, too: "
+                f"pbonet agent --name {rtpu} --library {place}"
+            )
+        told = self._forgotten(name)
+        return told and f"{told}, also to the agent {rtpu} where it was started before"
 
     def _places(self) -> str:
         return " or ".join(str(shelf.folder) for shelf in self.shelves)
@@ -230,6 +258,20 @@ class Library:
                 "in agent.toml"
             )
         return f"there is no folder {' and no folder '.join(gone)}"
+
+
+def absent(folders: Iterable[str | Path]) -> list[str]:
+    """Return a sentence for each folder of modules that is not there."""
+    return [
+        f"there is no folder {Path(folder).absolute()}, named as a library"
+        for folder in folders
+        if not Path(folder).expanduser().is_dir()
+    ]
+
+
+def no_module(name: str) -> str:
+    """Return how it is told that a library lacks a module."""
+    return f"the library has no module {name}"
 
 
 def _is_name(name: str) -> bool:
@@ -359,10 +401,13 @@ def _broken(module: str, path: Path, error: BaseException) -> ModuleLoadError:
 
 
 def _beside(path: Path, error: BaseException) -> str:
-    """Return what to say when an import would have found a file of the same folder."""
+    """Return what to do; of an import that failed, what it would have found."""
     name = error.name if isinstance(error, ModuleNotFoundError) else None
     if name and (path.parent / f"{name}.py").is_file():
         return f"write `from . import {name}`: the folder is a package"
+    if name and not name.startswith(("_pbonet", "pbonet")):
+        package = name.partition(".")[0]
+        return f"install {package} where pbonet is ({sys.prefix}), or correct the name"
     return "correct it there and try again"
 
 

@@ -6,6 +6,7 @@ this machine; the other files are read, and what they name is looked up.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from msgspec import Struct
 
 from pbonet import verify
 from pbonet.config import info_of, read_any
-from pbonet.config.library import Library
+from pbonet.config.library import Library, absent
 from pbonet.config.model import AgentConfig, JobFile, JobTask, Rmod, SbsFile, SvarFile
 from pbonet.errors import PbonetError
 from pbonet.master.files import Files
@@ -82,6 +83,7 @@ def check_file(
     """
     found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
     library = Library(libraries)
+    library.beside = (Path(path).parent,)
     try:
         rmod = Path(path).suffix == ".rmod"
         record = library.read_rmod(path) if rmod else read_any(path)
@@ -97,11 +99,21 @@ def check_file(
             _check_job(found, Files(path, library), host or here())
         elif isinstance(record, AgentConfig):
             found.about = f"agent {record.name or 'without a name'}"
+            found.warnings += _not_here(record)
         else:
             found.about = f"table of {len(record.variables)} variables"
     except PbonetError as error:
         found.errors.append(error.to_wire())
     return found
+
+
+def _not_here(agent: AgentConfig) -> list[str]:
+    """Return what of an agent's file this machine, and this folder, does not have."""
+    told = absent(agent.libraries)
+    if agent.core is not None and agent.core not in os.sched_getaffinity(0):
+        cores = " ".join(map(str, sorted(os.sched_getaffinity(0))))
+        told.append(f"core {agent.core} cannot be used here (expected one of {cores})")
+    return told
 
 
 def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:

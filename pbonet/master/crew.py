@@ -78,7 +78,7 @@ class Crew:
         self.logbook = logbook
         self._inbox = inbox
         self.picture = Picture()
-        self._info = cache(partial(modules.on, fleet))
+        self._info = cache(partial(modules.on, fleet, files.library))
         self._flag_up = False
         self._unfed: set[str] = set()  # told already, of inputs without a writer
         self._noted: set[str] = set()  # the same, of saved profiles

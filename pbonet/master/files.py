@@ -70,7 +70,8 @@ class Files:
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self.profiles = Store(path, self.table)
         """What was measured of its tasks."""
-        self._folders = [path.parent]
+        self._folders: list[Path] = []
+        self._look_in(path.parent)
         if self.job is not None:
             self._look_in(Path(self.job.file).parent)
 
@@ -177,6 +178,7 @@ class Files:
     def _look_in(self, folder: Path) -> None:
         """Make `folder` the first in which RMODs are looked for."""
         self._folders = [folder, *(f for f in self._folders if f != folder)]
+        self.library.beside = tuple(self._folders)
 
     def _job_path(self, path: Path) -> Path:
         if not path.name:

@@ -4,31 +4,45 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pbonet.config.library import no_module
 from pbonet.errors import ModuleLoadError
 from pbonet.pbo import ModuleInfo
 from pbonet.xm import messages as m
 from pbonet.xm import rpc
 
 if TYPE_CHECKING:
+    from pbonet.config.library import Library
     from pbonet.master.fleet import Fleet
 
 _LOAD_TIME = 10.0
 """Seconds in which an agent imports and describes the modules of its libraries."""
 
 
-def on(fleet: Fleet, rtpu: str, module: str) -> ModuleInfo:
+def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
     """Return the description of a module as an RTPU's library has it.
+
+    Args:
+        fleet: The agents.
+        library: The master's own, which says what to do where the agent lacks one.
+        rtpu: Whose library.
+        module: Its name.
 
     Raises:
         ModuleLoadError: The library has no such module, or it does not load.
     """
     request = m.Modules(name=module)
-    found = fleet.call(rtpu, request, list[ModuleInfo], timeout=_LOAD_TIME)
+    try:
+        found = fleet.call(rtpu, request, list[ModuleInfo], timeout=_LOAD_TIME)
+    except ModuleLoadError as error:
+        if error.what == no_module(module):
+            error.remedy = library.for_agent(module, rtpu) or error.remedy
+        raise
     if not found:
         raise ModuleLoadError(
-            f"the library has no module {module}",
+            no_module(module),
             where=rtpu,
-            remedy="see 'module', or name its folder in agent.toml",
+            remedy=library.for_agent(module, rtpu)
+            or "see 'module', or name its folder in agent.toml",
         )
     return found[0]
 

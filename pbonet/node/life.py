@@ -9,6 +9,8 @@ import signal
 import sys
 from typing import TYPE_CHECKING
 
+from pbonet.config.library import absent
+
 from . import service
 from .agent import Agent
 
@@ -98,6 +100,8 @@ def main(config: AgentConfig, *, backend: str = "auto") -> int:
     life = Life(agent)
     life.heed_signals()
     agent.start()
+    for text in absent(config.libraries):
+        log.warning("%s: %s", agent.name, text)
     announce(agent.info())
     service.tell("READY=1")
     if life.wait():

@@ -90,6 +90,16 @@ def test_agent_takes_its_machine_from_a_file(agent, nodes, tmp_path):
     assert session.rtpus(nodes.session, nodes.domain) == ["arm0"]
 
 
+def test_agent_says_which_folders_of_modules_are_not_there(agent, tmp_path):
+    gone = tmp_path / "gone"
+    words = ("--library", str(gone), "--library", str(tmp_path))
+    process = agent("arm0", *words)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=100)
+    assert f"arm0: there is no folder {gone}, named as a library" in err
+    assert err.count("no folder") == 1
+
+
 def test_agent_without_a_name_or_with_a_wrong_file_says_so(pbonet, tmp_path):
     nameless = pbonet("agent")
     assert nameless.returncode == 1

@@ -175,6 +175,13 @@ def test_unknown_module_is_found_by_asking_the_agent(arm, puma):
     )
     with pytest.raises(ModuleLoadError, match="the library has no module no_such"):
         arm.spawn("mine")
+    (puma.parent / "no_such.py").touch()
+    with pytest.raises(ModuleLoadError) as caught:
+        arm.spawn("mine")
+    assert caught.value.remedy == (
+        f"no_such.py stands in {puma.parent}; give --library {puma.parent}, also to "
+        "the agent arm0 where it was started before"
+    )
 
 
 def test_rmod_beside_the_sbs_file_wins_over_the_library(robot, puma, agents):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -144,6 +145,19 @@ def test_check_takes_every_kind_of_file(call, tmp_path):
     assert status == 0
     assert out.count(": legal\n") == 5
     assert "job teleop of 4 tasks" in out
+
+
+def test_check_tells_what_of_an_agent_is_not_here(call, tmp_path, monkeypatch):
+    agent = tmp_path / "agent.toml"
+    agent.write_text('name = "arm0"\nlibraries = ["nowhere", "."]\ncore = 4000\n')
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = call("check", agent)
+    assert status == 0, "it may be another machine's"
+    cores = " ".join(map(str, sorted(os.sched_getaffinity(0))))
+    assert out.splitlines()[:-1] == [
+        f"WARNING> there is no folder {tmp_path / 'nowhere'}, named as a library",
+        f"WARNING> core 4000 cannot be used here (expected one of {cores})",
+    ]
 
 
 def test_check_of_an_illegal_job_names_tasks_ports_and_remedy(call, tmp_path):

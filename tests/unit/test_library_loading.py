@@ -211,6 +211,33 @@ def test_a_module_that_is_not_there(folder):
     )
 
 
+def test_a_module_beside_the_files_that_want_it_is_told_with_its_folder(folder):
+    library = Library()
+    library.beside = (folder / "other", folder)
+    told = f"ramp.py stands in {folder}; give --library {folder}"
+    with pytest.raises(ModuleLoadError) as caught:
+        library.load("ramp")
+    assert caught.value.remedy == told
+    assert library.for_agent("ramp", "arm0") == (
+        f"{told}, also to the agent arm0 where it was started before"
+    )
+    assert Library([folder]).for_agent("ramp", "arm0") == (
+        f"ramp.py stands in {folder}; the agent arm0 needs it, too: "
+        f"pbonet agent --name arm0 --library {folder}"
+    )
+    assert not library.for_agent("rmap", "arm0")
+    assert not library.for_agent("diff", "arm0"), "every pbonet brings it"
+
+
+def test_a_package_that_is_missing_is_to_be_installed(folder):
+    (folder / "ramp.py").write_text(f"import no_such_package.part\n{GOOD}")
+    with pytest.raises(ModuleLoadError) as caught:
+        Library([folder]).load("ramp")
+    assert caught.value.remedy == (
+        f"install no_such_package where pbonet is ({sys.prefix}), or correct the name"
+    )
+
+
 def test_a_folder_that_is_not_there_is_told_when_it_matters(folder):
     shelf = Library([folder / "gone", folder])
     assert shelf.load("ramp").info.name == "ramp"
