@@ -20,6 +20,7 @@ from pbonet.log.groups import pack
 
 from .copies import Copies
 from .failures import ALL_REFUSED
+from .wire import readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -146,6 +147,7 @@ class Journal:
     def doing(self, did: Did) -> Generator[None]:
         """Put on record what is about to be done, and have time stand still."""
         with self._time.held():
+            did.arg = readable(did.arg)  # a module's error may say anything
             self._put(Step.DID, msgspec.json.encode(did))
             try:
                 yield

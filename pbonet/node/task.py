@@ -214,7 +214,8 @@ class Host:
     def _wait(self) -> None:
         sock = self.voice.sock
         files = [sock.fileno(), self._orphan_fd, self._wake_read]
-        ready, _, _ = select.select(files, [], [])
+        ready, _, _ = select.select(files, self.voice.owing, [])
+        self.voice.pay()
         if self._wake_read in ready:
             os.read(self._wake_read, 512)
         if sock.fileno() in ready:
@@ -240,7 +241,7 @@ class Host:
             self.local.heir_of([])
         if self.executor.state is State.ON:
             self.slot.arm()
-            self.voice.send("ENGAGED", self._engaged)
+            self.voice.send(self._engaged)
             return
         self._after_signal()
         self.voice.notice(
@@ -254,6 +255,8 @@ class Host:
     def _cycle(self) -> None:
         """Cycle until a message waits or something fails."""
         instance = self.executor.instance
+        if not self.voice.pay():
+            self.core.request(self.spec.slot)  # come back behind a cycle, and pay
         self.time.cycling = True
         try:
             reason = self.slot.run(

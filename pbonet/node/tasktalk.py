@@ -9,11 +9,11 @@ import select
 import signal
 import socket
 import time
-from collections import Counter
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from pbonet.errors import MethodError, PbonetError, Severity
-from pbonet.pbo import Notice, Signal, TaskContext, signal_names
+from pbonet.pbo import Notice, Signal, State, TaskContext, signal_names
 
 from . import wire
 from .signalling import severity
@@ -21,12 +21,15 @@ from .signalling import severity
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
+    from pbonet.errors import WireError
     from pbonet.outside import Told
 
     from ._rt import Slot
     from .executor import Executor
     from .failures import Raised
 
+LONGEST_TEXT = 5000
+"""Characters of each text that are told when a notice is too long."""
 INTERRUPT = signal.SIGUSR2
 F_SETSIG = 10
 
@@ -54,7 +57,8 @@ class Voice:
     """The task's end of its socket.
 
     Answers wait until the RTPU process takes them; what a module says within a cycle
-    never waits: it is dropped when there is no room, counted, and told later.
+    never waits: it is dropped when there is no room, counted, and told later. News of
+    the task's state wait neither, but are owed until there is room.
 
     Args:
         sock: Sequenced packets to the RTPU process.
@@ -65,6 +69,24 @@ class Voice:
         self.own: dict[str, int] = {}
         """Names and bits of the module's own signals."""
         self._lost: Counter[str] = Counter()
+        self._owed: deque[bytes] = deque()
+
+    @property
+    def owing(self) -> list[socket.socket]:
+        """The socket, while news of the task's state wait for room there."""
+        return [self.sock] if self._owed else []
+
+    def pay(self) -> bool:
+        """Send what is owed, as far as there is room; return whether that was all."""
+        try:
+            while self._owed:
+                self.sock.send(self._owed[0], socket.MSG_DONTWAIT)
+                self._owed.popleft()
+        except BlockingIOError:
+            return False
+        except OSError:
+            self._owed.clear()  # the RTPU process is gone
+        return True
 
     def hear(self) -> bytes | None:
         """Return the next packet, b"" when the other end is closed, None for none."""
@@ -80,23 +102,20 @@ class Voice:
         return bool(select.select([self.sock], [], [], 0)[0])
 
     def say(self, done: wire.Done) -> None:
-        """Answer a message; a too long one is answered with an error."""
+        """Answer a message; what cannot be told is answered with an error."""
         done.lost = dict(self._lost)
-        data = wire.encode(done)
-        if len(data) > wire.LARGEST_PACKET:
-            error = PbonetError(
-                "the task's answer is too long",
-                expected=f"at most {wire.LARGEST_PACKET} bytes",
-                got=f"{len(data)} bytes",
-                remedy="let its parameters and its errors' texts be shorter",
-            )
-            data = wire.encode(
-                wire.Done(n=done.n, state=done.state, error=error.to_wire())
-            )
         try:
-            self.sock.send(data)
+            data = wire.encode(done)
+            if len(data) > wire.LARGEST_PACKET:
+                data = _instead(done, _too_long(data))
+        except wire.UNTOLD as error:
+            data = _instead(done, _untold(error))
+        try:
+            for one in (*self._owed, data):
+                self.sock.send(one)
         except OSError:
             return  # the RTPU process is gone; the orphan guard says so
+        self._owed.clear()
         self._lost.clear()
 
     def put(self, notice: Notice) -> None:
@@ -164,21 +183,98 @@ class Voice:
         names = " ".join(signal_names(notice.bits, self.own))
         return f"{names}: {notice.text}" if notice.text else names
 
-    def send(self, code: str, data: bytes) -> None:
-        """Tell what was encoded beforehand; what was lost is told the next time."""
-        try:
-            self.sock.send(data, socket.MSG_DONTWAIT)
-        except OSError:
-            self._lost[code] += 1
+    def send(self, data: bytes) -> None:
+        """Tell news of the state that were encoded beforehand, and don't wait."""
+        self._offer(data, owe=True)
 
     def _post(self, notice: wire.Notice) -> None:
         notice.lost = dict(self._lost)
-        try:
-            self.sock.send(wire.encode(notice), socket.MSG_DONTWAIT)
-        except OSError:
-            self._lost[notice.code] += 1
-        else:
+        changed = notice.state not in {"", State.ON}
+        if self._offer(_packed(notice), owe=changed):
             self._lost.clear()
+        else:
+            self._lost[notice.code] += 1
+
+    def _offer(self, data: bytes, *, owe: bool) -> bool:
+        """Send without waiting; with `owe`, later if there is no room.
+
+        Returns:
+            Whether it is sent or will be.
+        """
+        if self.pay():
+            try:
+                self.sock.send(data, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                pass
+            except OSError:
+                return False
+            else:
+                return True
+        if owe:
+            self._owed.append(data)
+        return owe
+
+
+def _instead(done: wire.Done, error: PbonetError) -> bytes:
+    """Return an answer with the state and the error in the place of what it held."""
+    return wire.encode(wire.Done(n=done.n, state=done.state, error=error.to_wire()))
+
+
+def _too_long(data: bytes) -> PbonetError:
+    return PbonetError(
+        "the task's answer is too long",
+        expected=f"at most {wire.LARGEST_PACKET} bytes",
+        got=f"{len(data)} bytes",
+        remedy="let its parameters and its errors' texts be shorter",
+    )
+
+
+def _untold(error: BaseException) -> PbonetError:
+    return PbonetError(
+        "the task's answer cannot be told",
+        expected="numbers, texts, or lists of them",
+        got=str(error),
+        remedy="let the module's `get` return these",
+    )
+
+
+def _packed(notice: wire.Notice) -> bytes:
+    """Return a notice in bytes; if it is too long or cannot be told, what can be."""
+    with contextlib.suppress(*wire.UNTOLD):
+        data = wire.encode(notice)
+        if len(data) <= wire.LARGEST_PACKET:
+            return data
+    return wire.encode(
+        wire.Notice(
+            severity=notice.severity,
+            code=notice.code,
+            text=_shortened(notice.text),
+            cycle=notice.cycle,
+            bits=notice.bits,
+            place=_shortened(notice.place),
+            lost=notice.lost,
+            state=notice.state,
+            error=_short_error(notice.error) if notice.error else None,
+        )
+    )
+
+
+def _short_error(wired: WireError) -> WireError:
+    """Return an error with its texts shortened, and without parts."""
+    error = PbonetError.from_wire(wired)
+    for key in ("what", "where", "expected", "got", "remedy", "debug"):
+        setattr(error, key, _shortened(getattr(error, key)))
+    return PbonetError.to_wire(error)
+
+
+def _shortened(given: object) -> str:
+    """Return the beginning and the end of a text that is too long to be told."""
+    text = str(given)
+    left_out = len(text) - LONGEST_TEXT
+    if left_out <= 0:
+        return text
+    half = LONGEST_TEXT // 2
+    return f"{text[:half]} [{left_out} characters left out] {text[-half:]}"
 
 
 class SlotTime:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import socket
+import threading
 from collections import Counter
 
 import msgspec
+import numpy as np
 import pytest
 
 from pbonet.errors import MethodError, Severity
@@ -75,6 +77,89 @@ def test_in_a_flood_every_notice_is_told_or_counted(ends, last):
     assert len(first) + end.lost["HANDLED"] == 3000
     voice.say(wire.Done(n=2, state=State.OFF))
     assert heard(far)[0].lost == {}
+
+
+def test_news_of_the_state_wait_for_room_and_come_in_order(ends):
+    voice, far = ends
+    for _ in range(3000):
+        voice.put(HANDLED)
+    voice.notice(Severity.ERROR, "METHOD", "broken", state=State.ERROR)
+    voice.put(HANDLED)
+    assert voice.owing == [voice.sock]
+    voice.pay()  # there is no room yet
+    chatter = heard(far)
+    voice.pay()
+    assert voice.owing == []
+    voice.notice(Severity.INFO, "STATE", "clear", state=State.OFF)
+    news, clear = heard(far)
+    assert (news.state, clear.state) == ("ERROR", "OFF")
+    assert len(chatter) + news.lost["HANDLED"] + clear.lost["HANDLED"] == 3001
+
+
+def test_an_answer_comes_behind_the_news_that_are_owed(ends):
+    voice, far = ends
+    while not voice.owing:
+        voice.notice(Severity.ERROR, "METHOD", "broken", state=State.ERROR)
+    answer = threading.Thread(target=voice.say, args=[wire.Done(n=1, state="OFF")])
+    answer.start()
+    far.settimeout(30.0)
+    while not isinstance(told := heard_next(far), wire.Done):
+        assert told.state == "ERROR"
+    answer.join()
+    assert voice.owing == []
+
+
+def heard_next(far):
+    data = far.recv(2 * wire.LARGEST_PACKET)
+    return msgspec.msgpack.decode(data, type=wire.FromTask)
+
+
+def test_a_text_of_any_length_is_told(ends):
+    voice, far = ends
+    error = MethodError("begin " + "\u20ac" * 250_000 + " end", where="servo.cycle")
+    voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
+    (told,) = heard(far)
+    assert (told.code, told.state, told.lost) == ("METHOD", "ERROR", {})
+    for text in (told.text, told.error["what"]):
+        assert "begin" in text
+        assert "characters left out" in text
+        assert text.endswith("end")
+
+
+UNREADABLE = "/x/" + b"\xff".decode(errors="surrogateescape")
+
+
+def test_a_text_that_is_no_unicode_is_told_with_escapes(ends):
+    voice, far = ends
+    error = MethodError(UNREADABLE, where="servo.cycle")
+    voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
+    voice.say(wire.Done(n=1, state="OFF", error=error.to_wire()))
+    for told in heard(far):
+        assert told.error["what"] == "/x/\\udcff"
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (np.float64(1.5), 1.5),
+        (np.int64(3), 3),
+        (np.bool_(True), True),
+        ((1, np.zeros((2, 2))), [1, [[0.0, 0.0], [0.0, 0.0]]]),
+    ],
+)
+def test_numbers_of_numpy_are_told_as_python_s(ends, given, told):
+    voice, far = ends
+    voice.say(wire.Done(n=1, state="ON", result=given))
+    assert heard(far)[0].result == told
+
+
+@pytest.mark.parametrize("given", [1 + 2j, np.complex128(1j), 10**30, object()])
+def test_what_cannot_be_told_is_answered_with_an_error(ends, given):
+    voice, far = ends
+    voice.say(wire.Done(n=1, state="ON", result=given))
+    (done,) = heard(far)
+    assert (done.n, done.state, done.result) == (1, "ON", None)
+    assert done.error["what"] == "the task's answer cannot be told"
 
 
 def test_counts_that_come_with_a_message_are_added():
