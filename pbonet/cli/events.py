@@ -31,7 +31,7 @@ def command(
     connect: options.Connect = None,
     keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
     library: options.Library = None,
-    debug: options.Debug = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show what happened lately."""
     from pbonet.cli.table import show
@@ -48,12 +48,11 @@ def command(
     if follow and count:
         raise StateError("--follow and --count do not go together", remedy="choose one")
     if follow:
-        following.follow(file, given, place, as_data=json_, debug=debug)
+        following.follow(file, given, place, as_data=json_)
         return
     if count:
         tasks: dict[str, object] = {"task": [task] if task else []}
         reply = oneshot.run(file, "events count", tasks, place)
     else:
         reply = oneshot.run(file, "events", given, place)
-        reply.data["debug"] = debug
     show(reply.command, reply.data, reply.warnings, as_data=json_)

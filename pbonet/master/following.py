@@ -104,7 +104,6 @@ def follow(
     place: Place,
     *,
     as_data: bool,
-    debug: bool = False,
 ) -> None:
     """Print the last events and then each new one, until interrupted.
 
@@ -113,7 +112,6 @@ def follow(
         given: Arguments of `events`.
         place: Where the subsystem is.
         as_data: Print JSON, one object a line.
-        debug: Print the line of code behind an error, where one is known.
 
     Raises:
         PbonetError: An argument is wrong, or no agent can be reached.
@@ -135,12 +133,12 @@ def follow(
         first, _ = since(given.get("since") or 0)
         events = [event for event in follower.take() if event.n >= first]
         count = _LAST if last is None else last
-        _show(events[max(0, len(events) - count) :], as_data=as_data, debug=debug)
+        _show(events[max(0, len(events) - count) :], as_data=as_data)
         told: dict[str, str] = {}
         while not interrupts.wished.is_set():
             news.wait(LOOK_TIME)
             news.clear()
-            _show(follower.take(), as_data=as_data, debug=debug)
+            _show(follower.take(), as_data=as_data)
             told = _complain(told, follower)
     raise KeyboardInterrupt
 
@@ -159,9 +157,9 @@ def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
     return now
 
 
-def _show(events: Iterable[m.Event], *, as_data: bool, debug: bool) -> None:
+def _show(events: Iterable[m.Event], *, as_data: bool) -> None:
     for event in events:
-        text = render.event(event, debug=debug)
+        text = render.event(event)
         data = msgspec.json.encode(event).decode() if as_data else text
         sys.stdout.write(f"{data}\n")
     sys.stdout.flush()

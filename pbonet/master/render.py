@@ -12,6 +12,7 @@ from pbonet import verify
 from pbonet.errors import PbonetError, Severity
 from pbonet.master import curve, profile
 from pbonet.master.words import is_sequence
+from pbonet.node.failures import placed
 from pbonet.xm.messages import Event
 
 if TYPE_CHECKING:
@@ -375,12 +376,10 @@ def _transition(data: Data) -> str:
     return "\n".join(lines)
 
 
-def event(one: Event, *, debug: bool = False) -> str:
+def event(one: Event) -> str:
     """Return an event as one line, or more if its text has more.
 
-    Args:
-        one: The event.
-        debug: With the line of code, where one is known.
+    The line of code behind it, where one is known, ends the first of them.
     """
     clock = time.strftime("%H:%M:%S", time.localtime(one.wall))
     clock += f".{int(one.wall % 1 * 1000):03d}"
@@ -388,14 +387,14 @@ def event(one: Event, *, debug: bool = False) -> str:
     place = "/".join(filter(None, (one.rtpu, one.task)))
     cycle = f" cycle={one.cycle}" if one.cycle else ""
     number = f" errnum={one.errnum}" if one.errnum else ""
-    line = f" ({one.place})" if debug and one.place else ""
-    return f"{clock} {severity:7} {place} {one.code}{cycle}{number} {one.text}{line}"
+    first, more, rest = one.text.partition("\n")
+    said = f"{placed(first, one.place)}{more}{rest}"
+    return f"{clock} {severity:7} {place} {one.code}{cycle}{number} {said}"
 
 
 def _events(data: Data) -> str:
     found = msgspec.convert(data["events"], list[Event])
-    debug: bool = data.get("debug", False)
-    return "\n".join(event(one, debug=debug) for one in found) or "no events"
+    return "\n".join(map(event, found)) or "no events"
 
 
 def _events_count(data: Data) -> str:

@@ -442,7 +442,7 @@ class Simulation:
                 task.warnings += 1
                 task.warning = task.warning or notice.text
             if notice.text:
-                self.events.append(f"{self._clock()} {task.name}: {notice.text}")
+                self.events.append(f"{self._clock()} {task.said(notice)}")
         self.happened.noticed(task, notices)
         before = self.table.causes
         self.table.causes = unwritten(self._tasks.values())

@@ -107,6 +107,8 @@ class SimEvents:
                 "HANDLED" if one.handled else "WARNING" if warns else "SIGNAL",
                 one.text if plain else said,
                 bits=one.bits,
+                errnum=one.code,
+                place=one.place,
             )
 
     def cycled(self, task: SimTask) -> None:
@@ -138,6 +140,8 @@ class SimEvents:
         text: str,
         *,
         bits: int = 0,
+        errnum: int = 0,
+        place: str = "",
         error: PbonetError | None = None,
     ) -> None:
         """Tell something of a task."""
@@ -150,6 +154,6 @@ class SimEvents:
             task=task.name,
             cycle=task.source.cyclecount,
             bits=bits,
-            errnum=method.number if method else 0,
-            place=method.place if method else "",
+            errnum=method.number if method else errnum,
+            place=method.place if method else place,
         )

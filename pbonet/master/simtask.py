@@ -12,7 +12,8 @@ from pbonet.master.picture import Member
 from pbonet.master.recording import TaskRecord
 from pbonet.master.simjournal import SimExecutor, SimTime
 from pbonet.master.simtable import MemoryCopies
-from pbonet.pbo import BoundedOutbox, State
+from pbonet.node.failures import placed
+from pbonet.pbo import BoundedOutbox, Signal, State
 from pbonet.sched.dispatch import Dispatcher
 from pbonet.sched.events import After, Event, pack
 from pbonet.sched.records import Decision, Kind, Mode
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from pbonet.config.model import RtpuEntry
+    from pbonet.pbo import Notice
 
 _BITS = 64
 _WORD = (1 << _BITS) - 1
@@ -64,6 +66,18 @@ class SimTask(Struct, kw_only=True, eq=False):
     def period_ns(self) -> int:
         """Nanoseconds from release to release; 0 for background work."""
         return round(1e9 / self.member.freq) if self.member.freq else 0
+
+    @property
+    def error(self) -> str:
+        """What failed last, with the line of the module behind it."""
+        failure = self.executor.failure
+        return placed(self.executor.task.errmsg, failure.place if failure else "")
+
+    def said(self, notice: Notice) -> str:
+        """Return what a module has said, as a line."""
+        fell = notice.bits & Signal.ERROR
+        text = self.error if fell else placed(notice.text, notice.place)
+        return f"{self.name}: {text}"
 
 
 class Turns:
@@ -166,7 +180,7 @@ def status_of(task: SimTask, now_ns: int) -> m.TaskStatus:
         last_c=0.0,
         warn=task.warnings,
         warning=task.warning,
-        error=task.executor.task.errmsg if state is State.ERROR else "",
+        error=task.error if state is State.ERROR else "",
         module=info.name if info else "",
         version=info.version if info else "",
         now=now_ns,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import traceback
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
 from pbonet.errors import MethodError, PbonetError, SvarError
-from pbonet.pbo import Answer, Recovery, TaskFailure, number_of, place_of
+from pbonet.pbo import Answer, Recovery, TaskFailure, innermost, number_of, place_of
 
 if TYPE_CHECKING:
     from .lifecycle import Outcome, Rule, Step
@@ -160,6 +162,29 @@ def _method_error(error: Raised, where: str) -> MethodError:
         remedy=remedy,
         debug=_trace(error),
     )
+
+
+def placed(text: str, place: str) -> str:
+    """Return a message with the line of code behind it, if one is known."""
+    return f"{text} ({place})" if place else text
+
+
+def own_place(trace: str) -> str:
+    """Return the innermost line of the module's own folder in what a crash left.
+
+    Args:
+        trace: Lines of `faulthandler`, the innermost first; a line of ctypes, in which
+            a library was called, is not the line of the module.
+    """
+    calls: list[tuple[str, str]] = []
+    for call in _CALL.finditer(trace):
+        if Path(call[1]).parent == Path(__file__).parent:
+            break  # from here on outwards it is the task's process
+        calls.append((call[1], "{}:{} in {}".format(*call.groups())))
+    return innermost(reversed(calls))
+
+
+_CALL = re.compile(r'File "([^"]+)", line (\d+) in (.+)')
 
 
 def add_remedy(error: PbonetError, text: str) -> None:

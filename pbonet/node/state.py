@@ -10,18 +10,14 @@ from typing import TYPE_CHECKING
 
 import pbonet
 from pbonet.config.model import RtpuEntry, Scheduler, TaskType
-from pbonet.errors import (
-    NodeError,
-    PbonetError,
-    RealTimeError,
-    Severity,
-)
+from pbonet.errors import NodeError, PbonetError, RealTimeError, Severity
 from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
 from . import _rt, known, leftovers, ranking, runtime, status, waking, wire
 from ._ring import Ring
 from .claims import Claims
+from .failures import own_place, placed
 from .fallbacks import Fallbacks
 from .flags import Flags
 from .givers import Givers
@@ -318,7 +314,8 @@ class Rtpu:
             task.warnings += 1
             task.warning = task.warning or notice.text
         if notice.error is not None:
-            task.error = str(PbonetError.from_wire(notice.error))
+            error = str(PbonetError.from_wire(notice.error))
+            task.error = placed(error, notice.place)
         if notice.code == "ENDING" and task.state is State.ON:
             task.left = True
             self._raise_flag(task, "has ended unasked")
@@ -446,7 +443,7 @@ class Rtpu:
             task=task.name,
             cycle=last.cycle,
             bits=int(Signal.ERROR),
-            place=crash_place(trace),
+            place=own_place(trace) or crash_place(trace),
         )
 
     def bury(self, subsystem: str, name: str) -> None:

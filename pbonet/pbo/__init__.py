@@ -17,7 +17,15 @@ from ._describe import (
     render,
     source_version,
 )
-from ._handling import ErrorScope, Handling, Jump, line_of, number_of, place_of
+from ._handling import (
+    ErrorScope,
+    Handling,
+    Jump,
+    innermost,
+    line_of,
+    number_of,
+    place_of,
+)
 from ._object import METHODS, Interface, PortBasedObject, interface
 from ._param import Param, param
 from ._params import (
@@ -108,6 +116,7 @@ __all__ = [
     "describe",
     "faults",
     "find_param",
+    "innermost",
     "interface",
     "line_of",
     "local_text",

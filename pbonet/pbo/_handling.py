@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
+from traceback import walk_tb
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeAlias
 
 from pbonet.errors import MethodError
@@ -152,15 +153,23 @@ def place_of(error: BaseException) -> str:
     """
     if isinstance(error, MethodError) and error.place:
         return error.place
+    return innermost(
+        (frame.f_code.co_filename, line_of(frame, number))
+        for frame, number in walk_tb(error.__traceback__)
+    )
+
+
+def innermost(calls: Iterable[tuple[str, str]]) -> str:
+    """Return the last line of a module's own folder; that of the first call is it.
+
+    Args:
+        calls: File and line of each, the outermost first.
+    """
     found, folder = "", None
-    trace = error.__traceback__
-    while trace is not None:
-        file = trace.tb_frame.f_code.co_filename
+    for file, line in calls:
         own = not file.startswith(_RUNTIME) and not file.endswith(".pyx")
         if own and folder in {None, Path(file).parent}:
-            folder = Path(file).parent
-            found = line_of(trace.tb_frame, trace.tb_lineno)
-        trace = trace.tb_next
+            folder, found = Path(file).parent, line
     return found
 
 

@@ -174,12 +174,11 @@ def event(**more):
     return EventLog("arm0").add(Severity.ERROR, "METHOD", "too hot", **given)
 
 
-def test_debug_shows_the_line():
+def test_a_line_of_code_that_is_known_is_shown():
     assert render.event(event()).endswith(
-        "ERROR   arm0/servo METHOD cycle=5 errnum=7 too hot"
+        f"ERROR   arm0/servo METHOD cycle=5 errnum=7 too hot ({PLACE})"
     )
-    assert render.event(event(), debug=True).endswith(f"too hot ({PLACE})")
-    assert render.event(event(place=""), debug=True).endswith("too hot")
+    assert render.event(event(place="")).endswith("too hot")
 
 
 def test_events_are_chosen_by_the_module_s_number():
