@@ -37,10 +37,16 @@ def command(
         list[str] | None, typer.Option(help="Listen there.", metavar="ENDPOINT")
     ] = None,
     connect: A[
-        list[str] | None, typer.Option(help="Connect there.", metavar="ENDPOINT")
+        list[str] | None,
+        typer.Option(
+            help="Connect there.", envvar="PBONET_CONNECT", metavar="ENDPOINT"
+        ),
     ] = None,
     library: A[
-        list[Path] | None, typer.Option(help="A folder of modules.", metavar="FOLDER")
+        list[Path] | None,
+        typer.Option(
+            help="A folder of modules.", envvar="PBONET_LIBRARY", metavar="FOLDER"
+        ),
     ] = None,
     grace: A[
         float | None,

@@ -22,7 +22,7 @@ from msgspec import structs
 from pbonet import verify
 from pbonet.config.library import Library
 from pbonet.errors import NodeError
-from pbonet.master import assembly, constants, profile
+from pbonet.master import assembly, constants, environment, profile
 from pbonet.master.calls import Calls
 from pbonet.master.changing import Changing
 from pbonet.master.clock import RealClock
@@ -63,9 +63,9 @@ class Subsystem(Switching, Calls, Signalled):
 
     Args:
         path: Its ``.sbs`` file, or a ``.job`` file that names it.
-        domain: The domain of its RTPUs.
-        connect: Endpoints of agents on other machines.
-        libraries: Folders with RMODs and modules beside pbonet's own library.
+        domain: The domain of its RTPUs; None for PBONET_DOMAIN.
+        connect: Endpoints of agents on other machines; None for PBONET_CONNECT.
+        libraries: Folders with RMODs and modules of one's own; None for PBONET_LIBRARY.
         kind: What the master is, as the first part of its client name.
         watch: Look only: claim nothing, change nothing.
         take_over: Replace a master that lives.
@@ -85,9 +85,9 @@ class Subsystem(Switching, Calls, Signalled):
         self,
         path: str | Path,
         *,
-        domain: str = "default",
-        connect: Sequence[str] = (),
-        libraries: Sequence[str | Path] = (),
+        domain: str | None = None,
+        connect: Sequence[str] | None = None,
+        libraries: Sequence[str | Path] | None = None,
         kind: str = "master",
         watch: bool = False,
         take_over: bool = False,
@@ -97,6 +97,8 @@ class Subsystem(Switching, Calls, Signalled):
         warned: Callable[[str], None] = log_warning,
         record: str | None = None,
     ) -> None:
+        told = environment.told(domain, connect, libraries)
+        domain, connect, libraries = told
         self.files: Files = Files(path, Library(libraries))
         self.domain = domain
         self.warned = warned

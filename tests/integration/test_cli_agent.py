@@ -90,9 +90,15 @@ def test_agent_takes_its_machine_from_a_file(agent, nodes, tmp_path):
     assert session.rtpus(nodes.session, nodes.domain) == ["arm0"]
 
 
-def test_agent_says_which_folders_of_modules_are_not_there(agent, tmp_path):
+@pytest.mark.parametrize("by", ["option", "environment"])
+def test_agent_says_which_folders_of_modules_are_not_there(
+    agent, tmp_path, monkeypatch, by
+):
     gone = tmp_path / "gone"
     words = ("--library", str(gone), "--library", str(tmp_path))
+    if by == "environment":
+        monkeypatch.setenv("PBONET_LIBRARY", f"{gone}:{tmp_path}")
+        words = ()
     process = agent("arm0", *words)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=100)

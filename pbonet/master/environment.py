@@ -1,0 +1,40 @@
+"""What the environment says where a program or a command line says nothing."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+
+class Told(NamedTuple):
+    """Where agents and modules are found."""
+
+    domain: str
+    connect: Sequence[str]
+    libraries: Sequence[str | Path]
+
+
+def told(
+    domain: str | None,
+    connect: Sequence[str] | None,
+    libraries: Sequence[str | Path] | None,
+) -> Told:
+    """Return what is given, else what the environment says, as for all commands.
+
+    Args:
+        domain: None for PBONET_DOMAIN, else ``default``.
+        connect: None for PBONET_CONNECT: endpoints, with spaces between.
+        libraries: None for PBONET_LIBRARY: folders, with ``:`` between.
+    """
+    if connect is None:
+        connect = os.environ.get("PBONET_CONNECT", "").split()
+    if libraries is None:
+        named = os.environ.get("PBONET_LIBRARY", "").split(os.pathsep)
+        libraries = [folder for folder in named if folder]
+    if domain is None:
+        domain = os.environ.get("PBONET_DOMAIN") or "default"
+    return Told(domain, connect, libraries)
