@@ -83,7 +83,7 @@ class Dialled:
         self._key_folder = key_folder
         self._mine = [places.endpoint, *listen]
         self._settled = False
-        named = [session.check_endpoint(e, key_folder=key_folder) for e in connect]
+        named = [session.check_dialled(e, key_folder=key_folder) for e in connect]
         wanted = list(dict.fromkeys([*named, *neighbours(places)]))
         found = self._look(wanted)
         mutual = {e for e, behind in found.items() if self._dials_me(behind)}

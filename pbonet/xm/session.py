@@ -102,6 +102,26 @@ def check_endpoint(
     return endpoint
 
 
+def check_dialled(endpoint: str, *, key_folder: Path | None = None) -> str:
+    """Return `endpoint` if a link may be opened to it.
+
+    Raises:
+        NodeError: As `check_endpoint`; or it names a host by an address of IPv6 over
+            TLS, which zenoh cannot compare with a certificate.
+    """
+    if check_endpoint(endpoint, key_folder=key_folder).startswith("tls/["):
+        port = endpoint.rpartition(":")[2]
+        raise NodeError(
+            "a host with an address of IPv6 is reached over TLS by its name only",
+            where=endpoint,
+            expected=f"tls/NAME:{port}",
+            got="an address",
+            remedy="name the host in DNS or /etc/hosts, and in its agent's keys "
+            "(`pbonet keys agent ... --host NAME`)",
+        )
+    return endpoint
+
+
 def _is_loopback(address: str) -> bool:
     host = address.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
@@ -197,7 +217,7 @@ def client(
             "go on",
         )
     key_folder = key_folder or credentials.named()
-    endpoints = [check_endpoint(one, key_folder=key_folder) for one in connect]
+    endpoints = [check_dialled(one, key_folder=key_folder) for one in connect]
     # Who is stopped comes last: it would keep us waiting for half a second.
     endpoints += [rundir.Places(domain, name).endpoint for name in (*running, *stopped)]
     if not endpoints:

@@ -205,6 +205,16 @@ def test_with_keys_any_address_is_allowed(lab):
     assert session.check_endpoint(endpoint, insecure=False, key_folder=lab) == endpoint
 
 
+def test_over_tls_a_host_of_ipv6_is_dialled_by_name(lab):
+    """Its address in brackets can be listened on, and is in no certificate."""
+    with pytest.raises(NodeError) as caught:
+        session.check_dialled("tls/[2001:db8::1]:7447", key_folder=lab)
+    assert caught.value.expected == "tls/NAME:7447"
+    for endpoint in ("tls/arm.lab:7447", "tls/10.0.0.2:7447"):
+        assert session.check_dialled(endpoint, key_folder=lab) == endpoint
+    assert session.check_dialled("tcp/[2001:db8::1]:7447") == "tcp/[2001:db8::1]:7447"
+
+
 def test_without_either_only_this_machine():
     with pytest.raises(NodeError) as caught:
         session.check_endpoint("tcp/10.0.0.2:7447", insecure=False)
