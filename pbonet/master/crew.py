@@ -47,8 +47,10 @@ SIGNALS = {
 }
 """What may be sent to a task, and the state that it leads to; None: as before."""
 
-UNFED = "equation 2: an input of a task that is ON has no writer"
-"""The cause under which a master raises the illegal-configuration flag (3.10)."""
+UNFED = "equation 2: nobody writes "
+"""How the cause begins under which a master raises the illegal-configuration flag."""
+_CAUSE = 100
+"""Characters of a cause that the flag has room for."""
 
 log = logging.getLogger("pbonet.master")
 
@@ -79,7 +81,7 @@ class Crew:
         self._inbox = inbox
         self.picture = Picture()
         self._info = cache(partial(modules.on, fleet, files.library))
-        self._flag_up = False
+        self._causes: set[str] = set()  # that this subsystem's masters have raised
         self._unfed: set[str] = set()  # told already, of inputs without a writer
         self._noted: set[str] = set()  # the same, of saved profiles
 
@@ -145,9 +147,12 @@ class Crew:
             gone = member.rtpu in results and member.name not in names
             if gone and member.name in known:  # else it was spawned meanwhile
                 self.picture.remove(member.name)
-        self._flag_up = any(
-            UNFED in cause for rtpu in statuses for cause in rtpu.illegal
-        )
+        self._causes = {
+            cause.partition(" (")[0]  # behind it stands who raised it
+            for rtpu in statuses
+            for cause in rtpu.illegal
+            if cause.startswith(UNFED)
+        }
         return statuses
 
     def note(self, status: m.TaskStatus) -> None:
@@ -401,19 +406,27 @@ class Crew:
         """
         try:
             unfed = [
-                verify.as_text(problem)
+                problem
                 for problem in self._problems()
                 if problem.code is verify.Code.NO_WRITER
             ]
-            self.tell(text for text in unfed if text not in self._unfed)
-            self._unfed = set(unfed)
-            if bool(unfed) != self._flag_up:
-                request = m.Flag(cause=UNFED, up=bool(unfed))
-                self.fleet.call(self.files.sbs.keeper, request, list[str])
-                self._flag_up = bool(unfed)
+            texts = list(map(verify.as_text, unfed))
+            self.tell(text for text in texts if text not in self._unfed)
+            self._unfed = set(texts)
+            self._flag({_cause(unfed)} if unfed else set())
             self.rank()
         except PbonetError as error:
             self.warned(f"after the change: {error}")
+
+    def _flag(self, wanted: set[str]) -> None:
+        """Have the flag up for these causes; it does not go down in between."""
+        for cause, up in [
+            *((cause, True) for cause in wanted - self._causes),
+            *((cause, False) for cause in self._causes - wanted),
+        ]:
+            request = m.Flag(cause=cause, up=up)
+            self.fleet.call(self.files.sbs.keeper, request, list[str])
+        self._causes = wanted
 
     @staticmethod
     def priorities(members: Iterable[Member]) -> dict[str, int]:
@@ -477,3 +490,10 @@ class Crew:
             if member.rtpu in results:
                 self.picture.remove(member.name)
         return stopped, errors
+
+
+def _cause(unfed: Iterable[verify.Problem]) -> str:
+    """Return the cause of the flag for inputs without a writer: which, and whose."""
+    named = (f"{one.variables[0]} for {' and '.join(one.tasks)}" for one in unfed)
+    text = UNFED + ", ".join(named)
+    return text if len(text) <= _CAUSE else f"{text[: _CAUSE - 3]}..."

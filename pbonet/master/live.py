@@ -13,6 +13,7 @@ from rich.text import Text
 
 from pbonet.master import render
 from pbonet.master.profile import Window
+from pbonet.pbo import State
 
 if TYPE_CHECKING:
     from pbonet.xm.messages import Event, RtpuStatus
@@ -81,6 +82,8 @@ class Screen:
             table.add_column(name, justify="left" if left else "right", no_wrap=True)
         for status in (task for rtpu in rtpus for task in rtpu.tasks):
             now = self._window.rates(status)
+            if status.state == State.NOT_CREATED:
+                now = dict.fromkeys(now)
             table.add_row(
                 status.task,
                 status.rtpu,
@@ -112,7 +115,7 @@ class Screen:
             notes += [
                 Text(f"{task.task}: {task.error}", style="red")
                 for task in rtpu.tasks
-                if task.state == "ERROR"
+                if task.state in {State.ERROR, State.NOT_CREATED}
             ]
         return notes
 
@@ -144,6 +147,12 @@ class Plain:
             return
         self._next += _PLAIN_PERIOD
         for status in (task for rtpu in rtpus for task in rtpu.tasks):
+            if status.state == State.NOT_CREATED:
+                self.say(
+                    f"{passed:6.1f} s  {status.task:15} {status.state} "
+                    f"after {status.cycle} cycles: {status.error}"
+                )
+                continue
             now = self._window.rates(status)
             self.say(
                 f"{passed:6.1f} s  {status.task:15} {status.state:5} "

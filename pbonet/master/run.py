@@ -310,21 +310,25 @@ class Run:
         finally:
             done.set()
             watcher.join()
-        names = ", ".join(status.task for status in statuses)
-        self._view.say(f"job {self.job.name} is ON: {names}")
+        told = ", ".join(one.task for one in statuses if not one.stands_by)
+        standing = [
+            f"{one.task} stands by for {one.fallback_of}"
+            for one in statuses
+            if one.stands_by
+        ]
+        self._view.say("; ".join([f"job {self.job.name} is ON: {told}", *standing]))
         return time.monotonic()
 
     def _watch(
         self, subsystem: Subsystem, begin: float, listener: Listener
     ) -> list[RtpuStatus]:
-        """Show the status until it is time to end; return the last one."""
-        last: list[RtpuStatus] = []
+        """Show the status until it is time to end; return the last of each task."""
+        seen = summary.Seen()
         with self._port(subsystem), self._view:
             while True:
                 passed = time.monotonic() - begin
                 statuses = self._look(subsystem)
-                if any(rtpu.tasks for rtpu in statuses):
-                    last = statuses
+                seen.look(statuses)
                 events = listener.take()
                 self._view.show(passed, statuses, events)
                 fatal = [e.text for e in events if e.severity >= Severity.FATAL]
@@ -336,7 +340,7 @@ class Run:
                     left = min(left, max(0.0, self._seconds - passed))
                 self._interrupts.wished.wait(left)
         listener.close()
-        return last
+        return seen.last()
 
     @contextlib.contextmanager
     def _port(self, subsystem: Subsystem) -> Generator[None]:

@@ -18,9 +18,33 @@ if TYPE_CHECKING:
     from pbonet.xm.messages import RtpuStatus, TaskStatus
 
 HEAD = (
-    *("task", "rtpu", "state", "cycles", "missed", "Hz", "CPU avg", "CPU max", "CPU"),
-    *("jitter p50", "p99", "max", "transfer", "warn"),
+    *("task", "rtpu", "last state", "cycles", "missed", "Hz", "CPU avg", "CPU max"),
+    *("CPU", "jitter p50", "p99", "max", "transfer", "warn"),
 )
+_FAILED = ("ERROR", "NOT-CREATED")
+"""States that have a reason; who is killed by order is not seen any more."""
+
+
+class Seen:
+    """How each task was seen last, also those that were gone before the others."""
+
+    def __init__(self) -> None:
+        self._rtpus: dict[str, RtpuStatus] = {}
+        self._tasks: dict[str, dict[str, TaskStatus]] = {}
+
+    def look(self, rtpus: Iterable[RtpuStatus]) -> None:
+        """Take note of how the tasks stand now."""
+        for rtpu in rtpus:
+            self._rtpus[rtpu.rtpu] = rtpu
+            for task in rtpu.tasks:
+                self._tasks.setdefault(rtpu.rtpu, {})[task.task] = task
+
+    def last(self) -> list[RtpuStatus]:
+        """Return the last status of each RTPU, with the last one of each task."""
+        return [
+            msgspec.structs.replace(rtpu, tasks=[*self._tasks.get(name, {}).values()])
+            for name, rtpu in self._rtpus.items()
+        ]
 
 
 class TaskSummary(Struct, frozen=True, kw_only=True):
@@ -29,6 +53,7 @@ class TaskSummary(Struct, frozen=True, kw_only=True):
     task: str
     rtpu: str
     state: str
+    """In which the end found it, or in which it was seen last."""
     cycles: int
     missed: int
     hz: float | None
@@ -98,7 +123,7 @@ def _task(status: TaskStatus, *, virtual: bool) -> TaskSummary:
         jitter_exact=False,
         transfer=fields["xfer"],
         warnings=status.warn,
-        error=status.error if status.state == "ERROR" else "",
+        error=status.error if status.state in _FAILED else "",
     )
 
 

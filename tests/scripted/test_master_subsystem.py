@@ -238,7 +238,7 @@ def test_loop_is_built_by_hand_with_a_warning_and_the_flag(robot, agents):
     robot.control("grav_comp", "on")
     (text,) = [text for text in robot.heard if "Q_MEZ" in text]
     assert text.endswith("turn puma_pidg on")
-    assert agents["arm0"].flags == [UNFED]
+    assert agents["arm0"].flags == [f"{UNFED}Q_MEZ for grav_comp"]
     robot.control("grav_comp", "off")
     assert agents["arm0"].flags == []
     for name in ("qrdiff", "jttrace"):
@@ -252,7 +252,7 @@ def test_off_and_kill_are_never_refused_and_raise_the_flag(arm, agents):
     arm.start("puma")
     arm.heard.clear()
     arm.control("grav_comp", "off")
-    assert agents["arm0"].flags == [UNFED]
+    assert agents["arm0"].flags == [f"{UNFED}T_GRAV for puma_pidg"]
     assert len(arm.heard) == 1
     assert "writes T_GRAV, which puma_pidg reads" in arm.heard[0]
     arm.control("grav_comp", "kill")
@@ -415,7 +415,9 @@ def test_lost_rtpu_keeps_nobody_from_looking_and_turning_off(arm, agents):
 def test_stop_lets_the_flag_down(arm, agents):
     arm.spawn("puma_pidg", "arm0")
     arm.control("puma_pidg", "on")
-    assert agents["arm0"].flags == [UNFED]
+    (cause,) = agents["arm0"].flags
+    assert cause.startswith(UNFED)
+    assert "T_GRAV for puma_pidg" in cause
     arm.stop()
     assert agents["arm0"].flags == []
 

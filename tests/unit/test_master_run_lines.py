@@ -1,0 +1,53 @@
+"""What `pbonet run` says of tasks that died, were stopped, or stand by."""
+
+from rich.console import Console
+
+from pbonet.master import live, summary
+from pbonet.xm import messages as m
+
+COUNTS = ("crit", "cycle", "miss", "warn")
+FIGURES = ("ref_f", "mez_f", "mez_t", "ptime", "tot_c", "tick", "min_c", "max_c")
+LOOKED = dict.fromkeys(COUNTS, 0) | dict.fromkeys([*FIGURES, "last_c"], 0.0)
+DIED = "the task ended by itself: signal SIGKILL (killed)"
+
+
+def task(name, state, cycle, error=""):
+    more = {"cycle": cycle, "ref_f": 250.0, "error": error, "state": state}
+    told = LOOKED | more
+    return m.TaskStatus(rmod=name, task=name, rtpu="c0", tid=1, S="P", **told)
+
+
+def rtpu(*tasks):
+    return m.RtpuStatus(rtpu="c0", backend="fifo", scheduler="MUF", tasks=list(tasks))
+
+
+def test_each_task_is_in_the_summary_though_it_was_gone_before_the_others():
+    seen = summary.Seen()
+    seen.look([rtpu(task("cart", "ON", 10), task("lqr", "ON", 5))])
+    seen.look([rtpu(task("lqr", "ON", 6))])  # it sleeps in its cycle
+    seen.look([rtpu()])
+    found = summary.summarize(seen.last())
+    assert [(one.task, one.state, one.cycles) for one in found] == [
+        ("cart", "ON", 10),
+        ("lqr", "ON", 6),
+    ]
+    assert summary.text(found).startswith("task  rtpu  last state  cycles")
+
+
+def test_a_task_that_died_has_no_rate_and_a_reason(capsys):
+    live.Plain().show(5.1, [rtpu(task("lqr", "NOT-CREATED", 521, DIED))], [])
+    shown = capsys.readouterr().out.strip()
+    assert shown == f"5.1 s  lqr             NOT-CREATED after 521 cycles: {DIED}"
+    found = summary.summarize([rtpu(task("lqr", "NOT-CREATED", 521, DIED))])
+    assert summary.text(found).endswith(f"ERROR> lqr: {DIED}")
+
+
+def test_the_screen_shows_why_a_task_died():
+    console = Console(width=160, record=True, force_terminal=True)
+    with live.Screen(console) as screen:
+        screen.show(5.1, [rtpu(task("lqr", "NOT-CREATED", 521, DIED))], [])
+    shown = console.export_text()
+    assert f"lqr: {DIED}" in shown
+    rows = [one for one in shown.splitlines() if one.startswith("lqr ")]
+    assert rows
+    assert not any("250" in row for row in rows), "it has no rate any more"
