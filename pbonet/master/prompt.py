@@ -23,7 +23,7 @@ from prompt_toolkit.keys import Keys
 from prompt_toolkit.output import create_output
 from prompt_toolkit.patch_stdout import patch_stdout
 
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, StateError
 from pbonet.master import render
 from pbonet.master.completion import complete
 from pbonet.master.desk import Desk
@@ -56,12 +56,15 @@ class Prompt:
     """The interactive prompt.
 
     Args:
-        subsystem: It is open.
+        subsystem: It is open, and not in virtual time.
         debug: Show the stack behind an error.
         source: Where keys come from; the terminal by default.
         screen: Where the prompt goes; the terminal by default.
         history: Where lines are kept; by default a file in the user's state folder.
         say: Prints a line above the prompt, from whatever thread.
+
+    Raises:
+        StateError: The subsystem is in virtual time, which would stand still here.
     """
 
     def __init__(
@@ -74,6 +77,13 @@ class Prompt:
         history: History | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
+        if subsystem.simulation is not None:
+            raise StateError(
+                "a prompt needs a subsystem in real time",
+                where=subsystem.name,
+                expected="Subsystem(...) without virtual=True",
+                remedy="in virtual time steer it by its methods: time passes in wait",
+            )
         self._say = say or render.print_line
         self._subsystem = subsystem
         self._debug = debug

@@ -9,7 +9,7 @@ import numpy as np
 from pbonet.config.model import Limit
 from pbonet.errors import SvarOwnerError
 from pbonet.svar import Flags
-from pbonet.svar.guards import limits_of
+from pbonet.svar.guards import Blamed, blame, limits_of
 from pbonet.svar.layout import group_of, values_of
 from pbonet.xm.values import VarValue, plain
 
@@ -162,7 +162,7 @@ class MemoryCopies:
 
     def __init__(self, table: MemoryTable, rmod: Rmod, task: str) -> None:
         self._task = task
-        self.blamed = ("", 0)
+        self.blamed = Blamed()
         self.committed = False
         """Whether a commit has succeeded since this was set to False."""
         self.hold = False
@@ -302,14 +302,14 @@ class MemoryCopies:
         for variable, local, _ in outputs.finite:
             finite = np.isfinite(local)
             if not finite.all():
-                self.blamed = (variable.name, int(np.argmin(finite)))
+                self.blamed = blame(variable, int(np.argmin(finite)), local)
                 return int(Flags.COMMIT_NONFINITE)
         for (variable, local, _), low, high in outputs.limits:
             if variable.limit is Limit.CLIP:
                 np.clip(local, low, high, out=local)
             outside = (local < low) | (local > high)  # NaN is not: FINITE judges it
             if outside.any():
-                self.blamed = (variable.name, int(np.argmax(outside)))
+                self.blamed = blame(variable, int(np.argmax(outside)), local)
                 return int(Flags.COMMIT_LIMIT)
         return 0
 

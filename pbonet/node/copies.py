@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from pbonet.svar.guards import Blamed
 
 
 class Copies(Protocol):
@@ -14,7 +17,7 @@ class Copies(Protocol):
     """
 
     @property
-    def blamed(self) -> tuple[str, int]:
+    def blamed(self) -> Blamed:
         """Variable and element that the last flags of a commit are about."""
         ...
 

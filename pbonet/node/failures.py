@@ -11,6 +11,8 @@ from pbonet.errors import MethodError, PbonetError, SvarError
 from pbonet.pbo import Answer, Recovery, TaskFailure, innermost, number_of, place_of
 
 if TYPE_CHECKING:
+    from pbonet.svar.guards import Blamed
+
     from .lifecycle import Outcome, Rule, Step
 
 RAISED = (Exception, SystemExit, TaskFailure)
@@ -27,7 +29,8 @@ REFUSED = {
 }
 """Flags of a copy (`pbonet.svar.Flags`) that are errors of the task, in words."""
 ALL_REFUSED = sum(REFUSED)
-ABOUT_ELEMENT = frozenset({16, 32})
+OUTSIDE = 32
+ABOUT_ELEMENT = frozenset({16, OUTSIDE})
 
 
 class StepFailed(Exception):  # noqa: N818 - carries a failure to the executor
@@ -67,7 +70,7 @@ def contained(error: BaseException) -> Raised:
     return wrapped
 
 
-def refused(flags: int, blamed: tuple[str, int]) -> SvarError:
+def refused(flags: int, blamed: Blamed) -> SvarError:
     """Return the error that the flags of a copy mean.
 
     Args:
@@ -75,10 +78,18 @@ def refused(flags: int, blamed: tuple[str, int]) -> SvarError:
         blamed: Variable and element they are about.
     """
     bit, text = next(item for item in REFUSED.items() if flags & item[0])
-    variable, element = blamed
-    if bit in ABOUT_ELEMENT and variable:
-        text = f"{text}: element {element + 1} of {variable}"
-    return SvarError(text, remedy="the table keeps its last values")
+    keeps = "the table keeps its last values"
+    if bit not in ABOUT_ELEMENT or not blamed.variable:
+        return SvarError(text, remedy=keeps)
+    advice = "look in the module for what makes it so"
+    if bit == OUTSIDE:
+        advice = "bound it in the module, or say LIMIT clip in the .svar file"
+    return SvarError(
+        f"{text}: {blamed.variable}[{blamed.element}]",
+        expected=blamed.expected if bit == OUTSIDE else "",
+        got=blamed.got,
+        remedy=f"{keeps}: {advice}",
+    )
 
 
 def is_answer(answer: object) -> TypeGuard[Answer]:

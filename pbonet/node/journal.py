@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pbonet.config.model import Rmod, Variable
     from pbonet.outside import Tape
     from pbonet.pbo import ModuleInfo
+    from pbonet.svar.guards import Blamed
 
     from .wire import TaskSpec
 
@@ -155,7 +156,7 @@ class Journal:
                 self._put_heard(Step.HEARD)
 
     @property
-    def blamed(self) -> tuple[str, int]:
+    def blamed(self) -> Blamed:
         """Variable and element that the last flags of a commit are about."""
         return self._local.blamed
 

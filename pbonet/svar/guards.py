@@ -75,9 +75,36 @@ def _add_finite(checks: list[Check], new: Check) -> None:
     checks.append(new)
 
 
+class Blamed(NamedTuple):
+    """What a copy that was refused, or an input that is stale, is about."""
+
+    variable: str = ""
+    element: int = 0
+    got: str = ""
+    """The element's value."""
+    expected: str = ""
+    """Its limits, where it has any."""
+
+
+def blame(variable: Variable, element: int, array: NDArray[Any]) -> Blamed:
+    """Return what is to be told of an element that was not taken.
+
+    Args:
+        variable: Whose.
+        element: From 0.
+        array: The values that were to be written.
+    """
+    expected = ""
+    if variable.limit is not Limit.NONE and variable.min and variable.max:
+        low, high = (limit[element].item() for limit in limits_of(variable))
+        units = "" if variable.units == "none" else f" {variable.units}"
+        expected = f"{low} to {high}{units}"
+    return Blamed(variable.name, element, str(array[element].item()), expected)
+
+
 def blamed(
     variables: Sequence[Variable], groups: Iterable[Group], index: int, element: int
-) -> tuple[str, int]:
+) -> tuple[Variable, int]:
     """Return what a check means: it counts its elements on over the group's next ones.
 
     Args:
@@ -89,9 +116,9 @@ def blamed(
     order = next((g.indices for g in groups if index in g.indices), (index,))
     for one in order[order.index(index) :]:
         if element < variables[one].nelem:
-            return variables[one].name, element
+            return variables[one], element
         element -= variables[one].nelem
-    return variables[index].name, element
+    return variables[index], element
 
 
 def limits_of(variable: Variable) -> tuple[NDArray[Any], NDArray[Any]]:

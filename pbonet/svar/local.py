@@ -152,9 +152,10 @@ class LocalTable(Closing, native.LocalTable):
         return Counts(**self.counts)
 
     @property
-    def blamed(self) -> tuple[str, int]:
+    def blamed(self) -> guards.Blamed:
         """The variable and element that the last refused commit or stale copy met."""
-        return guards.blamed(self._variables, self._groups, *self.fault)
+        found = guards.blamed(self._variables, self._groups, *self.fault)
+        return guards.blame(*found, self.array(found[0].name))
 
     def names(self) -> list[str]:
         """Return the variables of the local table."""

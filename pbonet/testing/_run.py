@@ -25,6 +25,7 @@ from pbonet.node.taskparams import set_param
 from pbonet.node.taskports import check_ports
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
 from pbonet.pbo import PythonWatch, bind, decode_params
+from pbonet.svar.guards import Blamed
 
 from . import _outside
 from ._failing import Failing, HandlerError
@@ -54,7 +55,7 @@ class _Copies:
         run: Whose.
     """
 
-    blamed = ("", 0)
+    blamed = Blamed()
 
     def __init__(self, run: Run) -> None:
         self._run = run

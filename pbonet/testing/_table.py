@@ -9,6 +9,7 @@ import numpy as np
 from pbonet.errors import PortError, did_you_mean
 from pbonet.node.lifecycle import Step
 from pbonet.ports import Kind, Port
+from pbonet.svar.guards import Blamed
 
 if TYPE_CHECKING:
     from collections import deque
@@ -80,7 +81,7 @@ class BenchTable:
         }
         self.local = {attr: array.copy() for attr, array in self.globals.items()}
         self.owned = False
-        self.blamed = ("", 0)
+        self.blamed = Blamed()
         self._log = log
 
     def get(self, port: Port) -> Any:  # noqa: ANN401 - a number or an array
@@ -164,7 +165,9 @@ class BenchTable:
         for port in ports:
             array = self.local[port.attr]
             if array.dtype.kind == "f" and not np.isfinite(array).all():
-                self.blamed = (port.name, int(np.argmin(np.isfinite(array))))
+                element = int(np.argmin(np.isfinite(array)))
+                value = str(array.reshape(-1)[element].item())
+                self.blamed = Blamed(port.name, element, value)
                 return NONFINITE
         for port in ports:
             self.globals[port.attr][...] = self.local[port.attr]

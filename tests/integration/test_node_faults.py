@@ -122,7 +122,7 @@ class TestRaising:
         arm.spawn("bad", "not_finite")
         arm.on("bad")
         event = arm.wait_event("METHOD", "bad")
-        assert "not a finite number: element 2 of Y0" in event.text
+        assert "not a finite number: Y0[1] (got nan)" in event.text
         assert arm.value("Y0").values == [9.0, 0.0]
 
 

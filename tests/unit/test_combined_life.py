@@ -226,7 +226,7 @@ def test_an_output_that_is_refused_is_put_to_every_part(folder):
     bench.on()
     bench.inputs.x = float("nan")
     calls(bench)
-    with pytest.raises(MethodError, match="not a finite number: element 1 of Z"):
+    with pytest.raises(MethodError, match=r"not a finite number: Z\[0\]"):
         bench.step()
     assert calls(bench)[-2:] == ["one.error", "two.error"]
     assert bench.state is State.ERROR

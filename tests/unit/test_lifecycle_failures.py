@@ -16,6 +16,7 @@ from pbonet.errors import (
 )
 from pbonet.node.failures import refused
 from pbonet.pbo import TaskFailure
+from pbonet.svar.guards import Blamed
 from pbonet.testing import Bench
 
 
@@ -172,8 +173,8 @@ def test_a_non_finite_output_is_an_error_that_names_it():
     with pytest.raises(MethodError) as caught:
         bench.step()
     assert caught.value.what == (
-        "an output is not a finite number: element 2 of Y; the table keeps its last "
-        "values"
+        "an output is not a finite number: Y[1] (got nan); the table keeps its last "
+        "values: look in the module for what makes it so"
     )
     assert bench.outputs.y.tolist() == [0.0, 0.0]
 
@@ -183,16 +184,18 @@ def test_outputs_that_are_refused_behind_on_are_not_owned():
         self.y[1] = np.nan
 
     bench = make(on=poison, error=lambda _: Answer.OFF)
-    with pytest.raises(MethodError, match="not a finite number: element 2 of Y"):
+    with pytest.raises(MethodError, match=r"not a finite number: Y\[1\]"):
         bench.on()
     assert bench.state is State.OFF
     assert not bench.table.owned
 
 
 def test_refused_flags_in_words():
-    assert str(refused(8, ("", 0))).startswith("no whole set of inputs was had; ")
-    assert str(refused(32 | 2, ("Y", 0))).startswith(
-        "an output is outside its limits: element 1 of Y; "
+    assert str(refused(8, Blamed())).startswith("no whole set of inputs was had; ")
+    assert str(refused(32 | 2, Blamed("Y", 0, "73.2", "-50.0 to 50.0 N"))) == (
+        "an output is outside its limits: Y[0] (expected -50.0 to 50.0 N, got 73.2); "
+        "the table keeps its last values: bound it in the module, or say LIMIT clip in "
+        "the .svar file"
     )
 
 

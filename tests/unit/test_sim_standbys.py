@@ -11,6 +11,7 @@ import pytest
 from pbonet import State
 from pbonet.errors import LogError, Severity, StateError, UnknownTaskError
 from pbonet.master.oneshot import Place
+from pbonet.master.prompt import Prompt
 from pbonet.master.run import run
 from pbonet.master.sim import BEGIN_NS, Simulation
 from pbonet.master.simjob import simulate
@@ -235,6 +236,14 @@ def test_a_swap_to_the_fallback_is_a_swap_like_others(folder):
         assert arm.display(["Y"])[0].writer == "second"
         arm.swap("second", "first")
         assert arm.status("second").stands_by
+
+
+def test_virtual_time_has_no_prompt(folder):
+    with (
+        Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm,
+        pytest.raises(StateError, match="a prompt needs a subsystem in real time"),
+    ):
+        Prompt(arm)
 
 
 def test_one_that_never_ran_is_no_divergence(folder, tmp_path):

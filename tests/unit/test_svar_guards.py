@@ -55,7 +55,7 @@ def test_non_finite_is_refused_wherever_it_stands(kind, bad, nelem):
             for element in {0, nelem // 2, nelem - 1}:
                 task.array(name)[element] = bad
                 assert task.commit() == Flags.COMMIT_NONFINITE
-                assert task.blamed == (name, element)
+                assert task.blamed[:2] == (name, element)
                 assert np.isfinite(table.read(name)).all()
                 task.array(name)[element] = largest
                 assert task.commit() == 0
@@ -105,18 +105,20 @@ def test_clip_brings_values_inside(kind):
 @pytest.mark.parametrize("kind", NARROW)
 def test_limit_error_refuses(kind):
     variable = Variable(
-        name="X", type=kind, nelem=2, min=(1, 1), max=(5, 5), limit=Limit.ERROR
-    )
+        name="X", type=kind, nelem=2, min=(1, 1), max=(5, 5), limit=Limit.ERROR,
+        units="N",
+    )  # fmt: skip
     with Table.create("limit", [variable]) as table:
         task = table.local("t", ME, outvar=["X"])
         fill(task, X=[1, 5])
         assert task.claim() == 0
         fill(task, X=[1, 6])
         assert task.commit() == Flags.COMMIT_LIMIT
-        assert task.blamed == ("X", 1)
+        dot = ".0" if task.array("X").dtype.kind == "f" else ""
+        assert task.blamed == ("X", 1, f"6{dot}", f"1{dot} to 5{dot} N")
         fill(task, X=[0, 5])
         assert task.commit() == Flags.COMMIT_LIMIT
-        assert task.blamed == ("X", 0)
+        assert task.blamed[:2] == ("X", 0)
         assert table.read("X").tolist() == [1, 5]
 
 
