@@ -64,9 +64,10 @@ class Files:
             path = path.parent / self.job.sbs
         self.path = path
         self.library = library
-        self.sbs: SbsFile = parse_sbs(load(path), str(path))
+        text = _named(path, self.job.file, "SBS") if self.job else load(path)
+        self.sbs: SbsFile = parse_sbs(text, str(path))
         svar = path.parent / self.sbs.svarfile
-        self.table_text = load(svar)
+        self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self.profiles = Store(path, self.table)
         """What was measured of its tasks."""
@@ -205,6 +206,22 @@ class Files:
             expected=f"{name}.rmod in {' or '.join(places)}, or in the library",
             remedy=did_you_mean(name, known) or "see 'module' for what there is",
         )
+
+
+def _named(path: Path, by: str, keyword: str) -> str:
+    """Return the text of a file that a line of another one names.
+
+    Raises:
+        ConfigFileError: It cannot be read; the error says which line names it.
+    """
+    try:
+        return load(path)
+    except ConfigFileError as error:
+        for number, line in enumerate(load(by).splitlines(), 1):
+            if line.split()[:1] == [keyword]:
+                error.where = f"{by}:{number}: {error.where}"
+                break
+        raise
 
 
 def _is_there(path: Path) -> bool:

@@ -176,8 +176,9 @@ class Executor:
         self.instance.params = params
         try:
             self._call(Event.SET, Step.SET, key, getattr(params, key))
-        except MethodError:
+        except MethodError as error:
             self.instance.params = before
+            add_remedy(error, f"the old value of {key} stands")
             raise
         return getattr(params, key)
 

@@ -393,10 +393,11 @@ def _declared(cls: type[Params], body: Declaring) -> dict[str, Param]:
     for attr, hint in body.annotations(("param",)):
         if get_origin(hint) is not ClassVar and hint is not ClassVar:
             found[attr] = _declare(body, attr, hint)
-    lower = [name.lower() for name in found]
+    lower: dict[str, str] = {}
     for name in found:
-        if lower.count(name.lower()) > 1:
-            raise body.error(name, "two parameters differ in case only")
+        if (other := lower.setdefault(name.lower(), name)) != name:
+            what = f"the parameters {other} and {name} differ in case only"
+            raise body.error(name, what)
     for field in structs.fields(cls):
         if field.default is not msgspec.NODEFAULT:
             _check_default(body, found[field.name], field.default)

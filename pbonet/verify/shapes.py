@@ -59,15 +59,7 @@ def _solve(
         )
         _compare(task, info, shapes)
     except PortError as error:
-        return Problem(
-            code=Code.SHAPE,
-            what=error.what,
-            where=task.name,
-            expected=error.expected,
-            got=error.got,
-            remedy=error.remedy or "correct NELEM in the .svar file, or connect others",
-            tasks=(task.name,),
-        )
+        return _misfit(configuration, task, info, error)
     constants = {
         name: task.rmod.svar_name(port.name)
         for port in info.ports
@@ -80,6 +72,26 @@ def _solve(
         for name, size in zip(port.shape, shapes[port.attr], strict=True)
         if isinstance(name, str) and name in constants
     }
+
+
+def _misfit(
+    configuration: Configuration, task: Task, info: ModuleInfo, error: PortError
+) -> Problem:
+    """Return the problem of a port that does not fit, with the lines of both sides."""
+    table = configuration.table
+    named = [p for p in info.ports if f"port {p.attr} ({p.name}) " in f"{error.what} "]
+    where = f"{task.place(KEYWORDS[named[0].kind])}: " if named else ""
+    sides = [table[task.rmod.svar_name(port.name)] for port in named]
+    at = ", ".join(f"{one.name} {one.place}" for one in sides if one.place)
+    return Problem(
+        code=Code.SHAPE,
+        what=error.what,
+        where=f"{where}{task.name}",
+        expected=error.expected,
+        got=f"{error.got} ({at})" if at else error.got,
+        remedy=error.remedy or "correct NELEM in the .svar file, or connect others",
+        tasks=(task.name,),
+    )
 
 
 def _compare(

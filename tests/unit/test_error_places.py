@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 from pbonet.cli import main
+from pbonet.config.library import Library
+from pbonet.errors import ConfigFileError
+from pbonet.master.files import Files
 from pbonet.node.failures import own_place
 
 LINE = "raises.py:14 in cycle"
@@ -79,3 +82,23 @@ Current thread 0x00007f (most recent call first):
 """
     assert own_place(trace) == "/modules/pend/helper.py:7 in look"
     assert own_place("killed from outside") == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "file"), [("SBS t.sbs", "t.job:3"), ("SVARFILE t.svar", "t.sbs:2")]
+)
+def test_a_missing_file_is_told_with_the_line_that_names_it(job, line, file):
+    names = job.parent / file.partition(":")[0]
+    keyword = line.split()[0]
+    names.write_text(names.read_text().replace(line, f"{keyword} nono.txt"))
+    with pytest.raises(ConfigFileError) as caught:
+        Files(job, Library([]))
+    assert caught.value.where == f"{job.parent}/{file}: {job.parent}/nono.txt"
+
+
+def test_a_size_that_does_not_fit_is_told_with_both_lines(job, shown):
+    table = job.with_name("t.svar")
+    table.write_text(table.read_text().replace("NELEM 1", "NELEM 2"))
+    output = shown("check", str(job), "--library", str(job.parent))
+    assert f"{job.parent}/raises.rmod:6:1: raises: port y (Y) has another" in output
+    assert f"got 2 elements (Y {table}:1:1)" in output

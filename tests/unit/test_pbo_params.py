@@ -324,7 +324,7 @@ def test_a_wrong_declaration_is_refused_at_class_creation(hint, default, sentenc
 
 
 def test_names_that_differ_in_case_only_are_refused():
-    with pytest.raises(DeclarationError, match="two parameters differ in case only"):
+    with pytest.raises(DeclarationError, match="parameters kp and Kp differ in case"):
 
         class Wrong(Params):
             kp: A[float, param("none", "gain")]

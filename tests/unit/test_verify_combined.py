@@ -119,7 +119,8 @@ def test_sizes_go_through_the_inner_variable(folder):
                          "TYPE double\nDESC\nUNITS rad\nNELEM 4")  # fmt: skip
     (text,) = problems(folder, folder.both(), wrong).values()
     assert "expected ndof = 3 from port x (X)" in text or "4" in text
-    assert text.startswith("both: ")
+    assert "both.rmod:5:1: both: " in text
+    assert "(X " in text, "the line of the variable"
 
 
 def test_two_parts_read_one_variable_but_not_in_one_unit(folder):

@@ -127,7 +127,8 @@ def test_the_ports_of_one_task_disagree_about_a_size() -> None:
     one = task("pid", invar="Q", outvar="T", info=info)
     config = configuration(one, variables=[sized("Q", 6), sized("T", 7)], on=set())
     (problem,) = verify.check(config)
-    assert (problem.code, problem.where, problem.tasks) == ("shape", "pid", ("pid",))
+    assert (problem.code, problem.tasks) == ("shape", ("pid",))
+    assert problem.where == "pid.rmod: pid"
     assert "port t (T)" in problem.what
     assert "6" in problem.expected
     assert "7" in problem.got
