@@ -155,6 +155,8 @@ class CoreTable:
         """Say that a caller has ended; return whether it was waited for."""
     def died(self, i: int) -> None:
         """Tell the dispatcher that the task's process is gone."""
+    def reap(self) -> None:
+        """Free the slots of other RTPUs that ended together with their tasks."""
     def find(self, rtpu: str, task: str) -> int | None:
         """Return the slot of that name."""
     def slots(self, rtpu: str | None = None) -> list[int]:

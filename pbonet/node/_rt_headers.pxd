@@ -44,6 +44,7 @@ cdef extern from "table.h" nogil:
     int rt_attach(rt_map *map, const char *path, int core, int member)
     void rt_detach(rt_map *map, const char *path)
     void rt_unmap(rt_map *map)
+    void rt_reap_others(rt_table *t, int me)
     int rt_alloc(rt_table *t, int member, const char *rtpu, const char *task)
     void rt_free(rt_table *t, int i)
     void rt_configure(rt_table *t, int i, const rt_settings *s)

@@ -89,6 +89,9 @@ cdef class CoreTable:
         rt_kick(self.t)
         return i
 
+    def reap(self) -> None:
+        rt_reap_others(self.t, self.map.member)
+
     def free(self, int i) -> None:
         self.slot(i)
         rt_free(self.t, i)

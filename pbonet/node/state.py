@@ -474,6 +474,7 @@ class Rtpu:
         led = True
         while True:
             await asyncio.sleep(WATCH_PERIOD)
+            self.core.reap()
             self.flags.relieve()
             self.givers.look()
             self.fallbacks.look_again()

@@ -107,9 +107,11 @@ static inline void rt_free(struct rt_table *t, int i)
         atomic_compare_exchange_strong(&c->life, &life, life + 1);
 }
 
-/* Free the slots whose RTPU process and task are both gone; under the edit lock. */
-static inline void rt_reap(struct rt_table *t)
+/* Free the slots whose RTPU process and task are both gone; under the edit lock. Returns
+ * how many. */
+static inline int rt_reap(struct rt_table *t)
 {
+    int freed = 0;
     for (int i = 0; i < RT_SLOTS; i++) {
         struct rt_config *c = &t->slots[i].config;
         if (!(atomic_load(&c->life) & 1))
@@ -118,9 +120,32 @@ static inline void rt_reap(struct rt_table *t)
         if (member >= 0 && member < RT_MEMBERS && rt_member_lives(&t->members[member]))
             continue;
         int32_t pid = atomic_load(&c->pid);
-        if (!pid || rt_start_time(pid) == 0)
+        if (!pid || rt_start_time(pid) == 0) {
             rt_free(t, i);
+            freed++;
+        }
     }
+    return freed;
+}
+
+/* Free what is left of other RTPUs of the core that ended together with their tasks:
+ * nobody saw that end, and a dead task that is owed its turn may keep others from theirs.
+ * Now and then; who holds the edit lock meanwhile will not be waited for. */
+static inline void rt_reap_others(struct rt_table *t, int me)
+{
+    int others = 0;
+    for (int i = 0; i < RT_SLOTS; i++)
+        others += (atomic_load(&t->slots[i].config.life) & 1) &&
+                  atomic_load(&t->slots[i].config.member) != me;
+    int error = others ? pthread_mutex_trylock(&t->edit) : EBUSY;
+    if (error == EOWNERDEAD)
+        error = pthread_mutex_consistent(&t->edit);
+    if (error)
+        return;
+    int freed = rt_reap(t);
+    pthread_mutex_unlock(&t->edit);
+    if (freed)
+        rt_kick(t);
 }
 
 static inline int rt_join(struct rt_table *t)

@@ -308,6 +308,33 @@ class TestTwoRtpus:
         for master in (new, alive_one):
             master.stop()
 
+    def test_all_of_one_killed_at_once(self, nodes, shared_memory):
+        """Nobody is left to say that its task is dead; the other RTPU finds out."""
+        nodes.agent("arm0")
+        keeper = nodes.master("arm0", "arm")
+        nodes.agent_process("arm1")
+        other = nodes.master("arm1", "arm", table=False)
+        other.open_table(keep=False)
+        for i, master in enumerate((keeper, other)):
+            master.spawn(f"t{i}", "counts", out=f"Y{i}", freq=40.0)
+            master.on(f"t{i}")
+        victims = [
+            *(nodes.processes["arm1"].pid, nodes.state("arm1").pid),
+            *(nodes.fork_server("arm1"), other.status("t1").tid),
+        ]
+        for how in (signal.SIGSTOP, signal.SIGKILL):
+            for pid in reversed(victims):
+                os.kill(pid, how)
+        nodes.processes["arm1"].wait()
+        core = _rt.CoreTable(CORE, member=False)
+        name = f"{nodes.domain}/arm1", "arm/t1"
+        wait_for(lambda: core.find(*name) is None, "the dead task's slot is free")
+        core.close()
+        keeper.wait_cycles("t0", 5)
+        keeper.stop()
+        nodes.agent_process("arm1")
+        assert len(list(shared_memory.glob("*.svar"))) == 1
+
     def test_a_takeover_gives_orphans_no_level_back(self, pair, nodes, tmp_path):
         """One that hangs would keep the others from turning themselves off."""
         leader, other = pair
