@@ -69,12 +69,32 @@ class Child:
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._pidfd, which)
 
+    def watch(self) -> None:
+        """Resolve `exited` at its end: its parent is gone, nobody tells its code."""
+        if self._pidfd < 0:
+            self._orphan_ended()
+            return
+        loop = asyncio.get_running_loop()
+        pidfd = os.dup(self._pidfd)
+
+        def ended() -> None:
+            loop.remove_reader(pidfd)
+            os.close(pidfd)
+            self._orphan_ended()
+
+        loop.add_reader(pidfd, ended)
+
+    def _orphan_ended(self) -> None:
+        if not self.exited.done():
+            self.exited.set_result(ORPHANED)
+
     def close(self) -> None:
         """Close all files of the child; it should have ended."""
         self.sock.close()
         for fd in (self.out, self._crash, self._spec, self._pidfd):
             with contextlib.suppress(OSError):
                 os.close(fd)
+        self._pidfd = -1
 
 
 def _read_all(fd: int) -> bytes:
@@ -262,7 +282,7 @@ class Spawner:
         orphans = list(self._children.values())
         self._children.clear()
         for child in orphans:
-            _watch_orphan(child)
+            child.watch()
         if server is not None:
             self._died(server.wait())
 
@@ -290,25 +310,6 @@ def _by_exec(core: int) -> Server:
     )
     far.close()
     return Server(pid, near)
-
-
-def _watch_orphan(child: Child) -> None:
-    """Resolve `exited` of a child whose parent is gone: nobody tells its code."""
-    loop = asyncio.get_running_loop()
-    pidfd = (
-        os.pidfd_open(child.pid) if runtime.is_alive(child.pid, child.started) else -1
-    )
-    if pidfd < 0:
-        child.exited.set_result(ORPHANED)
-        return
-
-    def ended() -> None:
-        loop.remove_reader(pidfd)
-        os.close(pidfd)
-        if not child.exited.done():
-            child.exited.set_result(ORPHANED)
-
-    loop.add_reader(pidfd, ended)
 
 
 def _memory_file(name: str, content: bytes) -> int:

@@ -13,7 +13,7 @@ import pytest
 
 from pbonet.errors import NodeError
 from pbonet.node import forkserver
-from pbonet.node.spawner import Child
+from pbonet.node.spawner import ORPHANED, Child, Server, Spawner
 
 
 def test_a_child_that_is_gone_before_it_is_held():
@@ -33,6 +33,45 @@ def test_a_child_that_is_gone_before_it_is_held():
     before = sorted(Path("/proc/self/fd").iterdir())
     asyncio.run(hold())
     assert sorted(Path("/proc/self/fd").iterdir()) == before
+
+
+def child_of(process):
+    near, far = socket.socketpair()
+    far.close()
+    return Child(process.pid, near, *(os.memfd_create(x) for x in ("o", "c", "s")))
+
+
+def test_children_that_outlive_the_fork_server_are_watched(monkeypatch):
+    """One may end while it is looked for; the others are watched all the same."""
+    sleeper = [sys.executable, "-I", "-S", "-c", "input()"]
+    forks = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
+    processes = [subprocess.Popen(sleeper, stdin=subprocess.PIPE) for _ in range(3)]
+
+    async def outlive():
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        told = asyncio.get_running_loop().create_future()
+        spawner = Spawner(0, Server(forks.pid, near), told.set_result)
+        far.send(b"ready")
+        await spawner.start()
+        children = [child_of(one) for one in processes]
+        spawner._children = {one.pid: one for one in children}
+        monkeypatch.setattr(os, "pidfd_open", gone)
+        far.close()
+        assert await asyncio.wait_for(told, 30.0) == 0
+        assert not any(one.exited.done() for one in children)
+        for process in processes:
+            process.communicate(b"")
+        codes = asyncio.gather(*(one.exited for one in children))
+        assert await asyncio.wait_for(codes, 30.0) == [ORPHANED] * 3
+        for child in children:
+            child.close()
+        await spawner.close()
+
+    def gone(*_):
+        raise ProcessLookupError
+
+    asyncio.run(outlive())
+    forks.poll()  # it was reaped
 
 
 def test_a_system_that_gives_no_process_is_named(monkeypatch):
