@@ -270,7 +270,7 @@ class Agent:
             with contextlib.suppress(NodeError):
                 link.send(note)
 
-    def _arrived(self, message: wire.Arrived) -> None:
+    def _arrived(self, message: wire.Arrived | wire.Note) -> None:
         link = self._link
         if link is not None:
             link.send(message)
@@ -423,6 +423,11 @@ class Agent:
         else:
             done()
 
+    def broke(self, reason: str) -> None:
+        """Answer what waits: the answers may have got lost with the link."""
+        if self._server is not None:
+            self._server.fail_pending(f"the link to the RTPU process broke: {reason}")
+
     def let_go(self) -> None:
         """Carry no table any more, so that whoever comes next may make them anew."""
         self._overview.let_go()
@@ -450,6 +455,14 @@ class Agent:
         self._restarter.start()
 
     def _restart(self, reason: str) -> None:
+        """Start the RTPU process again, or end."""
+        try:
+            self._start_again(reason)
+        except Exception as error:
+            log.debug("starting again has failed", exc_info=True)
+            self._give_up(f"the RTPU process does not start again: {error}")
+
+    def _start_again(self, reason: str) -> None:
         now = time.monotonic()
         self._restarts = [t for t in self._restarts if now - t < RESTART_WINDOW] + [now]
         if len(self._restarts) > RESTARTS:
@@ -459,11 +472,7 @@ class Agent:
         if self._over.is_set():
             return
         link = RtpuLink(self.places, self._rtpu_config, self)
-        try:
-            link.open()
-        except PbonetError as error:
-            self._give_up(f"the RTPU process does not start again: {error}")
-            return
+        link.open()
         with self._guard:
             stopping = self._stopping
             if not stopping:
@@ -471,16 +480,13 @@ class Agent:
         if stopping:
             link.shut_down(STOP_TIME)
             return
-        link.send(
-            wire.Note(
-                int(Severity.FATAL),
-                "RTPU_DIED",
-                f"the RTPU process ended: {reason}; its tasks turned themselves off, "
-                "its claims are void",
-            )
+        text = (
+            f"the RTPU process ended: {reason}; its tasks turned themselves off, its "
+            "claims are void"
         )
+        self._note(wire.Note(int(Severity.FATAL), "RTPU_DIED", text))
         for text in cleaned:
-            link.send(wire.Note(int(Severity.WARNING), "CLEANED", text))
+            self._note(wire.Note(int(Severity.WARNING), "CLEANED", text))
 
     def _give_up(self, reason: str) -> None:
         self.reason = reason

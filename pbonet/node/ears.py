@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING
 
-from pbonet.errors import NodeError
+from pbonet.errors import NodeError, Severity
+from pbonet.xm.resources import LONGEST
 
 from . import wire
 
@@ -34,17 +35,19 @@ class Ears:
     Args:
         session: The agent's.
         keys: Key expressions by queue.
-        hand_on: Takes a message for the RTPU process.
+        hand_on: Takes a message for the RTPU process, or a note that it did not get one
+            that was too long for any queue.
     """
 
     def __init__(
         self,
         session: zenoh.Session,
         keys: Mapping[str, str],
-        hand_on: Callable[[wire.Arrived], None],
+        hand_on: Callable[[wire.Arrived | wire.Note], None],
     ) -> None:
         self._hand_on = hand_on
-        self._waiting: deque[wire.Arrived] = deque(maxlen=WAITING)
+        self._waiting: deque[wire.Arrived | wire.Note] = deque(maxlen=WAITING)
+        self._too_long: Counter[str] = Counter()
         self._news = threading.Semaphore(0)
         self._over = False
         self._subscribers = [
@@ -66,10 +69,32 @@ class Ears:
 
     def _listener(self, queue: str) -> Callable[[zenoh.Sample], None]:
         def heard(sample: zenoh.Sample) -> None:
-            self._waiting.append(wire.Arrived(queue, bytes(sample.payload)))
-            self._news.release()
+            size = len(sample.payload)
+            if size > LONGEST:
+                self._refuse(queue, size)
+                return
+            if more := self._too_long.pop(queue, 1) - 1:
+                self._tell(f"{more} more messages for the queue {queue} were too long")
+            self._put(wire.Arrived(queue, bytes(sample.payload)))
 
         return heard
+
+    def _refuse(self, queue: str, size: int) -> None:
+        """Count a message that no queue takes; tell of the first."""
+        self._too_long[queue] += 1
+        if self._too_long[queue] == 1:
+            self._tell(
+                f"a message for the queue {queue} is too long and was dropped "
+                f"(expected at most {LONGEST} bytes) (got {size}); let its sender "
+                "divide it"
+            )
+
+    def _tell(self, text: str) -> None:
+        self._put(wire.Note(int(Severity.WARNING), "XM_TOO_LONG", text))
+
+    def _put(self, message: wire.Arrived | wire.Note) -> None:
+        self._waiting.append(message)
+        self._news.release()
 
     def _work(self) -> None:
         while True:

@@ -84,6 +84,10 @@ class _Child:
                 pass_fds=[wanted],
                 start_new_session=True,
             )
+        except OSError:
+            os.close(feed)
+            os.close(self._said)
+            raise
         finally:
             for fd in (wanted, events, said):
                 os.close(fd)
@@ -202,11 +206,22 @@ class Recorders:
                     self._ended.append(child)
             for subsystem, one in wanted.items():
                 if subsystem not in self._children:
-                    before = self._before.pop(subsystem, ())
-                    self._children[subsystem] = _Child(one, before, self._said)
+                    self._begin(subsystem, one)
             self._claims = set(claims)
             for subsystem in self._before.keys() - self._claims:
                 del self._before[subsystem]
+
+    def _begin(self, subsystem: str, wanted: wire.Recording) -> None:
+        """Start a recorder; if the system gives no process, the next update does."""
+        before = self._before.get(subsystem, ())
+        try:
+            self._children[subsystem] = _Child(wanted, before, self._said)
+        except OSError as error:
+            text = f"the recorder of {subsystem} could not be started: {error}"
+            text += "; nothing is recorded: ask for it again"
+            self._tell(wire.Note(int(Severity.ERROR), "RECORDER_DIED", text))
+        else:
+            self._before.pop(subsystem, None)
 
     def fares(self, subsystem: str) -> wire.Recorder | None:
         """Return how the recorder of a subsystem fares; None without one."""

@@ -7,6 +7,7 @@ over as it is; its tasks don't notice.
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import select
 import signal
@@ -27,9 +28,11 @@ from . import leftovers, runtime, wire
 from .known import Known
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Generator, Sequence
 
     from pbonet.xm import rundir
+
+log = logging.getLogger("pbonet.node")
 
 FromRtpu = wire.FromRtpu | Known
 
@@ -37,6 +40,9 @@ START_TIME = 30.0
 """Seconds that an RTPU process may take to come up on a busy machine."""
 SEND_TIME = 2.0
 """Seconds after which an RTPU process that takes nothing counts as lost."""
+AGAIN_TIME = 5.0
+"""Seconds in which an RTPU process that lives must take its agent back."""
+_LOOK = 0.05
 LOG_TAIL = 4000
 
 
@@ -54,6 +60,9 @@ class Listener(Protocol):
 
     def learned(self, news: Known) -> None:
         """Take what the RTPU process knows now."""
+
+    def broke(self, reason: str) -> None:
+        """Take the news that the link broke, and stands again; nobody has ended."""
 
     def let_go(self) -> None:
         """Let go of its tables: what it has left is about to be removed."""
@@ -80,6 +89,8 @@ class RtpuLink:
         self._process: subprocess.Popen[bytes] | None = None
         self._sock: socket.socket | None = None
         self._write_lock = threading.Lock()
+        self._rest = memoryview(b"")
+        """Of a frame that was begun; nothing else may be sent before it."""
         self._thread: threading.Thread | None = None
         self._closing = False
         self._decoder: msgspec.msgpack.Decoder[FromRtpu] = msgspec.msgpack.Decoder(
@@ -113,7 +124,7 @@ class RtpuLink:
         self.info = info
         self._listener.informed(info)
         self._thread = threading.Thread(
-            target=self._read, args=(self._sock,), name="pbonet rtpu link", daemon=True
+            target=self._live, args=(self._sock,), name="pbonet rtpu link", daemon=True
         )
         self._thread.start()
         for text in cleaned:
@@ -126,14 +137,32 @@ class RtpuLink:
         Raises:
             NodeError: The RTPU process has ended, or takes nothing.
         """
-        sock = self._sock
-        if sock is None:
-            raise self._gone()
-        try:
-            with self._write_lock:
-                sock.sendall(wire.frame(message))
-        except OSError:
-            raise self._gone() from None
+        data = memoryview(wire.frame(message))
+        with self._write_lock:
+            sock = self._sock
+            if sock is None:
+                raise self._gone()
+            try:
+                self._rest = _send(sock, self._rest)
+                rest = data if self._rest else _send(sock, data)
+            except OSError:
+                raise self._gone() from None
+            if len(rest) == len(data):
+                raise self._gone()
+            self._rest = rest
+        if rest:
+            threading.Thread(
+                target=self._finish, args=(sock,), name="pbonet rtpu rest", daemon=True
+            ).start()
+
+    def _finish(self, sock: socket.socket) -> None:
+        """Send the rest of a frame that was begun, however long that takes."""
+        while True:
+            time.sleep(_LOOK)
+            with self._write_lock, contextlib.suppress(OSError):
+                if sock is not self._sock or not self._rest:
+                    return
+                self._rest = _send(sock, self._rest, socket.MSG_DONTWAIT)
 
     def _gone(self) -> NodeError:
         return NodeError(
@@ -175,17 +204,7 @@ class RtpuLink:
         """Wait for the process's end; kill it when it takes longer."""
         if self.info is None:
             return True
-        try:
-            pidfd = os.pidfd_open(self.info.pid)
-        except ProcessLookupError:
-            return True
-        try:
-            ended = bool(select.select([pidfd], [], [], timeout)[0])
-            if not ended:
-                signal.pidfd_send_signal(pidfd, signal.SIGKILL)
-                select.select([pidfd], [], [], 5.0)
-        finally:
-            os.close(pidfd)
+        ended = self._ended(timeout, kill=True)
         self._reap()
         leftovers.clean_after(self._places)  # nothing, if it ended in order
         return ended
@@ -210,6 +229,12 @@ class RtpuLink:
         return sock
 
     def _attach(self, sock: socket.socket) -> wire.RtpuInfo:
+        """Be its agent.
+
+        Raises:
+            NodeError: It has another one, or is of another version or core.
+            OSError: It does not answer.
+        """
         hello = wire.Attach(os.getpid(), pbonet.__version__, self._config.grace)
         sock.sendall(wire.frame(hello))
         data = wire.receive_frame(sock)
@@ -300,29 +325,90 @@ class RtpuLink:
             return self._places.log.read_text(errors="replace")[-LOG_TAIL:].strip()
         return ""
 
-    def _read(self, sock: socket.socket) -> None:
-        reason, orderly = "its socket was closed", False
+    def _live(self, sock: socket.socket) -> None:
+        """Hear the RTPU process until it ends; a link that breaks is made anew."""
+        while True:
+            reason, orderly = self._read(sock)
+            with self._write_lock:
+                self._sock, self._rest = None, memoryview(b"")
+                sock.close()
+            again = None if orderly else self._again(reason)
+            if again is None:
+                break
+            sock = again
+        if self._closing:
+            return
+        with _contained():
+            self._listener.let_go()
+        how = self._describe_end(reason, orderly=orderly)
+        with _contained():
+            self._listener.lost(how, orderly=orderly)
+
+    def _read(self, sock: socket.socket) -> tuple[str, bool]:
+        """Hand on what comes; return why nothing comes any more, and if in order."""
         while True:
             try:
                 data = wire.receive_frame(sock)
                 if not data:
-                    break
+                    return "its socket was closed", False
                 message = self._decoder.decode(data)
             except (OSError, NodeError, msgspec.MsgspecError) as error:
-                reason = str(error)
-                break
+                return str(error), False
             if isinstance(message, wire.Ending):
-                reason, orderly = message.reason, True
-            else:
+                return message.reason, True
+            with _contained():
                 self._hand_over(message)
+
+    def _again(self, reason: str) -> socket.socket | None:
+        """Attach again if the process lives on; return the socket."""
+        deadline = time.monotonic() + AGAIN_TIME
+        while not (self._closing or self._ended(_LOOK) or time.monotonic() > deadline):
+            sock = self._connect()
+            if sock is None:
+                continue
+            try:
+                sock.settimeout(AGAIN_TIME)
+                info = self._attach(sock)
+                sock.settimeout(None)
+            except (OSError, NodeError, msgspec.MsgspecError):
+                sock.close()  # it has not noticed yet, or it ends
+                continue
+            log.warning("%s: the link broke: %s", self._config.name, reason)
+            with _contained():
+                self._listener.broke(reason)
+            if not self._use(sock):
+                return None
+            with _contained():
+                self._hand_over(info)
+            return sock
+        return None
+
+    def _use(self, sock: socket.socket) -> bool:
+        """Send there from now on, unless the link is being closed."""
         with self._write_lock:
-            self._sock = None
-            sock.close()
-        if not self._closing:
-            self._listener.let_go()
-            self._listener.lost(
-                self._describe_end(reason, orderly=orderly), orderly=orderly
-            )
+            self._sock = sock
+        if self._closing:  # by who saw no socket to shut down
+            with self._write_lock:
+                self._sock = None
+                sock.close()
+        return not self._closing
+
+    def _ended(self, timeout: float, *, kill: bool = False) -> bool:
+        """Return whether the process ended in time; with `kill`, end it if not."""
+        if self.info is None:
+            return True
+        try:
+            pidfd = os.pidfd_open(self.info.pid)
+        except ProcessLookupError:
+            return True
+        try:
+            ended = bool(select.select([pidfd], [], [], timeout)[0])
+            if kill and not ended:
+                signal.pidfd_send_signal(pidfd, signal.SIGKILL)
+                select.select([pidfd], [], [], 5.0)
+        finally:
+            os.close(pidfd)
+        return ended
 
     def _hand_over(self, message: FromRtpu) -> None:
         match message:
@@ -349,6 +435,23 @@ class RtpuLink:
         how = describe_end(code) if code is not None else reason
         log = self._log()
         return f"{how}\n{log}" if log else how
+
+
+def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
+    """Send until nothing is taken any more; return what is left."""
+    with contextlib.suppress(BlockingIOError):
+        while data:
+            data = data[sock.send(data, flags) :]
+    return data
+
+
+@contextlib.contextmanager
+def _contained() -> Generator[None]:
+    """Tell a listener something in this block; the link outlives what it raises."""
+    try:
+        yield
+    except Exception:
+        log.exception("what the RTPU process said could not be taken")
 
 
 def used_cores(folder: Path) -> Sequence[int]:

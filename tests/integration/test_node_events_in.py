@@ -64,3 +64,22 @@ def test_what_is_too_long_is_told_once_and_harms_nothing(nodes):
     assert "parts" in arm.wait_event("XM_TOO_LONG").text
     assert len(arm.events("XM_TOO_LONG")) == 1
     assert arm.spawn("a", "counts").state == "OFF"
+
+
+def test_what_is_longer_than_a_frame_reaches_no_rtpu_process(nodes):
+    nodes.agent("arm0", events={"parts": "cell/part"})
+    arm = nodes.master("arm0", "arm")
+    tid = arm.spawn("a", "counts").tid
+    arm.on("a")
+    rtpu = nodes.state("arm0").pid
+    wait = zenoh.CongestionControl.BLOCK
+    nodes.session.put("cell/part", bytes((64 << 20) + 1), congestion_control=wait)
+    first = arm.wait_event("XM_TOO_LONG")
+    assert "parts" in first.text
+    assert "got 67108865" in first.text
+    for data in (bytes(1 << 20), bytes(1 << 20), b"1"):
+        nodes.session.put("cell/part", data, congestion_control=wait)
+    more = "2 more messages for the queue parts were too long"
+    wait_for(lambda: more in [event.text for event in arm.events("XM_TOO_LONG")], more)
+    assert nodes.state("arm0").pid == rtpu
+    assert arm.wait_cycles("a", 5).tid == tid
