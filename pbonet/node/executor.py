@@ -495,7 +495,6 @@ class Executor:
         try:
             return method(*args)
         except RAISED as error:
-            cause = contained(error)
-            raise self._described(cause, str(step)) from cause
+            raise self._described(cause := contained(error), str(step)) from cause
         finally:
             self._go(self.state)
