@@ -164,9 +164,14 @@ class Log(Cycles):
                 f"the log has no task {task}",
                 where=str(self.path),
                 expected=" or ".join(self.tasks) or "a log with tasks",
-                remedy=did_you_mean(task, self.tasks),
+                remedy=self._writer(task) or did_you_mean(task, self.tasks),
             )
         return found
+
+    def _writer(self, name: str) -> str:
+        """Return which task has a variable that was taken for a task."""
+        found = [one for one in self.tasks if name in self.variables(one)]
+        return f"{name} is a variable of {' and '.join(found)}" if found else ""
 
     def task_about(self, task: str) -> TaskAbout:
         """Return what a task was when it was spawned last.

@@ -494,6 +494,6 @@ class Crew:
 
 def _cause(unfed: Iterable[verify.Problem]) -> str:
     """Return the cause of the flag for inputs without a writer: which, and whose."""
-    named = (f"{one.variables[0]} for {' and '.join(one.tasks)}" for one in unfed)
+    named = (f"{' '.join(p.variables)} for {' and '.join(p.tasks)}" for p in unfed)
     text = UNFED + ", ".join(named)
     return text if len(text) <= _CAUSE else f"{text[: _CAUSE - 3]}..."

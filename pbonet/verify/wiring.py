@@ -101,18 +101,24 @@ def check_readers(configuration: Configuration) -> Iterator[Problem]:
         for variable in task.inputs:
             if variable not in written:
                 readers.setdefault(variable, []).append(task)
+    alike: dict[tuple[str, ...], list[str]] = {}  # the same readers, the same advice
     for variable, tasks in readers.items():
-        names = [task.name for task in tasks]
+        key = (_who_writes(configuration, variable), *(task.name for task in tasks))
+        alike.setdefault(key, []).append(variable)
+    for (advice, *names), variables in alike.items():
+        tasks = readers[variables[0]]
         verb = "reads" if len(names) == 1 else "read"
+        *most, last = variables
+        told = f"{', '.join(most)} and {last}" if most else last
         yield Problem(
             code=Code.NO_WRITER,
-            what=f"no task that is ON writes {variable}, which {_list(names)} {verb}",
+            what=f"no task that is ON writes {told}, which {_list(names)} {verb}",
             where=tasks[0].place("INVAR"),
             expected="a task that writes each variable that is read (equation 2)",
-            remedy=_who_writes(configuration, variable),
+            remedy=advice,
             tasks=tuple(names),
-            ports=tuple(task.port("INVAR", variable) for task in tasks),
-            variables=(variable,),
+            ports=tuple(t.port("INVAR", name) for name in variables for t in tasks),
+            variables=tuple(variables),
         )
 
 

@@ -129,6 +129,13 @@ def test_runs_that_differ_are_told_with_a_status(call, path, tmp_path) -> None:
     assert "did you mean other?" in err
 
 
+def test_a_variable_is_no_task(call, path) -> None:
+    status, _, err = call("log", "cat", path, "Y")
+    assert status == 1
+    assert "the log has no task Y (" in err
+    assert err.rstrip().endswith("; Y is a variable of pid and other")
+
+
 def test_a_task_without_a_cycle_is_no_different(call, tmp_path) -> None:
     for name in ("one", "two"):
         writer = LogWriter(tmp_path / f"{name}.mcap", run())

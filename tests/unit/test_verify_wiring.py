@@ -125,6 +125,20 @@ def test_an_input_without_writer_names_the_library() -> None:
     assert problem.ports == ("T_GRAV", "G")
 
 
+def test_inputs_that_one_task_does_not_write_are_told_at_once() -> None:
+    tasks = (
+        task("arm", invar="X Y Z V"),
+        task("log", invar="V"),
+        task("a", outvar="X Y Z V"),
+    )
+    found = verify.check(configuration(*tasks, on={"arm", "log"}))
+    assert [(one.what, one.remedy) for one in found] == [
+        ("no task that is ON writes X, Y and Z, which arm reads", "turn a on"),
+        ("no task that is ON writes V, which arm and log read", "turn a on"),
+    ]
+    assert [one.variables for one in found] == [("X", "Y", "Z"), ("V",)]
+
+
 def test_an_input_without_writer_that_stands_but_is_off() -> None:
     tasks = (task("arm", invar="X"), task("a", outvar="X"), task("b", outvar="X"))
     (problem,) = verify.check(configuration(*tasks, on={"arm"}))
