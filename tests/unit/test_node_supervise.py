@@ -1,7 +1,7 @@
 """The agent's link to its RTPU process when either of them stands still or fails."""
 
-import os
 import socket
+import subprocess
 import threading
 from types import SimpleNamespace
 
@@ -14,14 +14,6 @@ from pbonet.errors import NodeError
 from pbonet.node import agent as agents
 from pbonet.node import supervise, wire
 
-INFO = wire.RtpuInfo(
-    pid=os.getpid(),
-    core=0,
-    version=pbonet.__version__,
-    backend="park",
-    limits=[],
-    claims={},
-)
 CONFIG = wire.RtpuConfig(domain="d", name="arm0", core=0)
 
 
@@ -61,7 +53,24 @@ class Hears:
 
 
 @pytest.fixture
-def ends(tmp_path):
+def info():
+    """What an RTPU process says of itself, with the number of one that only sleeps."""
+    with subprocess.Popen(["sleep", "1000"]) as process:
+        try:
+            yield wire.RtpuInfo(
+                pid=process.pid,
+                core=0,
+                version=pbonet.__version__,
+                backend="park",
+                limits=[],
+                claims={},
+            )
+        finally:
+            process.kill()
+
+
+@pytest.fixture
+def ends(tmp_path, info):
     """A link, its listener, and a function that gives the far end of it."""
     path = tmp_path / "ctl"
     with socket.socket(socket.AF_UNIX) as server:
@@ -75,7 +84,7 @@ def ends(tmp_path):
             far.append(end)
             hello = msgspec.msgpack.decode(wire.receive_frame(end), type=wire.FromAgent)
             assert isinstance(hello, wire.Attach)
-            end.sendall(wire.frame(INFO))
+            end.sendall(wire.frame(info))
             return end
 
         hears = Hears()
@@ -133,10 +142,10 @@ def test_a_link_that_breaks_is_made_anew(ends):
     assert not {"ended", "lost", "let go"} & set(hears.heard)
 
 
-def test_a_listener_that_fails_ends_no_link(ends):
+def test_a_listener_that_fails_ends_no_link(ends, info):
     _, hears, far, _ = ends
     hears.fails = {"informed", b"one"}
-    far.sendall(wire.frame(INFO) + wire.frame(wire.Published(b"one")))
+    far.sendall(wire.frame(info) + wire.frame(wire.Published(b"one")))
     far.sendall(wire.frame(wire.Published(b"two")))
     hears.wait(b"two")
 
