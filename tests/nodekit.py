@@ -25,7 +25,7 @@ from watching import END_TIME, clean_folder, processes_of, wait_for
 from pbonet.config.model import AgentConfig
 from pbonet.errors import PbonetError
 from pbonet.node import leftovers
-from pbonet.node.agent import Agent
+from pbonet.node.agent import STOP_TIME, Agent
 from pbonet.xm import keys, rundir, session
 from pbonet.xm import messages as m
 from pbonet.xm.rpc import Client
@@ -35,12 +35,15 @@ CORE = max(os.sched_getaffinity(0))
 AGENT = """
 import json, sys
 from pbonet.config.model import AgentConfig
+from pbonet.node.agent import Agent
 from pbonet.node.life import main
 from pbonet.xm import session
 import msgspec
 if sys.argv[2:]:
     session.LEASE_MS = int(sys.argv[2])
     session.OPEN_MS = max(session.OPEN_MS, session.LEASE_MS)
+if sys.argv[3:]:
+    Agent.stop.__defaults__ = (float(sys.argv[3]),)
 sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
 """
 SVAR = """
@@ -239,11 +242,14 @@ class Nodes:
         self.agents[name] = agent
         return agent
 
-    def agent_process(self, name, *, wait=True, **more):
-        """Start an agent as a process of its own and wait until it answers."""
+    def agent_process(self, name, *, wait=True, stop_time=STOP_TIME, **more):
+        """Start an agent as a process of its own and wait until it answers.
+
+        When it ends, it forces after `stop_time` seconds what has not ended by itself.
+        """
         config = msgspec.json.encode(self.config(name, **more)).decode()
-        words = [sys.executable, "-c", AGENT, config, str(session.LEASE_MS)]
-        process = subprocess.Popen(words)
+        times = str(session.LEASE_MS), str(stop_time)
+        process = subprocess.Popen([sys.executable, "-c", AGENT, config, *times])
         self.processes[name] = process
         if wait:
             self.wait_agent(name, process)

@@ -42,7 +42,7 @@ def said(path, text):
 @pytest.fixture
 def split(nodes):
     """An agent in a process of its own, claimed, with its table open."""
-    nodes.agent_process("arm0")
+    nodes.agent_process("arm0", stop_time=30.0)
     return nodes.master("arm0", "arm")
 
 
@@ -231,7 +231,7 @@ class TestRtpuProcess:
         wait_gone(victims)
         assert list(shared_memory.glob("*.ring"))
         nodes.forget_session()
-        process = nodes.agent_process("arm0")
+        process = nodes.agent_process("arm0", stop_time=30.0)
         assert not list(shared_memory.glob("*.ring"))
         assert not list(shared_memory.glob("*.svar"))
         process.send_signal(signal.SIGTERM)
