@@ -263,7 +263,7 @@ class Library:
 def absent(folders: Iterable[str | Path]) -> list[str]:
     """Return a sentence for each folder of modules that is not there."""
     return [
-        f"there is no folder {Path(folder).absolute()}, named as a library"
+        f"there is no folder {Path(folder).expanduser().absolute()}, named as a library"
         for folder in folders
         if not Path(folder).expanduser().is_dir()
     ]

@@ -44,7 +44,7 @@ def tasks_of(command: JsonObject) -> set[str]:
     asked = _fields(command["asked"])
     found = {asked.get("task"), asked.get("original")}
     found |= {item[0] for item in asked.get("items", ()) if isinstance(item, list)}
-    for name in ("tasks", "order", "replaces", "handover"):
+    for name in ("tasks", "order", "replaces", "handover", "after"):
         found |= set(asked.get(name) or ())
     return {one for one in found if isinstance(one, str) and one}
 
@@ -54,7 +54,7 @@ def failure(command: JsonObject) -> str | None:
     error: object = command["error"]
     if command["ok"]:
         error = _fields(command["result"]).get("error")
-        if not error:
+        if not _fields(error):  # a status has the text of its task's error
             return None
     told = _fields(error)
     return f"{told.get('code', '')}: {told.get('what', '')}" if told else str(error)

@@ -128,6 +128,8 @@ class Inbox:
         life = self._lives.get(key)
         if life is not None and status.now < life.since:
             return  # it came late: of the task that was there before
+        if life is not None and life.died and status.tid and status.tid == life.tid:
+            return  # it came late: from before its death
         if life is None or life.is_other(status):
             pending = life.pending if life is not None and life.died else {}
             life = _Life(status.tid, status.now, {}, pending)

@@ -220,6 +220,7 @@ class Subsystem(Switching, Calls, Signalled):
         try:
             if not self.watch:
                 crew.take(take_over=self._take_over, partly=self._partly)
+            self.inbox.clear()
             for rtpu in crew.refresh(strict=False):
                 self.inbox.begin(rtpu.tasks)
         except BaseException:

@@ -13,6 +13,7 @@
 #include "sys.h"
 
 #include <fcntl.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,18 +31,20 @@ struct rt_map {
     pid_t pid;
 };
 
-/* When a process started, in clock ticks since boot; 0 when it is gone or a zombie. */
+#define RT_UNKNOWN UINT64_MAX
+
+/* When a process started, in clock ticks since boot; 0 when it is gone or a zombie,
+ * RT_UNKNOWN when that cannot be read now. */
 static inline uint64_t rt_start_time(pid_t pid)
 {
     char path[32], text[512], *at;
     snprintf(path, sizeof path, "/proc/%d/stat", (int)pid);
     int fd = open(path, O_RDONLY | O_CLOEXEC);
-    if (fd < 0)
-        return 0;
-    ssize_t n = read(fd, text, sizeof text - 1);
-    close(fd);
+    ssize_t n = fd < 0 ? -1 : read(fd, text, sizeof text - 1);
+    if (fd >= 0)
+        close(fd);
     if (n <= 0)
-        return 0;
+        return !kill(pid, 0) || errno != ESRCH ? RT_UNKNOWN : 0;
     text[n] = 0;
     at = strrchr(text, ')');    /* the name may hold anything */
     if (!at || at[1] != ' ' || at[2] == 'Z' || at[2] == 'X')
@@ -54,7 +57,8 @@ static inline uint64_t rt_start_time(pid_t pid)
 static inline int rt_member_lives(const struct rt_member *m)
 {
     int32_t pid = atomic_load(&m->pid);
-    return pid && rt_start_time(pid) == m->start;
+    uint64_t now = pid ? rt_start_time(pid) : 0;
+    return now && (now == m->start || now == RT_UNKNOWN || m->start == RT_UNKNOWN);
 }
 
 static inline void rt_kick(struct rt_table *t)

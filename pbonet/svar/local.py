@@ -154,8 +154,10 @@ class LocalTable(Closing, native.LocalTable):
     @property
     def blamed(self) -> guards.Blamed:
         """The variable and element that the last refused commit or stale copy met."""
-        found = guards.blamed(self._variables, self._groups, *self.fault)
-        return guards.blame(*found, self.array(found[0].name))
+        one, element = guards.blamed(self._variables, self._groups, *self.fault)
+        if one.name not in self._arrays:  # no fault of a value was met yet
+            return guards.Blamed()
+        return guards.blame(one, element, self._arrays[one.name])
 
     def names(self) -> list[str]:
         """Return the variables of the local table."""

@@ -92,7 +92,15 @@ def _again(job: Path, place: Place, seconds: float, out: Path | None) -> Cycles:
         return now
     runs = job.parent / "runs"
     book = simlog.begin(job, place, record="outputs", runs=runs, seconds=seconds)
-    merge([Path(simulate(job, place, view, seconds, book).log)], out)
+    outcome = simulate(job, place, view, seconds, book)
+    if not outcome.log:
+        raise LogError(
+            "the simulation's log cannot be written",
+            where=str(runs),
+            got="; ".join(outcome.faults),
+            remedy="make room there, or name another folder by TMPDIR",
+        )
+    merge([Path(outcome.log)], out)
     return Log(out)
 
 
@@ -171,7 +179,7 @@ def _then(
     told, made = (one[COLUMNS[0]].astype(np.int64) for one in (then, now))
     there = np.isin(made, told)
     if there.sum() != len(told):  # other releases: they are compared in a row
-        there = made >= told.min(initial=0)
+        there = made >= (told.min() if len(told) else 0)
     return {name: values[there] for name, values in now.items()}
 
 

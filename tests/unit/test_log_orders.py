@@ -28,7 +28,11 @@ COMMANDS = [
         m.Reconfigured(done=1, error=REFUSED),
         None,
     ),
-    (m.Control(client="bert", task="other", signal="on", arg="a  b"), None, None),
+    (
+        m.Control(client="bert", task="other", signal="on", arg="a  b"),
+        {"state": "ON", "error": "of the task, from an hour ago"},
+        None,
+    ),
     (m.Write(client="anna", name="Q", values=[0.1] * 9999), None, None),
     (m.Stop(client="anna"), m.Stopped(off=["pid"], killed=["pid"]), None),
 ]

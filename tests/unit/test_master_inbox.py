@@ -49,6 +49,13 @@ def test_each_death_of_a_task_that_is_spawned_anew_is_told(inbox):
         assert take(inbox, died) is None
 
 
+def test_a_status_from_before_a_death_that_is_known_counts_for_nothing(inbox):
+    """Two threads have asked, and the earlier answer is heard last."""
+    assert take(inbox, seen(0, 10, ERROR=1, FINISH=2)) == ("ERROR", 1)
+    assert take(inbox, seen(7, 9, ERROR=1, FINISH=2)) is None
+    assert take(inbox, seen(0, 10, ERROR=1, FINISH=2)) is None
+
+
 def test_what_nobody_took_before_the_next_life_stays(inbox):
     inbox.note(seen(0, 10, ERROR=1, FINISH=3))
     new = seen(8, 20, ERROR=0, FINISH=1)

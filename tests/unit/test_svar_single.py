@@ -39,6 +39,13 @@ def everything(table):
     return task
 
 
+def test_who_met_no_fault_blames_nothing(table):
+    """Though the table's first variable is none of the task's."""
+    task = table.local("t", ME, outvar=["C"])
+    assert task.commit() == Flags.COMMIT_NOT_OWNER
+    assert task.blamed == ("", 0, "", "")
+
+
 @pytest.mark.parametrize("other", ["A", "C", "E", "G"])
 def test_a_single_write_is_judged_alone(table, other):
     task = everything(table)
