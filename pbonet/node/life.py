@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
+HEEDED = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
 
 class Life:
     """One agent, until it ends or starts anew.
@@ -32,7 +34,7 @@ class Life:
 
     def __init__(self, agent: Agent) -> None:
         self.agent = agent
-        self._anew = False
+        self._anew = self._ends = False
         self._on_terminal = _has_terminal()
         self._stays = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
@@ -42,22 +44,29 @@ class Life:
             signal.signal(which, self._on_end)
         signal.signal(signal.SIGHUP, self._on_hangup)
         self.agent.heed_signals()
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, HEEDED)
+
+    def leave_signals(self) -> None:
+        """Leave what comes from now on, and an end that was asked for, to the next."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, HEEDED)
+        if self._ends:
+            os.kill(os.getpid(), signal.SIGTERM)
 
     def wait(self) -> bool:
         """Wait for the end; return whether the agent is to start anew."""
         while True:
             self.agent.wait()
-            if not self._anew:
+            if self._ends or not self._anew:
                 return False
             if self.agent.may_start_anew():
                 return True
             self._anew = False
-            if not self.agent.go_on():
+            if not self.agent.go_on() or self._ends:
                 return False
 
     def _on_end(self, number: int, _frame: FrameType | None) -> None:
         log.info("%s: %s", self.agent.name, signal.Signals(number).name)
-        self._anew = False
+        self._ends = True
         self.agent.ask_to_end()
 
     def _on_hangup(self, number: int, frame: FrameType | None) -> None:
@@ -107,6 +116,7 @@ def main(config: AgentConfig, *, backend: str = "auto") -> int:
     if life.wait():
         log.warning("%s: starts anew", agent.name)
         agent.abandon()
+        life.leave_signals()
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - itself
     service.tell("STOPPING=1")
     in_order = agent.stop()

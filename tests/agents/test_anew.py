@@ -76,6 +76,18 @@ def test_it_starts_anew_in_its_place(program, nodes, tmp_path):
     assert "agent.toml" in [one.name for one in found.entries]
 
 
+def test_what_comes_while_it_starts_anew_is_heeded(program, tmp_path):
+    """Whether the old program leaves or the new one loads: again, and an end."""
+    said = tmp_path / "said"
+    with said.open("w") as file:
+        process = program.start(stderr=file)
+    process.send_signal(signal.SIGHUP)
+    wait_for(lambda: "starts anew" in said.read_text(), "its leaving")
+    process.send_signal(signal.SIGHUP)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(60.0) == 0
+
+
 @pytest.mark.parametrize("how", [[], ["nohup"]], ids=["plain", "nohup"])
 def test_a_terminal_that_is_closed(program, how, tmp_path):
     """It ends the agent in order, unless that was started to outlive it."""
