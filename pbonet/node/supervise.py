@@ -43,6 +43,7 @@ SEND_TIME = 2.0
 AGAIN_TIME = 5.0
 """Seconds in which an RTPU process that lives must take its agent back."""
 _LOOK = 0.05
+_LEAST_TRIES = 2
 LOG_TAIL = 4000
 
 
@@ -360,9 +361,16 @@ class RtpuLink:
                 self._hand_over(message)
 
     def _again(self, reason: str) -> socket.socket | None:
-        """Attach again if the process lives on; return the socket."""
+        """Attach again if the process lives on; return the socket.
+
+        On a machine that stood still meanwhile it is tried more than once, too.
+        """
         deadline = time.monotonic() + AGAIN_TIME
-        while not (self._closing or self._ended(_LOOK) or time.monotonic() > deadline):
+        tries = 0
+        while not (self._closing or self._ended(_LOOK)):
+            if tries >= _LEAST_TRIES and time.monotonic() > deadline:
+                return None
+            tries += 1
             sock = self._connect()
             if sock is None:
                 continue
