@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pbonet import verify
-from pbonet.errors import PbonetError, SeveralError, StateError
+from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
 from pbonet.master import constants
 from pbonet.master.conditions import Gate
 from pbonet.pbo import State
@@ -200,6 +200,8 @@ class Done:
                 member = self._crew.picture.get(name)
                 if member is not None and (signal == "kill" or member.is_on):
                     self._crew.control(name, signal, "")
+            except UnknownTaskError:
+                continue  # a stop was quicker
             except PbonetError as error:
                 errors.append(error)
         return [*errors, *self._restore()]
