@@ -389,6 +389,16 @@ def orphan_guard(signal: int, parent: int = 0) -> int:
     """
 
 def orphaned() -> bool: ...
+def leave_to_next(signal: int) -> None:
+    """Leave a signal to the program that is about to take this one's place.
+
+    Whichever thread takes it hands it to the main thread, which must have blocked it:
+    there it is pending until the next program unblocks it.
+
+    Raises:
+        RealTimeError: It has no handler, as SIGKILL.
+    """
+
 def lock_memory() -> None:
     """Lock present and future pages as they are touched.
 

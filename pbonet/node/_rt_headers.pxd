@@ -210,6 +210,7 @@ cdef extern from "guard.h" nogil:
     void rt_unguard_slot(rt_slot *slot)
     int rt_guard_orphan(int signal, int parent)
     int rt_is_orphan()
+    int rt_leave_to_next(int signal)
     int rt_lock_memory()
     int rt_prefault_stack(size_t size)
     int rt_populate(size_t at, size_t size)

@@ -16,6 +16,13 @@ def orphaned() -> bool:
     return bool(rt_is_orphan())
 
 
+def leave_to_next(int signal) -> None:
+    cdef int error = rt_leave_to_next(signal)
+    if error:
+        raise RealTimeError("the signal cannot be left to the next program",
+                            got=os.strerror(error))
+
+
 def lock_memory() -> None:
     cdef int error = rt_lock_memory()
     if error:

@@ -13,6 +13,8 @@
 #include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
 static struct rt_slot *_Atomic rt_guarded;  /* the slot of this process's task */
 static struct rt_table *_Atomic rt_guarded_table;
@@ -72,6 +74,21 @@ static inline int rt_handle(int signal, void (*handler)(int))
     sigfillset(&action.sa_mask);
     sigdelset(&action.sa_mask, SIGALRM);
     return sigaction(signal, &action, NULL) ? errno : 0;
+}
+
+/* Whichever thread takes this signal leaves it to the main thread, which has blocked it:
+ * what is pending for the thread that calls execve() outlives that call, what is pending
+ * for the process may be taken by a thread that the call ends. */
+static inline void rt_on_leaving(int signal)
+{
+    int saved = errno;
+    syscall(SYS_tgkill, getpid(), getpid(), signal);
+    errno = saved;
+}
+
+static inline int rt_leave_to_next(int signal)
+{
+    return rt_handle(signal, rt_on_leaving);
 }
 
 /* Make the task's slot the one that signals speak of. The park handler must let the orphan

@@ -7,11 +7,12 @@ import logging
 import os
 import signal
 import sys
+import threading
 from typing import TYPE_CHECKING
 
 from pbonet.config.library import absent
 
-from . import service
+from . import _rt, service
 from .agent import Agent
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pbonet.node")
 
-HEEDED = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+ENDS = (signal.SIGTERM, signal.SIGINT)
+HEEDED = (*ENDS, signal.SIGHUP)
 
 
 class Life:
@@ -40,17 +42,24 @@ class Life:
 
     def heed_signals(self) -> None:
         """End by SIGTERM and SIGINT, start anew by SIGHUP."""
-        for which in (signal.SIGTERM, signal.SIGINT):
+        for which in ENDS:
             signal.signal(which, self._on_end)
         signal.signal(signal.SIGHUP, self._on_hangup)
         self.agent.heed_signals()
         signal.pthread_sigmask(signal.SIG_UNBLOCK, HEEDED)
 
     def leave_signals(self) -> None:
-        """Leave what comes from now on, and an end that was asked for, to the next."""
+        """Leave what comes from now on, and an end that was asked for, to the next.
+
+        Threads of zenoh outlive their session and would take signals for this process.
+        """
         signal.pthread_sigmask(signal.SIG_BLOCK, HEEDED)
+        for which in ENDS:
+            _rt.leave_to_next(which)
+        if self._stays:  # what else a hangup asks for, the next does anyway
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
         if self._ends:
-            os.kill(os.getpid(), signal.SIGTERM)
+            signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
 
     def wait(self) -> bool:
         """Wait for the end; return whether the agent is to start anew."""

@@ -33,8 +33,8 @@ class Program:
         self.file.write_text("\n".join(lines))
 
     def start(self, *before, **more):
-        words = (sys.executable, "-m", "pbonet.cli", "agent", "--config", self.file)
-        process = subprocess.Popen([*before, *words], **more)
+        words = (sys.executable, "-m", "pbonet.cli", "agent", "-v", "--config")
+        process = subprocess.Popen([*before, *words, self.file], **more)
         self.nodes.processes["arm0"] = process
         self.nodes.wait_agent("arm0", process)
         return process
@@ -88,16 +88,58 @@ def test_what_comes_while_it_starts_anew_is_heeded(program, tmp_path):
     assert process.wait(60.0) == 0
 
 
+LEAVES = """
+import os, signal, sys, threading
+from pathlib import Path
+from pbonet.node.life import Life
+
+class Agent:
+    name = "arm0"
+    heed_signals = ask_to_end = lambda self: None
+
+def pending():
+    status = Path("/proc/thread-self/status").read_text()
+    mask = int(status.partition("SigPnd:")[2].split()[0], 16)
+    return mask >> signal.SIGTERM - 1 & 1
+
+threading.Thread(target=threading.Event().wait, daemon=True).start()
+life = Life(Agent())
+life.heed_signals()
+if "before" in sys.argv:
+    os.kill(os.getpid(), signal.SIGTERM)
+life.leave_signals()
+if "after" in sys.argv:
+    os.kill(os.getpid(), signal.SIGTERM)
+    while not pending():
+        pass
+asked = "import signal; print(sorted(map(int, signal.sigpending())))"
+os.execv(sys.executable, [sys.executable, "-c", asked])
+"""
+
+
+@pytest.mark.parametrize("when", ["before", "after", "never"])
+def test_an_end_is_left_to_the_next_program(when):
+    """Though another thread, which exec ends, is there to take it."""
+    said = subprocess.check_output([sys.executable, "-c", LEAVES, when], text=True)
+    assert said.split() == (["[]"] if when == "never" else [f"[{signal.SIGTERM:d}]"])
+
+
 @pytest.mark.parametrize("how", [[], ["nohup"]], ids=["plain", "nohup"])
 def test_a_terminal_that_is_closed(program, how, tmp_path):
     """It ends the agent in order, unless that was started to outlive it."""
     master, slave = pty.openpty()
-    words = ("setsid", "--ctty", *how)
-    process = program.start(*words, stdin=slave, stdout=DEVNULL, cwd=tmp_path)
+    words, said = ("setsid", "--ctty", *how), tmp_path / "said"
+    with said.open("w") as file:
+        process = program.start(*words, stdin=slave, stdout=DEVNULL, stderr=file)
     os.close(slave)
     zid = program.zid()
+    if how:
+        process.send_signal(signal.SIGHUP)
+        wait_for(lambda: program.zid() not in {None, zid}, "another session", 60.0)
+        zid = program.zid()
     os.close(master)
     if how:
         assert program.zid() == zid
         process.send_signal(signal.SIGTERM)
-    assert process.wait(30.0) == 0
+    assert process.wait(60.0) == 0
+    assert ("SIGHUP" in said.read_text()) == (not how)
