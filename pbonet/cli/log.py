@@ -61,12 +61,13 @@ def cat(
     variables: A[
         list[str] | None, typer.Argument(help="Which; all that it writes.")
     ] = None,
-    npz: A[
-        Path | None, typer.Option(help="Write arrays for numpy.", metavar="FILE.npz")
-    ] = None,
-    parquet: A[
+    out: A[
         Path | None,
-        typer.Option(help="Write a table, with units.", metavar="FILE.parquet"),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Write a file, as its name ends: .csv, .json, .npz or .parquet.",
+        ),
     ] = None,
     json_: options.Json = False,
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
@@ -76,15 +77,15 @@ def cat(
 
     from pbonet.log import Log, export, text
 
+    form = export.form_of(out) if out is not None else None
     log = Log(file)
     table = text.columns(log, task, variables or ())
-    if npz is not None:
-        export.write_npz(table, npz)
-    if parquet is not None:
-        export.write_parquet(table, parquet, log, task)
-    if npz is None and parquet is None:
-        write = export.write_json if json_ else export.write_csv
-        write(table, sys.stdout)
+    if out is not None and form is not None:
+        export.write_file(table, out, form, log, task)
+        _written(out, json_)
+        return
+    write = export.write_json if json_ else export.write_csv
+    write(table, sys.stdout)
 
 
 @command.command("events")
@@ -133,15 +134,20 @@ def commands(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show the commands that a run was given, by whom, and what came of them."""
+    import sys
+
     import msgspec
 
     from pbonet.log import Log, last_run, orders
 
-    found = Log(file or last_run()).commands()
+    log = Log(file or last_run())
+    found = log.commands()
     chosen = orders.chosen(found, task=task, op=op, refused=refused)
     if json_:
         print(msgspec.json.encode({"commands": chosen}).decode())
         return
+    if not chosen:
+        sys.stderr.write(f"{orders.none_of(log.about, found)}\n")
     for one in chosen:
         print(orders.line(one))
 

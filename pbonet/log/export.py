@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import msgspec
 import numpy as np
 
-from pbonet.errors import LogError
+from pbonet.errors import LogError, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from .reader import Log
 
     Table = Mapping[str, NDArray[Any]]
+
+FORMS = (".csv", ".json", ".npz", ".parquet")
+"""How the names of files end that can be written."""
 
 
 def write_csv(table: Table, file: TextIO) -> None:
@@ -33,6 +36,49 @@ def write_json(table: Table, file: TextIO) -> None:
     """Write columns as one JSON object of lists; what is no number there is null."""
     data = {name: _plain(values) for name, values in table.items()}
     file.write(msgspec.json.encode(data).decode() + "\n")
+
+
+def form_of(path: Path) -> str:
+    """Return how a file is written, by the end of its name.
+
+    Raises:
+        LogError: There is no such form.
+    """
+    form = path.suffix.lower()
+    if form not in FORMS:
+        raise LogError(
+            "a file of this name cannot be written",
+            where=str(path),
+            expected=f"a name that ends in {', '.join(FORMS[:-1])} or {FORMS[-1]}",
+            got=form or "no ending",
+            remedy=did_you_mean(form, FORMS) or f"say {path.stem or 'values'}.csv",
+        )
+    return form
+
+
+def write_file(table: Table, path: Path, form: str, log: Log, task: str) -> None:
+    """Write columns to a file; one that is there is replaced.
+
+    Args:
+        table: The columns.
+        path: The file.
+        form: One of `FORMS`.
+        log: The run, for what is known about it.
+        task: The task.
+
+    Raises:
+        LogError: It cannot be written, or pyarrow is wanted and not there.
+    """
+    if form == ".parquet":
+        write_parquet(table, path, log, task)
+    elif form == ".npz":
+        write_npz(table, path)
+    else:
+        try:
+            with path.open("w", newline="") as file:
+                (write_json if form == ".json" else write_csv)(table, file)
+        except OSError as error:
+            raise _unwritten(path, error) from None
 
 
 def write_npz(table: Table, path: Path) -> None:
@@ -68,7 +114,7 @@ def write_parquet(table: Table, path: Path, log: Log, task: str) -> None:
         raise LogError(
             "there is nothing to write Parquet with",
             expected="pyarrow",
-            remedy='pip install "pbonet[parquet]", or choose --npz',
+            remedy='pip install "pbonet[parquet]", or choose a name that ends in .npz',
         ) from None
     units = {"time": "s"} | {v.name: v.units for v in log.task_about(task).outvar}
     columns: dict[str, Any] = {}

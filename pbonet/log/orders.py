@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 JsonObject = dict[str, Any]
 _LONGEST = 60
@@ -37,6 +37,23 @@ def chosen(
         and op in {None, one["op"]}
         and not (refused and failure(one) is None)
     ]
+
+
+def none_of(about: JsonObject, commands: Sequence[JsonObject]) -> str:
+    """Say why no command is shown.
+
+    Args:
+        about: Which run it was, as `Log.about` has it.
+        commands: All that the log has.
+    """
+    if commands:
+        return f"none of the {len(commands)} commands is such a one"
+    if about.get("seconds"):
+        return (
+            "nobody sent a command: this run was simulated, and a simulation is "
+            "steered by its job alone; `log events` shows what happened"
+        )
+    return "the log has no commands; `log events` shows what happened"
 
 
 def tasks_of(command: JsonObject) -> set[str]:

@@ -341,7 +341,7 @@ class Crew:
             self.logbook.begin(self.fleet, self.files, self.warned)
         limit = SPAWN_TIME + 1.0
         status = self.fleet.call(member.rtpu, request, m.TaskStatus, timeout=limit)
-        self.picture.add(member)
+        self.picture.spawned(member)
         self.note(status)
         return status
 
@@ -376,6 +376,7 @@ class Crew:
         status = self.fleet.call(
             member.rtpu, request, m.TaskStatus, timeout=CONTROL_TIME
         )
+        self.picture.ordered(task, signal)
         self.note(status)
         return status
 

@@ -77,6 +77,8 @@ class Picture:
 
     def __init__(self) -> None:
         self._members: dict[str, Member] = {}
+        self.killed: set[str] = set()
+        """Tasks that were killed by order, and not spawned again."""
 
     def __iter__(self) -> Iterator[Member]:
         return iter(list(self._members.values()))  # others may look meanwhile
@@ -115,6 +117,16 @@ class Picture:
     def add(self, member: Member) -> None:
         """Add a task, or put it in the place of one of the same name."""
         self._members[member.name] = member
+
+    def spawned(self, member: Member) -> None:
+        """Add a task that was spawned just now."""
+        self.killed.discard(member.name)
+        self.add(member)
+
+    def ordered(self, task: str, signal: str) -> None:
+        """Take in that a task has carried out an order."""
+        if signal == "kill":
+            self.killed.add(task)
 
     def move(self, task: str, state: State) -> None:
         """Take in that a task has come to a state; harmless when there is none."""

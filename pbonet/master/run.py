@@ -340,7 +340,7 @@ class Run:
                     left = min(left, max(0.0, self._seconds - passed))
                 self._interrupts.wished.wait(left)
         listener.close()
-        return seen.last()
+        return seen.last(subsystem.crew.picture.killed)
 
     @contextlib.contextmanager
     def _port(self, subsystem: Subsystem) -> Generator[None]:

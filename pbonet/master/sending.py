@@ -167,6 +167,8 @@ class _Sending:
             raise stuck(self._whole, self._done, cause, unsure=unsure) from cause
 
     def _take(self, answer: m.Reconfigured, made: Sequence[Item]) -> None:
+        for task, signal in made:
+            self._picture.ordered(task, signal)
         for task, state in answer.states.items():
             self._picture.move(task, State(state))
         self.states |= answer.states

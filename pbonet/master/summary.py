@@ -10,9 +10,10 @@ from msgspec import Struct
 
 from pbonet.master import render
 from pbonet.master.profile import delay_quantile, profile
+from pbonet.pbo import State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Container, Iterable
 
     from pbonet.log import Cycles
     from pbonet.xm.messages import RtpuStatus, TaskStatus
@@ -21,8 +22,8 @@ HEAD = (
     *("task", "rtpu", "last state", "cycles", "missed", "Hz", "CPU avg", "CPU max"),
     *("CPU", "jitter p50", "p99", "max", "transfer", "warn"),
 )
-_FAILED = ("ERROR", "NOT-CREATED")
-"""States that have a reason; who is killed by order is not seen any more."""
+_FAILED = (State.ERROR, State.NOT_CREATED)
+"""States that have a reason, unless the task was killed by order."""
 
 
 class Seen:
@@ -30,19 +31,32 @@ class Seen:
 
     def __init__(self) -> None:
         self._rtpus: dict[str, RtpuStatus] = {}
-        self._tasks: dict[str, dict[str, TaskStatus]] = {}
+        self._tasks: dict[str, TaskStatus] = {}
 
     def look(self, rtpus: Iterable[RtpuStatus]) -> None:
-        """Take note of how the tasks stand now."""
-        for rtpu in rtpus:
-            self._rtpus[rtpu.rtpu] = rtpu
-            for task in rtpu.tasks:
-                self._tasks.setdefault(rtpu.rtpu, {})[task.task] = task
+        """Take note of how the tasks stand now, wherever each was before."""
+        rtpus = list(rtpus)
+        self._rtpus |= {rtpu.rtpu: rtpu for rtpu in rtpus}
+        there = [task for rtpu in rtpus for task in rtpu.tasks]
+        there.sort(key=lambda task: task.state != State.NOT_CREATED)
+        self._tasks |= {task.task: task for task in there}  # those that live count
 
-    def last(self) -> list[RtpuStatus]:
-        """Return the last status of each RTPU, with the last one of each task."""
+    def last(self, killed: Container[str] = ()) -> list[RtpuStatus]:
+        """Return the last status of each RTPU, with the last one of each task there.
+
+        Args:
+            killed: Tasks that were killed by order: what they had failed in is settled.
+        """
+        tasks = [
+            msgspec.structs.replace(task, state=State.NOT_CREATED, error="")
+            if task.task in killed
+            else task
+            for task in self._tasks.values()
+        ]
         return [
-            msgspec.structs.replace(rtpu, tasks=[*self._tasks.get(name, {}).values()])
+            msgspec.structs.replace(
+                rtpu, tasks=[task for task in tasks if task.rtpu == name]
+            )
             for name, rtpu in self._rtpus.items()
         ]
 

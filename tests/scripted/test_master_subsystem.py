@@ -259,7 +259,10 @@ def test_off_and_kill_are_never_refused_and_raise_the_flag(arm, agents):
     assert len(arm.heard) == 2  # the remedy is another
     assert "in the library, grav_comp does" in arm.heard[1]
     assert "grav_comp" not in states(arm)
+    arm.reconfig([("jttrace", "off"), ("jttrace", "kill")])
+    arm.spawn("jttrace", "arm1")
     assert arm.stop().off != []
+    assert arm.crew.picture.killed == {"grav_comp"}  # by order, and not back
 
 
 def test_second_writer_is_refused_naming_both_and_a_remedy(robot, puma):

@@ -72,8 +72,9 @@ def test_no_such_severity(call, path) -> None:
 def test_values_go_to_numpy_and_parquet(call, path, tmp_path) -> None:
     npz, table = tmp_path / "a.npz", tmp_path / "a.parquet"
     words = ("log", "cat", path, "pid", "Y", "cpu_ns")
-    status, out, _ = call(*words, "--npz", npz, "--parquet", table)
-    assert (status, out) == (0, "")
+    assert call(*words, "-o", npz)[:2] == (0, f"{npz}\n")
+    status, out, _ = call(*words, "--out", table, "--json")
+    assert (status, json.loads(out)["file"]) == (0, str(table))
     wanted = Log(path).arrays("pid")["Y"]
     with np.load(npz) as arrays:
         assert list(arrays)[:3] == ["time", "cycle", "Y[0]"]
@@ -82,12 +83,50 @@ def test_values_go_to_numpy_and_parquet(call, path, tmp_path) -> None:
     read = parquet.read_table(table)
     assert read["Y[3]"].to_numpy().tobytes() == wanted[:, 3].tobytes()
     assert read.schema.field("Y[3]").metadata[b"units"] == b"m"
-    status, _, err = call(*words, "--npz", tmp_path / "no" / "a.npz")
+    status, _, err = call(*words, "-o", tmp_path / "no" / "a.npz")
     assert status == 1
     assert "the file cannot be written" in err
     status, _, err = call("log", "cat", path, "pit")
     assert status == 1
     assert "did you mean pid?" in err
+
+
+def test_values_go_to_text_files_as_they_are_shown(call, path, tmp_path) -> None:
+    words = ("log", "cat", path, "pid", "Y")
+    for name, more in (("a.csv", ()), ("a.JSON", ("--json",))):
+        shown = call(*words, *more)[1]
+        out = tmp_path / name
+        assert call(*words, "-o", out)[:2] == (0, f"{out}\n")
+        assert out.read_bytes() == shown.encode()
+    status, out, err = call(*words, "-o", tmp_path / "no" / "a.csv")
+    assert (status, out) == (1, "")
+    assert "no/a.csv: the file cannot be written (got No such file" in err
+
+
+@pytest.mark.parametrize(
+    ("name", "got", "remedy"),
+    [
+        ("a.parqet", ".parqet", "did you mean .parquet?"),
+        ("values", "no ending", "say values.csv"),
+    ],
+)
+def test_a_file_is_written_as_its_name_ends(call, path, name, got, remedy) -> None:
+    status, _, err = call("log", "cat", path, "pid", "-o", name)
+    assert status == 1
+    wanted = "a name that ends in .csv, .json, .npz or .parquet"
+    assert f"cannot be written (expected {wanted}, got {got}); {remedy}" in err
+
+
+def test_a_log_without_commands_says_why(call, path, tmp_path) -> None:
+    status, out, err = call("log", "commands", path)
+    assert (status, out) == (0, "")
+    assert err.startswith("the log has no commands; ")
+    LogWriter(tmp_path / "s.mcap", run(seconds=2.0)).close()
+    assert json.loads(call("log", "commands", tmp_path / "s.mcap", "--json")[1]) == {
+        "commands": []
+    }
+    err = call("log", "commands", tmp_path / "s.mcap")[2]
+    assert err.startswith("nobody sent a command: this run was simulated, ")
 
 
 def test_a_log_that_was_cut_is_recovered(call, path, tmp_path) -> None:

@@ -11,14 +11,14 @@ LOOKED = dict.fromkeys(COUNTS, 0) | dict.fromkeys([*FIGURES, "last_c"], 0.0)
 DIED = "the task ended by itself: signal SIGKILL (killed)"
 
 
-def task(name, state, cycle, error=""):
+def task(name, state, cycle, error="", on="c0"):
     more = {"cycle": cycle, "ref_f": 250.0, "error": error, "state": state}
     told = LOOKED | more
-    return m.TaskStatus(rmod=name, task=name, rtpu="c0", tid=1, S="P", **told)
+    return m.TaskStatus(rmod=name, task=name, rtpu=on, tid=1, S="P", **told)
 
 
-def rtpu(*tasks):
-    return m.RtpuStatus(rtpu="c0", backend="fifo", scheduler="MUF", tasks=list(tasks))
+def rtpu(*tasks, name="c0"):
+    return m.RtpuStatus(rtpu=name, backend="fifo", scheduler="MUF", tasks=list(tasks))
 
 
 def test_each_task_is_in_the_summary_though_it_was_gone_before_the_others():
@@ -32,6 +32,32 @@ def test_each_task_is_in_the_summary_though_it_was_gone_before_the_others():
         ("lqr", "ON", 6),
     ]
     assert summary.text(found).startswith("task  rtpu  last state  cycles")
+
+
+def failures(seen, killed=()):
+    found = summary.summarize(seen.last(killed))
+    return {(one.task, one.rtpu, one.state): one.error for one in found}
+
+
+def test_a_task_that_failed_and_was_spawned_elsewhere_has_not_failed():
+    seen = summary.Seen()
+    seen.look([rtpu(task("lqr", "ERROR", 5, "gain")), rtpu(name="c1")])
+    assert failures(seen) == {("lqr", "c0", "ERROR"): "gain"}
+    seen.look([rtpu(), rtpu(task("lqr", "ON", 9, on="c1"), name="c1")])
+    assert failures(seen) == {("lqr", "c1", "ON"): ""}
+    died = rtpu(task("lqr", "NOT-CREATED", 5, DIED))  # and is still shown there
+    seen.look([rtpu(task("lqr", "ON", 10, on="c1"), name="c1"), died])
+    assert failures(seen) == {("lqr", "c1", "ON"): ""}
+
+
+def test_a_failed_task_that_an_operator_killed_has_not_failed_one_that_vanished_has():
+    seen = summary.Seen()
+    seen.look([rtpu(task("lqr", "ERROR", 5, "gain"), task("cart", "ERROR", 7, "x"))])
+    seen.look([rtpu()])  # cart went with a stop
+    assert failures(seen, {"lqr"}) == {
+        ("lqr", "c0", "NOT-CREATED"): "",
+        ("cart", "c0", "ERROR"): "x",
+    }
 
 
 def test_a_task_that_died_has_no_rate_and_a_reason(capsys):

@@ -263,8 +263,8 @@ def test_unknown_times_are_refused_or_assumed() -> None:
         verify.simulate_job(config, seconds=1)
     assert str(caught.value) == (
         "a: the execution time of a is not known (expected MAXC in the .rmod, or a "
-        "measured profile, got neither); declare MAXC, adopt measured times, or say "
-        "what share of a period to assume"
+        "measured profile, got neither); declare MAXC, measure it with 'pbonet run "
+        "--profile', or say what share of a period to assume: --assume 0.1"
     )
     outcome = verify.simulate_job(config, seconds=1, assume=0.25)
     assert outcome.rtpus["arm0"].utilization == pytest.approx(0.25)
