@@ -184,7 +184,7 @@ class Carried:
             ),
             session.liveliness().declare_token(key("here", owner.machine)),
         ]
-        self._exchange(self._settle)
+        self._exchange(partial(self._owner.do, self._settle))
         return True
 
     def _settle(self) -> None:

@@ -145,6 +145,8 @@ class Server:
         """Who waits for the ways to be measured: one measurement is for all."""
         self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
         self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._behind = 0
+        """Requests among what has arrived; a write must not overtake them."""
         self._queryables: list[zenoh.Queryable[None]] = []
         self._publisher: zenoh.Publisher | None = None
         self._thread = threading.Thread(
@@ -227,7 +229,20 @@ class Server:
             with contextlib.suppress(PbonetError):
                 if self._at_once(query, self._codec.request(data)):
                     return
-        self._arrived.put(partial(self._take, query))
+        self._put(partial(self._take, query))
+
+    def _put(self, work: _Work) -> None:
+        """Have the rest of a request done behind those that came before it."""
+        with self._guard:
+            self._behind += 1
+        self._arrived.put(partial(self._done, work))
+
+    def _done(self, work: _Work) -> None:
+        try:
+            work()
+        finally:
+            with self._guard:
+                self._behind -= 1
 
     def _at_once(self, query: zenoh.Query, request: codec.AnyMessage) -> bool:
         """Answer a request, or see to it that it will be; else return False."""
@@ -235,6 +250,8 @@ class Server:
             self._introduce(query, request)
             return True
         if isinstance(request, m.Write):
+            if self._behind:
+                return False
             roles.check(request, str(query.key_expr))
             self._once(query, request, self._overview.write_at_once)
             return True
@@ -317,8 +334,7 @@ class Server:
             begun_ns = time.monotonic_ns()
             data = do(request)
             if data is None:
-                rest = partial(self._finish_later, who, request, begun_ns)
-                self._arrived.put(rest)
+                self._put(partial(self._finish_later, who, request, begun_ns))
             else:
                 self._finish(who, request, data, begun_ns)
 

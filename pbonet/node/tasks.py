@@ -196,7 +196,7 @@ class Task:
                 self._busy.pop(n, None)
                 self._waiting.pop(n, None)
                 raise
-            return await self.wait_for(answer, what, left)
+            return await self.wait_for(answer, what, left, of=limit)
         finally:
             self._lock.release()
 
@@ -225,9 +225,20 @@ class Task:
         )
 
     async def wait_for(
-        self, answer: asyncio.Future[wire.Done], what: str, limit: float
+        self,
+        answer: asyncio.Future[wire.Done],
+        what: str,
+        left: float,
+        *,
+        of: float | None = None,
     ) -> wire.Done:
         """Return the answer to a message, or the reason why there is none.
+
+        Args:
+            answer: Resolves when it has come.
+            what: What was asked, for messages.
+            left: Seconds to wait.
+            of: The seconds that were given, if earlier messages took some of them.
 
         Raises:
             NoAnswerError: It did not come in time.
@@ -235,10 +246,11 @@ class Task:
             PbonetError: What the task answered.
         """
         try:
-            done = await asyncio.wait_for(asyncio.shield(answer), limit)
+            done = await asyncio.wait_for(asyncio.shield(answer), left)
         except TimeoutError:
+            given = left if of is None else of
             raise NoAnswerError(
-                f"the task did not finish {what!r} within {limit:.3g} s",
+                f"the task did not finish {what!r} within {given:.3g} s",
                 where=self.name,
                 remedy="wait for it, or `kill` the task",
             ) from None

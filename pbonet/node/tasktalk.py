@@ -251,6 +251,7 @@ def _packed(notice: wire.Notice) -> bytes:
             text=_shortened(notice.text),
             cycle=notice.cycle,
             bits=notice.bits,
+            errnum=notice.errnum,
             place=_shortened(notice.place),
             lost=notice.lost,
             state=notice.state,

@@ -117,9 +117,11 @@ def heard_next(far):
 def test_a_text_of_any_length_is_told(ends):
     voice, far = ends
     error = MethodError("begin " + "\u20ac" * 250_000 + " end", where="servo.cycle")
+    error.number, error.place = 7, PLACE
     voice.notice(Severity.ERROR, "METHOD", str(error), state=State.ERROR, error=error)
     (told,) = heard(far)
     assert (told.code, told.state, told.lost) == ("METHOD", "ERROR", {})
+    assert (told.errnum, told.place) == (7, PLACE)
     for text in (told.text, told.error["what"]):
         assert "begin" in text
         assert "characters left out" in text

@@ -173,3 +173,41 @@ def test_one_measurement_of_the_ways_is_for_all_who_wait_for_one():
     finally:
         go.set()
         one.stop()
+
+
+def test_a_write_overtakes_no_write_that_waits():
+    """The first one could not be carried out at once; the master has sent on."""
+    done = []
+    free = []
+
+    def at_once(request):
+        if not free:
+            return None
+        return answer(request)
+
+    def answer(request):
+        done.append(request.values)
+        return b"done"
+
+    one = server.Server(
+        *(None, "d", "arm0"),
+        node=SimpleNamespace(spread=lambda _, end, **__: end()),
+        mail=None,
+        overview=SimpleNamespace(answer=answer, write_at_once=at_once),
+        commanded=lambda *_: None,
+    )
+
+    def write(value):
+        one._arrive(Query(m.Write(name="Q", values=[value], id=f"{value}"), "sbs"))
+
+    write(1.0)
+    free.append(True)
+    write(2.0)
+    one._thread.start()
+    wait_for(lambda: len(done) == 2, "both writes")
+    wait_for(lambda: not one._behind, "the end of what waited")
+    write(3.0)
+    try:
+        assert done == [[1.0], [2.0], [3.0]]
+    finally:
+        one.stop()

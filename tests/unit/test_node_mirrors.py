@@ -54,6 +54,7 @@ def carrying(table):
     turn(mirrors)
     mirrors._carried["arm"].turn(0.0)
     network.asked.drop()  # nobody else
+    turn(mirrors)
     yield mirrors, told
     mirrors.carry({})
     turn(mirrors)
@@ -74,6 +75,26 @@ def test_who_is_alone_waits_for_nobody(carrying):
     carried._met(token(zenoh.SampleKind.DELETE))
     mirrors.spread("arm", lambda: done.append("alone again"), take=False)
     assert done == ["alone", "alone again"]
+
+
+@pytest.mark.usefixtures("table")
+def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
+    found = []
+    monkeypatch.setattr(Carried, "_take", lambda one, _: found.append(one.alone))
+    network = Network()
+    mirrors = Mirrors(network, "d", lambda _: None)
+    try:
+        mirrors.carry({"arm": True})
+        turn(mirrors)
+        carried = mirrors._carried["arm"]
+        carried.turn(0.0)
+        network.answers(b"state")
+        assert not carried.alone
+        turn(mirrors)
+        assert found == [False]
+    finally:
+        mirrors.carry({})
+        turn(mirrors)
 
 
 def test_who_is_alone_still_looks_at_what_the_lost_ones_owned(carrying, monkeypatch):
