@@ -13,6 +13,7 @@ import os
 import re
 import stat
 import threading
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,6 +81,7 @@ class Filer:
             f.FileWrite: self._write,
             f.FileFinish: self._finish,
             f.FileChange: self._change,
+            f.FileMove: self._move,
         }
 
     def lost(self, client: str) -> None:
@@ -181,7 +183,18 @@ class Filer:
     def _stat(self, request: f.FileStat) -> f.FileSeen:
         with self._folder(request.path) as (fd, name):
             found = os.stat(name, dir_fd=fd, follow_symlinks=False)
-        return _seen(request.path.rstrip("/").rpartition("/")[2], found)
+        seen = _seen(request.path.rstrip("/").rpartition("/")[2], found)
+        seen.link = self._is_link(request.path)
+        return seen
+
+    def _is_link(self, path: str) -> bool:
+        """Tell whether a path is a symbolic link, wherever that leads."""
+        try:
+            with self._folder(path, parent=True) as (fd, name):
+                found = os.stat(name, dir_fd=fd, follow_symlinks=False)
+        except XmMissingError:
+            return False
+        return stat.S_ISLNK(found.st_mode)
 
     def _list(self, request: f.FileList) -> f.Listing:
         with self._folder(request.path) as (fd, name):
@@ -199,10 +212,10 @@ class Filer:
                 entries.append(self._stat(f.FileStat(path=f"{request.path}/{one}")))
             except UnicodeEncodeError:
                 continue  # no name that could travel
-            except XmMissingError:
-                continue  # it has gone meanwhile
-            except XmError:
-                entries.append(f.FileSeen(name=one, type="other"))
+            except XmError as error:
+                link = self._is_link(f"{request.path}/{one}")
+                if link or not isinstance(error, XmMissingError):  # or it has gone
+                    entries.append(f.FileSeen(name=one, type="other", link=link))
         page = names[: f.PAGE]
         last = page[-1].encode(errors="replace").decode() if page else ""
         return f.Listing(entries=entries, more=len(names) > f.PAGE, last=last)
@@ -329,17 +342,35 @@ class Filer:
             "mkdir": os.mkdir,
             "rmdir": os.rmdir,
             "remove": os.unlink,
+            "touch": partial(os.utime, follow_symlinks=False),
         }
         if request.what not in do or not request.path.strip("/."):
             raise XmNameError(
                 "this cannot be done",
                 where=self._where(request.path),
-                expected="mkdir, rmdir or remove, below the agent's folder",
+                expected=f"{', '.join(do)}, below the agent's folder",
                 got=request.what[:20],
                 remedy="name what is in the folder",
             )
-        with self._folder(request.path, parent=True) as (fd, name):
+        with self._folder(request.path, parent=request.what != "touch") as (fd, name):
             do[request.what](name, dir_fd=fd)
+
+    def _move(self, request: f.FileMove) -> None:
+        path, to = (self._real(p, parent=True)[1] for p in (request.path, request.to))
+        if not path or not to or (to != path and to[: len(path)] == path):
+            raise XmNameError(
+                "this cannot be moved there",
+                where=self._where(request.path),
+                expected="two paths below the agent's folder, the second not in the "
+                "first",
+                got=repr(request.to[:100]),
+                remedy="name what is in the folder, and where it is to be",
+            )
+        with (
+            self._folder(request.path, parent=True) as (fd, name),
+            self._folder(request.to, parent=True) as (other, target),
+        ):
+            os.rename(name, target, src_dir_fd=fd, dst_dir_fd=other)
 
 
 def _seen(name: str, found: os.stat_result) -> f.FileSeen:

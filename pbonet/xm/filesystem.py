@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -19,7 +20,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 from pbonet.errors import (
     PbonetError,
     XmAccessError,
+    XmError,
     XmExistsError,
+    XmMissingError,
     XmNameError,
 )
 from pbonet.outside import refuse
@@ -43,6 +46,8 @@ T = TypeVar("T")
 
 ANSWER_TIME = 5.0
 """Seconds in which an agent reads or writes a part of a file."""
+DEEPEST = 64
+"""Folders in a path; a link may lead round in a circle."""
 
 
 class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
@@ -99,6 +104,32 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         found = self.ask(path, f.FileStat(path=_split(path)[1]), f.FileSeen)
         return _entry(path, found)
 
+    def exists(self, path: str, **_: object) -> bool:
+        """Tell whether something stands at a path.
+
+        Raises:
+            UnreachableError: Nobody can tell, as the RTPU cannot be reached.
+        """
+        return self._type(path) != ""
+
+    def isdir(self, path: str) -> bool:
+        """Tell whether a folder stands at a path; raises as `exists`."""
+        return self._type(path) == "directory"
+
+    def isfile(self, path: str) -> bool:
+        """Tell whether a file stands at a path; raises as `exists`."""
+        return self._type(path) == "file"
+
+    def _type(self, path: str) -> str:
+        """Return what stands at a path; empty if that is nothing that can be used.
+
+        fsspec would take a link that is cut for a file that is not there.
+        """
+        try:
+            return str(self.info(path)["type"])
+        except XmError:
+            return ""
+
     def ls(self, path: str, detail: bool = True, **_: object) -> list[Any]:  # noqa: FBT001, FBT002 - fsspec's
         """Return what a folder holds; of the root the RTPUs that are there."""
         path = str(self._strip_protocol(path))
@@ -143,15 +174,118 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
             try:
                 self._change("/".join([_split(path)[0], *parts[:count]]), "mkdir")
             except XmExistsError:
-                if count == len(parts) and not exist_ok:
+                if count == len(parts) and not (exist_ok and self.isdir(path)):
                     raise
 
+    def _make_parent(self, path: str) -> None:
+        """Make the folder that a path stands in, if there is none."""
+        parent = str(self._parent(path))
+        try:
+            self.info(parent)
+        except XmMissingError:
+            self.makedirs(parent, exist_ok=True)
+
+    def touch(self, path: str, truncate: bool = True, **options: Any) -> None:  # noqa: FBT001, FBT002, ANN401 - fsspec's
+        """Make an empty file; without `truncate` one that is there gets a new time."""
+        path = str(self._strip_protocol(path))
+        if truncate or not self.exists(path):
+            self._make_parent(path)
+            self.pipe_file(path, b"", **options)
+        else:
+            self._change(path, "touch")
+
+    def rm(
+        self,
+        path: str | list[str],
+        recursive: bool = False,  # noqa: FBT001, FBT002 - fsspec's
+        maxdepth: int | None = None,
+    ) -> None:
+        """Remove files, and folders with all that they hold if `recursive`.
+
+        A symbolic link is removed, never what it leads to.
+        """
+        for one in self.expand_path(path):
+            self._remove(one, deeper=(maxdepth or DEEPEST) if recursive else 0)
+
+    def _remove(self, path: str, deeper: int) -> None:
+        if deeper and self._is_folder(path):
+            for one in self.ls(path, detail=False):
+                self._remove(one, deeper - 1)
+        self.rm_file(path)
+
+    def _is_folder(self, path: str) -> bool:
+        """Tell whether a folder stands at a path, and no link to one."""
+        with contextlib.suppress(XmError):
+            found = self.info(path)
+            return found["type"] == "directory" and not found.get("islink")
+        return False
+
     def rm_file(self, path: str) -> None:
-        """Remove a file, or an empty folder."""
-        what = "rmdir" if self.isdir(path) else "remove"
+        """Remove a file, a link, or an empty folder."""
+        what = "rmdir" if self._is_folder(path) else "remove"
         self._change(str(self._strip_protocol(path)), what)
 
     _rm = rm_file
+
+    def cp_file(self, path1: str, path2: str, **_: object) -> None:
+        """Copy a file, also from one RTPU to another; of a folder make an empty one.
+
+        The copy appears when it is whole. What it holds passes through this process.
+        """
+        path1, path2 = (str(self._strip_protocol(path)) for path in (path1, path2))
+        if self.isdir(path1):
+            self.makedirs(path2, exist_ok=True)
+            return
+        with self.open(path1, cache_type="none") as source:
+            self._make_parent(path2)
+            with self.open(path2, "wb") as copy:
+                shutil.copyfileobj(source, copy, f.CHUNK)
+
+    def mv(
+        self,
+        path1: str | list[str],
+        path2: str | list[str],
+        **_: object,
+    ) -> None:
+        """Move files and whole folders, into `path2` if that is a folder.
+
+        On one RTPU each is moved at once. From one RTPU to another it is copied, and
+        removed when the copy is whole. A file that stands at its new path is replaced.
+
+        Raises:
+            XmExistsError: A folder is to go to another RTPU, to the place of one.
+        """
+        if isinstance(path2, list):
+            pairs = list(
+                zip([path1] if isinstance(path1, str) else path1, path2, strict=True)
+            )
+        else:
+            sources: list[str] = self.expand_path(path1)
+            into = len(sources) > 1 or path2.endswith("/") or self.isdir(path2)
+            pairs = [
+                (one, f"{path2}/{one.rpartition('/')[2]}" if into else path2)
+                for one in sources
+            ]
+        for source, target in pairs:
+            self._move(*(str(self._strip_protocol(one)) for one in (source, target)))
+
+    def _move(self, source: str, target: str) -> None:
+        if source == target:
+            return
+        (rtpu, path), (other, to) = _split(source), _split(target)
+        if rtpu == other:
+            self._make_parent(target)
+            self.ask(source, f.FileMove(path=path, to=to), type(None))
+            return
+        if self.isdir(target):
+            raise XmExistsError(
+                "a folder stands where this is to go",
+                where=f"pbonet://{target}",
+                remedy="remove it first, or choose another name",
+            )
+        whole = self.isdir(source)
+        self.copy(source, target, recursive=whole, on_error="raise")
+        self.rm(source, recursive=whole)
 
     def rmdir(self, path: str) -> None:
         """Remove an empty folder."""
@@ -201,7 +335,13 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
                 where=path,
                 expected="mode rb, wb or xb",
                 got=mode,
-                remedy="read it, and write it anew",
+                remedy="read it, and write it anew; or write another file beside it",
+            )
+        if mode == "xb" and fs.exists(path):  # and again when it is whole
+            raise XmExistsError(
+                "something stands there",
+                where=f"pbonet://{path}",
+                remedy="choose another name, or mode wb to replace it",
             )
         self._part = secrets.token_hex(8)
         super().__init__(fs, path, mode, block_size, autocommit, **options)
@@ -292,4 +432,5 @@ def _entry(path: str, found: f.FileSeen) -> dict[str, Any]:
         "size": found.size,
         "mtime": found.mtime,
         "inode": found.inode,
+        "islink": found.link,
     }

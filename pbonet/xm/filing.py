@@ -66,7 +66,15 @@ class FileChange(XmRequest, tag="xm_change"):
 
     path: str
     what: str
-    """``mkdir``, ``rmdir`` or ``remove``."""
+    """``mkdir``, ``rmdir``, ``remove``, or ``touch``: set its time to now."""
+
+
+class FileMove(XmRequest, tag="xm_move"):
+    """Move a file or a folder within the agent's folder, at once. Result: None."""
+
+    path: str
+    to: str
+    """Its new path; a file that stands there is replaced."""
 
 
 class FileSeen(Struct, kw_only=True):
@@ -80,6 +88,8 @@ class FileSeen(Struct, kw_only=True):
     mtime: float = 0.0
     """Seconds since 1970 as its machine counts them, for people."""
     inode: int = 0
+    link: bool = False
+    """Whether the path is a symbolic link; the rest is told of what it leads to."""
 
 
 class Listing(Struct, kw_only=True):
@@ -92,4 +102,4 @@ class Listing(Struct, kw_only=True):
 
 
 LOOKING = FileStat | FileList | FileRead
-AnyFileRequest = LOOKING | FileWrite | FileFinish | FileChange
+AnyFileRequest = LOOKING | FileWrite | FileFinish | FileChange | FileMove

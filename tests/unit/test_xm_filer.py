@@ -92,6 +92,9 @@ HOSTILE = [
         lambda path: f.FileWrite(path=path, part="a", offset=0, data=b""),
         lambda path: f.FileChange(path=path, what="remove"),
         lambda path: f.FileChange(path=path, what="mkdir"),
+        lambda path: f.FileChange(path=path, what="touch"),
+        lambda path: f.FileMove(path=path, to="got"),
+        lambda path: f.FileMove(path="logs/run.txt", to=path),
     ],
 )
 def test_paths_that_mean_harm(ask, root, path, make):
@@ -121,6 +124,11 @@ def test_links_are_followed_within_the_folder_only(ask, root):
         write(ask, "out/new", b"x")
     with pytest.raises(XmAccessError):
         ask(f.FileChange(path="out/file", what="remove"))
+    with pytest.raises(XmAccessError):
+        ask(f.FileChange(path="out.txt", what="touch"))
+    for path, to in (("out/file", "got"), ("logs/run.txt", "out/run.txt")):
+        with pytest.raises(XmAccessError):
+            ask(f.FileMove(path=path, to=to))
     kinds = {one.name: one.type for one in ask(f.FileList(path="")).entries}
     assert kinds == {
         "in.txt": "file",
@@ -264,6 +272,7 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
         (f.FileWrite(path="a", part="a", offset=0, data=b""), "sbs"),
         (f.FileFinish(path="a", part="a", size=0, keep=True), "sbs"),
         (f.FileChange(path="a", what="remove"), "sbs"),
+        (f.FileMove(path="a", to="b"), "sbs"),
     ],
 )
 def test_observers_read_and_masters_write(request_, leaf):

@@ -1,6 +1,7 @@
 """The fsspec file system over a filer in this process; see test_xm_files for agents."""
 
 import io
+import os
 
 import fsspec
 import numpy as np
@@ -11,6 +12,7 @@ from mcap.writer import Writer
 from pbonet.errors import (
     UnreachableError,
     XmAccessError,
+    XmError,
     XmExistsError,
     XmMissingError,
     XmNameError,
@@ -21,22 +23,23 @@ from pbonet.xm import filing as f
 
 
 class Desk:
-    """A carrier that has the one agent in its own process."""
+    """A carrier that has the agents in its own process."""
 
     name = "desk"
 
     def __init__(self, root):
         self.filer = Filer(str(root), "arm1")
+        self.filers = {"arm1": self.filer}
         self.asked = []
         self.cut_after = 1 << 60
 
     def call(self, rtpu, request, result, *, timeout):
-        assert (rtpu, timeout) == ("arm1", 5.0)
+        assert timeout == 5.0
         if len(self.asked) >= self.cut_after:
             raise UnreachableError("cut", remedy="heal")
         self.asked.append(request)
         request.client = self.name
-        got = self.filer.operations[type(request)](request)
+        got = self.filers[rtpu].operations[type(request)](request)
         assert isinstance(got, result)
         return got
 
@@ -154,11 +157,14 @@ def test_a_transaction_is_all_or_nothing_of_each_file(fs, root):
 def test_modes(fs, root):
     with fs.open("arm1/new", "xb") as file:
         file.write(b"1")
-    file = fs.open("arm1/new", "xb")
+    with pytest.raises(XmExistsError, match="something stands there"):
+        fs.open("arm1/new", "xb")
+    file = fs.open("arm1/newer", "xb")
     file.write(b"2")
+    (root / "newer").write_bytes(b"1")
     with pytest.raises(XmExistsError):
         file.close()
-    assert (root / "new").read_bytes() == b"1"
+    assert (root / "newer").read_bytes() == b"1"
     with pytest.raises(XmAccessError, match="is read or written, whole"):
         fs.open("arm1/new", "ab")
     (root / "sub").mkdir()
@@ -169,3 +175,157 @@ def test_modes(fs, root):
     assert isinstance(error.value, FileNotFoundError)
     with pytest.raises(XmNameError, match="the path names no RTPU"):
         fs.open("pbonet:///none")
+
+
+@pytest.fixture
+def tree(root):
+    """A folder with a file and a folder of two."""
+    (root / "logs" / "old").mkdir(parents=True)
+    for name in ("run", "old/a", "old/b"):
+        (root / "logs" / name).write_text(name)
+    return root / "logs"
+
+
+@pytest.fixture
+def other(desk, tmp_path):
+    """The folder of a second machine, arm2."""
+    made = tmp_path / "other"
+    made.mkdir()
+    desk.filers["arm2"] = Filer(str(made), "arm2")
+    return made
+
+
+def files(folder):
+    """Return what stands below a folder: files, and folders that hold nothing."""
+    found = (path for path in folder.rglob("*"))
+    kept = (
+        p for p in found if not p.is_dir() or p.is_symlink() or not any(p.iterdir())
+    )
+    return sorted(str(path.relative_to(folder)) for path in kept)
+
+
+def test_moved_on_one_machine(fs, desk, root, tree):
+    """Under another name, into a folder, over a file; nothing of it travels."""
+    fs.mv("pbonet://arm1/logs/run", "pbonet://arm1/logs/ran")
+    fs.mv("arm1/logs/ran", "arm1/logs/old")
+    assert files(root) == ["logs/old/a", "logs/old/b", "logs/old/ran"]
+    fs.rename("arm1/logs/old/a", "arm1/logs/old/b")
+    assert (tree / "old" / "b").read_text() == "old/a"
+    fs.mv("arm1/logs/old", "arm1/kept/older")  # a folder, into one that is new
+    assert files(root) == ["kept/older/b", "kept/older/ran", "logs"]
+    fs.mv("arm1/kept/older/*", "arm1/logs/")
+    assert files(root) == ["kept/older", "logs/b", "logs/ran"]
+    fs.mv(["arm1/logs/b", "arm1/logs/ran"], ["arm1/c", "arm1/d"])
+    fs.mv("arm1/d", "arm1/d")
+    assert files(root) == ["c", "d", "kept/older", "logs"]
+    assert not [r for r in desk.asked if isinstance(r, f.FileRead | f.FileWrite)]
+
+
+OUT = "out of the agent's folder"
+
+
+@pytest.mark.parametrize(
+    ("paths", "words"),
+    [
+        ("arm1/none arm1/new", "there is no such file"),
+        ("arm1 arm1/new", "this cannot be moved there"),
+        ("arm1/logs arm1/logs/old/logs", "this cannot be moved there"),
+        ("arm1/logs/run arm1/logs/../run", "this is no path of a file here"),
+        ("arm1/logs/run arm1/out/run", f"the path leads {OUT}"),
+        ("arm1/out/secret arm1/got", f"the path leads {OUT}"),
+    ],
+)
+@pytest.mark.usefixtures("tree")
+def test_what_cannot_be_moved(fs, root, tmp_path, paths, words):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "secret").write_text("secret")
+    (root / "out").symlink_to(tmp_path / "elsewhere")
+    before = files(tmp_path)
+    with pytest.raises(XmError, match=words):
+        fs.mv(*paths.split())
+    assert files(tmp_path) == before
+
+
+@pytest.mark.usefixtures("tree")
+def test_copied(fs, root, other):
+    """A file, a folder with all it holds, by a pattern; also to another machine."""
+    fs.cp_file("arm1/logs/run", "arm1/new/run")
+    fs.copy("arm1/logs/old/*", "arm2/")
+    fs.copy("arm1/logs", "arm2/all", recursive=True)
+    assert files(other) == ["a", "all/old/a", "all/old/b", "all/run", "b"]
+    assert (other / "all" / "old" / "a").read_text() == "old/a"
+    assert files(root) == ["logs/old/a", "logs/old/b", "logs/run", "new/run"]
+
+
+@pytest.mark.usefixtures("tree")
+def test_moved_to_another_machine(fs, desk, root, other):
+    """What was moved is gone at its old place, and only when its copy is whole."""
+    fs.mv("arm1/logs/run", "arm2/run")
+    fs.mv("arm1/logs", "arm2")
+    assert files(root) == []
+    assert files(other) == ["logs/old/a", "logs/old/b", "run"]
+    (root / "logs").mkdir()
+    (root / "logs" / "new").write_bytes(bytes(3 * f.CHUNK))
+    with pytest.raises(XmExistsError, match="a folder stands where this is to go"):
+        fs.mv("arm1/logs", "arm2/")
+    desk.cut_after = len(desk.asked) + 12
+    with pytest.raises(UnreachableError):
+        fs.mv("arm1/logs/new", "arm2/new")
+    desk.filers["arm2"].lost("desk")
+    assert files(root) == ["logs/new"]
+    assert files(other) == ["logs/old/a", "logs/old/b", "run"]
+
+
+@pytest.mark.usefixtures("tree")
+def test_links_are_removed_not_what_they_lead_to(fs, root):
+    (root / "runs").mkdir()
+    (root / "runs" / "latest").symlink_to("../logs")
+    (root / "runs" / "round").symlink_to(".")
+    (root / "runs" / "lost").symlink_to("none")
+    kinds = {one["name"]: one["islink"] for one in fs.ls("arm1/runs")}
+    assert kinds == dict.fromkeys(
+        ("arm1/runs/latest", "arm1/runs/lost", "arm1/runs/round"), True
+    )
+    assert fs.isdir("arm1/runs/latest")
+    fs.rm("arm1/runs", recursive=True)
+    assert files(root) == ["logs/old/a", "logs/old/b", "logs/run"]
+
+
+def test_made_and_touched(fs, root, tree):
+    fs.touch("arm1/new/empty")
+    assert (root / "new" / "empty").read_bytes() == b""
+    os.utime(tree / "run", (1.0, 1.0))
+    fs.touch("arm1/logs/run", truncate=False)
+    assert (tree / "run").read_text() == "run"
+    assert (tree / "run").stat().st_mtime > 1e9
+    fs.touch("arm1/logs/run")
+    assert (tree / "run").read_bytes() == b""
+    with pytest.raises(XmExistsError):
+        fs.makedirs("arm1/logs/run", exist_ok=True)
+    with pytest.raises(XmError, match="Directory not empty"):
+        fs.rm("arm1/logs")
+
+
+@pytest.mark.usefixtures("tree")
+def test_a_cut_link_is_not_taken_for_a_missing_file(fs, desk):
+    assert fs.exists("arm1/logs/run")
+    assert not fs.exists("arm1/logs/none")
+    desk.cut_after = 0
+    for look in (fs.exists, fs.isfile, fs.isdir):
+        with pytest.raises(UnreachableError):
+            look("arm1/logs/run")
+
+
+@pytest.mark.usefixtures("tree")
+def test_walked(fs):
+    assert list(fs.walk("arm1")) == [
+        ("arm1", ["logs"], []),
+        ("arm1/logs", ["old"], ["run"]),
+        ("arm1/logs/old", [], ["a", "b"]),
+    ]
+    assert fs.info("pbonet://arm1/logs/old/a")["size"] == 5
+    assert fs.glob("arm1/**/[ab]") == ["arm1/logs/old/a", "arm1/logs/old/b"]
+    assert fs.cat("arm1/logs/old/*") == {
+        "arm1/logs/old/a": b"old/a",
+        "arm1/logs/old/b": b"old/b",
+    }
