@@ -348,14 +348,18 @@ class StateError(TaskError):
 class MethodError(TaskError):
     """A method of the module raised an exception.
 
-    `number` is what the module gave ``fail()``, 1 for any other error of a method, and
-    0 for what was raised elsewhere; `place` is the line of the module, ``file:line in
-    method``. Neither travels: events have them.
+    `number` is what the module gave ``fail()``, 1 for other errors of methods, 0 for
+    any other; `place` is the line, ``file:line in method``; it travels behind `what`.
     """
 
     code = "METHOD"
     number: int = 0
     place: str = ""
+
+    def to_wire(self) -> WireError:
+        """Return the error as plain fields."""
+        what = f"{self.what} ({self.place})" if self.place else self.what
+        return {**super().to_wire(), "what": what}
 
 
 class TaskDiedError(TaskError):

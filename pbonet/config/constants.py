@@ -131,7 +131,7 @@ class Constants:
                 f"{quote(text)} is not a number",
                 word.place,
                 expected=wanted,
-                remedy="write numbers as in 2.5, -3 or 1e-3",
+                remedy=_without_unit(text) or "write numbers as in 2.5, -3 or 1e-3",
             )
         name = match[2][:LONGEST_QUOTE]
         behind = "" if text == word.text else f", which {quote(word.text)} stands for"
@@ -150,6 +150,20 @@ class Constants:
             expected=f"{wanted}, or a constant that stands for one",
             remedy=remedy,
         )
+
+
+def _without_unit(text: str) -> str:
+    """Return what to write in place of a number with a unit behind it, if it is one."""
+    match = _WITH_UNIT.fullmatch(text)
+    if match is None:
+        return ""
+    value = float(match[1]) * _SCALE.get(match[2], 1.0)
+    return f"units are not written: {value:.12g}"
+
+
+_WITH_UNIT = re.compile(r"([+-]?[0-9]*\.?[0-9]+)([a-zA-Z]{1,3})")
+_SCALE = {"kHz": 1e3, "khz": 1e3, "MHz": 1e6, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""By what a number is multiplied when its unit is left out: files have Hz and s."""
 
 
 def _negate(text: str) -> str:

@@ -147,6 +147,15 @@ class Library:
 
         return parse_rmod(bundled(load(path), part), str(path))
 
+    def _load_of(self, rmod: Rmod) -> LoadedModule:
+        """Return the module of an RMOD; one that is not there is told by its line."""
+        try:
+            return self.load(rmod.module)
+        except ModuleLoadError as error:
+            if not error.where and "MODULE" in rmod.places:
+                error.where = str(rmod.places["MODULE"])
+            raise
+
     def load_rmod(self, rmod: Rmod) -> LoadedModule:
         """Return the module of an RMOD, or the combination of its parts.
 
@@ -155,7 +164,7 @@ class Library:
             DeclarationError: A class body is wrong, or the parts cannot be combined.
         """
         if not rmod.parts:
-            return self.load(rmod.module)
+            return self._load_of(rmod)
         loaded = [self.load_rmod(part) for part in rmod.parts]
         told = [
             part_info(part, one.info)

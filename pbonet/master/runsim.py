@@ -6,6 +6,7 @@ import math
 import time
 from typing import TYPE_CHECKING, Any, Final
 
+from pbonet.errors import MethodError, PbonetError
 from pbonet.master import simlog, summary
 from pbonet.master.run import Interrupts, Outcome
 from pbonet.master.sim import Simulation
@@ -75,7 +76,10 @@ def simulate(
     begin, passed = time.monotonic(), 0.0
     try:
         with interrupts.caught():
-            simulation.start()
+            try:
+                simulation.start()
+            except MethodError as error:  # with its line, as agents would tell it
+                raise PbonetError.from_wire(error.to_wire()) from error
             on = ", ".join(n for n, now in simulation.states().items() if now == "ON")
             view.say(f"job {simulation.job.name} is ON in virtual time: {on}")
             try:

@@ -465,7 +465,7 @@ class Host:
         self.alarm.end()
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
-        wired = error.to_wire() if error else None
+        wired = PbonetError.to_wire(error) if error else None  # its line goes beside
         state = self.executor.state.value
         done = wire.Done(n=n, state=state, result=result, error=wired)
         if isinstance(error, MethodError):

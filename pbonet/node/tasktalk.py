@@ -158,7 +158,7 @@ class Voice:
                 errnum=about.number if isinstance(about, MethodError) else 0,
                 place=about.place if isinstance(about, MethodError) else "",
                 state=state,
-                error=error.to_wire() if error else None,
+                error=PbonetError.to_wire(error) if error else None,
             )
         )
 

@@ -65,6 +65,11 @@ class Timekeeper:
             if now > then
         ]
         times = [f"timing failures: {', '.join(news)}"]
+        if slot.cpu_now_ns > slot.cpu_max_ns:
+            now = slot.cpu_now_ns / 1e6
+            times.append(f"the cycle under way has taken {now:g} ms of CPU time so far")
+            if not slot.maxc_ns:
+                times.append("MAXC in its .rmod would bound what a cycle takes")
         if slot.cpu_max_ns:
             longest = slot.cpu_max_ns / 1e6
             times.append(f"the longest cycle took {longest:g} ms of CPU time")

@@ -177,10 +177,14 @@ def _compare(sizes: _Sizes, port: Port, count: int, origin: str) -> None:
         raise PortError(
             f"{origin} has another size than its shape says",
             where=sizes.where,
-            expected=f"{product} elements for shape {shape_text(port.shape)}{known}",
-            got=f"{count} elements",
+            expected=f"{_elements(product)} for shape {shape_text(port.shape)}{known}",
+            got=_elements(count),
             remedy=f"correct NELEM of the variable, or the shape of {port.attr}",
         )
+
+
+def _elements(count: int) -> str:
+    return "1 element" if count == 1 else f"{count} elements"
 
 
 def _solved(sizes: _Sizes, port: Port) -> tuple[int, ...]:

@@ -152,6 +152,8 @@ def _unknown(
 ) -> Problem:
     name = task.rmod.svar_name(port)
     behind = f" for its port {port}" if name != port else ""
+    near = did_you_mean(name, table)
+    remedy = f"add {name} to the .svar file, or rename the port by SVARALIAS"
     return Problem(
         code=Code.UNKNOWN_VARIABLE,
         what=f"task {task.name} uses the variable {name}{behind}, which the table "
@@ -159,8 +161,7 @@ def _unknown(
         where=task.place(keyword),
         expected="a variable of the .svar file",
         got=name,
-        remedy=did_you_mean(name, table)
-        or f"add {name} to the .svar file, or rename the port by SVARALIAS",
+        remedy=f"{near} Else {remedy}" if near else remedy,
         tasks=(task.name,),
         ports=(port,),
         variables=(name,),

@@ -132,8 +132,8 @@ def _who_writes(configuration: Configuration, variable: str) -> str:
 def _from_library(configuration: Configuration, variable: str) -> str:
     rmods = configuration.producers.get(variable, ())
     if rmods:
-        verb = "does" if len(rmods) == 1 else "do"
-        return f"in the library, {_list(rmods)} {verb}; add it to the configuration"
+        verb, it = ("does", "it") if len(rmods) == 1 else ("do", "one of them")
+        return f"in the library, {_list(rmods)} {verb}; add {it} to the configuration"
     return f"add a task that writes {variable}, or rename the port by SVARALIAS"
 
 
@@ -170,7 +170,8 @@ def _no_constant(configuration: Configuration, task: Task, variable: str) -> Pro
         where=task.place("INCONST"),
         expected="a task that stands and has it as an out-const",
         got=f"{_list(writers)} with it as an out-var" if writers else "",
-        remedy=_from_library(configuration, variable),
+        remedy=f"{_from_library(configuration, variable)}, or give it a value by INIT "
+        "in the .svar file",
         tasks=(task.name,),
         ports=(task.port("INCONST", variable),),
         variables=(variable,),

@@ -104,7 +104,8 @@ def test_the_number_and_the_cycle_of_an_error(arm, nodes):
     assert arm.status("a").cycle == 4
     arm.control("a", "clear")
     error = arm.refused(MethodError, arm.on, "a")
-    assert "a.on: ValueError: not twice" in str(error)
+    assert "a.on: ValueError: not twice (" in str(error)
+    assert str(error).count("numbered.py:") == 1, "its line, once"
     (refused,) = arm.events("SIGNAL_FAILED", "a")
     assert refused.errnum == 1
     assert place(refused) == ("numbered.py", "on")

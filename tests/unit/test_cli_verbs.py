@@ -96,6 +96,20 @@ def test_rtpu_misspelt_in_a_job_is_said_of_the_job(call, tmp_path, words):
     assert "did you mean arm1?" in out + err
 
 
+def test_a_module_that_is_missing_is_told_at_the_line_that_names_it(call, tmp_path):
+    (tmp_path / "s.svar").write_text(
+        "NAME X\nTYPE int\nDESC\nUNITS none\nNELEM 1\nEOF\n"
+    )
+    (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU c0\nEOF\n")
+    (tmp_path / "j.job").write_text("JOB j\nDESC d\nSBS s.sbs\nTASK d\nEOF\n")
+    rmod = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    (tmp_path / "d.rmod").write_text(rmod.read_text().replace(" diff", " dif", 1))
+    for words in (("check",), ("run", "--sim", "--record", "off")):
+        status, out, err = call(*words, tmp_path / "j.job")
+        assert status == 1
+        assert f"{tmp_path / 'd.rmod'}:1:1: the library has no module dif" in out + err
+
+
 def test_user_error_is_told_without_a_stack(call):
     status, out, err = call("describe", "dif")
     assert (status, out) == (1, "")

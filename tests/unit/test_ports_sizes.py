@@ -103,7 +103,7 @@ FAULTS = [
         "ndof:1",
         {"NDOF": 2},
         {},
-        "port ndof (NDOF) has another size than its shape says (expected 1 elements "
+        "port ndof (NDOF) has another size than its shape says (expected 1 element "
         "for shape 1, got 2 elements); correct NELEM of the variable, or the shape of "
         "ndof",
     ),

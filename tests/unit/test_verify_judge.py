@@ -110,7 +110,8 @@ def test_spawning_before_the_constants_producer_is_refused() -> None:
     verdict = verify.judge(empty, verify.spawn(GRAV))
     assert codes(verdict.refused) == ["no-constant"]
     assert verdict.refused[0].remedy == (
-        "in the library, arm does; add it to the configuration"
+        "in the library, arm does; add it to the configuration, or give it a value by "
+        "INIT in the .svar file"
     )
     after = verify.judge(empty, verify.spawn(ARM)).after
     assert verify.judge(after, verify.spawn(GRAV)).problems == ()

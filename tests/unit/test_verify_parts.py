@@ -65,7 +65,7 @@ def test_a_variable_that_the_table_does_not_have() -> None:
     assert texts(config) == [
         "a.rmod: task a uses the variable Q_MEZZ for its port Z, which the table does "
         "not have (expected a variable of the .svar file, got Q_MEZZ); did you mean "
-        "Q_MEZ?",
+        "Q_MEZ? Else add Q_MEZZ to the .svar file, or rename the port by SVARALIAS",
         "a.rmod: task a uses the variable FORCE, which the table does not have "
         "(expected a variable of the .svar file, got FORCE); add FORCE to the .svar "
         "file, or rename the port by SVARALIAS",

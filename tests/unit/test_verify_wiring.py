@@ -163,7 +163,8 @@ def test_a_missing_constant() -> None:
     assert verify.as_text(problem) == (
         "grav.rmod: no task produces the constant DH, which grav needs (expected a "
         "task that stands and has it as an out-const); in the library, puma and scara "
-        "do; add it to the configuration"
+        "do; add one of them to the configuration, or give it a value by INIT in the "
+        ".svar file"
     )
 
 
