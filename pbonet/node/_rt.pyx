@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = ../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+# distutils: depends = ../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h ../xm/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -25,6 +25,7 @@ from pbonet.sched.records import (
 )
 from pbonet.svar._svar cimport Arena, LocalTable
 from pbonet.tbuf._tbuf cimport c_defer_bells, c_ring_bells
+from pbonet.xm._ipc cimport c_steady
 
 COMMAND = RT_WAIT_COMMAND
 ORPHAN = RT_WAIT_ORPHAN
@@ -78,7 +79,7 @@ cdef class Slot:
         self.table = table
         self.index = i
         self.dt_ns = -1
-        rt_guard_slot(&self.task)
+        rt_guard_slot(&self.task, <xm_steady *>c_steady())
         self.failures = Failures()
         self.failures.guard(&self.task, table)
 

@@ -206,7 +206,9 @@ cdef extern from "view.h" nogil:
     void rt_play(rt_table *t, rt_slot *slot, const rt_part *part)
 
 cdef extern from "guard.h" nogil:
-    int rt_guard_slot(const rt_task *task)
+    struct xm_steady:
+        pass
+    int rt_guard_slot(const rt_task *task, xm_steady *steady)
     void rt_unguard_slot(rt_slot *slot)
     int rt_guard_orphan(int signal, int parent)
     int rt_is_orphan()

@@ -7,6 +7,7 @@
 #define PBONET_GUARD_H
 
 #include "slot.h"
+#include "../xm/steady.h"
 
 #include <malloc.h>
 #include <sys/eventfd.h>
@@ -19,16 +20,19 @@
 static struct rt_slot *_Atomic rt_guarded;  /* the slot of this process's task */
 static struct rt_table *_Atomic rt_guarded_table;
 static _Atomic uint32_t rt_guarded_life;
+static struct xm_steady *_Atomic rt_steady; /* sections in which it must not be held */
 static _Atomic int rt_orphan_flag;
 static _Atomic int rt_orphan_fd = -1;
 
-/* The dispatcher holds this task: stand still here, if a cycle is under way. */
+/* The dispatcher holds this task: stand still here, if a cycle is under way; behind the
+ * section, if it is one in which others would have to wait as well. */
 static inline void rt_on_park(int signal)
 {
     int saved = errno;
     struct rt_slot *slot = atomic_load(&rt_guarded);
-    (void)signal;
-    if (slot && atomic_load(&slot->post.begun) != atomic_load(&slot->post.done))
+    struct xm_steady *steady = atomic_load(&rt_steady);
+    if (slot && atomic_load(&slot->post.begun) != atomic_load(&slot->post.done) &&
+        !(steady && xm_steady_owes(steady, signal)))
         rt_hold_still(slot);
     errno = saved;
 }
@@ -91,13 +95,15 @@ static inline int rt_leave_to_next(int signal)
     return rt_handle(signal, rt_on_leaving);
 }
 
-/* Make the task's slot the one that signals speak of. The park handler must let the orphan
- * signal through, or a held orphan would never learn of it. */
-static inline int rt_guard_slot(const struct rt_task *task)
+/* Make the task's slot the one that signals speak of; `steady` is the main thread's, which
+ * takes them. The park handler must let the orphan signal through, or a held orphan would
+ * never learn of it. */
+static inline int rt_guard_slot(const struct rt_task *task, struct xm_steady *steady)
 {
     struct rt_slot *slot = task->slot;
     struct sigaction action = {.sa_handler = rt_on_park, .sa_flags = SA_RESTART};
     sigemptyset(&action.sa_mask);
+    atomic_store(&rt_steady, steady);
     atomic_store(&rt_guarded_table, task->table);
     atomic_store(&rt_guarded_life, atomic_load(&slot->config.life));
     atomic_store(&rt_guarded, slot);

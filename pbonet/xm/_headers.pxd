@@ -47,6 +47,11 @@ cdef extern from "mail.h" nogil:
     void xm_queue_patrol(xm_queue *q, uint32_t me)
     void xm_queue_leave(xm_queue *q, int slot)
 
+cdef extern from "steady.h" nogil:
+    struct xm_steady:
+        pass
+    xm_steady *xm_steady_here()
+
 cdef extern from "sem.h" nogil:
     struct xm_sem:
         xm_object o

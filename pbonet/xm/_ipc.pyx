@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = _queue.pxi object.h line.h sem.h queue.h mail.h ../svar/lock.h ../svar/arena.h ../svar/register.h
+# distutils: depends = _queue.pxi steady.h object.h line.h sem.h queue.h mail.h ../svar/lock.h ../svar/arena.h ../svar/register.h
 """Thin skin over the C headers of this folder; `_ipc.pyi` says what everything does."""
 
 import contextlib
@@ -27,6 +27,10 @@ PATROL_NS = XM_PATROL_NS
 LONGEST = 0xfffffffe
 MOST = 1 << 20
 cdef long _forks = 0       # a child is a member of its own
+
+
+cdef void *c_steady() noexcept nogil:
+    return xm_steady_here()
 
 
 class Taken(IntEnum):

@@ -219,8 +219,7 @@ static inline void xm_queue_patrol(struct xm_queue *q, uint32_t me)
     int m;
     do {
         m = xm_queue_dead(q, me);
-        int error = pthread_mutex_trylock(&q->o.lock);
-        if ((error && error != EOWNERDEAD) || xm_held(&q->o, error))
+        if (xm_try_lock(&q->o))
             return;
         if (q->o.hurt && xm_rebuild(q))
             m = XM_NONE;

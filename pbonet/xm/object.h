@@ -3,12 +3,14 @@
  * A member is a process that is attached: its number and its start time, so that a killed
  * one is known as gone. All that the lock guards can be brought in order again by the next
  * holder, so it is robust: a holder that dies gives it on. It inherits priorities where the
- * kernel can, every section under it is bounded, and none makes a call that blocks.
+ * kernel can, every section under it is bounded, and none makes a call that blocks. Nor is
+ * a task held by its dispatcher in one (steady.h).
  */
 #ifndef PBONET_XM_OBJECT_H
 #define PBONET_XM_OBJECT_H
 
 #include "../svar/lock.h"
+#include "steady.h"
 
 #define XM_MAGIC UINT64_C(0x0a0d6c69614d6270)
 #define XM_FOREVER INT64_C(0)
@@ -85,10 +87,24 @@ static inline int xm_held(struct xm_object *o, int error)
 static inline int xm_lock(struct xm_object *o)
 {
     PBONET_STEP(30);
+    xm_steady_begin();
     int error = pthread_mutex_trylock(&o->lock);
     if (error == EBUSY)
         error = pb_lock_wait(&o->lock);
-    return xm_held(o, error);
+    if (!xm_held(o, error))
+        return 0;
+    xm_steady_end();
+    return XM_STUCK;
+}
+
+/* As xm_lock, for who does not wait for another holder. */
+static inline int xm_try_lock(struct xm_object *o)
+{
+    xm_steady_begin();
+    if (!xm_held(o, pthread_mutex_trylock(&o->lock)))
+        return 0;
+    xm_steady_end();
+    return XM_STUCK;
 }
 
 static inline void xm_unlock(struct xm_object *o)
@@ -96,6 +112,7 @@ static inline void xm_unlock(struct xm_object *o)
     PBONET_STEP(31);
     pthread_mutex_unlock(&o->lock);
     PBONET_STEP(32);
+    xm_steady_end();
 }
 
 /* SYNC POINT X1, partner X2: a destroyed object is seen as such by who was woken for it. */

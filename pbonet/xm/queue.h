@@ -289,7 +289,7 @@ static inline int xm_queue_lock(struct xm_queue *q)
         return XM_STUCK;
     if (!q->o.hurt || !xm_rebuild(q))
         return 0;
-    pthread_mutex_unlock(&q->o.lock);
+    xm_unlock(&q->o);
     return XM_DAMAGED;
 }
 

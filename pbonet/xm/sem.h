@@ -102,10 +102,7 @@ static inline void xm_sem_answer(struct xm_sem *s)
      * and the holder's look at the mark comes behind that, or the trying succeeds. */
     atomic_thread_fence(memory_order_seq_cst);
     while (atomic_load(&s->word) & XM_KICK) {
-        int error = pthread_mutex_trylock(&s->o.lock);
-        if (error && error != EOWNERDEAD)
-            return;
-        if (xm_held(&s->o, error))
+        if (xm_try_lock(&s->o))
             return;
         xm_sem_serve(s);
         xm_unlock(&s->o);
@@ -115,18 +112,24 @@ static inline void xm_sem_answer(struct xm_sem *s)
 
 static inline void xm_sem_unlock(struct xm_sem *s)
 {
+    xm_steady_begin();
     xm_sem_serve(s);
     xm_unlock(&s->o);
     xm_sem_answer(s);
+    xm_steady_end();
 }
 
-/* V: 0, or XM_NO_ROOM when the value stands at its maximum. Never waits. */
+/* V: 0, or XM_NO_ROOM when the value stands at its maximum. Never waits, and is not held
+ * between its mark and the call of who waits. */
 static inline int xm_sem_give(struct xm_sem *s)
 {
     uint64_t next, word = atomic_load(&s->word);
+    xm_steady_begin();
     do {
-        if ((word & XM_VALUE) >= s->maximum)
+        if ((word & XM_VALUE) >= s->maximum) {
+            xm_steady_end();
             return XM_NO_ROOM;
+        }
         next = ((word & (XM_VALUE | XM_BUSY | XM_KICK)) + 1) | (word & XM_BUSY ? XM_KICK : 0);
         PBONET_STEP(53);
     /* SYNC POINT S2, partners S1 and S3. */
@@ -134,6 +137,7 @@ static inline int xm_sem_give(struct xm_sem *s)
     PBONET_STEP(54);
     if (next & XM_KICK)
         xm_sem_answer(s);
+    xm_steady_end();
     return 0;
 }
 
@@ -167,8 +171,7 @@ static inline void xm_sem_patrol(struct xm_sem *s, uint32_t me)
     int m;
     do {
         m = xm_sem_dead(s, me);
-        int error = pthread_mutex_trylock(&s->o.lock);
-        if ((error && error != EOWNERDEAD) || xm_held(&s->o, error))
+        if (xm_try_lock(&s->o))
             return;
         if (m >= 0 && xm_dead(&s->o, (uint32_t)m))
             xm_sem_settle(s, (uint32_t)m);

@@ -107,3 +107,23 @@ def test_the_sweep_catches_a_missing_check(name, tmp_path):
     headers = mutant(tmp_path, header, right, wrong, HEADERS)
     found = run(build("xm_sweep.c", tmp_path / "mutant", headers=headers))
     assert found[symptom] > 0
+
+
+NODE = HEADERS.parent / "node"
+
+
+def test_a_task_is_held_behind_its_locks_and_calls_not_amid_them(tmp_path):
+    """As without real-time rights; who is more urgent then wants the same lock."""
+    program = build("xm_held.c", tmp_path / "held", f"-I{NODE}", headers=HEADERS)
+    found = run(program)
+    assert found["held"] > 50
+    assert (found["amid"], found["uncalled"]) == (0, 0)
+
+
+def test_a_task_that_is_held_at_once_keeps_others_waiting(tmp_path):
+    right = "    steady->owed = signal;\n    return 1;\n"
+    headers = mutant(tmp_path, "steady.h", right, "    return signal == 0;\n", HEADERS)
+    flags = (f"-I{NODE}", f"-I{HEADERS.parent}")
+    found = run(build("xm_held.c", tmp_path / "held", *flags, headers=headers))
+    assert found["amid"] > 10
+    assert found["uncalled"] > 0
