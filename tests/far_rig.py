@@ -8,6 +8,7 @@ import subprocess
 import sys
 from unittest import mock
 
+from patience import LIMIT
 from tbuf_rig import Machine, Pair
 from watching import wait_for
 
@@ -24,6 +25,8 @@ class Site:
             self.session = session.client(machine.domain, connect=where, timeout=60.0)
 
 
+PATIENT = ("ANSWER_TIME", "PROOF_TIME")
+"""Limits of a program's requests that are made long."""
 LEASE_MS = 5000
 """A link that is cut is given up after that; one that stands outlives a stall."""
 PROGRAM = """
@@ -32,21 +35,25 @@ from pbonet import xm
 
 settings = json.loads(sys.argv[1])
 
-class Lease:
-    # The network is not loaded for it: it is set when somebody else loads that.
+class Patience:
+    # The network is not loaded for it: limits are set when somebody else loads that.
+    limits = {
+        "pbonet.xm.session": {"LEASE_MS": settings["lease"]},
+        "pbonet.xm.rpc": {name: settings["limit"] for name in settings["patient"]},
+    }
     def find_spec(self, name, path, target=None):
-        if name != "pbonet.xm.session":
+        limits = self.limits.pop(name, None)
+        if limits is None:
             return None
-        sys.meta_path.remove(self)
         spec = importlib.util.find_spec(name)
         load = spec.loader.exec_module
         def loaded(module):
             load(module)
-            module.LEASE_MS = settings["lease"]
+            vars(module).update(limits)
         spec.loader.exec_module = loaded
         return spec
 
-sys.meta_path.insert(0, Lease())
+sys.meta_path.insert(0, Patience())
 if settings["home"]:
     xm.live_on(settings["home"], domain=settings["domain"])
 space = {"xm": xm, "now": time.monotonic_ns, "s": 1_000_000_000}
@@ -84,8 +91,8 @@ class Hand:
 
     def __init__(self, machine: Machine, home: str | None = None, **env: str) -> None:
         where = machine.name if home is None else home
-        settings = {"home": where, "domain": machine.domain, "lease": machine.lease_ms}
-        text = json.dumps(settings)
+        limits = {"lease": machine.lease_ms, "limit": LIMIT, "patient": PATIENT}
+        text = json.dumps({"home": where, "domain": machine.domain, **limits})
         self.process = subprocess.Popen(
             [*machine.prefix, sys.executable, "-c", PROGRAM, text],
             env=machine.env | {"PBONET_DOMAIN": machine.domain} | env,

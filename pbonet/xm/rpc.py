@@ -48,6 +48,8 @@ T = TypeVar("T")
 ANSWER_TIME: Final = 2.0
 """Seconds in which an agent answers whatever happens, or is not there."""
 
+WAY_TIME: Final = 0.5
+"""Seconds for the way there and back, beside the time limit of a request."""
 ASK_TIME: Final = 0.5
 """Seconds without an answer after which an agent is asked for a sign of life."""
 PROOF_TIME: Final = 0.6
@@ -258,7 +260,7 @@ class Client:
             raise _no_sign(rtpu)
         payload = self._codec.pack(request)
         leaf, greeted = roles.leaf(request), False
-        end = time.monotonic() + timeout + 0.5
+        end = time.monotonic() + timeout + WAY_TIME
         give_up = time.monotonic() + ANSWER_TIME
         alone = time.monotonic() + _ALONE_TIME
         for tries in itertools.count(1):

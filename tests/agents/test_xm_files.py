@@ -1,7 +1,7 @@
 """Files of another machine by fsspec, as numpy and MCAP readers use them."""
 
 import pytest
-from far_rig import Cell, RefusedError, Site
+from far_rig import LEASE_MS, Cell, RefusedError, Site
 from nodekit import Master, rmod
 
 pytestmark = pytest.mark.timeout(300)
@@ -28,7 +28,7 @@ def cell(tmp_path_factory):
     """Two machines; vision0 declares a folder of files."""
     library = tmp_path_factory.mktemp("library")
     (library / "looker.py").write_text(TASK)
-    made = Cell()
+    made = Cell(LEASE_MS)
     made.a.files = tmp_path_factory.mktemp("files")
     try:
         made.start(library)

@@ -101,15 +101,21 @@ def test_the_command_shows_every_figure(running):
     reply = desk.execute("profile")
     assert {task["task"] for task in reply.data["tasks"]} == set(running.picture.names)
     assert {rtpu["rtpu"] for rtpu in reply.data["rtpus"]} == {"arm0", "arm1"}
-    one = desk.execute("profile puma_pidg").data
+
+    def counted():
+        """A core that stands still just now has not counted yet what that costs."""
+        data = desk.execute("profile puma_pidg").data
+        found = data["tasks"][0]["figures"]
+        rate = (found["cycle"] + found["miss"]) / found["ptime"]
+        return rate == pytest.approx(500, rel=0.1) and data
+
+    one = wait_for(counted, "500 releases a second")
     (task,) = one["tasks"]
     names = "ptime cycle miss mezF mezT totC minC maxC avgC minU maxU avgU tick"
     names += " firstC nowC"
     assert all(task["figures"][name] is not None for name in names.split())
     figures = task["figures"]
     assert figures["mezF"] == pytest.approx(figures["cycle"] / figures["ptime"])
-    released = figures["cycle"] + figures["miss"]
-    assert released / figures["ptime"] == pytest.approx(500, rel=0.1)
     assert 0 < task["least"] <= task["quantiles"]["p50"] <= task["most"]
     assert task["psi"][-1][1] == 1.0
     assert one["rtpus"][0]["dispatcher"] > 0

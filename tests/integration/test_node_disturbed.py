@@ -71,7 +71,7 @@ def test_setting_the_clock_moves_no_release(nodes, time_of_day):
     assert after.miss - before.miss <= lost
     periods = (after.now - before.now) * 1e-9 * 100.0
     done = after.cycle - before.cycle + after.miss - before.miss
-    assert done == pytest.approx(periods, abs=2)
+    assert done == pytest.approx(periods, abs=2 + lost)
     time_of_day(5 * HOUR)  # the shim works: events are dated by the clock on the wall
     arm.spawn("u", "counts", out="Y1", freq=100.0)
     first, last = arm.wait_event("SPAWNED", "t"), arm.wait_event("SPAWNED", "u")
