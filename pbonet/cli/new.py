@@ -1,4 +1,4 @@
-"""``pbonet new module``: write a module, its RMOD and its test."""
+"""``pbonet new``: write the first files of a module, of a table, of a job."""
 
 from __future__ import annotations
 
@@ -14,6 +14,21 @@ command = typer.Typer(
 )
 
 
+Name = A[str, typer.Argument(help="Its name: letters, digits, underscores.")]
+Rmods = A[
+    list[str],
+    typer.Argument(
+        help="The tasks: RMODs of this folder or a library.", metavar="RMOD..."
+    ),
+]
+Sizes = A[
+    list[str] | None,
+    typer.Option("--size", help="A size that no port says.", metavar="NAME=NUMBER"),
+]
+Folder = A[Path, typer.Option(help="Where it is written.")]
+Force = A[bool, typer.Option("--force", help="Write over files.")]
+
+
 @command.callback()
 def new() -> None:
     """Write the beginning of something new."""
@@ -22,7 +37,7 @@ def new() -> None:
 @command.command("module")
 def module(
     *,
-    name: A[str, typer.Argument(help="Its name: letters, digits, underscores.")],
+    name: Name,
     inputs: A[
         list[str] | None,
         typer.Option("--in", help="An in-var, NAME[:SHAPE[:UNIT[:TYPE]]]."),
@@ -39,8 +54,8 @@ def module(
         bool,
         typer.Option("--timing-failure", help="With a handler of timing failures."),
     ] = False,
-    folder: A[Path, typer.Option(help="Where it is written.")] = Path(),
-    force: A[bool, typer.Option("--force", help="Write over files.")] = False,
+    folder: Folder = Path(),
+    force: Force = False,
     json_: options.Json = False,
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
@@ -64,3 +79,61 @@ def module(
         force=force,
     )
     options.show_files(paths, as_data=json_)
+
+
+@command.command("svar")
+def svar(
+    *,
+    name: Name,
+    rmods: Rmods,
+    sizes: Sizes = None,
+    library: options.Library = None,
+    folder: Folder = Path(),
+    force: Force = False,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Write the table that tasks need: every variable, as their modules say it is."""
+    from pbonet.master import writing
+
+    paths, told = writing.new_svar(
+        name,
+        rmods,
+        sizes=sizes or (),
+        libraries=library or (),
+        folder=folder,
+        force=force,
+    )
+    options.show_files(paths, told, as_data=json_)
+
+
+@command.command("job")
+def job(
+    *,
+    name: Name,
+    rmods: Rmods,
+    sbs: A[
+        Path | None, typer.Option(help="The subsystem; it and its table are new else.")
+    ] = None,
+    sizes: Sizes = None,
+    desc: A[str, typer.Option(help="What it does, in one line.")] = "",
+    library: options.Library = None,
+    folder: Folder = Path(),
+    force: Force = False,
+    json_: options.Json = False,
+    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+) -> None:
+    """Write a job of tasks, and the subsystem with its table if there is none."""
+    from pbonet.master import writing
+
+    paths, told = writing.new_job(
+        name,
+        rmods,
+        sbs=sbs,
+        sizes=sizes or (),
+        desc=desc,
+        libraries=library or (),
+        folder=folder,
+        force=force,
+    )
+    options.show_files(paths, told, as_data=json_)

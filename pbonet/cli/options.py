@@ -115,7 +115,14 @@ def version(version: Version = False) -> None:
     """Assemble a robot's control software from ready modules, change it as it runs."""
 
 
-def show_files(paths: Sequence[Path], *, as_data: bool) -> None:
-    """Print which files a verb has written."""
+def show_files(
+    paths: Sequence[Path], told: Sequence[str] = (), *, as_data: bool
+) -> None:
+    """Print which files a verb has written, and what is to be said of them."""
     names = list(map(str, paths))
-    typer.echo(json.dumps({"files": names}) if as_data else "\n".join(names))
+    if as_data:
+        typer.echo(json.dumps({"files": names, "warnings": list(told)}))
+        return
+    typer.echo("\n".join(names))
+    for text in told:
+        typer.echo(f"WARNING> {text}", err=True)

@@ -1,0 +1,230 @@
+"""Writes the first files of a system out of the RMODs that make it up.
+
+Pure: RMODs and what is known of their modules in, records of files out. A ``.svar``
+file repeats what modules say of their ports (type, shape, unit, what it carries), so it
+need not be typed. A size that no port has as a number follows from the others, or is
+given.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import Struct
+
+from pbonet.config.model import JobFile, JobTask, RtpuEntry, SbsFile, SvarFile, Variable
+from pbonet.errors import ConfigError, did_you_mean
+from pbonet.ports import solve_shapes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pbonet.config.model import Rmod
+    from pbonet.pbo import ModuleInfo
+    from pbonet.ports import Port
+
+RTPU = "core0"
+"""What the one RTPU of a new subsystem is called."""
+_TYPES = {"float": "double", "float64": "double", "float32": "float", "int32": "int"}
+"""How a ``.svar`` file spells a port's type, where it is not the same word."""
+
+
+class Use(Struct, frozen=True):
+    """A task of the new system."""
+
+    rmod: Rmod
+    info: ModuleInfo
+
+    def ports(self) -> dict[str, Port]:
+        """Return its ports by the variable that each stands for."""
+        return {self.rmod.svar_name(port.name): port for port in self.info.ports}
+
+
+def new_svar(
+    file: str, uses: Sequence[Use], sizes: Mapping[str, int]
+) -> tuple[SvarFile, list[str]]:
+    """Return a table with every variable that tasks read and write.
+
+    Args:
+        file: Its name.
+        uses: The tasks.
+        sizes: Sizes by the constant, or the word of a shape, that names them.
+
+    Returns:
+        The table, and what is to be said of it.
+
+    Raises:
+        ConfigError: A size is not known, or a port is a structure.
+        PortError: Two ports of one module disagree about a size.
+    """
+    _must_be_sizes(uses, sizes)
+    nelem = _elements(uses, sizes)
+    ports: dict[str, list[Port]] = {}
+    for use in uses:
+        for variable, port in use.ports().items():
+            ports.setdefault(variable, []).append(port)
+    names = sorted(ports, key=lambda name: not ports[name][0].kind.is_const)
+    told = [
+        f"no module says the unit of {name}: correct UNITS none"
+        for name in names
+        if {port.unit for port in ports[name]} == {"any"}
+    ]
+    variables = [_variable(name, ports[name], nelem[name]) for name in names]
+    return SvarFile(file=file, defines={}, variables=tuple(variables)), told
+
+
+def _variable(name: str, ports: Sequence[Port], nelem: int) -> Variable:
+    """Return a variable as its writer says it is, else as its first reader does."""
+    ordered = sorted(ports, key=lambda port: port.kind.is_input)
+    units = [port.unit for port in ordered if port.unit != "any"]
+    return Variable(
+        name=name,
+        type=_type(name, ordered[0]),
+        desc=ordered[0].doc.strip(),
+        units=units[0] if units else "none",
+        nelem=nelem,
+    )
+
+
+def _type(name: str, port: Port) -> str:
+    word = port.type.removesuffix("[]")
+    if word == "void":
+        raise ConfigError(
+            f"nothing says how long the structure {name} is",
+            where=f"port {port.attr} ({port.name})",
+            expected="TYPE struct[BYTES]",
+            remedy=f"write the .svar file by hand, with {name} in it",
+        )
+    return _TYPES.get(word, word if port.is_scalar else np.dtype(word).name)
+
+
+def _elements(uses: Sequence[Use], sizes: Mapping[str, int]) -> dict[str, int]:
+    """Return the number of elements of every variable.
+
+    Raises:
+        ConfigError: One does not follow from what is known.
+    """
+    known = dict(sizes)
+    nelem: dict[str, int] = {}
+    for use in uses:
+        for variable, port in use.ports().items():
+            if all(isinstance(dim, int) for dim in port.shape):
+                nelem[variable] = math.prod(map(int, port.shape))
+    left, unsolved = list(uses), len(uses) + 1
+    while left and len(left) < unsolved:
+        unsolved = len(left)
+        left = [use for use in left if not _solve(use, nelem, known)]
+    if left:
+        raise _unknown(left, nelem, known)
+    return nelem
+
+
+def _must_be_sizes(uses: Sequence[Use], sizes: Mapping[str, int]) -> None:
+    """Refuse sizes that nothing has.
+
+    Raises:
+        ConfigError: One was given.
+    """
+    names = {name for use in uses for one in _sizes_of(use).items() for name in one}
+    for name in sizes:
+        if name not in names:
+            raise ConfigError(
+                f"no port has the size {name}",
+                expected=" or ".join(sorted(names)) or "no size: every one is known",
+                got=f"{name}={sizes[name]}",
+                remedy=did_you_mean(name, names) or "leave it out",
+            )
+
+
+def _solve(use: Use, nelem: dict[str, int], known: dict[str, int]) -> bool:
+    """Learn the sizes of one task's variables; False while one is not known yet."""
+    if _open(use, nelem, known):
+        return False
+    ports = use.ports()
+    shapes = solve_shapes(
+        (*use.info.ports, *use.info.within),
+        {port.name: nelem[name] for name, port in ports.items() if name in nelem},
+        {port.name: known[name] for name, port in ports.items() if name in known}
+        | known,
+        where=use.rmod.name,
+    )
+    named = _sizes_of(use)
+    for name, port in ports.items():
+        nelem.setdefault(name, math.prod(shapes[port.attr]))
+        for dim, size in zip(port.shape, shapes[port.attr], strict=True):
+            if named.get(str(dim), dim) in ports:  # one size for all tasks
+                known.setdefault(named[str(dim)], size)
+    return True
+
+
+def _open(use: Use, nelem: Mapping[str, int], known: Mapping[str, int]) -> list[str]:
+    """Return the sizes that are not known yet, by the constant if it is one's."""
+    named, found = _sizes_of(use), set[str]()
+    for variable, port in use.ports().items():
+        names = {named[dim] for dim in port.shape if isinstance(dim, str)}
+        names -= known.keys()
+        if len(names) == 1 and variable in nelem:
+            found |= names
+    return [name for name in named.values() if name not in {*known, *found}]
+
+
+def _sizes_of(use: Use) -> dict[str, str]:
+    """Return the words in a task's shapes, with the constants that they stand for."""
+    ports = use.ports()
+    constants = {p.attr: name for name, p in ports.items() if p.kind.is_const}
+    words = (dim for p in ports.values() for dim in p.shape if isinstance(dim, str))
+    return {word: constants.get(word, word) for word in words}
+
+
+def _unknown(
+    left: Sequence[Use], nelem: Mapping[str, int], known: Mapping[str, int]
+) -> ConfigError:
+    names = list(dict.fromkeys(one for use in left for one in _open(use, nelem, known)))
+    return ConfigError(
+        f"no port says what size {' and '.join(names)} is",
+        where=" and ".join(use.rmod.name for use in left),
+        expected=f"a size for {' and '.join(names)}",
+        remedy=f"say {' '.join(f'--size {name}=6' for name in names)}",
+    )
+
+
+def new_sbs(file: str, name: str, svar: str) -> SbsFile:
+    """Return a subsystem of one RTPU."""
+    return SbsFile(
+        file=file, subsystem=name, svarfile=svar, rtpus=(RtpuEntry(name=RTPU),)
+    )
+
+
+def new_job(
+    file: str, name: str, sbs: str, rmods: Sequence[str], desc: str = ""
+) -> JobFile:
+    """Return a job of these tasks, in this order."""
+    return JobFile(
+        file=file,
+        name=name,
+        desc=desc or f"job {name}",
+        sbs=sbs,
+        tasks=tuple(JobTask(rmod=rmod) for rmod in rmods),
+    )
+
+
+def read_sizes(words: Sequence[str]) -> dict[str, int]:
+    """Return the sizes that words such as ``NDOF=6`` give.
+
+    Raises:
+        ConfigError: One is of another form.
+    """
+    found: dict[str, int] = {}
+    for word in words:
+        name, _, value = word.partition("=")
+        if not name or not value.isdecimal() or int(value) < 1:
+            raise ConfigError(
+                "a size is given by name",
+                expected="NAME=NUMBER, such as NDOF=6",
+                got=word,
+                remedy="correct it",
+            )
+        found[name] = int(value)
+    return found

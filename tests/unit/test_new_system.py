@@ -1,0 +1,153 @@
+"""What `pbonet new svar` and `pbonet new job` write: it is legal as it stands."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pbonet.config import read_job, read_sbs, read_svar
+
+CLASS = '''"""A module of a test."""
+
+from typing import Annotated as A
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pbonet import InConst, InVar, OutConst, OutVar, PortBasedObject, Vector
+
+
+class M(PortBasedObject):
+    """A module of a test."""
+
+{ports}
+
+    def cycle(self, dt: float) -> None: ...
+'''
+RMOD = """MODULE    {name}
+DESC      a task
+{alias}INCONST   {inconst}
+OUTCONST  {outconst}
+INVAR     {invar}
+OUTVAR    {outvar}
+TASKTYPE  periodic
+FREQ      100
+EOF
+"""
+PLANT = {
+    "ports": """    ndof: A[int, OutConst("NDOF", "1", "number of joints")]
+    tau: A[Vector, InVar("T_REF", "2", "N*m", "torque")]
+    q: A[Vector, OutVar("Q_MEZ", "2", "rad", "position")]
+    there: A[bool, OutVar("THERE", "1", "none", "whether it is there")]""",
+    "outconst": "NDOF",
+    "invar": "T_REF",
+    "outvar": "Q_MEZ THERE",
+}
+LAW = {
+    "ports": """    n: A[int, InConst("N", "1", "number of joints")]
+    q: A[Vector, InVar("Q", "n", "any", "what is to be held")]
+    tau: A[Vector, OutVar("T", "n", "N*m", "torque of each joint")]
+    jac: A[NDArray[np.float32], OutVar("JAC", "n,3", "none", "three of each")]""",
+    "alias": "SVARALIAS N=NDOF\nSVARALIAS Q=Q_MEZ\nSVARALIAS T=T_REF\n",
+    "inconst": "N",
+    "invar": "Q",
+    "outvar": "T JAC",
+}
+
+
+@pytest.fixture
+def write(tmp_path, monkeypatch):
+    """Write a module and its RMOD, and go to where they are."""
+    monkeypatch.chdir(tmp_path)
+
+    def written(name, ports, **more):
+        kinds = dict.fromkeys(("inconst", "outconst", "invar", "outvar"), "none")
+        (tmp_path / f"{name}.py").write_text(CLASS.format(ports=ports))
+        text = RMOD.format(name=name, **({"alias": ""} | kinds | more))
+        (tmp_path / f"{name}.rmod").write_text(text)
+
+    return written
+
+
+def test_a_job_with_its_subsystem_is_legal_as_it_is_written(call, write, tmp_path):
+    write("plant", **PLANT)
+    write("law", **LAW)
+    status, out, err = call("new", "job", "arm", "plant", "law")
+    assert (status, out.split(), err) == (0, ["arm.svar", "arm.sbs", "arm.job"], "")
+    found = {one.name: one for one in read_svar("arm.svar").variables}
+    told = {n: (v.type, v.nelem, v.units, v.desc) for n, v in found.items()}
+    assert told == {
+        "NDOF": ("int", 1, "none", "number of joints"),
+        "T_REF": ("double", 2, "N*m", "torque of each joint"),
+        "Q_MEZ": ("double", 2, "rad", "position"),
+        "THERE": ("bool", 1, "none", "whether it is there"),
+        "JAC": ("float", 6, "none", "three of each"),
+    }
+    assert next(iter(told)) == "NDOF", "constants come first"
+    assert read_sbs("arm.sbs").svarfile == "arm.svar"
+    assert [task.rmod for task in read_job("arm.job").tasks] == ["plant", "law"]
+    status, out, _ = call("check", "arm.job", "--library", tmp_path)
+    assert status == 0, out
+    assert out.endswith("arm.job: job arm of 2 tasks: legal\n")
+
+
+def test_a_size_that_no_port_has_is_asked_for_and_taken(call, write):
+    write("law", **LAW)
+    status, _, err = call("new", "svar", "arm", "law")
+    assert status == 1
+    assert err == (
+        "pbonet: law: no port says what size NDOF is (expected a size for NDOF); say "
+        "--size NDOF=6\n"
+    )
+    status, _, err = call("new", "svar", "arm", "law", "--size", "NDFO=3")
+    assert "no port has the size NDFO" in err
+    assert "did you mean NDOF?" in err
+    status, out, _ = call("new", "svar", "arm", "law", "--size", "NDOF=3", "--json")
+    assert status == 0
+    told = json.loads(out)
+    assert told["files"] == ["arm.svar"]
+    assert told["warnings"] == ["no module says the unit of Q_MEZ: correct UNITS none"]
+    sizes = {one.name: one.nelem for one in read_svar("arm.svar").variables}
+    assert sizes == {"NDOF": 1, "Q_MEZ": 3, "T_REF": 3, "JAC": 9}
+
+
+@pytest.mark.parametrize("size", ["NDOF", "NDOF=", "NDOF=x", "NDOF=0", "=3"])
+def test_a_size_of_another_form_is_refused(call, write, size):
+    write("law", **LAW)
+    status, _, err = call("new", "svar", "arm", "law", "--size", size)
+    assert status == 1
+    assert f"(expected NAME=NUMBER, such as NDOF=6, got {size})" in err
+
+
+def test_a_job_of_a_subsystem_that_stands_writes_nothing_else(call, write, tmp_path):
+    write("plant", **PLANT)
+    assert call("new", "job", "arm", "plant")[0] == 0
+    more = ("--sbs", tmp_path / "arm.sbs", "--folder", tmp_path / "jobs")
+    status, out, err = call("new", "job", "two.job", "plant", *more, "--library", ".")
+    assert (status, out) == (0, f"{tmp_path}/jobs/two.job\n"), err
+    assert read_job(tmp_path / "jobs" / "two.job").sbs == "../arm.sbs"
+    assert (
+        "file cannot be read" in call("new", "job", "x", "plant", "--sbs", "n.sbs")[2]
+    )
+
+
+def test_nothing_is_written_over_and_nothing_elsewhere(call, write, tmp_path):
+    write("plant", **PLANT)
+    (tmp_path / "arm.sbs").write_text("mine")
+    status, _, err = call("new", "job", "arm", "plant")
+    assert status == 1
+    assert "arm.sbs: a file stands there already" in err
+    assert not (tmp_path / "arm.job").exists()
+    assert call("new", "job", "arm", "plant", "--force")[0] == 0
+    for name in ("../arm", ".svar", ""):
+        assert "this is no name for a file" in call("new", "svar", name, "plant")[2]
+
+
+def test_a_structure_has_no_length_that_a_module_knows(call, write):
+    port = '    raw: A[NDArray[np.void], OutVar("RAW", "n", "none", "a frame")]'
+    write("camera", port, outvar="RAW")
+    status, _, err = call("new", "svar", "cam", "camera", "--size", "n=1")
+    assert status == 1
+    assert "nothing says how long the structure RAW is" in err
+    assert "(expected TYPE struct[BYTES]); write the .svar file by hand" in err
