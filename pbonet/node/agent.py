@@ -37,7 +37,8 @@ from .mirrors import Mirrors
 from .overview import Overview, restarting
 from .recorders import Recorders
 from .server import Server
-from .supervise import RtpuLink, choose_core
+from .starting import choose_core
+from .supervise import RtpuLink
 from .twins import Twins
 from .ways import Ways
 
@@ -434,35 +435,33 @@ class Agent:
         if self._mirrors is not None:
             self._mirrors.carry({}, wait=LET_GO_TIME)
 
-    def lost(self, reason: str, *, orderly: bool) -> None:
-        """Start the RTPU process again if it was killed; end with it if it ended."""
+    def lost(self, how: str, *, again: bool) -> None:
+        """Start the RTPU process again if it was killed; end if there is none to be."""
         self._recorders.update({})
         if self._server is not None:
-            self._server.fail_pending(f"the RTPU process ended: {reason}")
+            self._server.fail_pending(how)
         with self._guard:
             if self._stopping:
                 return
             self._link = None
-        if orderly:
-            self.reason = f"the RTPU process has ended: {reason}"
-            log.warning("%s: %s", self.name, self.reason)
-            self._over.set()
+        if not again:
+            self._give_up(how)
             return
-        log.error("%s: RTPU process lost: %s", self.name, reason)
+        log.error("%s: %s", self.name, how)
         self._restarter = threading.Thread(
-            target=self._restart, args=(reason,), name="pbonet restart", daemon=True
+            target=self._restart, args=(how,), name="pbonet restart", daemon=True
         )
         self._restarter.start()
 
-    def _restart(self, reason: str) -> None:
+    def _restart(self, how: str) -> None:
         """Start the RTPU process again, or end."""
         try:
-            self._start_again(reason)
+            self._start_again(how)
         except Exception as error:
             log.debug("starting again has failed", exc_info=True)
             self._give_up(f"the RTPU process does not start again: {error}")
 
-    def _start_again(self, reason: str) -> None:
+    def _start_again(self, how: str) -> None:
         now = time.monotonic()
         self._restarts = [t for t in self._restarts if now - t < RESTART_WINDOW] + [now]
         if len(self._restarts) > RESTARTS:
@@ -480,10 +479,7 @@ class Agent:
         if stopping:
             link.shut_down(STOP_TIME)
             return
-        text = (
-            f"the RTPU process ended: {reason}; its tasks turned themselves off, its "
-            "claims are void"
-        )
+        text = f"{how}; its tasks turned themselves off, its claims are void"
         self._note(wire.Note(int(Severity.FATAL), "RTPU_DIED", text))
         for text in cleaned:
             self._note(wire.Note(int(Severity.WARNING), "CLEANED", text))

@@ -35,6 +35,8 @@ END_TIME: Final = 10.0
 RESTARTS: Final = 5
 BEFORE: Final = 32
 """Commands that are kept of a subsystem until it is recorded."""
+AGAIN_TIME: Final = 1.0
+"""Seconds between tries to start a recorder that the system gives no process for."""
 WINDOW: Final = 60.0
 """A recorder that is lost more often than this many times in so many seconds is not
 started again."""
@@ -58,7 +60,7 @@ class _Child:
         self.wanted = wanted
         self._tell = tell
         self._guard = threading.Lock()
-        self._ending = False
+        self._ending = threading.Event()
         self._lost: list[float] = []
         self._said = -1
         self._feed = Feed(self._unfit, self._kill)
@@ -69,13 +71,22 @@ class _Child:
         self._thread.start()
 
     def _start(self, before: Iterable[wire.Commanded]) -> subprocess.Popen[bytes]:
-        """Start a process; what it is to do is in a file, its news go into a pipe."""
+        """Start a process; what it is to do is in a file, its news go into a pipe.
+
+        Raises:
+            OSError: The system gives no process, or no descriptors for it.
+        """
         recording = msgspec.structs.replace(self.wanted, before=list(before))
-        wanted = os.memfd_create("recording")
-        os.write(wanted, wire.encode(recording))
-        events, feed = os.pipe()
-        self._said, said = os.pipe()
-        try:
+        with contextlib.ExitStack() as ours, contextlib.ExitStack() as its:
+            wanted = os.memfd_create("recording")
+            its.callback(os.close, wanted)
+            os.write(wanted, wire.encode(recording))
+            events, feed = os.pipe()
+            its.callback(os.close, events)
+            ours.callback(os.close, feed)
+            self._said, said = os.pipe()
+            ours.callback(os.close, self._said)
+            its.callback(os.close, said)
             process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "pbonet.node.recorder", str(wanted)],
                 env=runtime.environment(),
@@ -84,13 +95,7 @@ class _Child:
                 pass_fds=[wanted],
                 start_new_session=True,
             )
-        except OSError:
-            os.close(feed)
-            os.close(self._said)
-            raise
-        finally:
-            for fd in (wanted, events, said):
-                os.close(fd)
+            ours.pop_all()
         self._feed.begin(feed)
         return process
 
@@ -109,7 +114,7 @@ class _Child:
     def end(self) -> None:
         """Have the log finished; `join` waits for that."""
         with self._guard:
-            self._ending = True
+            self._ending.set()
             self._feed.end()
 
     def join(self) -> None:
@@ -138,28 +143,42 @@ class _Child:
     def _again(self, code: int) -> bool:
         """Start a recorder that was lost anew; return whether that was done."""
         with self._guard:
-            if self._ending:
+            if self._ending.is_set():
                 return False
             self._feed.leave()
         now = time.monotonic()
         self._lost = [t for t in self._lost if now - t < WINDOW] + [now]
         again = len(self._lost) <= RESTARTS
-        subsystem = self.wanted.subsystem
         what = "another one goes on" if again else "nothing is recorded any more"
-        self._tell(
-            wire.Note(
-                int(Severity.ERROR),
-                "RECORDER_DIED",
-                f"the recorder of {subsystem} ended: {describe_end(code)}; {what}",
-            )
-        )
-        self._tell(wire.Recorder(subsystem=subsystem))
+        self._died(f"ended: {describe_end(code)}; {what}")
+        self._tell(wire.Recorder(subsystem=self.wanted.subsystem))
+        if again and self._started_again():
+            return True
         with self._guard:
-            if again and not self._ending:
-                self._process = self._start(())
-                return True
             self._feed.end()
         return False
+
+    def _started_again(self) -> bool:
+        """Start another one as soon as the system lets it; False if it is to end."""
+        told = False
+        while True:
+            with self._guard:
+                if self._ending.is_set():
+                    return False
+                try:
+                    self._process = self._start(())
+                except OSError as error:
+                    refused = str(error)
+                else:
+                    return True
+            if not told:
+                self._died(f"could not be started again: {refused}; it is tried on")
+            told = True
+            self._ending.wait(AGAIN_TIME)
+
+    def _died(self, how: str) -> None:
+        text = f"the recorder of {self.wanted.subsystem} {how}"
+        self._tell(wire.Note(int(Severity.ERROR), "RECORDER_DIED", text))
 
 
 class Recorders:

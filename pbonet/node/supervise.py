@@ -7,28 +7,27 @@ over as it is; its tasks don't notice.
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
-import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
 import pbonet
-from pbonet.errors import NodeError, PbonetError, ProtocolError
+from pbonet.errors import NodeError, ProtocolError
 
-from . import leftovers, runtime, wire
+from . import leftovers, starting, wire
 from .known import Known
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Sequence
+    from collections.abc import Generator
 
     from pbonet.xm import rundir
 
@@ -36,15 +35,17 @@ log = logging.getLogger("pbonet.node")
 
 FromRtpu = wire.FromRtpu | Known
 
-START_TIME = 30.0
-"""Seconds that an RTPU process may take to come up on a busy machine."""
 SEND_TIME = 2.0
 """Seconds after which an RTPU process that takes nothing counts as lost."""
 AGAIN_TIME = 5.0
 """Seconds in which an RTPU process that lives must take its agent back."""
+UNREAD = 5
+UNREAD_TIME = 60.0
+"""An agent that cannot read more messages than so many in so many seconds gives up."""
 _LOOK = 0.05
 _LEAST_TRIES = 2
-LOG_TAIL = 4000
+LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)
+"""What an error says when the machine lacks something, for now."""
 
 
 class Listener(Protocol):
@@ -68,8 +69,8 @@ class Listener(Protocol):
     def let_go(self) -> None:
         """Let go of its tables: what it has left is about to be removed."""
 
-    def lost(self, reason: str, *, orderly: bool) -> None:
-        """Take the news that the RTPU process has ended."""
+    def lost(self, how: str, *, again: bool) -> None:
+        """Take the news that there is no RTPU process any more; `again`: start one."""
 
 
 class RtpuLink:
@@ -94,6 +95,11 @@ class RtpuLink:
         """Of a frame that was begun; nothing else may be sent before it."""
         self._thread: threading.Thread | None = None
         self._closing = False
+        self._short = False
+        """Something that the machine lacks has been told."""
+        self._unread: list[float] = []
+        self._misread = ""
+        """What was wrong with the last message that could not be read."""
         self._decoder: msgspec.msgpack.Decoder[FromRtpu] = msgspec.msgpack.Decoder(
             FromRtpu
         )
@@ -110,14 +116,14 @@ class RtpuLink:
         self.taken_over = self._sock is not None
         if self._sock is None:
             cleaned = leftovers.clean_after(self._places)
-            self._start()
+            self._process = starting.start(self._places, self._config)
             self._sock = self._connect()
             if self._sock is None:
                 raise NodeError(
                     "the RTPU process does not answer",
                     where=self._config.name,
                     remedy="start the agent again; --debug shows what it wrote",
-                    debug=self._log(),
+                    debug=starting.log_tail(self._places),
                 )
         else:
             cleaned = []
@@ -218,6 +224,11 @@ class RtpuLink:
         return None
 
     def _connect(self) -> socket.socket | None:
+        """Return a socket to it; None when it takes none.
+
+        Raises:
+            OSError: The machine gives no socket.
+        """
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             sock.connect(str(self._places.ctl))
@@ -245,7 +256,7 @@ class RtpuLink:
                 where=self._config.name,
                 remedy="choose another name",
             )
-        info = self._decoder.decode(data)
+        info = self._decode(data)
         if not isinstance(info, wire.RtpuInfo):
             raise ProtocolError(
                 "the RTPU process does not say who it is",
@@ -266,66 +277,6 @@ class RtpuLink:
                 )
         return info
 
-    def _start(self) -> None:
-        read, write = os.pipe()
-        config = msgspec.structs.replace(self._config, ready_fd=write)
-        command = [sys.executable, "-P", "-m", "pbonet.node.rtpu"]
-        try:
-            with self._places.log.open("wb") as log:
-                self._process = subprocess.Popen(
-                    [*command, msgspec.json.encode(config).decode()],
-                    env=runtime.environment(),
-                    pass_fds=[write],
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    start_new_session=True,
-                )
-        finally:
-            os.close(write)
-        try:
-            self._wait_until_ready(read)
-        finally:
-            os.close(read)
-
-    def _wait_until_ready(self, read: int) -> None:
-        """Wait for the one message that says how the start went.
-
-        Raises:
-            PbonetError: What kept it from starting.
-        """
-        deadline = time.monotonic() + START_TIME
-        data = b""
-        while select.select([read], [], [], max(deadline - time.monotonic(), 0))[0]:
-            part = os.read(read, 65536)
-            if not part:
-                break
-            data += part
-        process = self._process
-        if data:
-            ready = msgspec.msgpack.decode(data, type=wire.Ready)
-            if ready.error is None:
-                return
-            self._reap()
-            error = PbonetError.from_wire(ready.error)
-            error.debug = error.debug or self._log()
-            raise error
-        if process is not None:
-            process.kill()
-            code = process.wait()
-            raise NodeError(
-                "the RTPU process did not start",
-                got=f"exit code {code}",
-                debug=self._log(),
-                remedy="--debug shows what it wrote",
-            )
-
-    def _log(self) -> str:
-        """Return the end of what the RTPU process wrote."""
-        with contextlib.suppress(OSError):
-            return self._places.log.read_text(errors="replace")[-LOG_TAIL:].strip()
-        return ""
-
     def _live(self, sock: socket.socket) -> None:
         """Hear the RTPU process until it ends; a link that breaks is made anew."""
         while True:
@@ -333,7 +284,7 @@ class RtpuLink:
             with self._write_lock:
                 self._sock, self._rest = None, memoryview(b"")
                 sock.close()
-            again = None if orderly else self._again(reason)
+            again = None if orderly or self._unreadable else self._again(reason)
             if again is None:
                 break
             sock = again
@@ -341,9 +292,12 @@ class RtpuLink:
             return
         with _contained():
             self._listener.let_go()
-        how = self._describe_end(reason, orderly=orderly)
+        if self._unreadable:
+            how = f"the RTPU process is not understood: {self._misread}"
+        else:
+            how = f"the RTPU process ended: {self._end(reason, orderly=orderly)}"
         with _contained():
-            self._listener.lost(how, orderly=orderly)
+            self._listener.lost(how, again=not (orderly or self._unreadable))
 
     def _read(self, sock: socket.socket) -> tuple[str, bool]:
         """Hand on what comes; return why nothing comes any more, and if in order."""
@@ -352,36 +306,68 @@ class RtpuLink:
                 data = wire.receive_frame(sock)
                 if not data:
                     return "its socket was closed", False
-                message = self._decoder.decode(data)
-            except (OSError, NodeError, msgspec.MsgspecError) as error:
+                message = self._decode(data)
+            except (OSError, NodeError) as error:
                 return str(error), False
             if isinstance(message, wire.Ending):
                 return message.reason, True
             with _contained():
                 self._hand_over(message)
 
+    def _decode(self, data: bytes) -> FromRtpu:
+        """Return what the RTPU process says.
+
+        Raises:
+            ProtocolError: It cannot be read; counted.
+        """
+        try:
+            return self._decoder.decode(data)
+        except msgspec.MsgspecError as error:
+            now = time.monotonic()
+            self._unread = [t for t in self._unread if now - t < UNREAD_TIME] + [now]
+            pid = f", process {self.info.pid}" if self.info else ""
+            refused = ProtocolError(
+                "a message of the RTPU process cannot be read",
+                where=f"{self._config.name}{pid}",
+                got=str(error),
+                remedy="both must be of one installation: within its grace an agent of "
+                "the RTPU process's own takes it over; behind that it has turned its "
+                "tasks OFF, and any may be started",
+            )
+            self._misread = str(refused)
+            raise refused from None
+
+    @property
+    def _unreadable(self) -> bool:
+        """Whether attaching again is no help."""
+        return len(self._unread) > UNREAD
+
     def _again(self, reason: str) -> socket.socket | None:
         """Attach again if the process lives on; return the socket.
 
-        On a machine that stood still meanwhile it is tried more than once, too.
+        On a machine that stood still meanwhile it is tried more than once, too. What
+        the machine lacks for it, such as descriptors, is no fault of the process, and
+        waited for.
         """
         deadline = time.monotonic() + AGAIN_TIME
         tries = 0
-        while not (self._closing or self._ended(_LOOK)):
-            if tries >= _LEAST_TRIES and time.monotonic() > deadline:
-                return None
-            tries += 1
-            sock = self._connect()
-            if sock is None:
-                continue
+        while not (self._closing or self._unreadable):
             try:
-                sock.settimeout(AGAIN_TIME)
-                info = self._attach(sock)
-                sock.settimeout(None)
-            except (OSError, NodeError, msgspec.MsgspecError):
-                sock.close()  # it has not noticed yet, or it ends
+                over = tries >= _LEAST_TRIES and time.monotonic() > deadline
+                if self._ended(_LOOK) or over:
+                    return None
+                sock = self._connect()
+            except OSError as error:
+                self._lacks(error)
+                deadline, tries = time.monotonic() + AGAIN_TIME, 0
                 continue
-            log.warning("%s: the link broke: %s", self._config.name, reason)
+            tries += 1
+            info = self._taken_back(sock) if sock is not None else None
+            if sock is None or info is None:
+                continue
+            self._short = False
+            level = logging.WARNING if len(self._unread) <= 1 else logging.DEBUG
+            log.log(level, "%s: the link broke: %s", self._config.name, reason)
             with _contained():
                 self._listener.broke(reason)
             if not self._use(sock):
@@ -390,6 +376,30 @@ class RtpuLink:
                 self._hand_over(info)
             return sock
         return None
+
+    def _taken_back(self, sock: socket.socket) -> wire.RtpuInfo | None:
+        """Be its agent again; None: it has not noticed yet, or it ends."""
+        try:
+            sock.settimeout(AGAIN_TIME)
+            info = self._attach(sock)
+            sock.settimeout(None)
+        except (OSError, NodeError):
+            sock.close()
+            return None
+        return info
+
+    def _lacks(self, error: OSError) -> None:
+        """Tell once what the machine lacks, and leave it a little time."""
+        if not self._short:
+            self._short = True
+            log.error(
+                "%s: the link to the RTPU process cannot be made anew: %s; it is tried "
+                "again: end what takes so much, or raise the limit of what is lacking "
+                "(LimitNOFILE of a service, or ulimit -n)",
+                self._config.name,
+                error,
+            )
+        time.sleep(_LOOK)
 
     def _use(self, sock: socket.socket) -> bool:
         """Send there from now on, unless the link is being closed."""
@@ -410,10 +420,10 @@ class RtpuLink:
         except ProcessLookupError:
             return True
         try:
-            ended = bool(select.select([pidfd], [], [], timeout)[0])
+            ended = starting.readable(pidfd, timeout)
             if kill and not ended:
                 signal.pidfd_send_signal(pidfd, signal.SIGKILL)
-                select.select([pidfd], [], [], 5.0)
+                starting.readable(pidfd, 5.0)
         finally:
             os.close(pidfd)
         return ended
@@ -432,17 +442,24 @@ class RtpuLink:
             case wire.Ending():
                 pass
 
-    def _describe_end(self, reason: str, *, orderly: bool) -> str:
+    def _end(self, reason: str, *, orderly: bool) -> str:
         """Return how the process ended, with the end of its log if not in order."""
-        self._wait_for_end(5.0 if orderly else 1.0)
+        while True:
+            try:
+                self._wait_for_end(5.0 if orderly else 1.0)
+                break
+            except OSError as error:
+                if self._closing or error.errno not in LACKS:
+                    break  # what is wrong with the files is found by who starts anew
+                self._lacks(error)
         if orderly:
             return reason
         from .tasks import describe_end
 
         code = self._process.returncode if self._process else None
         how = describe_end(code) if code is not None else reason
-        log = self._log()
-        return f"{how}\n{log}" if log else how
+        said = starting.log_tail(self._places)
+        return f"{how}\n{said}" if said else how
 
 
 def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
@@ -460,20 +477,3 @@ def _contained() -> Generator[None]:
         yield
     except Exception:
         log.exception("what the RTPU process said could not be taken")
-
-
-def used_cores(folder: Path) -> Sequence[int]:
-    """Return the cores that RTPU processes of this machine use, with repetitions."""
-    states = (leftovers.read(path) for path in folder.glob("*/*.state"))
-    return [state.core for state in states if state is not None and state.alive]
-
-
-def choose_core(folder: Path) -> int:
-    """Return the core for an RTPU that names none: a free one, the last ones first.
-
-    The first core is left to everything else, unless it is the only one.
-    """
-    allowed = sorted(os.sched_getaffinity(0))
-    candidates = allowed[1:] or allowed
-    used = used_cores(folder)
-    return min(candidates, key=lambda core: (used.count(core), -core))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+
 import msgspec
 import pytest
 from watching import wait_for
@@ -182,6 +185,37 @@ def test_a_recorder_that_is_lost_too_often_is_not_started_again(tmp_path) -> Non
     assert all(text.endswith("another one goes on") for text in texts[:-1])
     assert texts[-1].endswith("nothing is recorded any more")
     assert len(Log(tmp_path / "r").parts) == RESTARTS + 1
+
+
+def test_a_recorder_that_cannot_be_started_again_at_once_is_so_later(
+    tmp_path, monkeypatch
+) -> None:
+    refusals = [errno.EMFILE] * 3
+    create = os.memfd_create
+
+    def refused(name):
+        if refusals:
+            number = refusals.pop()
+            raise OSError(number, os.strerror(number))
+        return create(name)
+
+    said = []
+    recorders = Recorders(said.append, AgentConfig())
+    recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+    monkeypatch.setattr("pbonet.node.recorders.AGAIN_TIME", 0.01)
+    try:
+        wait_for(lambda: logs(tmp_path), "a log")
+        monkeypatch.setattr(os, "memfd_create", refused)
+        recorders._children["arm"]._process.kill()
+        wait_for(lambda: len(logs(tmp_path)) > 1, "another log")
+        commanded(recorders, "arm")
+    finally:
+        recorders.stop()
+    assert codes(said) == ["RECORDER_DIED"] * 2
+    assert said[0].text.endswith("another one goes on")
+    assert "could not be started again: [Errno 24] Too many" in said[1].text
+    assert said[1].text.endswith("it is tried on")
+    assert len(Log(tmp_path / "r").commands()) == 1
 
 
 def test_a_burst_behind_the_start_kills_no_recorder(tmp_path) -> None:

@@ -1,5 +1,8 @@
 """The agent's link to its RTPU process when either of them stands still or fails."""
 
+import errno
+import os
+import signal
 import socket
 import subprocess
 import threading
@@ -48,8 +51,9 @@ class Hears:
     def let_go(self):
         self._note("let go")
 
-    def lost(self, _, *, orderly):
-        self._note("ended" if orderly else "lost")
+    def lost(self, how, *, again):
+        self.how = how
+        self._note("lost" if again else "ended")
 
 
 @pytest.fixture
@@ -142,6 +146,72 @@ def test_a_link_that_breaks_is_made_anew(ends):
     assert not {"ended", "lost", "let go"} & set(hears.heard)
 
 
+UNREADABLE = wire.LENGTH.pack(3) + b"\xc1\xc1\xc1"
+
+
+def test_messages_that_cannot_be_read_are_borne_for_a_while_only(ends, info, caplog):
+    """Of another version, say; the tasks of the RTPU process must not pay for it."""
+    _, hears, far, attached = ends
+    for _ in range(supervise.UNREAD):
+        far.sendall(UNREADABLE)
+        far = attached()
+    far.sendall(UNREADABLE)
+    hears.wait("ended")
+    assert hears.heard.count("broke") == supervise.UNREAD
+    assert "the RTPU process is not understood: arm0, process" in hears.how
+    assert "must be of one installation" in hears.how
+    assert [one.levelname for one in caplog.records] == ["WARNING"]
+    os.kill(info.pid, 0)  # it goes on for its grace
+
+
+class Lacking:
+    """Calls that the system refuses so often, then lets pass."""
+
+    def __init__(self, call, count):
+        self.call, self.left = call, count
+
+    def __call__(self, *args):
+        if self.left:
+            self.left -= 1
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return self.call(*args)
+
+
+def told(caplog):
+    return [one for one in caplog.records if "cannot be made anew" in one.message]
+
+
+def test_a_link_is_made_anew_when_there_are_descriptors_again(
+    ends, monkeypatch, caplog
+):
+    _, hears, far, attached = ends
+    pidfd, sock = Lacking(os.pidfd_open, 3), Lacking(socket.socket, 3)
+    monkeypatch.setattr(os, "pidfd_open", pidfd)
+    names = {**vars(socket), "socket": sock}
+    monkeypatch.setattr(supervise, "socket", SimpleNamespace(**names))
+    far.shutdown(socket.SHUT_RDWR)
+    again = attached()
+    hears.wait("broke")
+    again.sendall(wire.frame(wire.Published(b"news")))
+    hears.wait(b"news")
+    assert (pidfd.left, sock.left) == (0, 0)
+    (record,) = told(caplog)
+    assert "Too many open files; it is tried again" in record.message
+
+
+def test_an_end_is_told_though_descriptors_lack(ends, info, monkeypatch, caplog):
+    _, hears, far, _ = ends
+    monkeypatch.setattr(supervise.leftovers, "clean_after", lambda _: [])
+    pidfd = Lacking(os.pidfd_open, 3)
+    monkeypatch.setattr(os, "pidfd_open", pidfd)
+    os.kill(info.pid, signal.SIGKILL)
+    far.sendall(wire.frame(wire.Ending("it was asked to")))
+    hears.wait("ended")
+    assert hears.how == "the RTPU process ended: it was asked to"
+    assert pidfd.left == 0
+    assert len(told(caplog)) == 1
+
+
 def test_a_listener_that_fails_ends_no_link(ends, info):
     _, hears, far, _ = ends
     hears.fails = {"informed", b"one"}
@@ -158,7 +228,7 @@ def test_an_agent_that_cannot_start_its_rtpu_process_again_ends(monkeypatch, tmp
     monkeypatch.setattr(agents.RtpuLink, "open", refused)
     config = AgentConfig(name="arm0", domain="d")
     agent = agents.Agent(config)
-    agent.lost("killed", orderly=False)
+    agent.lost("the RTPU process ended: killed", again=True)
     assert agent.wait(30.0)
     assert "does not start again" in agent.reason
     assert "temporarily unavailable" in agent.reason
