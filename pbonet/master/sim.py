@@ -444,11 +444,12 @@ class Simulation:
             if notice.text:
                 self.events.append(f"{self._clock()} {task.said(notice)}")
         self.happened.noticed(task, notices)
-        before = self.table.causes
-        self.table.causes = unwritten(self._tasks.values())
-        if self._steady and before != self.table.causes:
-            self.happened.flagged(before, self.table.causes)
+        self._look_for_causes()
+        self.happened.flagged(self.table.illegal, told=self._steady)
         self._standbys.look()
+
+    def _look_for_causes(self) -> None:
+        self.table.causes = unwritten(self._tasks.values())
 
     def _engaged(self, task: SimTask, severity: Severity, text: str) -> None:
         """Tell that a standby was engaged."""

@@ -40,6 +40,8 @@ class SimEvents:
         state_of: Callable[[str], State | None],
     ) -> None:
         self._subsystem = subsystem
+        self._causes: set[str] = set()
+        """For which the flag was up at the last look."""
         self.epoch_ns = 0
         self._ending: dict[str, int] | None = None
         """Tasks of each RTPU that were killed by the stop that goes on."""
@@ -123,14 +125,26 @@ class SimEvents:
             error = executor.failure
             self.tell(task, Severity.ERROR, "METHOD", text, error=error)
 
-    def flagged(self, before: Collection[str], now: Collection[str]) -> None:
-        """Tell what raises the illegal-configuration flag, and what does no more."""
-        log = next(iter(self.logs.values()))
-        for cause in sorted(set(now) - set(before)):
-            log.add(Severity.WARNING, "ILLEGAL", cause, subsystem=self._subsystem)
-        for cause in sorted(set(before) - set(now)):
-            text = f"no longer: {cause}"
-            log.add(Severity.INFO, "LEGAL", text, subsystem=self._subsystem)
+    def flagged(self, now: Collection[str], *, told: bool) -> None:
+        """Tell what raises the illegal-configuration flag, and what does no more.
+
+        Args:
+            now: The causes that stand; who raised one is named behind it.
+            told: Whether that is an event: not while a job begins or ends.
+        """
+        before, self._causes = self._causes, set(now)
+        if not told:
+            return
+        for cause in sorted(self._causes - before):
+            self._told(cause, Severity.WARNING, "ILLEGAL", cause)
+        for cause in sorted(before - self._causes):
+            self._told(cause, Severity.INFO, "LEGAL", f"no longer: {cause}")
+
+    def _told(self, cause: str, level: Severity, code: str, text: str) -> None:
+        """Have the RTPU tell of a cause whose task raised it, else the first one."""
+        rtpu = cause.rpartition("(")[2].partition("/")[0]
+        log = self.logs.get(rtpu) or next(iter(self.logs.values()))
+        log.add(level, code, text, subsystem=self._subsystem)
 
     def tell(
         self,

@@ -67,7 +67,7 @@ def make(
         context.is_stale = lambda port: ask(stale, port, default=False)
     else:
         context.is_stale = stale
-    context.on_illegal = partial(table.said, member.name)
+    context.on_illegal = partial(table.said, f"{member.rtpu}/{member.name}")
     illegal = (lambda: bool(table.illegal)) if rmod.critical else None
     return SimTask(
         member=member,

@@ -80,15 +80,21 @@ class MemoryTable:
     @property
     def illegal(self) -> set[str]:
         """Every cause that stands, also those that modules gave."""
-        return self.causes | {cause for _, cause in self._said}
+        return self.causes | {f"{cause} ({raiser})" for raiser, cause in self._said}
 
-    def said(self, task: str, cause: str, *, up: bool) -> None:
-        """Take or withdraw a module's cause; an empty one withdraws all of its."""
+    def said(self, raiser: str, cause: str, *, up: bool) -> None:
+        """Take or withdraw a module's cause; an empty one withdraws all of its.
+
+        Args:
+            raiser: ``RTPU/TASK``.
+            cause: Why.
+            up: Whether it is taken.
+        """
         if up:
-            self._said.add((task, cause))
+            self._said.add((raiser, cause))
         else:
             self._said -= {
-                one for one in self._said if one[0] == task and cause in {"", one[1]}
+                one for one in self._said if one[0] == raiser and cause in {"", one[1]}
             }
 
     def index(self, name: str) -> int:

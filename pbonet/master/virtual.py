@@ -67,6 +67,9 @@ class VirtualRtpus(Simulation):
         self._signals: dict[str, dict[str, int]] = {}
         self._writers: dict[str, str] = {}
         self._masks: dict[str, list[str]] = {}
+        self._raised: set[str] = set()
+        """Causes under which the master has the flag up."""
+        self._steady = True
         self._job: m.Standing | None = None
         self._epochs = self._spawns = 0
         self._do: dict[type[m.Request], Callable[[str, Any], object]] = {
@@ -85,7 +88,7 @@ class VirtualRtpus(Simulation):
             m.Write: self._write,
             m.Modules: self._modules,
             m.Stop: self._stop,
-            m.Flag: self._causes,
+            m.Flag: self._flag,
             m.Sigmask: self._sigmask,
             m.Job: self._stand,
             m.Events: lambda rtpu, request: self._logs[rtpu].since(request.since),
@@ -130,6 +133,30 @@ class VirtualRtpus(Simulation):
         for name in task.member.task.outputs if on else ():
             self._writers[name] = task.name
 
+    def _look_for_causes(self) -> None:
+        """Take what raises the flag as on real RTPUs: the master, and tasks in ERROR.
+
+        Of these only such whose variables nobody else writes.
+        """
+        tasks = [*self._tasks.values()]
+        states = {task.name: task.executor.state for task in tasks}
+        written = {
+            name
+            for task in tasks
+            if states[task.name] is State.ON
+            for name in task.member.task.outputs
+        }
+        self.table.causes = {f"{cause} (master)" for cause in self._raised} | {
+            f"{task.name} is in ERROR ({task.member.rtpu}/{task.name})"
+            for task in tasks
+            if states[task.name] is State.ERROR
+            and not written.issuperset(task.member.task.outputs)
+        }
+
+    def _look_at_flag(self) -> None:
+        self._look_for_causes()
+        self.happened.flagged(self.table.illegal, told=True)
+
     def _published(self, _: m.Event) -> None:
         for told in self.told:
             told()
@@ -161,8 +188,10 @@ class VirtualRtpus(Simulation):
     def _nothing(self, _rtpu: str, _: m.Request) -> None:
         """Do nothing: who else could have it."""
 
-    def _causes(self, _rtpu: str, _: m.Flag) -> list[str]:
-        return sorted(self.table.causes)
+    def _flag(self, _rtpu: str, request: m.Flag) -> list[str]:
+        (self._raised.add if request.up else self._raised.discard)(request.cause)
+        self._look_at_flag()
+        return sorted(self.table.illegal)
 
     def _claim(self, _rtpu: str, _: m.Claim) -> m.Claimed:
         self._epochs += 1
@@ -223,6 +252,7 @@ class VirtualRtpus(Simulation):
             if task.executor.state is State.NOT_CREATED:
                 self._tasks.pop(name, None)
                 self.table.forget(name)
+                self._look_at_flag()
         return self._one(task)
 
     def _reconfig(self, _rtpu: str, request: m.Reconfig) -> m.Reconfigured:

@@ -117,7 +117,9 @@ class Replayed(Struct, kw_only=True):
         """Return it in a few lines."""
         speed = f", {self.seconds / self.took:.0f} x real time" if self.took else ""
         what = "identical" if self.good else "not all identical"
-        lines = [f"{len(self.tasks)} tasks together: {what}{speed}"]
+        count = len(self.tasks)
+        tasks = "1 task" if count == 1 else f"{count} tasks together"
+        lines = [f"{tasks}: {what}{speed}"]
         if self.first:
             lines.append(f"the first to differ is {self.first}")
         return "\n".join([*lines, *map(str, self.tasks)])
