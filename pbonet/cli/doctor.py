@@ -46,6 +46,11 @@ def command(
         domain,
         probe=probe(),
         leftovers=[doctor.Leftover(at.domain, at.name) for at in dead],
+        neighbours=[
+            doctor.Neighbour(at.domain, at.name, state.core)
+            for at, state in states.items()
+            if state and state.alive and at.domain != domain
+        ],
         connect=connect or (),
     )
     if json_:

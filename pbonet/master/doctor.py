@@ -23,6 +23,7 @@ from pbonet.master.fleet import client_name
 from pbonet.sched.criticality import PLANNED
 from pbonet.svar import files as shared
 from pbonet.xm import credentials, rpc, rundir, session
+from pbonet.xm import losses as out
 from pbonet.xm import messages as m
 
 if TYPE_CHECKING:
@@ -73,11 +74,24 @@ class Leftover(Struct, frozen=True):
     rtpu: str
 
 
+class Neighbour(Struct, frozen=True):
+    """An RTPU of another domain on this machine, as its state file tells."""
+
+    domain: str
+    rtpu: str
+    core: int
+
+    def __str__(self) -> str:
+        """Return which one it is."""
+        return f"{self.rtpu} of domain {self.domain}"
+
+
 def examine(
     domain: str,
     *,
     probe: Probe,
     leftovers: Sequence[Leftover] = (),
+    neighbours: Sequence[Neighbour] = (),
     connect: Sequence[str] = (),
 ) -> list[Finding]:
     """Return what was found.
@@ -86,6 +100,7 @@ def examine(
         domain: Whose agents are asked.
         probe: The real-time rights of this process.
         leftovers: RTPUs that were killed and not cleaned up after.
+        neighbours: RTPUs of other domains on this machine.
         connect: Endpoints of agents on other machines.
     """
     found = [*versions(), *rights(probe), *memory()]
@@ -106,7 +121,9 @@ def examine(
         for path in abandoned()
     ]
     found += own_keys()
-    return [*found, *agents(domain, probe.cores, connect)]
+    infos: list[m.AgentInfo] = []
+    found += agents(domain, connect, infos)
+    return [*found, *cores(infos, probe.cores, neighbours)]
 
 
 def versions() -> Iterator[Finding]:
@@ -203,9 +220,9 @@ def _mapped(paths: Iterable[Path]) -> set[str]:
 
 
 def agents(
-    domain: str, allowed: Sequence[int], connect: Sequence[str]
+    domain: str, connect: Sequence[str], infos: list[m.AgentInfo]
 ) -> Iterator[Finding]:
-    """Ask every agent of the domain, and time it."""
+    """Ask every agent of the domain, and time it; `infos` takes who answers."""
     try:
         opened = session.client(domain, connect=connect)
     except ConfigFileError:  # told of the keys
@@ -218,7 +235,6 @@ def agents(
         return
     client = rpc.Client(opened, domain, client_name("doctor"))
     try:
-        infos: list[m.AgentInfo] = []
         names = client.rtpus()
         if not names:
             where = f"at {' '.join(connect)}" if connect else "on this machine"
@@ -237,9 +253,9 @@ def agents(
                 yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
             else:
                 yield from _agent(infos[-1], passed)
-        yield from cores(infos, allowed)
         yield from _tbufs(client, infos)
         yield from _pairs(client, [info.name for info in infos])
+        yield from losses(infos)
     finally:
         client.close()
 
@@ -294,6 +310,12 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
                 if news.lost
                 else "",
             )
+        for other in report.unseen:
+            yield Finding(
+                Level.WARN,
+                f"{name} has a link to {other}, and does not see it",
+                "the agent makes the link anew within some seconds; look again then",
+            )
         for other in report.double:
             yield Finding(
                 Level.WARN,
@@ -305,11 +327,18 @@ def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
 
 def _pair(one: str, other: str, way: m.Way | None) -> Finding:
     """Return what was found about the way between two agents."""
-    if way is None or way.error:
+    if way is None:
         return Finding(
             Level.FAIL,
-            f"{one} - {other}: {way.error if way else 'they do not see each other'}",
+            f"{one} - {other}: they do not see each other",
             "let one of them --connect to the other, or both to a third",
+        )
+    if way.error:
+        return Finding(
+            Level.FAIL,
+            f"{one} - {other}: {way.error}",
+            "a link that was lost is restored within some seconds: look again; if it "
+            f"stays so, start {other} anew (kill -HUP, docs/hosts.md)",
         )
     text = f"{one} - {other}: round trip {render.seconds(way.trip)}"
     if way.hops:
@@ -319,6 +348,18 @@ def _pair(one: str, other: str, way: m.Way | None) -> Finding:
     if way.hops > 1:
         text += ", by way of another agent"
     return Finding(Level.PASS, text)
+
+
+def losses(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+    """Tell which machines have lost sight of each other, and since when."""
+    for info in infos:
+        for lost, more in out.grouped(info.lost):
+            behind = ", ".join(f"{one.rtpu} of {one.host}" for one in more)
+            yield Finding(
+                Level.WARN,
+                out.loss(info, lost) + (f", and with it {behind}" if behind else ""),
+                out.remedy(info, lost),
+            )
 
 
 def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
@@ -371,12 +412,18 @@ def own_keys() -> Iterator[Finding]:
         yield _term(f"your keys in {folder}", left, remedy)
 
 
-def cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Finding]:
+def cores(
+    infos: Sequence[m.AgentInfo],
+    allowed: Sequence[int],
+    neighbours: Sequence[Neighbour] = (),
+) -> Iterator[Finding]:
     """Look whether RTPUs have cores of their own, and leave one to housekeeping."""
-    yield from _shared(infos)
+    for one in neighbours:
+        yield Finding(Level.PASS, f"{one} has core {one.core} of this machine")
+    yield from _shared(infos, neighbours)
     here = [info for info in infos if info.machine == rundir.machine()]
-    used = {info.core for info in here}
-    if here and not set(allowed) - used:
+    used = {info.core for info in here} | {one.core for one in neighbours}
+    if used and not set(allowed) - used:
         yield Finding(
             Level.WARN,
             "RTPUs own every core of this machine; none is left for housekeeping",
@@ -384,17 +431,22 @@ def cores(infos: Sequence[m.AgentInfo], allowed: Sequence[int]) -> Iterator[Find
         )
 
 
-def _shared(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+def _shared(
+    infos: Sequence[m.AgentInfo], neighbours: Sequence[Neighbour]
+) -> Iterator[Finding]:
     """Tell RTPUs on one core: the analysis takes each for the owner of its core."""
-    owners: dict[tuple[str, int], list[m.AgentInfo]] = {}
+    owners: dict[tuple[str, int], list[str]] = {}
+    hosts = {rundir.machine(): "this machine"}
     for info in infos:
-        owners.setdefault((info.machine, info.core), []).append(info)
-    for (_, core), sharers in owners.items():
+        owners.setdefault((info.machine, info.core), []).append(info.name)
+        hosts[info.machine] = info.host
+    for one in neighbours:
+        owners.setdefault((rundir.machine(), one.core), []).append(str(one))
+    for (machine, core), sharers in owners.items():
         if len(sharers) > 1:
-            names = ", ".join(sorted(info.name for info in sharers))
             yield Finding(
                 Level.WARN,
-                f"{names} share core {core} of {sharers[0].host}; "
+                f"{', '.join(sorted(sharers))} share core {core} of {hosts[machine]}; "
                 "`pbonet check` judges each as the owner of a core",
                 "add their utilizations up, or give each a core of its own "
                 "(pbonet agent --core)",

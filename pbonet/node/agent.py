@@ -183,7 +183,7 @@ class Agent:
             self._met_twin,
         )
         self._twins.start()
-        self._ways = Ways(self._session, self.info, self._recorders.tell)
+        self._ways = Ways(self._session, self.info, self._recorders.tell, self._note)
         self._ways.start()
         where = self._session, self.config.domain
         self._mirrors = Mirrors(*where, self._ways.offset, self._note)
@@ -362,6 +362,7 @@ class Agent:
             claims=info.claims,
             now_ns=time.monotonic_ns(),
             keys_left=self._term.left if self._term is not None else None,
+            lost=self._ways.lost() if self._ways is not None else [],
         )
 
     def _describe(self) -> AgentInfo:

@@ -8,6 +8,7 @@ wrong by more than half of the trip (Cristian 1989).
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -17,25 +18,34 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 import zenoh
 
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, Severity
 from pbonet.xm import codec, dialling, keys, session
 from pbonet.xm import messages as m
 
-from . import wire
+from . import relink, wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
 log = logging.getLogger("pbonet.node")
 
 PERIOD = 1.0
 """Seconds between round trips to one agent."""
+_END = "end"
+"""Last part of the key on which an agent that ends in order says so."""
 KEPT = 8
 """Round trips that the shortest is chosen from."""
 TRIES = 3
 """Round trips that a report makes."""
 ANSWER_TIME = 0.5
 """Seconds for an answer; it is made at once."""
+AGAIN = 10
+"""A report looks so often again for who is seen and cannot be asked."""
+PAUSE = 0.1
+"""Seconds between such looks: links are being restored."""
+MOST_LOST = 64
+"""Agents that are remembered though they are seen no more."""
+_UNASKED = "its agent is seen, and no request finds its way there"
 
 
 class Trip(NamedTuple):
@@ -54,6 +64,8 @@ class Peer:
         """The shortest trip; asked for with each record of a link."""
         self.info: m.AgentInfo | None = None
         self.error = ""
+        self.near = False
+        """Whether there is a link of its own to it."""
 
     def add(self, info: m.AgentInfo, begin_ns: int, end_ns: int) -> None:
         """Take a round trip; those to another process or machine count no more."""
@@ -72,6 +84,7 @@ class Ways:
         link: The agent's session.
         me: Who the agent is.
         tell: Takes how far clocks are apart, every second.
+        note: Takes what is to be told to masters.
     """
 
     def __init__(
@@ -79,11 +92,18 @@ class Ways:
         link: zenoh.Session,
         me: Callable[[], m.AgentInfo],
         tell: Callable[[wire.Clocks], None] | None = None,
+        note: Callable[[wire.Note], None] | None = None,
     ) -> None:
         self._session = link
         self._me = me
         self._tell = tell
+        self._note = note
         self._peers: dict[str, Peer] = {}
+        self._lost: dict[str, tuple[m.Lost, float]] = {}
+        """Agents that were seen, and when they were looked for in vain."""
+        self._ended: set[str] = set()
+        """Those that have said that they end."""
+        self._relink = relink.Relink(link)
         self._guard = threading.Lock()
         self._over = threading.Event()
         self._codec = codec.Codec()
@@ -93,13 +113,37 @@ class Ways:
 
     def start(self) -> None:
         """Ask every second."""
+        self._subscriber = self._session.declare_subscriber(
+            keys.all_rtpus(self._me().domain, _END),
+            zenoh.handlers.Callback(self._heard_end, indirect=False),
+        )
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask no more."""
+        """Ask no more, and say to the others that this is no loss."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
+        with contextlib.suppress(zenoh.ZError):
+            me = self._me()
+            self._session.put(keys.rtpu(me.domain, me.name, _END), b"")
+
+    def lost(self) -> list[m.Lost]:
+        """Return the agents that were seen, and are seen no more."""
+        if not self._lost:
+            return []
+        now = time.monotonic()
+        with self._guard:
+            found = sorted(self._lost.items())
+        return [msgspec.structs.replace(one, ago=now - at) for _, (one, at) in found]
+
+    def _heard_end(self, sample: zenoh.Sample) -> None:
+        """Take note of an agent that ends in order; runs in zenoh's own thread."""
+        name = keys.rtpu_name(str(sample.key_expr))
+        with self._guard:
+            if name in self._peers:
+                self._ended.add(name)
+            self._lost.pop(name, None)
 
     def offset(self, machine: str) -> int | None:
         """Return by how many ns a machine's clock is ahead, if known.
@@ -129,23 +173,41 @@ class Ways:
         me = self._me()
         for _ in range(TRIES):
             self._look(me.name)
-        near = {str(zid) for zid in self._session.info.routers_zid()}
+        for _ in range(AGAIN):
+            if not any(peer.error == _UNASKED for peer in list(self._peers.values())):
+                break
+            time.sleep(PAUSE)
+            self._look(me.name)
         counts = dialling.links(self._session)
         with self._guard:
             peers = sorted(self._peers.items())
-        ways = [_way(name, peer, me, near) for name, peer in peers]
+        ways = [_way(name, peer, me) for name, peer in peers]
         names = {p.info.zid: name for name, p in peers if p.info is not None}
         double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
-        return m.LinkReport(rtpu=me.name, ways=ways, double=sorted(double))
+        unseen = sorted(one.name for one in self._relink.unseen(_seen(peers)).values())
+        return m.LinkReport(
+            rtpu=me.name, ways=ways, double=sorted(double), unseen=unseen
+        )
 
     def _watch(self) -> None:
         while not self._over.wait(PERIOD):
             try:
                 self._look(self._me().name)
+                self._relink_unseen()
             except zenoh.ZError as error:
                 log.debug("the ways cannot be measured: %s", error)
             if self._tell is not None and (others := self._apart()):
                 self._tell(wire.Clocks(self._me().machine, others))
+
+    def _relink_unseen(self) -> None:
+        """Have links made anew by which neighbours are not seen."""
+        with self._guard:
+            peers = list(self._peers.items())
+        for name in self._relink.look(_seen(peers)):
+            text = f"the link to agent {name} stood and told nothing; it is made anew"
+            log.warning("%s: %s", self._me().name, text)
+            if self._note is not None:
+                self._note(wire.Note(int(Severity.WARNING), "LINK_ANEW", text))
 
     def _apart(self) -> list[wire.Apart]:
         """Return how far the clocks of other machines are apart from this one's."""
@@ -164,11 +226,14 @@ class Ways:
 
     def _look(self, me: str) -> None:
         """Make one round trip to each agent that can be seen."""
-        domain = self._me().domain
+        domain, machine = self._me().domain, self._me().machine
         names = [n for n in session.rtpus(self._session, domain) if n != me]
+        near = {str(zid) for zid in self._session.info.routers_zid()}
         with self._guard:
             for gone in self._peers.keys() - set(names):
-                del self._peers[gone]
+                self._lose(gone, self._peers.pop(gone))
+            for name in names:
+                self._lost.pop(name, None)
         for name in names:
             peer = self._peers.setdefault(name, Peer())
             begin = time.monotonic_ns()
@@ -176,9 +241,23 @@ class Ways:
             end = time.monotonic_ns()
             with self._guard:
                 if isinstance(found, m.AgentInfo):
+                    if peer.info is None or peer.info.zid != found.zid:
+                        self._ended.discard(name)  # it was started again
                     peer.add(found, begin, end)
+                    peer.near = found.zid in near
+                    self._relink.met(found, here=found.machine == machine)
                 else:
                     peer.error = found
+
+    def _lose(self, name: str, peer: Peer) -> None:
+        """Remember who is seen no more, unless it has said that it ends."""
+        if name in self._ended:
+            self._ended.discard(name)
+        elif peer.info is not None:
+            lost = m.Lost(rtpu=name, host=peer.info.host, near=peer.near, ago=0.0)
+            self._lost[name] = lost, time.monotonic()
+            while len(self._lost) > MOST_LOST:
+                self._lost.pop(next(iter(self._lost)))
 
     def _ask(self, key: str) -> m.AgentInfo | str:
         """Return who answers on a key, or why nobody does."""
@@ -195,14 +274,19 @@ class Ways:
                 return str(PbonetError.from_wire(answer.error or {}))
             except (PbonetError, msgspec.ValidationError) as error:
                 return str(error)
-        return "its agent is seen, and cannot be asked"
+        return _UNASKED
 
 
-def _way(name: str, peer: Peer, me: m.AgentInfo, near: set[str]) -> m.Way:
+def _seen(peers: Iterable[tuple[str, Peer]]) -> list[str]:
+    """Return the names of those that can be asked, however late they answer."""
+    return [name for name, peer in peers if peer.error != _UNASKED]
+
+
+def _way(name: str, peer: Peer, me: m.AgentInfo) -> m.Way:
     info, best = peer.info, peer.best
     if peer.error or info is None or best is None:
         return m.Way(rtpu=name, error=peer.error or "not yet asked")
-    hops = 1 if info.zid in near else 2
+    hops = 1 if peer.near else 2
     return m.Way(
         rtpu=name,
         host=info.host,

@@ -5,6 +5,17 @@ from __future__ import annotations
 from msgspec import Struct
 
 
+class Lost(Struct, kw_only=True):
+    """Another agent that an agent has seen, and sees no more."""
+
+    rtpu: str
+    host: str
+    near: bool
+    """Whether a link of its own stood between the two."""
+    ago: float
+    """Seconds since it was looked for in vain for the first time."""
+
+
 class AgentInfo(Struct, kw_only=True):
     """Who an agent is and what it can do."""
 
@@ -36,6 +47,8 @@ class AgentInfo(Struct, kw_only=True):
     """CLOCK_MONOTONIC of its machine when it answered."""
     keys_left: float | None = None
     """Seconds that its keys are good for; None if it has none."""
+    lost: list[Lost] = []
+    """Those that it has seen and sees no more, and that did not say that they end."""
 
 
 class Way(Struct, kw_only=True):
@@ -77,5 +90,7 @@ class LinkReport(Struct, kw_only=True):
     rtpu: str
     ways: list[Way] = []
     tables: list[TableNews] = []
+    unseen: list[str] = []
+    """Agents to which a link stands, and that are not seen by it: it is made anew."""
     double: list[str] = []
     """Agents to which two links stand, which makes zenoh's routers stall."""

@@ -19,6 +19,7 @@ from pbonet.xm import values
 
 from .agents import AgentInfo as AgentInfo  # noqa: PLC0414 - taken from here
 from .agents import LinkReport as LinkReport  # noqa: PLC0414 - taken from here
+from .agents import Lost as Lost  # noqa: PLC0414 - taken from here
 from .agents import TableNews as TableNews  # noqa: PLC0414 - taken from here
 from .agents import Way as Way  # noqa: PLC0414 - taken from here
 from .statuses import RtpuStatus as RtpuStatus  # noqa: PLC0414

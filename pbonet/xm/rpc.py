@@ -14,6 +14,7 @@ Stands for the message queues between the master task and the SBS servers of Ste
 
 from __future__ import annotations
 
+import contextlib
 import contextvars
 import itertools
 import logging
@@ -24,6 +25,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
+import msgspec
 import zenoh
 
 from pbonet.errors import (
@@ -33,9 +35,9 @@ from pbonet.errors import (
     ProtocolError,
     SeveralError,
     UnreachableError,
-    did_you_mean,
 )
-from pbonet.xm import credentials, keys, roles, rundir
+from pbonet.xm import keys, losses, roles, rundir
+from pbonet.xm.agents import AgentInfo
 from pbonet.xm.codec import Codec
 from pbonet.xm.letters import read_result
 from pbonet.xm.messages import Answer, Hello, Request, Stop
@@ -64,11 +66,12 @@ _ALONE_TIME: Final = 1.2
 """When nobody at all can be reached, the agent through which we reach the others has
 gone; in this time zenoh finds the next. So long one is waited for, too, that is not
 seen while its process runs on this machine: its link is being restored."""
+_LOSS_TIME: Final = 0.3
+"""Seconds in which an agent says whom it sees no more."""
 _LEAST_TRIES: Final = 10
 """So often an agent is looked for at least: behind a standstill of the whole machine
 all times are over, and the links are only being restored."""
 _TOKEN_TIME: Final = 1.0
-_DIGITS: Final = "0123456789"
 _RETRY_PAUSE: Final = 0.05
 _REPLIES: Final = 8
 """Room for the replies to a query: one, unless two agents have one name."""
@@ -275,7 +278,9 @@ class Client:
             if rtpu not in names and not (
                 self._may_come_back(rtpu, names) and (patient or now <= alone)
             ):
-                raise unreachable(rtpu, self.domain, names)
+                raise losses.unreachable(
+                    rtpu, self.domain, names, self._loss(rtpu, names)
+                )
             if greeted:  # it answered a moment ago, but not this
                 raise _no_access(rtpu)
             greeted = leaf == "sbs" and rtpu in names and self._hello(rtpu)
@@ -358,6 +363,22 @@ class Client:
         pid = rundir.agent_processes(self.domain).get(rtpu, 0)
         return not names or (pid > 0 and not rundir.is_stopped(pid))
 
+    def _loss(self, rtpu: str, names: list[str]) -> tuple[str, str]:
+        """Return who has lost sight of an agent, and the remedy; empty if unknown."""
+        infos: list[AgentInfo] = []
+        for name in names:
+            hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
+            payload, leaf = self._codec.pack(hello), roles.leaf(hello)
+            with contextlib.suppress(PbonetError, msgspec.ValidationError):
+                reply = self._at_once(name, leaf, payload, _LOSS_TIME)
+                if reply is not None and reply.ok is not None:
+                    answer = self._codec.answer(reply.ok.payload.to_bytes())
+                    infos.append(read_result(name, answer, AgentInfo))
+        if (found := losses.first(rtpu, infos)) is None:
+            return "", ""
+        by, lost, _ = found
+        return losses.loss(by, lost), losses.remedy(by, lost)
+
     def _answer(self, rtpu: str, request: Request, data: bytes) -> Answer:
         answer = self._codec.answer(data)
         if answer.id != request.id:
@@ -377,36 +398,6 @@ def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None
         raise errors[0]
     if errors:
         raise SeveralError(what, errors, remedy=remedy)
-
-
-def unreachable(rtpu: str, domain: str, names: list[str]) -> UnreachableError:
-    """Return the error for an RTPU that is not among `names`."""
-    pid = rundir.agent_processes(domain).get(rtpu, 0)
-    if pid:
-        return _cut_off(rtpu, pid)
-    there = ", ".join(names) or "none"
-    stem = rtpu.rstrip(_DIGITS)  # arm1 is no misspelt arm0
-    hint = did_you_mean(rtpu, [n for n in names if n.rstrip(_DIGITS) != stem])
-    start = f"pbonet agent --name {rtpu}"
-    if domain != "default":
-        start += f" --domain {domain}"
-    start = (not names and _bad_keys()) or f"start it with '{start}'"
-    return UnreachableError(
-        "no agent of this name can be reached",
-        where=rtpu,
-        got=f"RTPUs of the domain {domain} that can be reached: {there}",
-        remedy=f"{hint} else {start}" if hint else start,
-    )
-
-
-def _bad_keys() -> str:
-    """Return what is wrong with one's keys; empty if nothing is."""
-    try:
-        if (folder := credentials.named()) is not None:
-            credentials.prove(folder)
-    except PbonetError as error:
-        return f"your keys: {error}"
-    return ""
 
 
 def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:
@@ -434,18 +425,6 @@ def _no_sign(rtpu: str) -> NoAnswerError:
         expected=f"one within {ASK_TIME + PROOF_TIME:g} s",
         remedy="see its output; if it hangs, end it with 'kill -9' and start it "
         "again: its tasks go on meanwhile, for its grace",
-    )
-
-
-def _cut_off(rtpu: str, pid: int) -> UnreachableError:
-    """Return the error for an agent whose process is on this machine, but not heard."""
-    stopped = rundir.is_stopped(pid)
-    return UnreachableError(
-        "the agent cannot be reached, though its process is there",
-        where=rtpu,
-        got=f"process {pid}" + (", which is stopped" if stopped else ""),
-        remedy=(f"'kill -CONT {pid}' lets it go on; else " if stopped else "")
-        + f"end it with 'kill -9 {pid}' and start it again",
     )
 
 

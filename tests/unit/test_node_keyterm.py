@@ -103,9 +103,9 @@ def test_doctor_looks_at_ones_own_keys(lab, monkeypatch, days, line):
 def test_doctor_tells_who_cannot_be_reached(run_dir, monkeypatch):  # noqa: ARG001 - an empty folder
     """Nobody being there is no fault; who was named, or runs, has to answer."""
     monkeypatch.delenv(credentials.VARIABLE, raising=False)
-    (alone,) = doctor.agents("d", [0], [])
+    (alone,) = doctor.agents("d", [], [])
     assert alone.level is doctor.Level.PASS
-    (named,) = doctor.agents("d", [0], ["tcp/127.0.0.1:9"])
+    (named,) = doctor.agents("d", ["tcp/127.0.0.1:9"], [])
     assert str(named).startswith(
         "FAIL tcp/127.0.0.1:9: no agent of domain d answers; is an agent running there"
     )

@@ -93,3 +93,16 @@ def test_doctor_warns_when_no_core_is_left():
     assert [one.what for one in found] == [
         "RTPUs own every core of this machine; none is left for housekeeping"
     ]
+
+
+def test_doctor_tells_rtpus_of_other_domains():
+    """On a core of this domain's, on one of their own; together they may take all."""
+    others = [doctor.Neighbour("lab", "x", 1), doctor.Neighbour("lab", "y", 0)]
+    texts = [str(one) for one in doctor.cores([agent("a", 1)], [0, 1], others)]
+    assert texts[0] == "PASS x of domain lab has core 1 of this machine"
+    assert texts[1] == "PASS y of domain lab has core 0 of this machine"
+    assert texts[2].startswith("WARN a, x of domain lab share core 1 of ")
+    assert texts[3].startswith("WARN RTPUs own every core of this machine")
+    assert [one.level for one in doctor.cores([], [0, 1], others[:1])] == [
+        doctor.Level.PASS
+    ]

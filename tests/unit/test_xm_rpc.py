@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pbonet.errors import NodeError, ProtocolError
-from pbonet.xm import codec, credentials, pki, rpc
+from pbonet.xm import codec, credentials, losses, pki
 from pbonet.xm import messages as m
 from pbonet.xm.credentials import Role
 from pbonet.xm.rpc import placed
@@ -47,7 +47,7 @@ def test_who_has_keys_that_ran_out_is_told_so(tmp_path, monkeypatch, run_dir):  
     pki.make_authority(tmp_path / "lab")
     keys = pki.issue(tmp_path / "lab", Role.MASTER, "anna", days=-0.01)
     monkeypatch.setenv(credentials.VARIABLE, str(keys))
-    text = str(rpc.unreachable("arm0", "d", []))
+    text = str(losses.unreachable("arm0", "d", []))
     assert f"your keys: {keys}/cert.pem: the certificate has run out" in text
     assert "pbonet agent" not in text
-    assert "start it with" in str(rpc.unreachable("arm0", "d", ["arm1"]))
+    assert "start it with" in str(losses.unreachable("arm0", "d", ["arm1"]))
