@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pbonet import verify
 from pbonet.config import info_of, parse_rmod
 from pbonet.errors import PbonetError
-from pbonet.master import modules, sending
+from pbonet.master import modules, sending, unfed
 from pbonet.master.failures import already
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
@@ -46,11 +46,6 @@ SIGNALS = {
     "reinit": None,
 }
 """What may be sent to a task, and the state that it leads to; None: as before."""
-
-UNFED = "equation 2: nobody writes "
-"""How the cause begins under which a master raises the illegal-configuration flag."""
-_CAUSE = 100
-"""Characters of a cause that the flag has room for."""
 
 log = logging.getLogger("pbonet.master")
 
@@ -133,7 +128,7 @@ class Crew:
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
-        known = set(self.picture.names)
+        known, dead = set(self.picture.names), self._inbox.dead()
         results, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus)
         if strict or not results:
             rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
@@ -143,6 +138,7 @@ class Crew:
         for status in there:
             self.note(status)
         names = {status.task for status in there}
+        self._inbox.bury({t for t, rtpu in dead.items() if rtpu in results} - names)
         for member in self.picture:
             gone = member.rtpu in results and member.name not in names
             if gone and member.name in known:  # else it was spawned meanwhile
@@ -151,7 +147,7 @@ class Crew:
             cause.partition(" (")[0]  # behind it stands who raised it
             for rtpu in statuses
             for cause in rtpu.illegal
-            if cause.startswith(UNFED)
+            if cause.startswith(unfed.UNFED)
         }
         return statuses
 
@@ -370,15 +366,24 @@ class Crew:
         Raises:
             PbonetError: It was refused, or a method of the module failed.
         """
-        member = self.picture.find(task)
+        rtpu = self.home(task, signal)
         request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
         request.replaces = list(replaces)
-        status = self.fleet.call(
-            member.rtpu, request, m.TaskStatus, timeout=CONTROL_TIME
-        )
+        status = self.fleet.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
         self.picture.ordered(task, signal)
         self.note(status)
+        if signal == "kill":
+            self._inbox.bury([task])
         return status
+
+    def home(self, task: str, signal: str) -> str:
+        """Return the RTPU of a task to send a signal to; the dead may be killed.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        died = "" if task in self.picture else self._inbox.dead().get(task, "")
+        return died if died and signal == "kill" else self.picture.find(task).rtpu
 
     def send(
         self, items: Sequence[tuple[str, str]], before: Sequence[tuple[str, str]] = ()
@@ -395,9 +400,11 @@ class Crew:
         Raises:
             ReconfigError: An item failed; the rest was not sent.
         """
-        return sending.send(
+        states = sending.send(
             self.picture, self.fleet, items, CONTROL_TIME, before=before
         )
+        self._inbox.bury(task for task, signal in items if signal == "kill")
+        return states
 
     def settle(self) -> None:
         """After a change: tell priorities, raise or clear the flag of equation 2.
@@ -406,15 +413,15 @@ class Crew:
         too: the change has its own outcome.
         """
         try:
-            unfed = [
+            problems = [
                 problem
                 for problem in self._problems()
                 if problem.code is verify.Code.NO_WRITER
             ]
-            texts = list(map(verify.as_text, unfed))
+            texts = list(map(verify.as_text, problems))
             self.tell(text for text in texts if text not in self._unfed)
             self._unfed = set(texts)
-            self._flag({_cause(unfed)} if unfed else set())
+            self._flag({unfed.cause(problems)} if problems else set())
             self.rank()
         except PbonetError as error:
             self.warned(f"after the change: {error}")
@@ -491,10 +498,3 @@ class Crew:
             if member.rtpu in results:
                 self.picture.remove(member.name)
         return stopped, errors
-
-
-def _cause(unfed: Iterable[verify.Problem]) -> str:
-    """Return the cause of the flag for inputs without a writer: which, and whose."""
-    named = (f"{' '.join(p.variables)} for {' and '.join(p.tasks)}" for p in unfed)
-    text = UNFED + ", ".join(named)
-    return text if len(text) <= _CAUSE else f"{text[: _CAUSE - 3]}..."

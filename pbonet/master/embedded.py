@@ -1,7 +1,8 @@
 """Agents that a master starts itself, for RTPUs that nobody runs.
 
 They are child processes that live as long as the master: when it ends, also by a kill,
-they turn their tasks off in order and end.
+they turn their tasks off in order and end. Of domain, endpoints and libraries they have
+what the master has, also where that is nothing and the environment says something.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import zenoh
 from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError, StateError, UnreachableError
+from pbonet.master import environment
 from pbonet.xm import credentials, session
 
 if TYPE_CHECKING:
@@ -182,17 +184,19 @@ class Embedded:
         command = [sys.executable, "-m", "pbonet.cli", "agent"]
         command += ["--name", rtpu, "--core", str(core), "--domain", self._domain]
         command += ["--with-parent", str(os.getpid())]
-        for folder in self._libraries:
-            command += ["--library", str(Path(folder).absolute())]
         for endpoint in self._connect:
             command += ["--connect", endpoint]
         if keys := credentials.named():
             command += ["--keys", str(keys)]
         if self._runs is not None:
             command += ["--runs", str(Path(self._runs).absolute())]
+        folders = [str(Path(folder).absolute()) for folder in self._libraries]
+        for folder in folders:
+            command += ["--library", folder]
         output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the child
         process = subprocess.Popen(
             command,
+            env=environment.of(self._domain, self._connect, folders),
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,

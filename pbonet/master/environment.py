@@ -38,3 +38,15 @@ def told(
     if domain is None:
         domain = os.environ.get("PBONET_DOMAIN") or "default"
     return Told(domain, connect, libraries)
+
+
+def of(
+    domain: str, connect: Sequence[str], libraries: Sequence[str | Path]
+) -> dict[str, str]:
+    """Return an environment that says this and all else that this process's says."""
+    return {
+        **os.environ,
+        "PBONET_DOMAIN": domain,
+        "PBONET_CONNECT": " ".join(connect),
+        "PBONET_LIBRARY": os.pathsep.join(map(str, libraries)),
+    }

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 LOOK_TIME = 0.5
 """Seconds after which a wait looks at the counts though no event has come."""
+LATE_NS = 60_000_000_000
+"""A status is late by less than this; an older one is of a machine that was booted
+anew, whose clock begins at 0."""
 _FIRST = ("SHUTDOWN", "ERROR")
 """Signals that are handed out before others."""
 
@@ -54,9 +57,22 @@ class _Life(Struct):
     """Sent and not taken; of a task that died also by those before it."""
     died: int = 0
     """When it was last seen to have died; 0: not."""
+    seen: int = 0
+    """When it was seen last."""
+    buried: bool = False
+    """It was killed, or is to be."""
+
+    def is_late(self, status: m.TaskStatus) -> bool:
+        """Tell whether a status is from before its spawn or, if it died, its death."""
+        if self.seen - status.now > LATE_NS:
+            return False
+        before = bool(self.died and status.tid and status.tid == self.tid)
+        return before or status.now < self.since
 
     def is_other(self, status: m.TaskStatus) -> bool:
         """Tell whether a status is that of a task that was spawned anew."""
+        if self.seen - status.now > LATE_NS:
+            return True
         if status.tid:
             return bool(self.died) or status.tid != self.tid
         if self.died:
@@ -86,6 +102,24 @@ class Inbox:
         """Count what a task has sent since its last status."""
         with self._busy:
             self._note(status)
+
+    def dead(self) -> dict[str, str]:
+        """Return the tasks that have died and were not killed, and the RTPU of each."""
+        with self._busy:
+            return {
+                task: rtpu
+                for (rtpu, task), life in self._lives.items()
+                if life.died and not life.buried
+            }
+
+    def bury(self, tasks: Iterable[str]) -> None:
+        """Forget what is pending of tasks that were killed."""
+        names = set(tasks)
+        with self._busy:
+            for (_, task), life in self._lives.items():
+                if task in names:
+                    life.buried = True
+                    life.pending.clear()
 
     def clear(self) -> None:
         """Forget all tasks, for they have been stopped."""
@@ -126,14 +160,13 @@ class Inbox:
     def _note(self, status: m.TaskStatus) -> None:
         key = (status.rtpu, status.task)
         life = self._lives.get(key)
-        if life is not None and status.now < life.since:
-            return  # it came late: of the task that was there before
-        if life is not None and life.died and status.tid and status.tid == life.tid:
-            return  # it came late: from before its death
+        if life is not None and life.is_late(status):
+            return
         if life is None or life.is_other(status):
             pending = life.pending if life is not None and life.died else {}
             life = _Life(status.tid, status.now, {}, pending)
             self._lives[key] = life
+        life.seen = max(life.seen, status.now)
         for name, count in status.signals.items():
             if (more := count - life.counts.get(name, 0)) > 0:
                 life.counts[name] = count

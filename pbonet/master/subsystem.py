@@ -335,7 +335,7 @@ class Subsystem(Switching, Calls, Signalled):
         """
         check_signal(signal)
         with self._changing(strict=signal == "on") as crew:
-            crew.picture.find(task)
+            crew.home(task, signal)
             if signal == "on":
                 crew.judge(verify.signal(task, signal))
             try:

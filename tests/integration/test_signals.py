@@ -183,6 +183,15 @@ class TestSigwait:
         one = program.sigwait(["ERROR"], timeout=0.0)
         assert (one.task, one.count) == ("dies", 2)
 
+    def test_a_dead_task_that_is_killed_takes_its_error_along(self, program):
+        program.spawn("dies")
+        program.control("dies", "on")
+        wait_for(lambda: program.events(code="TASK_DIED"), "its death")
+        program.kill("dies")
+        assert [one.task for one in program.status()] == []
+        program.spawn("dies")
+        assert program.signals() == []
+
     def test_a_task_spawned_anew_begins_anew(self, program):
         for _ in range(2):
             program.spawn("talks")

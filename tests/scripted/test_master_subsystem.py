@@ -22,8 +22,8 @@ from pbonet.errors import (
     UnreachableError,
     VerificationError,
 )
-from pbonet.master.crew import UNFED
 from pbonet.master.subsystem import Subsystem
+from pbonet.master.unfed import UNFED
 from pbonet.xm import rpc
 
 ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pbonet.master import environment
+from pbonet.master import embedded, environment
 from pbonet.master.subsystem import Subsystem
 
 PUMA = Path(__file__).parents[2] / "examples" / "puma" / "puma.sbs"
@@ -42,3 +42,20 @@ def test_an_empty_environment_says_nothing(monkeypatch):
     for name in ("DOMAIN", "CONNECT", "LIBRARY"):
         monkeypatch.setenv(f"PBONET_{name}", "")
     assert environment.told(None, None, None) == ("default", [], [])
+
+
+@pytest.mark.usefixtures("variables")
+@pytest.mark.parametrize("connect", [[], ["tcp/10.0.0.9:7447"]])
+@pytest.mark.parametrize("libraries", [[], ["/x", "/y"]])
+def test_agents_of_a_program_have_what_it_has(monkeypatch, connect, libraries):
+    """They take from the environment no more than the program did."""
+    started = []
+    monkeypatch.setattr(
+        embedded.subprocess, "Popen", lambda args, **how: started.append((args, how))
+    )
+    agents = embedded.Embedded("here", libraries=libraries, connect=connect)
+    agents._launch("arm0", 0).output.close()
+    ((_, how),) = started
+    for name, value in how["env"].items():
+        monkeypatch.setenv(name, value)
+    assert environment.told(None, None, None) == ("here", connect, libraries)

@@ -82,6 +82,25 @@ def test_a_status_that_comes_late_counts_for_nothing(inbox):
     assert take(inbox, seen(7, 9, ERROR=0, FINISH=2)) is None
 
 
+def test_a_dead_task_that_is_killed_takes_what_was_pending_with_it(inbox):
+    inbox.note(seen(0, 10, ERROR=1, FINISH=3))
+    assert inbox.dead() == {"t": "r"}
+    inbox.bury(["t"])
+    assert inbox.dead() == {}
+    inbox.note(seen(0, 10, ERROR=1, FINISH=3))  # as the kill is answered, or late
+    assert inbox.pending([seen(0, 10)]) == []
+    assert take(inbox, seen(8, 20, ERROR=0, FINISH=0)) is None
+    assert take(inbox, seen(0, 30, ERROR=1, FINISH=0)) == ("ERROR", 1)
+
+
+@pytest.mark.parametrize("tid", [7, 8])
+def test_a_machine_that_was_booted_anew_is_heard(inbox, tid):
+    """Its clock begins at 0 again; the task's process may have the same number."""
+    assert take(inbox, seen(7, 9_000_000_000_000, FINISH=3)) == ("FINISH", 1)
+    assert take(inbox, seen(tid, 30_000_000_000, FINISH=2)) == ("FINISH", 2)
+    assert take(inbox, seen(tid, 31_000_000_000, FINISH=3)) == ("FINISH", 1)
+
+
 RAISES = '''"""Raises."""
 
 from typing import Annotated as A
