@@ -345,17 +345,18 @@ from pbonet.pbo import {words}
 from pbonet.testing import Bench
 
 FOLDER = Path(__file__).parents[1]
-MODULE = Library([FOLDER]).load("{name}")
+RMOD = FOLDER / "{name}.rmod"
+PORTS = Library([FOLDER]).load("{name}").info.ports
 {values}
 
 def test_the_rmod_lists_the_ports_of_the_class() -> None:
-    rmod = read_rmod(FOLDER / "{name}.rmod")
+    rmod = read_rmod(RMOD)
     listed = {{*rmod.inconst, *rmod.outconst, *rmod.invar, *rmod.outvar}}
-    assert listed == {{port.name for port in MODULE.info.ports}}
+    assert listed == {{port.name for port in PORTS}}
 
 
 def test_it_lives_a_whole_life() -> None:
-    bench = Bench(MODULE.cls{given})
+    bench = Bench.of(RMOD{given}, library=[FOLDER])
     assert bench.on() is State.ON
     assert bench.step(n=10) is State.ON
     assert bench.off() is State.OFF
@@ -365,7 +366,7 @@ def test_it_lives_a_whole_life() -> None:
 _BUMPLESS = """
 
 def test_it_starts_where_the_last_writer_stopped() -> None:
-    bench = Bench(MODULE.cls{given}, {attr}={value})
+    bench = Bench.of(RMOD{given}, library=[FOLDER], {attr}={value})
     bench.on()
     assert {check}
 """
@@ -374,7 +375,7 @@ def test_it_starts_where_the_last_writer_stopped() -> None:
 _LATE = """
 
 def test_a_late_cycle_is_given_up() -> None:
-    bench = Bench(MODULE.cls{given})
+    bench = Bench.of(RMOD{given}, library=[FOLDER])
     bench.on()
     assert bench.timing_failure(TimingFailure.DEADLINE) is Recovery.ABORT
     assert bench.timing_failure(TimingFailure.MAXEXEC) is Recovery.CONTINUE

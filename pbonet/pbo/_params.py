@@ -91,7 +91,9 @@ def make_params(kind: type[P], values: Mapping[str, object]) -> P:
     given = {fields[name]: value for name, value in values.items()}
     for field in structs.fields(kind):
         if field.required and field.name not in given:
-            raise _missing(kind, kind.__declared__[field.name], {}, kind.__name__)
+            error = _missing(kind, kind.__declared__[field.name], {}, kind.__name__)
+            error.remedy = f"give it a value: params={kind.__name__}({field.name}=...)"
+            raise error
     return kind(**given)
 
 

@@ -209,8 +209,9 @@ def test_parameters_from_python_values():
     assert make_params(Gains, {"kp": 2.0, "axes": 3}) == Gains(kp=2.0, axes=3)
     with pytest.raises(ParameterError, match="Gains has no parameter kpp"):
         make_params(Gains, {"kpp": 2.0})
-    with pytest.raises(ParameterError, match="Gains needs parameter axes"):
+    with pytest.raises(ParameterError, match="Gains needs parameter axes") as caught:
         make_params(Gains, {"kp": 2.0})
+    assert caught.value.remedy == "give it a value: params=Gains(axes=...)"
 
 
 def test_one_value_is_changed():

@@ -135,6 +135,29 @@ def test_its_tests_pass(folder):
     assert not run(folder, *command, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1")
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_its_tests_take_parameters_from_the_rmod(tmp_path):
+    """Who writes the law adds parameters: what LOCAL gives them counts in the tests."""
+    for file, text in scaffold(
+        "hold", [NewPort(name="Y", kind=OV, shape="1", unit="m")]
+    ).items():
+        path = tmp_path / file
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    module, rmod = tmp_path / "hold.py", tmp_path / "hold.rmod"
+    gains = (
+        'class Gains(Params):\n    """G."""\n\n    kp: A[float, param("1", "gain")]\n'
+    )
+    text = module.read_text().replace("(PortBasedObject)", "(PortBasedObject[Gains])")
+    text = text.replace("PortBasedObject\n", "Params, PortBasedObject, param\n", 1)
+    module.write_text(text.replace("class Hold", f"{gains}\n\nclass Hold"))
+    rmod.write_text(rmod.read_text().replace("EOF", "LOCAL\nKP 2.0\nEOF"))
+    sys_path = {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    options = ("-q", "-p", "no:cacheprovider", "--rootdir", tmp_path, "-W", "error")
+    assert not run(tmp_path, "python", "-m", "pytest", *options, tmp_path, **sys_path)
+
+
 @pytest.mark.parametrize("name", MODULES)
 def test_class_and_rmod_agree(folder, name):
     info = Library([folder]).load(name).info
