@@ -255,6 +255,13 @@ class Nodes:
             self.wait_agent(name, process)
         return process
 
+    def agent_processes(self, *names, **more):
+        """Start agents at once, as processes of their own; wait until all answer."""
+        for name in names:
+            self.agent_process(name, wait=False, **more)
+        for name in names:
+            self.wait_agent(name, self.processes[name])
+
     def wait_agent(self, name, process=None):
         """Wait until an agent's token is there."""
 

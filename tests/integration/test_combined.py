@@ -17,8 +17,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "servoing"
 
 @pytest.fixture
 def arm(nodes):
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     with Subsystem(EXAMPLE / "combined.job", domain=nodes.domain) as found:
         yield found
 

@@ -31,8 +31,7 @@ def start(nodes, tmp_path):
     opened = []
 
     def one(first, second="counts", freq=200.0, text=None):
-        nodes.agent_process("arm0")
-        nodes.agent_process("arm1")
+        nodes.agent_processes("arm0", "arm1")
         (tmp_path / "t.sbs").write_text(SBS)
         (tmp_path / "t.svar").write_text(svar())
         (tmp_path / "watch.job").write_text(JOB)

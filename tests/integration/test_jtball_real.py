@@ -82,8 +82,7 @@ def states(subsystem: Subsystem) -> dict[str, str]:
 def test_the_arm_goes_where_the_ball_is_pushed(
     nodes: Nodes, job: Path, device: Magellan
 ) -> None:
-    for name in ("arm0", "arm1"):
-        nodes.agent_process(name)
+    nodes.agent_processes("arm0", "arm1")
     with Subsystem(job, domain=nodes.domain) as subsystem:
         subsystem.start()
         assert set(states(subsystem).values()) == {State.ON}
@@ -121,8 +120,7 @@ def test_the_arm_goes_where_the_ball_is_pushed(
 
 @pytest.mark.slow
 def test_every_cycle_of_a_run_is_on_record(nodes: Nodes, job: Path) -> None:
-    for name in ("arm0", "arm1"):
-        nodes.agent_process(name)
+    nodes.agent_processes("arm0", "arm1")
     job.write_text(job.read_text().replace("jtball", "jttrace"))
     with Subsystem(job, domain=nodes.domain) as subsystem:
         subsystem.start()

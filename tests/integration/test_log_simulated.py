@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from itertools import dropwhile
 from pathlib import Path
 
 import msgspec
@@ -79,13 +81,15 @@ def test_their_cycles_have_the_same_parts(logs) -> None:
             cycles = [one for one in life.commits if head(one)["kind"] == Step.CYCLE]
             numbers = [int(head(one)["cycle"]) for one in cycles]
             assert numbers == list(range(1, len(numbers) + 1))
-            assert len(numbers) > 50
+            assert len(numbers) > 10
             # The recorder asks for all inputs when it takes up a ring.
-            for one in cycles[len(cycles) // 2 :]:
-                consumed, inputs, _ = life.schema.rest(one)
-                assert len(consumed) == 16, "one commit is read"
-                assert len(inputs) == size(life.about.invar)
-                assert head(one)["register"]
+            late = list(dropwhile(lambda one: not life.schema.rest(one)[1], cycles))  # noqa: B023
+            assert all(head(one)["register"] for one in late)
+            parts = Counter(tuple(map(len, life.schema.rest(one)[:2])) for one in late)
+            one_commit = 16, size(life.about.invar)
+            assert parts.most_common(1)[0][0] == one_commit
+            if log is sim_of(logs):  # where no writer is late
+                assert set(parts) == {one_commit}
             commits = [int(head(one)["number"]) for one in life.commits]
             assert commits == list(range(commits[0], commits[0] + len(commits)))
 

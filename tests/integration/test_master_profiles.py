@@ -23,8 +23,7 @@ ENOUGH = 150
 @pytest.fixture
 def two(nodes):
     """Two real RTPUs, as processes of their own."""
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     return nodes
 
 

@@ -32,8 +32,7 @@ FOUR = {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
 @pytest.fixture
 def two(nodes):
     """Two real RTPUs on one core, as processes of their own."""
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     return nodes
 
 

@@ -28,8 +28,7 @@ def load(name):
 @pytest.fixture
 def demo(nodes, monkeypatch):
     """The program, where two agents run already."""
-    for name in ("arm0", "arm1"):
-        nodes.agent_process(name, libraries=[str(EXAMPLE)])
+    nodes.agent_processes("arm0", "arm1", libraries=[str(EXAMPLE)])
     found = load("demo")
     monkeypatch.setattr(found, "WAIT", PATIENT)
     monkeypatch.setattr(found, "LONGEST", 2 * PATIENT)

@@ -26,8 +26,7 @@ def load(name):
 
 @pytest.fixture
 def steering(nodes):
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     job = EXAMPLE / "inverse.job"
     return load("steering").Steering(job, domain=nodes.domain)
 

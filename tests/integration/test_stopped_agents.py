@@ -33,8 +33,7 @@ def test_the_limits_add_up_to_less_than_two_seconds():
 
 @pytest.fixture
 def two(nodes):
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     return nodes
 
 

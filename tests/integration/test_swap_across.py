@@ -24,8 +24,7 @@ PERIOD = 1e9 / RATE
 @pytest.fixture
 def arm(nodes, tmp_path):
     """On arm0 `a` (ON) and `c`, on arm1 `b` and `d`; a and b write Y0, c and d Y1."""
-    for name in ("arm0", "arm1"):
-        nodes.agent_process(name)
+    nodes.agent_processes("arm0", "arm1")
     (tmp_path / "t.sbs").write_text(SBS)
     (tmp_path / "t.svar").write_text(svar())
     outputs = {"a": "Y0", "b": "Y0", "c": "Y1", "d": "Y1"}

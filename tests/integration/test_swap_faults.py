@@ -41,8 +41,7 @@ def write(tmp_path):
 @pytest.fixture
 def arm(nodes, tmp_path, write):
     """Two RTPUs; `stays` is ON, `good` is OFF, and writes what others will."""
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     (tmp_path / "t.sbs").write_text(SBS)
     (tmp_path / "t.svar").write_text(svar())
     write("stays", "counts", out="Y1")

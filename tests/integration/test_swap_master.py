@@ -45,8 +45,7 @@ def killed(nodes, tmp_path):
     opened: list[Subsystem] = []
 
     def kill(rtpu, how="swap"):
-        nodes.agent_process("arm0")
-        nodes.agent_process("arm1")
+        nodes.agent_processes("arm0", "arm1")
         words = [str(tmp_path / "t.sbs"), nodes.domain, "new", rtpu, how]
         words = [sys.executable, "-c", MASTER, *words, *libraries]
         master = subprocess.Popen(words)

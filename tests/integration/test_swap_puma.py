@@ -129,8 +129,7 @@ FILES = {
 @pytest.fixture
 def arm(nodes, tmp_path):
     """The arm, moved by controller a, with every cycle of every task on record."""
-    nodes.agent_process("arm0")
-    nodes.agent_process("arm1")
+    nodes.agent_processes("arm0", "arm1")
     nodes.write_module("torque_arm", ARM)
     nodes.write_module("forgets", FORGETS)
     for name, text in FILES.items():

@@ -50,8 +50,7 @@ EOF
 @pytest.fixture
 def arm(nodes, tmp_path):
     """On arm0 `a` (Y0), on arm1 `b` (Y1), both ON; `pair`, who writes both, is none."""
-    for name in ("arm0", "arm1", "arm2"):
-        nodes.agent_process(name)
+    nodes.agent_processes("arm0", "arm1", "arm2")
     nodes.write_module("pair", PAIR)
     (tmp_path / "t.sbs").write_text(SBS)
     (tmp_path / "t.svar").write_text(svar())
