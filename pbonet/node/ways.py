@@ -126,7 +126,8 @@ class Ways:
             self._thread.join()
         with contextlib.suppress(zenoh.ZError):
             me = self._me()
-            self._session.put(keys.rtpu(me.domain, me.name, _END), b"")
+            key = keys.rtpu(me.domain, me.name, _END)
+            self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
 
     def lost(self) -> list[m.Lost]:
         """Return the agents that were seen, and are seen no more."""

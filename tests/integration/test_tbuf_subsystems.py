@@ -5,13 +5,13 @@ import signal
 
 import numpy as np
 import pytest
+from far_rig import LEASE_MS, Cell, Site
 from nodekit import Master, rmod
-from tbuf_rig import Pair
 from watching import wait_for
 
 from pbonet.errors import NodeError
 from pbonet.tbuf.native import parts
-from pbonet.xm import keys, session
+from pbonet.xm import keys
 
 pytestmark = pytest.mark.timeout(300)
 TABLE = """
@@ -66,20 +66,11 @@ class Counter(PortBasedObject):
 """
 
 
-class Site:
-    """A machine's own way into the domain, for a master there."""
-
-    def __init__(self, machine):
-        self.domain = machine.domain
-        where = [f"tcp/127.0.0.1:{machine.port}"]
-        self.session = session.client(machine.domain, connect=where, timeout=20.0)
-
-
 @pytest.fixture
 def linked(tmp_path):
     """Both machines, and a master at each; the arm's is there first."""
     (tmp_path / "counter.py").write_text(COUNT)
-    pair, sites = Pair(), []
+    pair, sites = Cell(LEASE_MS), []
     try:
         pair.start(tmp_path)
         sites = [Site(pair.b), Site(pair.a)]
