@@ -5,11 +5,11 @@ from __future__ import annotations
 import enum
 import logging
 import signal
+from functools import partial
 from pathlib import Path
 from typing import Annotated as A
 
 import typer
-from msgspec import structs
 
 from pbonet.cli import options
 
@@ -85,8 +85,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Be the agent of one RTPU: register, take commands, run tasks."""
-    from pbonet.config import read_agent
-    from pbonet.config.model import AgentConfig
+    from pbonet.config.agent import told_agent
     from pbonet.node import life, runtime
 
     logging.basicConfig(
@@ -110,6 +109,6 @@ def command(
         "multicast": multicast or None,
         "awake": awake or None,
     }
-    begin = read_agent(config) if config else AgentConfig()
     given = {key: value for key, value in told.items() if value is not None}
-    raise typer.Exit(life.main(structs.replace(begin, **given), backend=backend.value))
+    read = partial(told_agent, config, given)
+    raise typer.Exit(life.main(read(), backend=backend.value, again=read))

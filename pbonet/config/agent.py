@@ -14,6 +14,7 @@ from .model import AgentConfig, Place
 from .reader import MAX_LINE, decode, load
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
 MAX_GRACE = 3600.0
@@ -44,6 +45,21 @@ def read_agent(path: str | Path) -> AgentConfig:
         ConfigError: It is not TOML, or says something that cannot be.
     """
     return parse_agent(load(path), str(path))
+
+
+def told_agent(path: Path | None, told: Mapping[str, Any]) -> AgentConfig:
+    """Return what an agent goes by: an ``agent.toml``, and what it is told besides.
+
+    Args:
+        path: The file, read now; None for the defaults.
+        told: Keys of the file, and values that go before its own.
+
+    Raises:
+        ConfigFileError: It cannot be read.
+        ConfigError: It is not TOML, or says something that cannot be.
+    """
+    begin = AgentConfig() if path is None else read_agent(path)
+    return msgspec.structs.replace(begin, **told)
 
 
 def parse_agent(text: str | bytes, file: str = "agent.toml") -> AgentConfig:

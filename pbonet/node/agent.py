@@ -15,6 +15,7 @@ import platform
 import socket
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -24,10 +25,10 @@ import zenoh
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.svar import survive_cuts
-from pbonet.xm import credentials, dialling, keys, rundir, session
+from pbonet.xm import dialling, keys, rundir, session
 from pbonet.xm.messages import AgentInfo, LinkReport
 
-from . import leftovers, wire
+from . import anew, leftovers, wire
 from .ears import Ears
 from .ending import Ending
 from .keyterm import KeyTerm
@@ -89,7 +90,7 @@ class Agent:
             session.check_endpoint(
                 endpoint, insecure=config.insecure, key_folder=self._key_folder
             )
-        core = choose_core(rundir.folder()) if config.core is None else config.core
+        core = choose_core(self.places) if config.core is None else config.core
         self._rtpu_config = wire.RtpuConfig(
             domain=config.domain,
             name=config.name,
@@ -191,7 +192,8 @@ class Agent:
         self._mirrors.carry(info.tables)
         self._ears = Ears(self._session, self.config.events, self._arrived)
         self._links = Links(*where, self.name, self._offset, self._note)
-        self._term = KeyTerm(self._key_folder, self.name, self._note)
+        unlinked = partial(self._ways.unlinked, self._dials)
+        self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
         self._term.start()
         self._token = self._session.liveliness().declare_token(
             keys.rtpu(self.config.domain, self.name, "alive")
@@ -310,17 +312,18 @@ class Agent:
         """Make `wait` return; may be called from a signal handler."""
         self._over.set()
 
-    def may_start_anew(self) -> bool:
-        """Tell whether another agent with these keys could start; say so if not."""
-        if self._key_folder is None:
-            return True
+    def may_start_anew(self, again: Callable[[], AgentConfig] | None = None) -> bool:
+        """Tell whether one that goes by what `again` returns could come; say if not."""
         try:
-            credentials.prove(self._key_folder, credentials.Role.AGENT)
+            config = self.config if again is None else again()
+            anew.check(self.config, config, self._rtpu_config.core)
         except PbonetError as error:
             text = f"the agent does not start anew: {error}"
             log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
             self._note(wire.Note(int(Severity.ERROR), "NOT_ANEW", text))
             return False
+        for what in anew.kept(self.config, config):
+            log.warning(anew.LATER, self.name, what)
         return True
 
     def go_on(self) -> bool:

@@ -1,8 +1,10 @@
-"""How long an agent's keys are good for: told ahead, and when their time is over.
+"""How long an agent's keys are good for, and whether others take them.
 
 When a certificate runs out the links that it opened are closed, on either side, and no
 new ones come, as if every cable had been pulled. Whoever is to make another one hears
-of it for weeks before, and is told what is wrong when it has happened.
+of it for weeks before, and is told what is wrong when it has happened. So it is when
+two agents have keys of different authorities, as while those of a laboratory are
+replaced: zenoh says nothing of it, and who dials would only find that nobody answers.
 """
 
 from __future__ import annotations
@@ -15,10 +17,10 @@ from typing import TYPE_CHECKING
 from pbonet.errors import Severity
 from pbonet.xm import credentials
 
-from . import wire
+from . import relink, wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
 log = logging.getLogger("pbonet.node")
@@ -26,6 +28,8 @@ log = logging.getLogger("pbonet.node")
 DAY = 86400.0
 LOOK = 600.0
 """Seconds between looks at the clock, for it may be set."""
+LINK_LOOK = 2.0
+"""Seconds between looks at links that are to be there and are not."""
 
 
 class KeyTerm:
@@ -35,12 +39,20 @@ class KeyTerm:
         folder: The key folder; None if there are no keys.
         name: The agent's.
         tell: Takes what is to be told to masters.
+        unlinked: Returns the endpoints that are dialled, and to which no link stands.
     """
 
     def __init__(
-        self, folder: Path | None, name: str, tell: Callable[[wire.Note], None]
+        self,
+        folder: Path | None,
+        name: str,
+        tell: Callable[[wire.Note], None],
+        unlinked: Callable[[], Iterable[str]] = tuple,
     ) -> None:
         self._folder, self._name, self._tell = folder, name, tell
+        self._unlinked = unlinked
+        self._refused: dict[str, str] = {}
+        """Why there is no link to an endpoint, as it was told."""
         self._until = credentials.prove(folder) if folder is not None else None
         self._over = threading.Event()
         self._thread = threading.Thread(
@@ -70,8 +82,35 @@ class KeyTerm:
             if left < credentials.SOON and days != told:
                 self._say(left)
                 told = days
-            if self._over.wait(min(left, LOOK) if left > 0 else LOOK):
+            if left > 0:
+                self._look_at_links()
+            if self._over.wait(min(LOOK, LINK_LOOK, max(left, 0.0) or LOOK)):
                 return
+
+    def _look_at_links(self) -> None:
+        """Tell where the keys of two agents keep a link from standing."""
+        if self._folder is None:
+            return
+        unlinked = set(self._unlinked())
+        for endpoint in self._refused.keys() - unlinked:
+            del self._refused[endpoint]
+        for endpoint in sorted(unlinked):
+            if self._over.is_set():
+                return
+            host, _, port = relink.inside(endpoint).rpartition(":")
+            why = credentials.doubted(self._folder, host.strip("[]"), int(port))
+            if why and why != self._refused.get(endpoint):
+                self._say_refused(endpoint, why)
+                self._refused[endpoint] = why
+
+    def _say_refused(self, endpoint: str, why: str) -> None:
+        text = (
+            f"no link to {endpoint}: {why}; if the keys of one of the two are old, put "
+            f"others of one authority there, here into {self._folder}, and have that "
+            f"agent start anew, this one with `kill -HUP {os.getpid()}`"
+        )
+        log.warning("%s: %s", self._name, text)
+        self._tell(wire.Note(int(Severity.ERROR), "KEYS_REFUSED", text))
 
     def _say(self, left: float) -> None:
         remedy = (

@@ -16,6 +16,7 @@ from . import _rt, service
 from .agent import Agent
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import FrameType
 
     from pbonet.config.model import AgentConfig
@@ -32,10 +33,14 @@ class Life:
 
     Args:
         agent: The agent, before its start.
+        again: Returns what it would go by if it started anew; the same if left out.
     """
 
-    def __init__(self, agent: Agent) -> None:
+    def __init__(
+        self, agent: Agent, again: Callable[[], AgentConfig] | None = None
+    ) -> None:
         self.agent = agent
+        self._again = again
         self._anew = self._ends = False
         self._on_terminal = _has_terminal()
         self._stays = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
@@ -67,7 +72,7 @@ class Life:
             self.agent.wait()
             if self._ends or not self._anew:
                 return False
-            if self.agent.may_start_anew():
+            if self.agent.may_start_anew(self._again):
                 return True
             self._anew = False
             if not self.agent.go_on() or self._ends:
@@ -105,17 +110,28 @@ def announce(info: AgentInfo) -> None:
         sys.stdout.flush()
 
 
-def main(config: AgentConfig, *, backend: str = "auto") -> int:
+def main(
+    config: AgentConfig,
+    *,
+    backend: str = "auto",
+    again: Callable[[], AgentConfig] | None = None,
+) -> int:
     """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
 
     At SIGHUP the program is started anew in its place, as it was called: it reads its
-    configuration and keys again, and takes over the RTPU process, which goes on.
+    configuration and keys again, and takes over the RTPU process, which goes on. What
+    would keep it from that is looked for before.
+
+    Args:
+        config: What the agent goes by.
+        backend: See `Agent`.
+        again: Returns what it would go by if it started anew; the same if left out.
 
     Returns:
         The exit status: 0, or 1 when it ended by itself or something had to be forced.
     """
     agent = Agent(config, backend=backend)
-    life = Life(agent)
+    life = Life(agent, again)
     life.heed_signals()
     agent.start()
     for text in absent(config.libraries):

@@ -105,7 +105,7 @@ class Relink:
     def _cut(self, zid: str, known: Known) -> bool:
         """Shut the sockets of the links to a neighbour down; tell whether any was."""
         ends = {
-            (_plain(str(one.src)), _plain(str(one.dst)))
+            (plain(str(one.src)), plain(str(one.dst)))
             for one in self._session.info.links()
             if str(one.zid) == zid
         }
@@ -150,11 +150,25 @@ def _shut(one: socket.socket) -> bool:
     return True
 
 
-def _plain(locator: str) -> str:
-    """Return the address in a locator, as `_address` spells it; a path as it is."""
-    protocol, _, rest = locator.partition("/")
-    address = rest.partition("?")[0].partition("#")[0]
-    if protocol == access.LOCAL:
+def resolved(endpoint: str) -> set[str]:
+    """Return the addresses that an endpoint over a network may have, as `plain`."""
+    host, _, port = inside(endpoint).rpartition(":")
+    try:
+        found = socket.getaddrinfo(host.strip("[]"), int(port))
+    except OSError:
+        return set()
+    return {_spelled(str(one[4][0]), port) for one in found} | {plain(endpoint)}
+
+
+def inside(locator: str) -> str:
+    """Return what stands between the protocol and the settings of a locator."""
+    return locator.partition("/")[2].partition("?")[0].partition("#")[0]
+
+
+def plain(locator: str) -> str:
+    """Return the address in a locator, spelled in one way; a path as it is."""
+    address = inside(locator)
+    if locator.startswith(access.LOCAL):
         return address
     host, _, port = address.rpartition(":")
     return _spelled(host.strip("[]"), port)

@@ -110,12 +110,16 @@ def used_cores(folder: Path) -> Sequence[int]:
     return [state.core for state in states if state is not None and state.alive]
 
 
-def choose_core(folder: Path) -> int:
+def choose_core(places: rundir.Places) -> int:
     """Return the core for an RTPU that names none: a free one, the last ones first.
 
-    The first core is left to everything else, unless it is the only one.
+    The first core is left to everything else, unless it is the only one. An RTPU whose
+    process still runs, for an agent that comes and takes it over, stays where it is.
     """
+    mine = leftovers.read(places.state)
+    if mine is not None and mine.alive:
+        return mine.core
     allowed = sorted(os.sched_getaffinity(0))
     candidates = allowed[1:] or allowed
-    used = used_cores(folder)
+    used = used_cores(places.folder.parent)
     return min(candidates, key=lambda core: (used.count(core), -core))

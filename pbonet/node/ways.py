@@ -12,7 +12,7 @@ import contextlib
 import logging
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
@@ -25,7 +25,7 @@ from pbonet.xm import messages as m
 from . import relink, wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
 log = logging.getLogger("pbonet.node")
 
@@ -128,6 +128,17 @@ class Ways:
             me = self._me()
             key = keys.rtpu(me.domain, me.name, _END)
             self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
+
+    def unlinked(self, endpoints: Sequence[str]) -> list[str]:
+        """Return the endpoints over TLS to which no link stands."""
+        wanted = [one for one in endpoints if one.startswith("tls/")]
+        with contextlib.suppress(zenoh.ZError):
+            there = {relink.plain(str(one.dst)) for one in self._session.info.links()}
+            ports = Counter(_port(relink.plain(one)) for one in wanted)
+            ports.subtract(_port(one) for one in there)
+            if any(count > 0 for count in ports.values()):  # else no name is looked up
+                return [o for o in wanted if there.isdisjoint(relink.resolved(o))]
+        return []
 
     def lost(self) -> list[m.Lost]:
         """Return the agents that were seen, and are seen no more."""
@@ -276,6 +287,11 @@ class Ways:
             except (PbonetError, msgspec.ValidationError) as error:
                 return str(error)
         return _UNASKED
+
+
+def _port(address: str) -> str:
+    """Return the port at the end of an address, as `relink.plain` spells it."""
+    return address.rpartition(" ")[2]
 
 
 def _seen(peers: Iterable[tuple[str, Peer]]) -> list[str]:

@@ -136,6 +136,44 @@ def prove(folder: Path, role: Role | None = None) -> float:
     return until
 
 
+def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
+    """Return why the keys of `folder` and of who listens there do not go together.
+
+    Args:
+        folder: A key folder.
+        host: Where somebody listens for TLS.
+        port: The port there.
+        limit: Seconds for each answer.
+
+    Returns:
+        A sentence; empty if they do, or nobody answers.
+    """
+    import socket
+    import ssl
+
+    holder = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    holder.check_hostname = False
+    try:
+        holder.load_verify_locations(folder / CA)
+        holder.load_cert_chain(folder / CERT, folder / KEY, password="")
+        with (
+            socket.create_connection((host, port), limit) as plain,
+            holder.wrap_socket(plain) as one,
+        ):
+            one.recv(1)  # a certificate is refused behind the handshake
+    except ssl.SSLCertVerificationError as error:
+        run_out = error.verify_code == _RUN_OUT
+        return "its certificate " + (
+            "has run out" if run_out else "is not of the authority of these keys"
+        )
+    except ssl.SSLError as error:
+        refused = "ALERT" in (error.reason or "")
+        return "it refuses the certificate of these keys" if refused else ""
+    except OSError:
+        return ""
+    return ""
+
+
 def _shown(ca: Path, cert: Path, key: Path) -> tuple[str, float]:
     """Show a certificate to its authority; return its common name, and its end."""
     import ssl

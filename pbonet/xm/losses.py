@@ -50,20 +50,24 @@ def grouped(losses: Sequence[Lost]) -> Iterator[tuple[Lost, list[Lost]]]:
         yield one, []
 
 
-def first(rtpu: str, infos: Iterable[AgentInfo]) -> tuple[AgentInfo, Lost, bool] | None:
+def first(rtpu: str, infos: Iterable[AgentInfo]) -> tuple[AgentInfo, Lost] | None:
     """Return who knows best why an agent is out of reach, if anybody does.
 
     Returns:
-        Who says so, the loss, and whether that is of the agent itself; else it is of
-        the neighbour by way of which it was reached.
+        Who says so, and the loss: of the agent itself, or of the neighbour by way of
+        which it was reached.
     """
     found = [
-        (info, one, one.rtpu == rtpu)
+        (info, one)
         for info in infos
         for one, behind in grouped(info.lost)
         if rtpu in {one.rtpu, *(two.rtpu for two in behind)}
     ]
-    return min(found, key=lambda f: (not f[1].near, not f[2], -f[1].ago), default=None)
+    return min(
+        found,
+        key=lambda pair: (not pair[1].near, pair[1].rtpu != rtpu, -pair[1].ago),
+        default=None,
+    )
 
 
 def unreachable(

@@ -376,7 +376,7 @@ class Client:
                     infos.append(read_result(name, answer, AgentInfo))
         if (found := losses.first(rtpu, infos)) is None:
             return "", ""
-        by, lost, _ = found
+        by, lost = found
         return losses.loss(by, lost), losses.remedy(by, lost)
 
     def _answer(self, rtpu: str, request: Request, data: bytes) -> Answer:

@@ -18,6 +18,12 @@ from pbonet.errors import PbonetError, XmAccessError
 from pbonet.xm import filing as f
 from pbonet.xm import messages as m
 
+NO_GOOD = {
+    "nmae = 'arm0'\n": "agent.toml:1:1: unknown key 'nmae'",
+    "name = 'arm1'\n": "an RTPU that goes on keeps its name (expected name arm0, got ",
+}
+"""Configurations, and what is said of each."""
+
 
 class Program:
     """`pbonet agent` with a configuration in a file."""
@@ -46,6 +52,11 @@ class Program:
         self.nodes.forget_session()
         return None
 
+    def refusals(self):
+        """Return what the agent has said of configurations that are no good."""
+        found = self.nodes.client().call("arm0", m.Events(), list[m.Event])
+        return [event.text for event in found if event.code == "NOT_ANEW"]
+
 
 @pytest.fixture
 def program(nodes, tmp_path):
@@ -55,7 +66,10 @@ def program(nodes, tmp_path):
 
 
 def test_it_starts_anew_in_its_place(program, nodes, tmp_path):
-    """As the same process, with its configuration read again; tasks go on."""
+    """As the same process, with its configuration read again; tasks go on.
+
+    A configuration that is no good is not taken, and the agent stays what it is.
+    """
     process = program.start()
     master = nodes.master("arm0", "arm")
     master.spawn("a", "counts")
@@ -64,6 +78,12 @@ def test_it_starts_anew_in_its_place(program, nodes, tmp_path):
     listing = f.FileList(path="")
     with pytest.raises(XmAccessError, match="declares no files"):
         nodes.client().call("arm0", listing, f.Listing)
+    for count, (what, said) in enumerate(NO_GOOD.items()):
+        program.file.write_text(what)
+        process.send_signal(signal.SIGHUP)
+        wait_for(lambda n=count: program.refusals()[n:], f"the refusal of {what!r}")
+        assert said in program.refusals()[-1]
+        assert program.zid() == zid
     program.configure(files=str(tmp_path))
     process.send_signal(signal.SIGHUP)
     wait_for(lambda: program.zid() not in {None, zid}, "another session", 30.0)

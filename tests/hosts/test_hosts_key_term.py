@@ -25,7 +25,12 @@ class Keys:
 
     def __init__(self, lan, folder):
         self.lan = lan
-        self.authority = folder / "lab"
+        self.folder = folder
+        self.found("lab")
+
+    def found(self, name):
+        """Make the authority of all keys from now on."""
+        self.authority = self.folder / name
         pki.make_authority(self.authority)
 
     def agent(self, host, into, **more):
@@ -118,7 +123,37 @@ def test_keys_that_are_no_good_are_not_taken(lab, keys):
     assert process.poll() is None
 
 
+def test_another_authority_in_place_of_the_old(lab, keys):
+    """Who has keys of the old one gets no link, and is told what to do, until then."""
+    for host in "ab":
+        keys.agent(host, lab.keys[host])
+    old = pki.issue(keys.authority, Role.MASTER, "anna")
+    lab.start("arm0", "a")
+    lab.start("arm1", "b", connect=[lab.endpoint("a", "b")])
+    lab.wait_all()
+    keys.found("new")
+    before = lab.info("arm0").zid
+    keys.agent("a", lab.keys["a"])
+    lab.agents["arm0"][1].send_signal(signal.SIGHUP)
+    wait_for(lambda: is_another(lab, before), "another session")
+    (text,) = wait_for(lambda: told(lab, "arm1", "KEYS_REFUSED"), "what is wrong")
+    where, why = lab.endpoint("a", "b"), "is not of the authority of these keys"
+    assert text.startswith(f"no link to {where}: its certificate {why}; ")
+    assert f"kill -HUP {lab.info('arm1').pid}" in text
+    assert lab.seen("a") == ["arm0"]
+    assert lab.seen("b") == ["arm1"]
+    there = lab.endpoint("a", "c")
+    asked = lab.cli("c", "doctor", "--connect", there, "--keys", str(old))
+    assert asked.returncode == 1
+    assert f"FAIL {there}: no agent of domain " in asked.stdout
+    assert "Were both sides' keys made by one authority" in asked.stdout
+    keys.agent("b", lab.keys["b"])
+    lab.agents["arm1"][1].send_signal(signal.SIGHUP)
+    lab.wait_all()
+
+
 def is_another(lab, before):
+    """Tell whether arm0 has been started anew."""
     lab.forget_session("a")
     with contextlib.suppress(PbonetError):
         return lab.info("arm0").zid != before

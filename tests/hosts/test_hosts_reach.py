@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 from hostkit import PORT
 from nodekit import AGENT, alive
 from watching import wait_for
 
 import pbonet
-from pbonet.errors import PbonetError, ProtocolError
+from pbonet.errors import PbonetError, ProtocolError, UnreachableError
 from pbonet.xm import dialling, session
 from pbonet.xm import messages as m
 
@@ -40,12 +42,57 @@ def test_the_ways_are_measured(lab):
 
 
 def test_a_cut_and_its_healing(lab, lan):
+    """Errors and doctor name the machines that don't see each other any more."""
+    for one, other in (("arm1", "arm2"), ("arm2", "arm1")):
+        wait_for(lambda o=one, p=other: near(lab, o, p), f"the ways from {one}")
     lan.cut("b", "c")
     wait_for(lambda: lab.seen("a") == ["arm0", "arm1"], "the loss of arm2 at a")
     wait_for(lambda: lab.seen("c") == ["arm2"], "the loss of the others at c")
+    wait_for(lambda: lab.info("arm1").lost, "the news of it at b")
+    wait_for(lambda: len(lab.info("arm2").lost) > 1, "the news of it at c")
+    with pytest.raises(UnreachableError) as caught:
+        lab.info("arm2", "a")
+    text = str(caught.value)
+    assert "arm1 of host-b has not seen arm2 of host-c for " in text
+    assert "look at the network between host-b and host-c" in text
+    assert "pbonet agent --name" not in text
+    lost = "WARN arm2 of host-c has not seen arm1 of host-b for "
+    (line,) = [one for one in doctor(lab, "c") if one.startswith(lost)]
+    assert "s, to which it had a link, and with it arm0 of host-a; look at " in line
     lan.heal("b", "c")
     lab.wait_reached("arm2", "a")
     lab.wait_reached("arm0", "c")
+    wait_for(lambda: not any(lab.info(f"arm{n}").lost for n in range(3)), "no loss")
+
+
+def near(lab, name, other):
+    """Tell whether an agent has found the link of its own to another one."""
+    host = lab.agents[name][0]
+    got = lab.client(host).call(name, m.Links(), m.LinkReport)
+    return [way.hops for way in got.ways if way.rtpu == other] == [1]
+
+
+def doctor(lab, host):
+    return lab.cli(host, "doctor").stdout.splitlines()
+
+
+def test_an_agent_that_was_stopped_is_seen_again(lab):
+    """Also where zenoh's routers tell its neighbours nothing (decision 0194)."""
+    wait_for(lambda: near(lab, "arm0", "arm1"), "the measured ways")
+    process = lab.agents["arm1"][1]
+    process.send_signal(signal.SIGSTOP)
+    try:
+        wait_for(lambda: lab.seen("a") == ["arm0"], "the loss of the others at a")
+        wait_for(lambda: lab.seen("c") == ["arm2"], "the loss of the others at c")
+    finally:
+        process.send_signal(signal.SIGCONT)
+    for host in "ac":
+        for name in ("arm0", "arm1", "arm2"):
+            lab.wait_seen(name, host)
+            lab.wait_reached(name, host)
+    wait_for(
+        lambda: not any(line.startswith("FAIL") for line in doctor(lab, "a")), "all"
+    )
 
 
 def test_a_second_way_is_taken_when_the_first_is_cut(lab, lan):

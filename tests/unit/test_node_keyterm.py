@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import socket
+import ssl
+import threading
+
 import pytest
 from watching import wait_for
 
@@ -70,6 +75,71 @@ def test_without_keys_there_is_nothing_to_tell():
     term.start()
     term.stop()
     assert term.left is None
+
+
+def test_keys_that_others_refuse_are_told_once(lab, tmp_path, monkeypatch):
+    """By who dials: whose certificate is not taken, where, and what to do."""
+    monkeypatch.setattr(keyterm, "LINK_LOOK", 0.005)
+    pki.make_authority(tmp_path / "other")
+    mine = pki.issue(lab, Role.AGENT, "pc", hosts=["127.0.0.1"])
+    theirs = pki.issue(tmp_path / "other", Role.AGENT, "pc", hosts=["127.0.0.1"])
+    told, looks = [], []
+    with listening(theirs) as port:
+        endpoint = f"tls/127.0.0.1:{port}"
+
+        def unlinked():
+            looks.append(endpoint)
+            return [endpoint]
+
+        term = keyterm.KeyTerm(mine, "arm0", told.append, unlinked)
+        term.start()
+        try:
+            wait_for(lambda: looks[3:], "some looks")
+        finally:
+            term.stop()
+    (note,) = told
+    assert (note.code, note.severity) == ("KEYS_REFUSED", int(Severity.ERROR))
+    why = "its certificate is not of the authority of these keys"
+    assert note.text.startswith(f"no link to {endpoint}: {why}; ")
+    assert f"here into {mine}, " in note.text
+
+
+@contextlib.contextmanager
+def listening(folder):
+    """Take links over mutual TLS with keys, as an agent does."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(folder / "cert.pem", folder / "key.pem")
+    context.load_verify_locations(folder / "ca.pem")
+    context.verify_mode = ssl.CERT_REQUIRED
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=accept, args=(server, context))
+        thread.start()
+        try:
+            yield server.getsockname()[1]
+        finally:
+            server.shutdown(socket.SHUT_RDWR)
+            thread.join()
+
+
+def accept(server, context):
+    with contextlib.suppress(OSError):  # it is shut down
+        while True:
+            plain, _ = server.accept()
+            with contextlib.suppress(OSError), plain:
+                context.wrap_socket(plain, server_side=True).close()
+
+
+def test_keys_that_go_together_are_not_doubted(lab):
+    mine = pki.issue(lab, Role.AGENT, "pc", hosts=["127.0.0.1"])
+    old = pki.issue(lab, Role.AGENT, "old", hosts=["127.0.0.1"], days=-0.01)
+    with listening(mine) as port:
+        assert credentials.doubted(mine, "127.0.0.1", port) == ""
+        refused = credentials.doubted(old, "127.0.0.1", port)
+    assert refused == "it refuses the certificate of these keys"
+    with listening(old) as port:
+        found = credentials.doubted(mine, "127.0.0.1", port)
+    assert found == "its certificate has run out"
+    assert credentials.doubted(mine, "127.0.0.1", port) == "", "nobody is there"
 
 
 @pytest.mark.parametrize(
