@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pbonet.master.files import Files
     from pbonet.master.measured import Saved
     from pbonet.master.picture import Picture
+    from pbonet.master.signalling import Inbox
     from pbonet.pbo import ModuleInfo
 
 
@@ -42,6 +43,7 @@ class Calls(Opened, Protocol):
     clock: Clock
     shown: tuple[str, ...]
     baselines: Baselines
+    inbox: Inbox
 
     @property
     def picture(self) -> Picture:
@@ -106,7 +108,12 @@ class Calls(Opened, Protocol):
                 got=f"{len(tasks)} tasks",
                 remedy=f"give '{signal}' once for each task",
             )
-        return self.reconfig([(name, signal) for name in tasks])
+        dead = self.inbox.dead() if signal == "kill" else {}  # a list is for the living
+        states = {
+            name: self.control(name, signal).state for name in tasks if name in dead
+        }
+        rest = [(name, signal) for name in tasks if name not in dead]
+        return states | (self.reconfig(rest) if rest else {})
 
     # -- looking ----------------------------------------------------------------------
 

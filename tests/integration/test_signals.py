@@ -186,8 +186,10 @@ class TestSigwait:
     def test_a_dead_task_that_is_killed_takes_its_error_along(self, program):
         program.spawn("dies")
         program.control("dies", "on")
+        program.spawn("talks")
         wait_for(lambda: program.events(code="TASK_DIED"), "its death")
-        program.kill("dies")
+        assert program.signals()
+        program.kill(["talks", "dies"])
         assert [one.task for one in program.status()] == []
         program.spawn("dies")
         assert program.signals() == []
