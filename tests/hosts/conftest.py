@@ -5,11 +5,20 @@ from __future__ import annotations
 import functools
 
 import pytest
-from hostkit import OWN_PORT, Lab
+from hostkit import LEASE_MS, OWN_PORT, Lab
 
 from pbonet.testing.lan import Lan, missing
+from pbonet.xm import session
 
 _missing = functools.cache(missing)
+
+
+@pytest.fixture(scope="package", autouse=True)
+def lease():
+    """Links of this process stand as long as those of the agents."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "LEASE_MS", LEASE_MS)
+        yield
 
 
 @pytest.fixture(scope="module")

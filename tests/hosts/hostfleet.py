@@ -7,6 +7,7 @@ import secrets
 
 import zenoh
 from nodekit import rmod, svar
+from patience import LIMIT
 
 from pbonet.errors import PbonetError
 from pbonet.xm import keys
@@ -89,7 +90,7 @@ class Desk:
         self.claim(rtpu)
         self.open(rtpu)
 
-    def ask(self, rtpu, request, result=object, *, limit=10.0, host=None):
+    def ask(self, rtpu, request, result=object, *, limit=LIMIT, host=None):
         session = self.lab.session(host or self.host)
         client = Client(session, self.lab.domain, self.name)
         request.subsystem = self.subsystem

@@ -29,6 +29,8 @@ PORT = 7447
 OWN_PORT = 7547
 SHM = Path("/dev/shm")  # noqa: S108 - where shared memory is
 CORE = max(os.sched_getaffinity(0))
+LEASE_MS = 1000
+"""A silent link is given up after that; one that stands outlives shorter stalls."""
 
 
 class Lab:
@@ -79,7 +81,7 @@ class Lab:
         )
         text = msgspec.json.encode(config).decode()
         process = subprocess.Popen(
-            self.lan[host].command(sys.executable, "-c", code, text),
+            self.lan[host].command(sys.executable, "-c", code, text, str(LEASE_MS)),
             env=self.environment(host),
         )
         self.agents[name] = (host, process)
@@ -270,4 +272,4 @@ def ancestry(pid):
     return found
 
 
-__all__ = ["CORE", "OWN_PORT", "PORT", "Lab", "alive"]
+__all__ = ["CORE", "LEASE_MS", "OWN_PORT", "PORT", "Lab", "alive"]

@@ -8,7 +8,7 @@ import signal
 
 import pytest
 from hostfleet import Desk
-from hostkit import Lab
+from hostkit import OWN_PORT, PORT, Lab
 from watching import wait_for
 
 from pbonet.errors import PbonetError
@@ -49,13 +49,22 @@ def keys(lan, tmp_path):
 
 
 @pytest.fixture
-def lab(lan, tmp_path):
-    made = Lab(lan, keys={host: tmp_path / host for host in "abc"})
-    try:
+def labs(lan, tmp_path):
+    """Two laboratories on the same hosts, each with key folders of its own."""
+    with contextlib.ExitStack() as after:
+        made = []
+        for port in (PORT, OWN_PORT):
+            folders = tmp_path / str(port)
+            folders.mkdir()
+            made.append(Lab(lan, port, keys={host: folders / host for host in "abc"}))
+            after.callback(made[-1].close)
+        after.callback(lan.heal_all)
         yield made
-    finally:
-        lan.heal_all()
-        made.close()
+
+
+@pytest.fixture
+def lab(labs):
+    return labs[0]
 
 
 def comes(cell):
@@ -71,10 +80,22 @@ def told(lab, name, code="KEYS_RUN_OUT"):
     return [event.text for event in found if event.code == code]
 
 
-@pytest.mark.parametrize("short", ["a", "b"])
-def test_keys_that_run_out_are_a_pulled_cable_until_others_are_there(lab, keys, short):
+WHOSE = {"a": "arm0", "b": "arm1"}
+
+
+def test_keys_that_run_out_are_a_pulled_cable_until_others_are_there(labs, keys):
     """Whichever side's they are: the other hears no more, tasks go on, and it heals."""
-    whose = {"a": "arm0", "b": "arm1"}[short]
+    sides = list(zip(labs, WHOSE, strict=True))
+    cells = [begin(lab, keys, short) for lab, short in sides]
+    for cell, (_, short) in zip(cells, sides, strict=True):
+        runs_out(cell, WHOSE[short])
+    for cell, (_, short) in zip(cells, sides, strict=True):
+        goes_on(cell, keys, short)
+        cell.close()
+
+
+def begin(lab, keys, short):
+    """Start two agents, one of them with keys for a short time, and a task."""
     for host in "ab":
         more = {"days": SHORT} if host == short else {}
         keys.agent(host, lab.keys[host], **more)
@@ -85,24 +106,34 @@ def test_keys_that_run_out_are_a_pulled_cable_until_others_are_there(lab, keys, 
     cell.spawn("arm0", "src", "counts", out="Z0")
     cell.on("arm0", "src")
     comes(cell)
+    return cell
+
+
+def runs_out(cell, whose):
+    """Wait until an agent's keys have run out, as it had said they would."""
+    lab = cell.lab
     assert "the keys run out in " in told(lab, whose)[0]
-    wait_for(lambda: "host-a is out of sight" in cell.illegal("arm1"), "flag", 40.0)
+    wait_for(lambda: "host-a is out of sight" in cell.illegal("arm1"), "flag")
     over = wait_for(lambda: told(lab, whose)[1:], "what is wrong")[0]
     assert "the keys have run out: no other machine can be reached" in over
     assert f"start anew with `kill -HUP {lab.info(whose).pid}`" in over
-    assert lab.seen("a") == ["arm0"]
-    assert lab.seen("b") == ["arm1"]
+    for host, own in (("a", "arm0"), ("b", "arm1")):
+        wait_for(lambda h=host, n=own: lab.seen(h) == [n], f"{own} alone on {host}")
+
+
+def goes_on(cell, keys, short):
+    """Give an agent other keys: it starts anew, and its task has gone on meanwhile."""
+    lab = cell.lab
     before = cell.status("arm0", "src")
     assert before.state == "ON"
     keys.agent(short, lab.keys[short])
-    lab.agents[whose][1].send_signal(signal.SIGHUP)
+    lab.agents[WHOSE[short]][1].send_signal(signal.SIGHUP)
     lab.wait_all()
     comes(cell)
     after = cell.status("arm0", "src")
     assert (after.state, after.tid) == ("ON", before.tid)
     assert after.cycle > before.cycle
     wait_for(lambda: not cell.illegal("arm1"), "no flag")
-    cell.close()
 
 
 def test_keys_that_are_no_good_are_not_taken(lab, keys):

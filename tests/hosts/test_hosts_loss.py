@@ -48,17 +48,19 @@ def pair(lab, lan, runs):
 def cell(pair):
     """Both tasks, and the one that writes what sink reads."""
     desk = Desk(pair, "cell", RTPUS, host="b")
-    desk.spawn("arm0", "src", "counts", out="Z0")
-    for rtpu in RTPUS:
-        spawn_critical(desk, rtpu)
-    desk.on("arm0", "src")
-    for rtpu in RTPUS:
-        desk.on(rtpu, INPUTS[rtpu][0])
-    wait_healed(desk)
-    yield desk
-    pair.lan.heal_all()
-    pair.wait_all()
-    desk.close()
+    try:
+        desk.spawn("arm0", "src", "counts", out="Z0")
+        for rtpu in RTPUS:
+            spawn_critical(desk, rtpu)
+        desk.on("arm0", "src")
+        for rtpu in RTPUS:
+            desk.on(rtpu, INPUTS[rtpu][0])
+        wait_healed(desk)
+        yield desk
+    finally:
+        pair.lan.heal_all()
+        pair.wait_all()
+        desk.close()
 
 
 def spawn_critical(desk, rtpu):
