@@ -67,7 +67,7 @@ _ALONE_TIME: Final = 1.2
 gone; in this time zenoh finds the next. So long one is waited for, too, that is not
 seen while its process runs on this machine: its link is being restored."""
 _LOSS_TIME: Final = 0.3
-"""Seconds in which an agent says whom it sees no more."""
+"""Seconds in which agents say whom they see no more, all together."""
 _LEAST_TRIES: Final = 10
 """So often an agent is looked for at least: behind a standstill of the whole machine
 all times are over, and the links are only being restored."""
@@ -258,8 +258,7 @@ class Client:
 
     def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
         """Return the agent's answer, asking again while it is there and silent."""
-        silent = time.monotonic() - self._silent.get(rtpu, -_SILENCE_TIME)
-        if silent < _SILENCE_TIME and not isinstance(request, Stop):
+        if self._is_silent(rtpu) and not isinstance(request, Stop):
             raise _no_sign(rtpu)
         payload = self._codec.pack(request)
         leaf, greeted = roles.leaf(request), False
@@ -288,6 +287,10 @@ class Client:
                 break
             time.sleep(_RETRY_PAUSE)  # it starts up, or our own link is being restored
         raise _no_answer(rtpu, ANSWER_TIME)
+
+    def _is_silent(self, rtpu: str) -> bool:
+        """Tell whether an agent gave no sign of life a moment ago."""
+        return time.monotonic() - self._silent.get(rtpu, -_SILENCE_TIME) < _SILENCE_TIME
 
     def _ask(
         self, rtpu: str, leaf: str, payload: bytes, end: float
@@ -366,11 +369,15 @@ class Client:
     def _loss(self, rtpu: str, names: list[str]) -> tuple[str, str]:
         """Return who has lost sight of an agent, and the remedy; empty if unknown."""
         infos: list[AgentInfo] = []
+        end = time.monotonic() + _LOSS_TIME
         for name in names:
+            left = end - time.monotonic()
+            if left <= 0 or self._is_silent(name):
+                continue
             hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
             payload, leaf = self._codec.pack(hello), roles.leaf(hello)
             with contextlib.suppress(PbonetError, msgspec.ValidationError):
-                reply = self._at_once(name, leaf, payload, _LOSS_TIME)
+                reply = self._at_once(name, leaf, payload, left)
                 if reply is not None and reply.ok is not None:
                     answer = self._codec.answer(reply.ok.payload.to_bytes())
                     infos.append(read_result(name, answer, AgentInfo))
