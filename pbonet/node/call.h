@@ -15,14 +15,14 @@ static inline void rt_expect(struct rt_table *t, int i, uint32_t ticket, uint32_
     pthread_mutex_unlock(&t->edit);
 }
 
-/* Whether a slot waits for that caller, with that ticket. */
+/* Whether a task that lives waits there for that caller, with that ticket. */
 static inline int rt_expects(const struct rt_table *t, int i, uint32_t life,
                              uint32_t ticket, int caller)
 {
     const struct rt_config *c = &t->slots[i].config;
     uint64_t callers = atomic_load(&c->callers);
-    return atomic_load(&c->life) == life && callers >> 32 == ticket &&
-           (callers >> caller & 1);
+    return atomic_load(&c->life) == life && atomic_load(&c->dead) != life &&
+           callers >> 32 == ticket && (callers >> caller & 1);
 }
 
 /* Say to an heir of another core that the caller has ended; behind the last of them it

@@ -12,16 +12,25 @@ import asyncio
 import contextlib
 from typing import TYPE_CHECKING
 
+from msgspec import Struct
+
 from pbonet.errors import Severity, SvarError, SvarFullError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from .events import EventLog
     from .tables import Tables
 
 UNFINISHED = "unfinished"
 """Raises the entry of a list whose other part, on another RTPU, has not come."""
+
+
+class _Handed(Struct):
+    """A variable that a list has handed over."""
+
+    by: str
+    """The task that wrote it."""
 
 
 class Flags:
@@ -45,8 +54,9 @@ class Flags:
         self._ceded: dict[str, dict[int, int]] = {}
         """What tasks wrote last that have ended and whose heir has failed: by subsystem
         the number of a commit for each register."""
-        self._looks: dict[str, list[asyncio.TimerHandle]] = {}
-        """To come at what the last list has handed over, by subsystem."""
+        self._handed: dict[tuple[str, str], _Handed] = {}
+        """Variables that lists have handed over; those for which nobody has come are
+        among the outputs of the entry `UNFINISHED`."""
 
     def up(
         self, subsystem: str, name: str, cause: str, outputs: Collection[str] = ()
@@ -110,34 +120,73 @@ class Flags:
             self._ceded.setdefault(subsystem, {}).update(last)
 
     def expect(
-        self, subsystem: str, outputs: Collection[str], done: str, within: float
+        self, subsystem: str, outputs: Mapping[str, str], done: str, within: float
     ) -> None:
         """Raise an entry unless others have taken variables over by then.
 
         Args:
             subsystem: Whose variables.
-            outputs: Their names.
+            outputs: Their names, and which task each was handed over by.
             done: What of the list is done.
             within: Seconds.
         """
+        handed = {(subsystem, output): _Handed(by) for output, by in outputs.items()}
+        self._handed |= handed
 
         def look() -> None:
-            left = [
-                output for output in outputs if not self.written(subsystem, [output])
-            ]
-            if left:
-                what = f"{done} is done, and nobody took over {' '.join(left)}"
-                self.up(subsystem, UNFINISHED, what, left)
+            left = [key[1] for key, one in handed.items() if self._handed.get(key) is one]
+            self._unfinished(subsystem, left, done)
 
-        timer = asyncio.get_running_loop().call_later(within, look)
-        self._looks.setdefault(subsystem, []).append(timer)
+        asyncio.get_running_loop().call_later(within, look)
 
-    def forget_list(self, subsystem: str) -> None:
-        """Withdraw what was raised for the last list, and look at it no more."""
-        for timer in self._looks.pop(subsystem, ()):
-            timer.cancel()
+    def abandoned(self, subsystem: str, by: str, outputs: Collection[str]) -> None:
+        """Raise an entry: a task is off, and who was to take over will not come.
+
+        Args:
+            subsystem: Whose variables.
+            by: The task that has handed them over; it may own them still.
+            outputs: Their names.
+        """
+        self._handed |= {(subsystem, output): _Handed(by) for output in outputs}
+        self.ceded(subsystem, outputs)
+        self._unfinished(subsystem, outputs, f"off {by}")
+
+    def _unfinished(
+        self, subsystem: str, outputs: Collection[str], done: str
+    ) -> None:
+        """Raise an entry for those of them that nobody writes, if they have none."""
+        before = self._outputs.get((subsystem, UNFINISHED), ())
+        left = [
+            output
+            for output in outputs
+            if output not in before and not self.written(subsystem, [output])
+        ]
+        if left:
+            what = f"{done} is done, and nobody took over {' '.join(left)}"
+            self.up(subsystem, UNFINISHED, what, [*before, *left])
+
+    def decided(self, subsystem: str, handover: Collection[str] = ()) -> None:
+        """Look no more at what was handed over before: what comes was decided anew.
+
+        Args:
+            subsystem: Whose variables.
+            handover: Tasks that hand over in the list that was decided on. What one of
+                them has handed over in an earlier part of it is looked at still.
+        """
+        for key, one in list(self._handed.items()):
+            if key[0] == subsystem and one.by not in handover:
+                del self._handed[key]
+        raised = self._outputs.get((subsystem, UNFINISHED), ())
+        left = [output for output in raised if (subsystem, output) in self._handed]
+        if left:
+            self._outputs[subsystem, UNFINISHED] = left
+        else:
+            self.down(subsystem, UNFINISHED)
+
+    def forget(self, subsystem: str) -> None:
+        """Forget what was handed over: all tasks of the subsystem have ended."""
         self._ceded.pop(subsystem, None)
-        self.down(subsystem, UNFINISHED)
+        self.decided(subsystem)
 
     def owners(self, subsystem: str, outputs: Collection[str]) -> set[str]:
         """Return the tasks that own any of these variables."""

@@ -140,6 +140,8 @@ class Exchange:
         self._olds = [tasks[name] for name, signal in items if signal == "off"]
         self._calls = calls
         self._slowest = slowest
+        self._unheard: set[str] = set()
+        """Tasks that have ended and whose heirs elsewhere were not there any more."""
         self.failed: dict[str, PbonetError] = {}
         """What went wrong, by task."""
         self.unseen: list[str] = []
@@ -179,6 +181,7 @@ class Exchange:
                 await self._taken()
             finally:
                 timer.cancel()
+        self._abandon()
         for task in self._news:
             if task.state is State.OFF:
                 await rest(self._rtpu, task)
@@ -224,12 +227,14 @@ class Exchange:
     async def _end(self, task: Task) -> None:
         """Let the task's next cycle be its last."""
         await self._rtpu.heirs.withdraw(task)
-        await task.command(
+        done = await task.command(
             "off",
             lambda n: wire.Signal(n, "off", handover=True, cede=True),
             self._left,
             last=task.facts.rmod.tasktype is TaskType.PERIODIC,
         )
+        if done.result:
+            self._unheard.add(task.name)
 
     async def _come(self, task: Task) -> None:
         """Wait until the task has come on, unless who should hand over failed."""
@@ -241,7 +246,11 @@ class Exchange:
 
     async def _taken(self) -> None:
         """Wait a moment until heirs on other RTPUs have taken over what is theirs."""
-        ended = [task for task in self._olds if task.state is State.OFF]
+        ended = [
+            task
+            for task in self._olds
+            if task.state is State.OFF and task.name not in self._unheard
+        ]
         end = time.monotonic() + TRIP + min(self._left, self._slowest)
         looks = 0  # a machine that stands still takes none of them
         while time.monotonic() < end or looks < round(TRIP / _LOOK):
@@ -273,6 +282,26 @@ class Exchange:
             for output in new.facts.outputs
         }
         return not taken.issuperset(task.facts.outputs)
+
+    def _abandon(self) -> None:
+        """Raise the flag for what nobody has taken over, and will not any more.
+
+        It goes up before the variables are given up, and before it is known what has
+        become of heirs that do not answer.
+        """
+        heirs = {output for new in self._news for output in new.facts.outputs}
+        for task in self._olds:
+            if task.state is not State.OFF:
+                continue
+            due = heirs.union(self._called_for(task))
+            mine = [output for output in task.facts.outputs if output in due]
+            left = [output for output in mine if not self._written(task, [output])]
+            if left:
+                subsystem = task.facts.subsystem
+                self._rtpu.flags.abandoned(subsystem, task.name, left)
+        for task in self._news:
+            if task.gone.is_set() and not task.stopping:
+                self._rtpu.heirs.died(task, ended=True)
 
     async def _disown(self, task: Task) -> None:
         await task.command("disown", wire.Disown, 1.0)

@@ -19,6 +19,7 @@ from msgspec import Struct
 
 from pbonet.errors import PbonetError
 from pbonet.pbo import State
+from pbonet.sched.records import Mode
 from pbonet.xm.messages import Call
 
 from . import wire
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Coroutine
 
     from .fallbacks import Fallbacks
+    from .flags import Flags
     from .tasks import Task
 
 
@@ -35,6 +37,7 @@ class HeirsHome(Home, Protocol):
     """What is needed beside that of the RTPU that the heirs are on."""
 
     fallbacks: Fallbacks
+    flags: Flags
 
     def rank(self, *joining: Task) -> None:
         """Rank all tasks anew; those that join count already."""
@@ -144,6 +147,32 @@ class Heirs:
         """Have a task stand by no longer, if it does."""
         if self._forget(task) and task.engaged and not task.engaged.done():
             await rest(self._rtpu, task)
+
+    def died(self, task: Task, *, ended: bool = False) -> None:
+        """Keep the flag up for a task that has died as it was about to come on.
+
+        Its death has raised it natively. While somebody writes what it was to take over
+        the entry stands until the exchange of the two has ended.
+
+        Args:
+            task: The task.
+            ended: Their exchange has; who writes now goes on.
+        """
+        rtpu, subsystem, outputs = self._rtpu, task.facts.subsystem, task.facts.outputs
+        owners = rtpu.flags.owners(subsystem, outputs)
+        slots = [
+            rtpu.core.snapshot(one.facts.slot)
+            for one in rtpu.of(subsystem)
+            if one.name in owners and one is not task
+        ]
+        written = any(s.mode in {Mode.ON, Mode.COMMAND} and not s.dead for s in slots)
+        if written and ended:
+            rtpu.flags.down(subsystem, task.name)
+            return
+        if not written:
+            rtpu.flags.ceded(subsystem, outputs)
+        cause = f"{task.name} has died"
+        rtpu.flags.up(subsystem, task.name, cause, () if written else outputs)
 
     def dismiss_all(self, subsystem: str) -> None:
         """Have nobody engaged any more: the subsystem is being stopped."""

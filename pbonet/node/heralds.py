@@ -18,6 +18,8 @@ class Heralds:
 
     def __init__(self) -> None:
         self._ways: list[tuple[_rt.CoreTable, Call]] = []
+        self.gone: list[str] = []
+        """Heirs that were not there any more when they were called last."""
 
     def learn(self, calls: list[Call]) -> list[str]:
         """Find the heirs; return those that are not to be seen from here.
@@ -41,8 +43,11 @@ class Heralds:
 
     def call(self) -> None:
         """Tell all of them that the task has ended; once."""
-        for table, call in self._ways:
-            table.call(call.slot, call.life, call.ticket, call.caller)
+        self.gone = [
+            call.heir
+            for table, call in self._ways
+            if not table.call(call.slot, call.life, call.ticket, call.caller)
+        ]
         self.forget()
 
     def forget(self) -> None:

@@ -65,7 +65,6 @@ class _List:
     async def run(self) -> Reconfigured:
         """Carry it out, as far as it goes."""
         items = self._request.items
-        self._rtpu.flags.forget_list(self._request.subsystem)
         begin = 0
         try:
             while begin < len(items):
@@ -77,6 +76,11 @@ class _List:
                 begin += length
         finally:
             self._slow.end()
+            if begin == len(items):  # else what was before it stands as it stood
+                named = {name for name, _ in items}
+                self._rtpu.flags.decided(
+                    self._request.subsystem, named.union(self._request.handover)
+                )
             self._await_heirs(items[:begin])
         self._result.done = len(items) - len(self._result.rest)
         return self._result
@@ -99,22 +103,16 @@ class _List:
         """
         rtpu, request = self._rtpu, self._request
         gone = [name for name, signal in done if signal == "off"]
-        tasks = [rtpu.tasks.get((request.subsystem, name)) for name in gone]
-        outputs = [
-            output
-            for task in tasks
-            if task is not None and task.name in request.handover
-            for output in task.facts.outputs
-        ]
-
-        calls = [call for theirs in request.calls.values() for call in theirs]
-        theirs = {output for call in calls for output in call.outputs}
-        called = [output for output in outputs if output in theirs]
-        what = f"off {' '.join(gone)}"
-        if called:  # those heirs have had their time
-            rtpu.flags.expect(request.subsystem, called, what, 0.0)
-        if len(called) < len(outputs):  # to others the master has yet to send `on`
-            rtpu.flags.expect(request.subsystem, outputs, what, TRIP)
+        outputs = {
+            output: name
+            for name in gone
+            if name in request.handover and (request.subsystem, name) in rtpu.tasks
+            for output in rtpu.need(request.subsystem, name).facts.outputs
+        }
+        if outputs:  # behind a failure the master sends nothing more
+            within = 0.0 if self._result.error else TRIP
+            what = f"off {' '.join(gone)}"
+            rtpu.flags.expect(request.subsystem, outputs, what, within)
 
     async def _one(self, item: Item, rest: Sequence[Item]) -> list[Item]:
         """Send one signal; return it when that failed."""

@@ -14,7 +14,7 @@ from pbonet.errors import NodeError, PbonetError, RealTimeError, Severity
 from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
-from . import _rt, known, leftovers, ranking, runtime, status, waking, wire
+from . import _rt, known, leftovers, lifecycle, ranking, runtime, status, waking, wire
 from ._ring import Ring
 from .claims import Claims
 from .failures import own_place, placed
@@ -369,7 +369,7 @@ class Rtpu:
             self._raise_flag(task, "is in ERROR")
         else:
             task.error = ""
-            if not task.left:
+            if not (task.left or task.gone.is_set()):
                 self.flags.down(task.facts.subsystem, task.name)
         self.fallbacks.look(task)
 
@@ -396,9 +396,8 @@ class Rtpu:
         if task.stopping:
             self.flags.down(task.facts.subsystem, task.name)
         else:
-            self._died(
-                task, code, slot
-            )  # the flag is up before the task's own entries go
+            # The flag is up before the task's own entries go.
+            self._died(task, code, slot)
         self._reap(task)
         self.fallbacks.look(task)
         self.rank()
@@ -432,7 +431,9 @@ class Rtpu:
         last.error, last.tid = text, 0
         last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
-        if slot.mode is not Mode.OFF:
+        if slot.comes:
+            self.heirs.died(task)
+        elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
             self._raise_flag(task, "has died")
         trace = task.child.crash_text()
         self.events.add(
@@ -456,7 +457,7 @@ class Rtpu:
         for key in [key for key in self.tombs if key[0] == subsystem]:
             self.bury(*key)
         self.fallbacks.forget(subsystem)
-        self.flags.forget_list(subsystem)
+        self.flags.forget(subsystem)
 
     def _forks_died(self, code: int) -> None:
         self.events.add(

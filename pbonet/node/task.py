@@ -384,6 +384,7 @@ class Host:
         match message:
             case wire.Signal():
                 self._signal(message)
+                return self.heralds.gone
             case wire.Prepare():
                 self._prepare(message.after)
             case wire.Herald():
@@ -401,7 +402,6 @@ class Host:
             case wire.SetFreq():
                 with self.journal.doing(Did("freq", hz=message.hz)):
                     self.context.freq = message.hz
-                return message.hz
         return None
 
     def _signal(self, message: wire.Signal) -> None:

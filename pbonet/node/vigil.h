@@ -92,7 +92,7 @@ static inline void rt_mourn(struct rt_vigil *v, int i, struct rt_watched *w)
     int32_t pid = atomic_load(&slot->config.pid);
     if (v->backend == RT_FIFO && pid > 0)
         rt_take_level(pid);     /* first: else who is released waits for its end */
-    if (mode == RT_ON || mode == RT_COMMAND) {
+    if (mode == RT_ON || mode == RT_COMMAND || rt_comes(slot)) {
         atomic_fetch_add(&v->deaths, 1);
         rt_raise(w, w->died);
     }

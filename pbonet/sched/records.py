@@ -64,6 +64,8 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     mode: Mode
     dead: bool
     """The task's process is gone."""
+    comes: bool
+    """It stands by, and comes on as soon as those have ended whose place it takes."""
     period_ns: int
     deadline_ns: int
     """Relative; 0 means the period."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 
@@ -19,6 +20,30 @@ from pbonet.xm import messages as m
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
 RATE = 100.0
 PERIOD = 1e9 / RATE
+NOBODY = "off a is done, and nobody took over Y0 (arm0/unfinished)"
+NEVER_ON = """
+    import time
+    from pathlib import Path
+    from typing import Annotated as A
+
+    from pbonet import OutVar, Params, PortBasedObject, Vector, param
+
+
+    class Files(Params):
+        begun: A[str, param("none", "written when `on` begins")]
+
+
+    class Never(PortBasedObject[Files]):
+        y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+        def on(self) -> None:
+            Path(self.params.begun).touch()
+            while True:
+                time.sleep(0.005)
+
+        def cycle(self, dt: float) -> None:
+            self.y[0] += 1.0
+"""
 
 
 @pytest.fixture
@@ -170,6 +195,31 @@ def test_on_that_raises_frees_the_place(arm, tmp_path, nodes):
     assert any("nobody took over Y0" in cause for cause in causes(arm))
     assert arm.reconfig([("b", "on")]) == {"b": "ON"}
     wait_for(lambda: not causes(arm), "a legal configuration")
+
+
+def test_an_heir_that_is_killed_within_on(arm, nodes, tmp_path):
+    """The flag goes up with its death, and does not go down before somebody writes."""
+    begun = tmp_path / "begun"
+    nodes.write_module("never_on", NEVER_ON)
+    text = rmod("never_on", "Y0", RATE, local={"BEGUN": begun})
+    for heir, rtpu in {"beside": "arm0", "elsewhere": "arm1"}.items():
+        (tmp_path / f"{heir}.rmod").write_text(text)
+        arm.spawn(heir, rtpu)
+        with ThreadPoolExecutor(1) as pool:
+            swap = pool.submit(arm.swap, "a", heir)
+            wait_for(begun.exists, "the beginning of on")
+            os.kill(arm.status(heir).tid, signal.SIGKILL)
+            error = swap.exception(60.0)
+        assert isinstance(error, ReconfigError), error
+        with Table.attach(f"{nodes.domain}.t") as table:
+            wait_for(lambda t=table: t.info("Y0").owner is None, "that nobody owns Y0")
+        died = f"{heir} has died ({rtpu}/{heir})"
+        assert {died, NOBODY} <= set(causes(arm))
+        legal = [event.text for event in arm.events() if event.code == "LEGAL"]
+        assert f"no longer: {died}" not in legal, "it was up all the time"
+        assert arm.reconfig([("a", "on")]) == {"a": "ON"}
+        wait_for(lambda: not causes(arm), "a legal configuration")
+        begun.unlink()
 
 
 def test_off_that_raises_engages_nobody(arm, tmp_path):

@@ -41,8 +41,8 @@ def table():
         made.destroy()
 
 
-def child(slot, *, arm, vow=True):
-    """Fork a process that holds a slot, and sleeps; return its number."""
+def child(slot, *, arm, vow=True, stands=False):
+    """Fork a process that holds a slot, and sleeps or stands by; return its number."""
     read, write = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -53,6 +53,8 @@ def child(slot, *, arm, vow=True):
             if arm:
                 mine.arm()
             os.write(write, b"!")
+            if stands:
+                mine.stand_by()
             while True:
                 signal.pause()
         finally:
@@ -150,3 +152,32 @@ def test_a_command_ends_standing_by(core, vigil):
     assert core.snapshot(slot).mode is Mode.OFF
     assert vigil.counts == (0, 0)
     core.free(slot)
+
+
+@pytest.mark.parametrize(
+    ("kind", "fallen"),
+    [(_rt.HANDOVER, False), (_rt.FALLBACK, True), (_rt.FALLBACK, False)],
+    ids=["heir", "fallback in on", "fallback that nobody needs"],
+)
+def test_the_end_of_who_comes_on_raises_the_flag(core, vigil, table, kind, fallen):
+    """It stands by for another task, and is killed before it is ON."""
+    old, new = core.alloc("r", "old"), core.alloc("r", "t")
+    core.follow(new, kind, [old])
+    first = _rt.Slot(core, old)
+    first.arm()
+    pid = child(new, arm=False, stands=True)
+    wait_for(lambda: core.snapshot(new).mode is Mode.STANDS, "standing by")
+    watch(vigil, new, table)
+    if fallen:
+        first.fall()
+        wait_for(lambda: core.snapshot(new).comes, "that it is engaged")
+    os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: core.snapshot(new).dead, "the news of the death")
+    comes = kind == _rt.HANDOVER or fallen
+    assert core.snapshot(new).comes is comes
+    assert causes(table) == [("t has died", "r/t")] * comes
+    assert vigil.counts[0] == comes
+    os.waitpid(pid, 0)
+    first.disarm()
+    core.free(new)
+    core.free(old)

@@ -166,22 +166,50 @@ def test_who_does_not_come_in_that_time_raises_the_flag(rtpu, table, monkeypatch
     ]
 
 
-def test_the_next_list_ends_the_look_at_the_one_before(rtpu, table, monkeypatch):
-    """What is handed over is decided anew; a look behind it would say what is over."""
-    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+def two_lists(rtpu, *lists):
+    """Have b hand Y1 over, and the other task nothing: items and handover of each."""
 
     async def run():
         for name, outputs in {"b": ["Y1"], "other": ["Y0"]}.items():
             Played(rtpu, name, outputs)
-        for name, handover in (("b", ["b"]), ("other", [])):
-            request = m.Reconfig(
-                subsystem="arm", items=[(name, "off")], handover=handover
-            )
-            assert (await reconfig.reconfigure(rtpu, request)).done == 1
+        for items, handover in lists:
+            request = m.Reconfig(subsystem="arm", items=items, handover=handover)
+            assert (await reconfig.reconfigure(rtpu, request)).done == len(items)
         for _ in range(5):
             await asyncio.sleep(0)
 
     asyncio.run(asyncio.wait_for(run(), LIMIT))
+
+
+def test_the_next_list_ends_the_look_at_the_one_before(rtpu, table, monkeypatch):
+    """What is handed over is decided anew; a look behind it would say what is over."""
+    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+    two_lists(rtpu, ([("b", "off")], ["b"]), ([("other", "off")], []))
+    assert [one.cause for one in table.illegal] == []
+
+
+def test_the_next_part_of_a_list_ends_no_look(rtpu, table, monkeypatch):
+    """The master has died behind it: the heir of Y1, on another RTPU, never comes."""
+    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+    two_lists(rtpu, ([("b", "off")], ["b"]), ([("other", "off")], ["b"]))
+    assert [one.cause for one in table.illegal] == [
+        "off b is done, and nobody took over Y1"
+    ]
+
+
+def test_what_one_list_left_stands_until_the_next_is_done(rtpu, table, monkeypatch):
+    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+    seen = []
+
+    async def look():
+        for _ in range(5):
+            await asyncio.sleep(0)
+        seen.extend(one.cause for one in table.illegal)
+        await rtpu.tasks["arm", "other"].end()
+
+    rtpu.reactions["other"] = look
+    two_lists(rtpu, ([("b", "off")], ["b"]), ([("other", "off")], []))
+    assert seen == ["off b is done, and nobody took over Y1"]
     assert [one.cause for one in table.illegal] == []
 
 
