@@ -69,12 +69,14 @@ async def control(
         PbonetError: What the task answered, or why it did not.
     """
     event = event_of(signal, task.name)
-    await rtpu.heirs.withdraw(task)
-    if event in {lifecycle.Event.ON, lifecycle.Event.KILL}:
-        await rtpu.fallbacks.withdraw(task)
     if event is lifecycle.Event.KILL:
         await rtpu.fallbacks.spare(task)
+        rtpu.fallbacks.dismiss(task)  # nothing is asked of it: it may hang in `on`
+        rtpu.heirs.dismiss(task)
         return await kill(rtpu, task, limit, arg=arg)
+    await rtpu.heirs.withdraw(task)
+    if event is lifecycle.Event.ON:
+        await rtpu.fallbacks.withdraw(task)
     lifecycle.rule(task.state, event, where=task.name)
     if event is lifecycle.Event.ON:
         rtpu.rank(task)

@@ -195,25 +195,26 @@ class Fallbacks:
         """Have a task stand by no longer, if it does: it gets a signal itself."""
         async with self._lock:
             if task.stands_by:
-                await self._dismiss(task)
-
-    async def _dismiss(self, task: Task) -> None:
-        self._rtpu.core.follow(task.facts.slot, 0, [])
-        task.stands_by = ""
-        await task.command("rest", lambda n: wire.Prepare(n, []), TIME)
+                self.dismiss(task)
+                await task.command("rest", lambda n: wire.Prepare(n, []), TIME)
 
     async def spare(self, task: Task) -> None:
         """Have nobody engaged for a task that is going to be ended on purpose."""
         for other in self._rtpu.of(task.facts.subsystem):
             if other.stands_by == task.name:
-                await self.withdraw(other)
+                with contextlib.suppress(PbonetError):  # one that hangs in its `on`
+                    await self.withdraw(other)
 
     def dismiss_all(self, subsystem: str) -> None:
         """Have nobody engaged any more: the subsystem is being stopped."""
         for task in self._rtpu.of(subsystem):
-            if task.stands_by:
-                self._rtpu.core.follow(task.facts.slot, 0, [])
-                task.stands_by = ""
+            self.dismiss(task)
+
+    def dismiss(self, task: Task) -> None:
+        """Have a task not engaged any more, without a word to it: it is being ended."""
+        if task.stands_by:
+            self._rtpu.core.follow(task.facts.slot, 0, [])
+            task.stands_by = ""
 
     # -- engaged -----------------------------------------------------------------------
 

@@ -134,8 +134,8 @@ class Flags:
         self._handed |= handed
 
         def look() -> None:
-            left = [key[1] for key, one in handed.items() if self._handed.get(key) is one]
-            self._unfinished(subsystem, left, done)
+            due = [key for key, one in handed.items() if self._handed.get(key) is one]
+            self._unfinished(subsystem, [output for _, output in due], done)
 
         asyncio.get_running_loop().call_later(within, look)
 
@@ -151,9 +151,7 @@ class Flags:
         self.ceded(subsystem, outputs)
         self._unfinished(subsystem, outputs, f"off {by}")
 
-    def _unfinished(
-        self, subsystem: str, outputs: Collection[str], done: str
-    ) -> None:
+    def _unfinished(self, subsystem: str, outputs: Collection[str], done: str) -> None:
         """Raise an entry for those of them that nobody writes, if they have none."""
         before = self._outputs.get((subsystem, UNFINISHED), ())
         left = [

@@ -177,8 +177,12 @@ class Heirs:
     def dismiss_all(self, subsystem: str) -> None:
         """Have nobody engaged any more: the subsystem is being stopped."""
         for task in self._rtpu.of(subsystem):
-            if self._forget(task):
-                self._rtpu.core.follow(task.facts.slot, 0, [])
+            self.dismiss(task)
+
+    def dismiss(self, task: Task) -> None:
+        """Have a task not engaged any more, without a word to it: it is being ended."""
+        if self._forget(task):
+            self._rtpu.core.follow(task.facts.slot, 0, [])
 
     def _forget(self, task: Task) -> bool:
         waiting = self._waiting.pop((task.facts.subsystem, task.name), None)

@@ -25,6 +25,26 @@ EOF
 """
 
 
+HANGS = """
+    import time
+    from typing import Annotated as A
+
+    from pbonet import OutVar, PortBasedObject, Vector
+
+
+    class Hangs(PortBasedObject):
+        y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+        def on(self) -> None:
+            print("in on", flush=True)
+            while True:
+                time.sleep(0.005)
+
+        def cycle(self, dt: float) -> None:
+            self.y[0] += 1.0
+"""
+
+
 @pytest.fixture
 def start(nodes, tmp_path):
     """Start the job with these modules as the original and the standby."""
@@ -149,6 +169,19 @@ def test_a_standby_that_fails_too_is_in_error_with_the_flag_up(start):
     arm.control("second", "clear")  # an operator may try once more
     assert states(arm)["second"] == "OFF"
     assert len(told(arm)) == 1
+
+
+def test_a_standby_that_hangs_in_on_can_be_killed(start, nodes):
+    nodes.write_module("hangs", HANGS)
+    arm = start("counts", "hangs")
+    wait_standing(arm)
+    os.kill(arm.status("first").tid, signal.SIGKILL)
+    wait_for(lambda: "in on" in events(arm, "OUTPUT"), "that it is engaged")
+    by_force = m.Control(task="second", signal="kill", timeout=1.0)
+    arm.fleet.call("arm0", by_force, m.TaskStatus)
+    wait_for(lambda: len(events(arm, "TASK_DIED")) == 1, "the news of the first")
+    assert states(arm) == {"first": "NOT-CREATED", "hold": "ON"}
+    assert causes(arm) == {"first has died (arm0/first)"}
 
 
 def test_nothing_flaps(start):
