@@ -352,7 +352,7 @@ cdef class Slot:
 
     def disarm(self) -> None:
         self.live()
-        rt_leave(&self.task, RT_OFF)
+        rt_rest(&self.task)
 
     def fall(self) -> None:
         self.live()

@@ -84,6 +84,7 @@ cdef extern from "slot.h" nogil:
         uint64_t cpu_ns
         int failed, stable, torn, stale, lost, aborted
     void rt_arm(rt_task *task)
+    int rt_rest(rt_task *task)
     int rt_leave(rt_task *task, int mode)
     int rt_fall(rt_task *task)
     int rt_was_last(rt_task *task)
@@ -163,7 +164,7 @@ cdef extern from "view.h" nogil:
         uint64_t count, total_ns, min_ns, max_ns
     struct rt_view:
         int life, dead, pid, kind, crit, priority, mode, level
-        int rank, drop, handler, tells, hangs, comes, n_sections
+        int rank, drop, handler, tells, hangs, comes, fell, n_sections
         int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns
         uint64_t dispatcher_missed, errors, overruns, held_off
         uint64_t *failures

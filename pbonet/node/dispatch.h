@@ -85,13 +85,15 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     int replaces = s->engaged && s->after_kind == RT_FALLBACK;
     uint32_t changed = word ^ s->word;
     uint32_t mode = word & 3;
+    int armed_anew = (changed >> 2 & 0x7fff) != 0;
     /* A dead one's last word says what it did when it died: nobody came to say more. */
     uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? s->dead
+                   : armed_anew && rt_has_recovered(&t->slots[i], s, mode) ? 0
                    : s->fell || rt_has_fallen(&t->slots[i], s, mode);
     s->word = word;
     s->fell = fell;
     rt_emit(t, RT_MODE, i, word, fell, 0);
-    if ((changed >> 2 & 0x7fff) || mode == RT_OFF)
+    if (armed_anew || mode == RT_OFF)
         rt_disarm(s);
     if (changed >> 17 || mode != RT_ON)
         s->level = 0;

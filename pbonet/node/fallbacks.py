@@ -3,7 +3,7 @@
 The dispatcher does the engaging, alone and at once (``standby.h``). Here is only
 decided who stands by, which is arranged beforehand, and told what has happened, which
 is done afterwards. A pair is arranged while the original is ON and the standby OFF, and
-before the original comes on for the first time.
+whenever the original is about to come on.
 
 Nothing flaps: an original that is cleared does not take its place back, a standby that
 fails too has nobody behind it, and after `LIMIT` times a pair is not arranged again.
@@ -19,11 +19,14 @@ from msgspec import Struct
 
 from pbonet.errors import NoAnswerError, PbonetError, Severity, StateError
 from pbonet.pbo import State
+from pbonet.sched.records import Mode
 
 from . import _rt, wire
 from .tasks import error_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from .events import EventLog
     from .tasks import Task
 
@@ -43,6 +46,19 @@ class Pair(Struct):
     """How often the standby had to come on."""
     told: str = ""
     """Why it cannot stand by, as was said last."""
+    arranged: Task | None = None
+    """The original that the standby waits for, or has waited for last."""
+
+
+class End(Struct):
+    """What a task that stands by waits for."""
+
+    kind: int
+    """`_rt.FALLBACK` or `_rt.HANDOVER`."""
+    of: list[Task]
+    """Whose end it is, and whose out-vars the task takes over."""
+    owners: Sequence[str] = ()
+    """Who owns these variables before those do."""
 
 
 class Home(Protocol):
@@ -94,7 +110,8 @@ class Fallbacks:
                 remedy="name another task",
             )
         known = self._pairs.get((subsystem, standby))
-        if known is not None and task.stands_by == known.original == original:
+        if known is not None and known.original == original and known.engaged < LIMIT:
+            await self._arrange(known)
             return
         await self.withdraw(task)
         self._pairs.pop((subsystem, standby), None)
@@ -115,21 +132,22 @@ class Fallbacks:
 
     # -- standing by -------------------------------------------------------------------
 
-    async def ready(self, original: Task) -> None:
-        """Have those stand by for a task that is about to come on for the first time.
+    async def ready(self, original: Task, after: Sequence[str] = ()) -> None:
+        """Have those stand by for a task that is about to come on.
 
-        It may fail in its first cycle. Not for one that was ON before: if it has fallen
-        then, the dispatcher knows that until it is ON again.
+        It may fail in its first cycle.
+
+        Args:
+            original: The task.
+            after: Tasks that own its out-vars until then.
         """
-        if original.on_rank:
-            return
         for pair in list(self._pairs.values()):
             if (pair.subsystem, pair.original) == (
                 original.facts.subsystem,
                 original.name,
             ):
                 with contextlib.suppress(PbonetError):  # told when the task is ON
-                    await self._arrange(pair, State.OFF)
+                    await self._arrange(pair, after, coming=True)
 
     def look(self, task: Task) -> None:
         """Arrange or dissolve pairs, as the state of one of the two has changed."""
@@ -160,8 +178,13 @@ class Fallbacks:
                 pair.told = str(error)
                 self._tell(Severity.WARNING, pair, f"cannot stand by: {error}")
 
-    def _due(self, pair: Pair, state: State = State.ON) -> bool:
-        """Tell whether the standby is to stand by for an original in that state."""
+    def _due(self, pair: Pair, *, coming: bool = False) -> bool:
+        """Tell whether the standby is to stand by now, and does not.
+
+        Args:
+            pair: The two.
+            coming: The original is about to come on, if it has not yet.
+        """
         standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
         original = self._rtpu.tasks.get((pair.subsystem, pair.original))
         return (
@@ -171,21 +194,36 @@ class Fallbacks:
             and pair.subsystem not in self._rtpu.stopping
             and not standby.stopping
             and not original.stopping
-            and not standby.stands_by
+            and not (standby.stands_by and pair.arranged is original)
             and standby.state is State.OFF
-            and original.state is state
-            and not self._rtpu.core.snapshot(original.facts.slot).dead
+            and self._unengaged(standby)
+            and self._unfallen(original, coming=coming)
         )
 
-    async def _arrange(self, pair: Pair, state: State = State.ON) -> None:
+    def _unengaged(self, standby: Task) -> bool:
+        """Tell whether the dispatcher lets a task rest, that it has not told of yet."""
+        slot = self._rtpu.core.snapshot(standby.facts.slot)
+        return slot.mode in {Mode.OFF, Mode.STANDS} and not slot.comes
+
+    def _unfallen(self, original: Task, *, coming: bool) -> bool:
+        """Tell whether who stands by for a task is not engaged by what has been."""
+        slot = self._rtpu.core.snapshot(original.facts.slot)
+        if original.state is State.ON:
+            return not slot.dead
+        return coming and original.state is State.OFF and not (slot.dead or slot.fell)
+
+    async def _arrange(
+        self, pair: Pair, after: Sequence[str] = (), *, coming: bool = False
+    ) -> None:
         async with self._lock:
-            if not self._due(pair, state):
+            if not self._due(pair, coming=coming):
                 return
             standby = self._rtpu.need(pair.subsystem, pair.standby)
             original = self._rtpu.need(pair.subsystem, pair.original)
-            standby.stands_by = pair.original
+            standby.stands_by, pair.arranged = pair.original, original
             try:
-                await stand_by(self._rtpu, standby, [original], _rt.FALLBACK, TIME)
+                end = End(_rt.FALLBACK, [original], after)
+                await stand_by(self._rtpu, standby, end, TIME)
             except BaseException:
                 standby.stands_by = ""
                 raise
@@ -249,25 +287,24 @@ class Fallbacks:
         )
 
 
-async def stand_by(
-    rtpu: Home, task: Task, after: list[Task], kind: int, limit: float
-) -> None:
+async def stand_by(rtpu: Home, task: Task, end: End, limit: float) -> None:
     """Have a task that is OFF stand by for others; the dispatcher does the rest.
 
     Args:
         rtpu: Where all of them are.
         task: Comes on when it is engaged.
-        after: Whose end it waits for, and whose out-vars it takes over.
-        kind: `_rt.FALLBACK` or `_rt.HANDOVER`.
+        end: What it waits for.
         limit: Seconds that it may take to get ready.
 
     Raises:
         PbonetError: It could not take over: why.
     """
-    names = [one.name for one in after]
-    rtpu.core.follow(task.facts.slot, kind, [one.facts.slot for one in after])
+    names = [one.name for one in end.of]
+    rtpu.core.follow(task.facts.slot, end.kind, [one.facts.slot for one in end.of])
     try:
-        await task.command("prepare", lambda n: wire.Prepare(n, names), limit)
+        await task.command(
+            "prepare", lambda n: wire.Prepare(n, names, list(end.owners)), limit
+        )
     except BaseException:
         rtpu.core.follow(task.facts.slot, 0, [])
         raise

@@ -21,7 +21,7 @@ from pbonet.sched.records import Mode
 from pbonet.xm.messages import Call
 
 from . import _rt, lifecycle, wire
-from .fallbacks import come, rest, stand_by
+from .fallbacks import End, come, rest, stand_by
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
@@ -140,6 +140,8 @@ class Exchange:
         self._olds = [tasks[name] for name, signal in items if signal == "off"]
         self._calls = calls
         self._slowest = slowest
+        self._came: set[str] = set()
+        """Tasks that have come on; one may have failed in a cycle since."""
         self._unheard: set[str] = set()
         """Tasks that have ended and whose heirs elsewhere were not there any more."""
         self.failed: dict[str, PbonetError] = {}
@@ -150,12 +152,8 @@ class Exchange:
     @property
     def undone(self) -> list[Item]:
         """Items that were not carried out: those that failed first."""
-        states = {task.name: task.state for task in (*self._news, *self._olds)}
-        left = [
-            (name, signal)
-            for name, signal in self._items
-            if states[name] is not (State.ON if signal == "on" else State.OFF)
-        ]
+        done = {task.name for task in self._olds if task.state is State.OFF}
+        left = [item for item in self._items if item[0] not in done | self._came]
         return sorted(left, key=lambda item: item[0] not in self.failed)
 
     @property
@@ -177,12 +175,16 @@ class Exchange:
             timer = self._watched(slow)
             try:
                 await self._each(self._olds, self._end)
-                await self._each(self._news, self._come)
+                # One of those that have ended may be the fallback of its heir.
+                ready = [self._ready(task) for task in self._news]
+                await asyncio.gather(self._each(self._news, self._come), *ready)
                 await self._taken()
             finally:
                 timer.cancel()
         self._abandon()
         for task in self._news:
+            if task.state is not State.ON:
+                await self._rtpu.fallbacks.spare(task)
             if task.state is State.OFF:
                 await rest(self._rtpu, task)
         await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
@@ -217,7 +219,13 @@ class Exchange:
         await self._rtpu.fallbacks.withdraw(task)
         task.engaged = asyncio.get_running_loop().create_future()
         after = self._after[task.name]
-        await stand_by(self._rtpu, task, after, _rt.HANDOVER, self._left)
+        await stand_by(self._rtpu, task, End(_rt.HANDOVER, after), self._left)
+        await self._ready(task)
+
+    async def _ready(self, task: Task) -> None:
+        """Have its fallback stand by for a task that is about to come on."""
+        owners = [old.name for old in self._after[task.name]]
+        await self._rtpu.fallbacks.ready(task, owners)
 
     async def _send_heralds(self, task: Task) -> None:
         calls = self._calls.get(task.name, [])
@@ -243,6 +251,7 @@ class Exchange:
         ):
             return
         await come(task, self._left)
+        self._came.add(task.name)
 
     async def _taken(self) -> None:
         """Wait a moment until heirs on other RTPUs have taken over what is theirs."""
@@ -289,7 +298,8 @@ class Exchange:
         It goes up before the variables are given up, and before it is known what has
         become of heirs that do not answer.
         """
-        heirs = {output for new in self._news for output in new.facts.outputs}
+        late = [new for new in self._news if new.name not in self._came]
+        heirs = {output for new in late for output in new.facts.outputs}
         for task in self._olds:
             if task.state is not State.OFF:
                 continue
@@ -299,7 +309,7 @@ class Exchange:
             if left:
                 subsystem = task.facts.subsystem
                 self._rtpu.flags.abandoned(subsystem, task.name, left)
-        for task in self._news:
+        for task in late:
             if task.gone.is_set() and not task.stopping:
                 self._rtpu.heirs.died(task, ended=True)
 

@@ -107,6 +107,7 @@ class Heirs:
         life = rtpu.core.expect(slot, ticket, len(after))
         try:
             await task.command("prepare", lambda n: wire.Prepare(n, after), limit)
+            await rtpu.fallbacks.ready(task, after)
         except BaseException:
             rtpu.core.follow(slot, 0, [])
             raise
@@ -139,6 +140,7 @@ class Heirs:
         try:
             await come(task, limit)
         except PbonetError:
+            await self._rtpu.fallbacks.spare(task)
             if task.state is State.OFF:
                 await rest(self._rtpu, task)
             raise

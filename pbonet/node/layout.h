@@ -120,6 +120,7 @@ struct rt_grant {
     _Atomic uint64_t missed;            /* as in `state`, for whoever reads ... */
     _Atomic int32_t level;              /* ... the status; and ... */
     _Atomic uint32_t life;              /* ... which life the dispatcher serves */
+    _Atomic uint32_t fell;              /* who stands by for it is engaged at once */
 };
 
 struct rt_piece {

@@ -175,6 +175,20 @@ static inline int rt_fall(struct rt_task *task)
     return error;
 }
 
+/* Leave in order. One that is in ERROR no more has fallen no more: who stands by for it
+ * from now on is not engaged by what was. */
+static inline int rt_rest(struct rt_task *task)
+{
+    struct rt_post *post = &task->slot->post;
+    uint32_t word = atomic_load(&post->word);
+    if ((word & 3) != RT_OFF || !atomic_load(&post->fell))
+        return rt_leave(task, RT_OFF);
+    atomic_store(&post->fell, 0);
+    atomic_store(&post->word, rt_anew(task, word));
+    rt_kick(task->table);
+    return 0;
+}
+
 /* Whether the cycle that has just ended was to be the last one; asked once. */
 static inline int rt_was_last(struct rt_task *task)
 {

@@ -61,4 +61,11 @@ static inline int rt_has_fallen(const struct rt_slot *slot, const struct rt_stat
     return mode == RT_OFF && s->armed && atomic_load(&slot->post.fell);
 }
 
+/* Whether a task that fell is OFF in order again, as its new mode says. */
+static inline int rt_has_recovered(const struct rt_slot *slot, const struct rt_state *s,
+                                   uint32_t mode)
+{
+    return mode == RT_OFF && !s->dead && !atomic_load(&slot->post.fell);
+}
+
 #endif

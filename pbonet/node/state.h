@@ -19,6 +19,7 @@ static inline void rt_show(struct rt_grant *g, const struct rt_state *s)
     atomic_store_explicit(&g->missed, s->missed, memory_order_relaxed);
     atomic_store_explicit(&g->level, s->level, memory_order_relaxed);
     atomic_store_explicit(&g->life, s->life, memory_order_relaxed);
+    atomic_store_explicit(&g->fell, s->fell, memory_order_relaxed);
     atomic_store_explicit(&g->crit, s->rank, memory_order_relaxed);
     for (int k = 0; k < RT_FAILURES; k++)
         atomic_store_explicit(&g->failures[k], s->failures[k], memory_order_relaxed);

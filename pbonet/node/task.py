@@ -386,7 +386,7 @@ class Host:
                 self._signal(message)
                 return self.heralds.gone
             case wire.Prepare():
-                self._prepare(message.after)
+                self._prepare(message.after, message.owners)
             case wire.Herald():
                 return self.heralds.learn(message.calls)
             case wire.Disown():
@@ -422,10 +422,10 @@ class Host:
             )
         self._after_signal(cede=message.cede)
 
-    def _prepare(self, after: list[str]) -> None:
+    def _prepare(self, after: list[str], owners: list[str]) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
         self.heir_of = []
-        self.local.heir_of(after)
+        self.local.heir_of([*after, *owners])
         if not after:
             return
         lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)

@@ -277,6 +277,8 @@ class Prepare(Struct, tag="prepare"):
     n: int
     after: list[str]
     """Tasks whose out-vars it takes over then; empty: stand by no longer."""
+    owners: list[str] = []
+    """Tasks that own these variables before those do."""
 
 
 class Herald(Struct, tag="herald"):

@@ -66,6 +66,8 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """The task's process is gone."""
     comes: bool
     """It stands by, and comes on as soon as those have ended whose place it takes."""
+    fell: bool
+    """It failed while it was ON: who stands by for it is engaged at once."""
     period_ns: int
     deadline_ns: int
     """Relative; 0 means the period."""

@@ -25,6 +25,18 @@ EOF
 """
 
 
+FAILS = """
+    from typing import Annotated as A
+
+    from pbonet import OutVar, PortBasedObject, Vector
+
+
+    class Fails(PortBasedObject):
+        y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+        def cycle(self, dt: float) -> None:
+            raise ZeroDivisionError("no cycle works")
+"""
 HANGS = """
     import time
     from typing import Annotated as A
@@ -121,17 +133,26 @@ def test_an_error_releases_the_standby(start):
         arm.control("first", "on")
 
 
-def test_an_error_in_the_very_first_cycle_releases_the_standby(start):
-    """It stands by before its original comes on."""
-    arm = start("raises_in_cycle")
-    told(arm)
-    for task in ("first", "second"):
-        arm.control(task, "kill")
-    arm.write("Y0", [9.0, 0.0])  # one short of where it raises
-    arm.start("watch")
-    told(arm, 2)
+def test_an_error_in_the_very_first_cycle_releases_the_standby(start, nodes, tmp_path):
+    """It stands by before its original comes on, however that does and how often."""
+    nodes.write_module("fails_at_once", FAILS)
+    arm = start("fails_at_once")  # with the job
+    assert "state ON, time 1 of 3" in told(arm)[-1]
     wait_states(arm, first="ERROR", second="ON", hold="ON")
     assert arm.status("first").cycle == 0
+    arm.control("first", "clear")
+    arm.control("second", "off")
+    arm.control("first", "on")  # by hand
+    assert "state ON, time 2 of 3" in told(arm, 2)[-1]
+    wait_states(arm, first="ERROR", second="ON", hold="ON")
+    arm.control("first", "clear")
+    (tmp_path / "third.rmod").write_text(rmod("counts", freq=200.0))
+    arm.spawn("third", "arm0")
+    arm.swap("second", "third")
+    arm.swap("third", "first")  # in the place of another one
+    assert "state ON, time 3 of 3" in told(arm, 3)[-1]
+    wait_states(arm, first="ERROR", second="ON", hold="ON", third="OFF")
+    arm.control("third", "kill")  # the master sees who writes now
     wait_for(lambda: not causes(arm), "the flag to go down")
 
 
