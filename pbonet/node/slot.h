@@ -224,15 +224,6 @@ static inline int rt_wait(struct rt_task *task, int served)
     }
 }
 
-/* Whether a task that stands by comes on now, or will as soon as those have ended that it
- * takes over from in order: if it dies now, nobody writes what they wrote. */
-static inline int rt_comes(const struct rt_slot *slot)
-{
-    return (atomic_load(&slot->post.word) & 3) == RT_STANDS &&
-           (atomic_load(&slot->grant.seq) != atomic_load(&slot->post.done) ||
-            atomic_load(&slot->config.after_kind) == RT_HANDOVER);
-}
-
 /* Stand still while the dispatcher holds the task; async-signal-safe. */
 static inline void rt_hold_still(struct rt_slot *slot)
 {

@@ -17,6 +17,15 @@ static inline int rt_stands(const struct rt_state *s)
     return (s->word & 3) == RT_STANDS && s->after_kind && !s->engaged && !s->dead;
 }
 
+/* Whether a task that stands by comes on now, or will as soon as those have ended that it
+ * takes over from in order: if it dies now, nobody writes what they wrote. */
+static inline int rt_comes(const struct rt_slot *slot)
+{
+    return (atomic_load(&slot->post.word) & 3) == RT_STANDS &&
+           (atomic_load(&slot->grant.seq) != atomic_load(&slot->post.done) ||
+            atomic_load(&slot->config.after_kind) == RT_HANDOVER);
+}
+
 /* Whether the slots that `s` comes after have ended as it waits for. */
 static inline int rt_called(const struct rt_table *t, const struct rt_state *s)
 {

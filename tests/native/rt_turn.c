@@ -52,6 +52,7 @@ static void disturb(struct rt_table *t, int i)
                             .maxc_ns = -1, .drop = -1, .handler = -1, .tells = -1};
     struct rt_part part = {.mode = -1, .locked = -1};
     uint64_t after[RT_MASKS];
+    int lives = atomic_load(&t->slots[i].config.dead) != rt_life(t, i);
     if (!(rt_life(t, i) & 1)) {
         rt_alloc(t, -1, "rtpu", "task");
         return;
@@ -85,15 +86,15 @@ static void disturb(struct rt_table *t, int i)
             after[k] = UINT64_C(1) << pick(64);
         rt_follow(t, i, (int)pick(3), after);
         break;
-    case 8:                     /* a stale or early call must not engage anybody */
+    case 8:         /* a stale or early call engages nobody; who is dead is not there */
         rt_expect(t, i, 7, 3);
         require(!rt_call(t, i, rt_life(t, i) + 2, 7, 0), "a call of another life");
         require(!rt_call(t, i, rt_life(t, i), 8, 0), "a call with another ticket");
-        require(rt_call(t, i, rt_life(t, i), 7, 0), "the first call");
+        require(rt_call(t, i, rt_life(t, i), 7, 0) == lives, "the first call");
         require(!rt_call(t, i, rt_life(t, i), 7, 0), "the first call, repeated");
         require(t->slots[i].config.after_kind == RT_ALONE, "one has not called");
         if (pick(2))
-            require(rt_call(t, i, rt_life(t, i), 7, 1), "the last call");
+            require(rt_call(t, i, rt_life(t, i), 7, 1) == lives, "the last call");
         break;
     case 7:
         part.fell = 1;
