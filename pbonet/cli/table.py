@@ -14,8 +14,6 @@ import typer
 from pbonet.cli import options
 from pbonet.master.commands import Arg, Command, Kind, Use, find
 
-_TYPES: dict[Kind, type] = {Kind.NUMBER: float, Kind.COUNT: int}
-
 
 def verb(name: str) -> Callable[..., None]:
     """Return the function of the verb for a command; typer reads its signature."""
@@ -85,8 +83,8 @@ def _parameters(command: Command) -> list[inspect.Parameter]:
 
 
 def _parameter(arg: Arg) -> inspect.Parameter:
-    """Return one argument of the table as typer wants it."""
-    kind: Any = _TYPES.get(arg.kind, str)
+    """Return one argument of the table as typer wants it: a word for `convert`."""
+    kind: Any = str
     where = inspect.Parameter.KEYWORD_ONLY
     if arg.kind is Kind.FLAG:
         flag = typer.Option(f"--{arg.name.replace('_', '-')}", help=arg.doc)

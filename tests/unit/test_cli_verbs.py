@@ -135,6 +135,18 @@ def test_wrong_usage_is_status_two(call):
     assert call("nonsense")[0] == 2
 
 
+def test_a_word_that_is_no_number_is_told_as_at_the_prompt(call):
+    sbs = PUMA / "puma.sbs"
+    assert call("freq", sbs, "jttrace", "50kHz") == (
+        1,
+        "",
+        "pbonet: freq: HZ is no number: 50kHz (expected freq [TASK] [HZ]); 'help freq' "
+        "explains it\n",
+    )
+    err = call("write", sbs, "Q_REF", "1", "-2.5", "3m")[2]
+    assert "VALUE is no number: 3m" in err
+
+
 def test_interrupt_is_status_130(call, monkeypatch):
     def interrupt(*_args, **_kwargs):
         raise KeyboardInterrupt
@@ -328,7 +340,7 @@ def test_negative_numbers_are_values(monkeypatch, call):
     monkeypatch.setattr("pbonet.master.oneshot.run", run)
     status, _, err = call("write", "a.sbs", "T_REF", "-1.5", "2", "--domain", "lab")
     assert status == 1
-    assert given == {"variable": "T_REF", "value": [-1.5, 2.0]}
+    assert given == {"variable": "T_REF", "value": ["-1.5", "2"]}
     assert "got lab" in err
 
 
