@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from pbonet.master import doctor
 from pbonet.xm import losses
-from pbonet.xm.agents import AgentInfo, Lost
+from pbonet.xm.agents import AgentInfo, LinkReport, Lost, Way
 
 
 def lost(rtpu, host, ago, *, near=True):
@@ -84,3 +86,32 @@ def test_the_error_says_so():
         "network between a and b, and whether arm1 runs on b; they link again by "
         "themselves"
     )
+
+
+def test_doctor_tells_what_agents_say_of_their_links():
+    """Of each pair once, by whichever of the two knows; what is amiss with a remedy."""
+    unasked = "its agent is seen, and no request finds its way there"
+    reports = {
+        "arm0": LinkReport(
+            rtpu="arm0",
+            ways=[Way(rtpu="arm1", trip=0.001, spread=0.0005, hops=2)],
+            double=["arm1"],
+        ),
+        "arm1": LinkReport(rtpu="arm1", ways=[Way(rtpu="arm2", error=unasked)]),
+        "arm2": LinkReport(rtpu="arm2", unseen=["arm0"]),
+    }
+    client = SimpleNamespace(call_all=lambda *_, **__: (reports, []))
+    found = [str(one) for one in doctor._pairs(client, list(reports))]
+    assert found == [
+        "PASS arm0 - arm1: round trip 1 ms, clocks +0.000000 s apart within 500 us, by "
+        "way of another agent",
+        "FAIL arm0 - arm2: they do not see each other; let one of them --connect to "
+        "the other, or both to a third",
+        f"FAIL arm1 - arm2: {unasked}; a link that was lost is restored within some "
+        "seconds: look again; if it stays so, start arm2 anew (kill -HUP, "
+        "docs/hosts.md)",
+        "WARN arm0 has two links to arm1: cuts elsewhere make them stall; let one of "
+        "the two name the other with --connect, not both, and start it again",
+        "WARN arm2 has a link to arm0, and does not see it; the agent makes the link "
+        "anew within some seconds; look again then",
+    ]
