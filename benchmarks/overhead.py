@@ -82,7 +82,7 @@ def totals(load: Load) -> dict[str, float]:
         "cycles": sum(slot.cycles for slot in slots),
         "missed": sum(slot.missed for slot in slots),
         "failures": sum(sum(slot.failures) for slot in slots),
-        "dispatcher": status.cpu_ns,
+        "dispatcher": load.core.cpu_ns(),
         "turns": status.turns,
         "levels": status.level_changes,
         "now": time.monotonic_ns(),

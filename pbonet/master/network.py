@@ -38,6 +38,7 @@ from pbonet.master.commands import find
 from pbonet.master.desk import Call, Desk, Reply, convert
 from pbonet.xm import codec, keys, rpc
 from pbonet.xm import messages as m
+from pbonet.xm.callbacks import direct
 from pbonet.xm.rundir import check_name
 
 if TYPE_CHECKING:
@@ -144,7 +145,7 @@ class Port:
                 ),
                 session.liveliness().declare_subscriber(
                     keys.network_client(self._domain, self.name, "*"),
-                    zenoh.handlers.Callback(self._heard, indirect=False),
+                    direct(self._heard),
                     history=True,
                 ),
                 session.liveliness().declare_token(self._key),

@@ -20,6 +20,7 @@ from pbonet.master.subsystem import Subsystem
 from pbonet.master.words import sequence
 from pbonet.xm import codec, keys
 from pbonet.xm import messages as m
+from pbonet.xm.callbacks import direct
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -69,7 +70,7 @@ class Listener:
             self._declared.append(
                 client.session.declare_subscriber(
                     keys.rtpu(client.domain, rtpu, "event"),
-                    zenoh.handlers.Callback(self._take, indirect=False),
+                    direct(self._take),
                 )
             )
 

@@ -168,6 +168,10 @@ class CoreTable:
         """Say which signals nobody wants of the task, as bits of `pbonet.Signal`."""
     def histograms(self, i: int) -> Histograms: ...
     def status(self) -> CoreStatus: ...
+    def cpu_ns(self) -> int:
+        """Return the CPU time of the leader's dispatcher and its thread that looks."""
+    def members(self) -> list[tuple[int, bool]]:
+        """Return the RTPU processes attached: pid, and whether it lives."""
     def trace(self, since: int = 0) -> tuple[int, int, list[Decision]]:
         """Return records of complete turns from number `since` on.
 

@@ -30,6 +30,10 @@ cdef extern from "sys.h" nogil:
     int64_t rt_now()
     uint64_t rt_thread_cpu()
     int64_t rt_cpu_of(int pid, int tid)
+    struct rt_meter:
+        int file
+    int64_t rt_meter_read(rt_meter *meter, int pid, int tid)
+    void rt_meter_close(rt_meter *meter)
     int rt_pin(int tid, int core)
 
 cdef extern from "table.h" nogil:
@@ -183,13 +187,12 @@ cdef extern from "view.h" nogil:
         int64_t since_ns, late_max_ns
         uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns
         uint64_t spared
-        int *members
-        int *lives
     struct rt_part:
         int mode, begun, done, event, locked, handled, fell
         int64_t now_ns, cpu_ns
     void rt_snapshot(const rt_slot *slot, rt_view *v)
     void rt_core_snapshot(const rt_table *t, rt_core_view *v)
+    int rt_member_at(const rt_table *t, int i, int *lives)
     uint64_t rt_copy_trace(const rt_table *t, uint64_t since, rt_event *to,
                            uint64_t *first, uint64_t *end)
     uint32_t rt_life(const rt_table *t, int i)

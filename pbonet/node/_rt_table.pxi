@@ -35,6 +35,7 @@ cdef class CoreTable:
     cdef readonly str path
     cdef readonly bint member
     cdef int busy           # dispatchers of this process that run on it
+    cdef rt_meter[2] meters  # of the leader's threads
 
     def __cinit__(self, int core, *, bint member=True):
         self.core = core
@@ -52,14 +53,18 @@ cdef class CoreTable:
         if self.busy:
             raise NodeError("the core table is in use", where=self.path,
                             remedy="stop the dispatcher first")
+        self.detach()
+
+    def __dealloc__(self):
+        self.detach()
+        free(self.file)
+
+    cdef void detach(self):
+        rt_meter_close(&self.meters[0])
+        rt_meter_close(&self.meters[1])
         if self.t is not NULL:
             self.t = NULL
             rt_detach(&self.map, self.file)
-
-    def __dealloc__(self):
-        if self.t is not NULL:
-            rt_detach(&self.map, self.file)
-        free(self.file)
 
     cdef rt_table *open(self) except NULL:
         if self.t is NULL:
@@ -230,11 +235,21 @@ cdef class CoreTable:
             leader_tid=v.leader_tid, since_ns=v.since_ns, turns=v.turns,
             releases=v.releases, level_changes=v.level_changes, errors=v.errors,
             late_max_ns=v.late_max_ns, takeovers=v.takeovers,
-            stalls=v.stalls, stalled_ns=v.stalled_ns, spared=v.spared,
-            cpu_ns=rt_cpu_of(v.leader_pid, v.leader_tid)
-            + (rt_cpu_of(v.leader_pid, v.look_tid) if v.look_tid else 0),
-            members=[(v.members[k], bool(v.lives[k])) for k in range(RT_MEMBERS)
-                     if v.members[k]])
+            stalls=v.stalls, stalled_ns=v.stalled_ns, spared=v.spared)
+
+    def cpu_ns(self) -> int:
+        cdef rt_core_view v
+        rt_core_snapshot(self.open(), &v)
+        cdef int64_t time = rt_meter_read(&self.meters[0], v.leader_pid, v.leader_tid)
+        if v.look_tid:
+            time += rt_meter_read(&self.meters[1], v.leader_pid, v.look_tid)
+        return time
+
+    def members(self) -> list:
+        cdef int lives
+        cdef rt_table *t = self.open()
+        found = [(rt_member_at(t, k, &lives), bool(lives)) for k in range(RT_MEMBERS)]
+        return [one for one in found if one[0]]
 
     def trace(self, uint64_t since=0):
         self.open()

@@ -173,7 +173,7 @@ class Agent:
             node=self,
             mail=self._mail,
             overview=self._overview,
-            commanded=self._recorders.commanded,
+            book=self._recorders,
         )
         self._server.start()
         self._refuse_duplicate()
@@ -421,10 +421,10 @@ class Agent:
         """Take what the RTPU process knows now."""
         self._overview.learn(news)
 
-    def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
+    def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
         """Call `done` when the other machines know the table; see `Mirrors.spread`."""
         if subsystem and self._mirrors is not None:
-            self._mirrors.spread(subsystem, done, take=take)
+            self._mirrors.spread(subsystem, done, **how)
         else:
             done()
 

@@ -17,6 +17,7 @@ import zenoh
 from pbonet.errors import PbonetError, XmError
 from pbonet.tbuf import layout, places
 from pbonet.tbuf.native import READER, WRITER, In, Out, parts
+from pbonet.xm.callbacks import direct
 
 from . import runtime
 
@@ -128,9 +129,7 @@ class Receiver:
         self._over = False
         self._again = 0
         self._ahead: int | None = None
-        self._subscriber = session.declare_subscriber(
-            key, zenoh.handlers.Callback(self._take, indirect=False)
-        )
+        self._subscriber = session.declare_subscriber(key, direct(self._take))
 
     def stop(self) -> None:
         """Take no more, and let another writer have the buffer."""

@@ -20,6 +20,7 @@ from pbonet.errors import PbonetError, Severity, XmError
 from pbonet.tbuf import places
 from pbonet.tbuf.native import CARER, READER, WRITER, Buffer
 from pbonet.xm import keys, names
+from pbonet.xm.callbacks import direct
 
 from . import wire
 from .linkends import Receiver, Sender
@@ -96,7 +97,7 @@ class Links:
         self._over = False
         self._subscriber = session.liveliness().declare_subscriber(
             keys.all_links(domain),
-            zenoh.handlers.Callback(self._heard, indirect=False),
+            direct(self._heard),
             history=True,
         )
         self._thread = threading.Thread(

@@ -17,7 +17,7 @@ import secrets
 import threading
 import time
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import zenoh
 
@@ -27,6 +27,7 @@ from pbonet.svar.mirror import Mirror
 from pbonet.svar.native import Watch
 from pbonet.xm import keys, rundir
 from pbonet.xm import messages as m
+from pbonet.xm.callbacks import direct
 
 from . import wire
 from .incoming import Incoming
@@ -34,6 +35,8 @@ from .tables import lock_to_carry, remove_unused, table_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from pbonet.xm.rpc import Declared
 
 log = logging.getLogger("pbonet.node")
 
@@ -79,14 +82,14 @@ class Carried:
         self.keep = keep
         self.mirror: Mirror | None = None
         self.next = 0.0
+        self.changed = False
+        """Whether commands have changed it while nobody was there to be told."""
         self.incoming = Incoming(lambda: owner.do(self._take_waiting))
         self._beat = self._flag = 0.0
         self._lost, self._told_ns = 0, -TOLD_NS
         self._there: set[str] = set()
         self._settled = False
-        self._zenoh: list[
-            zenoh.Subscriber[None] | zenoh.Queryable[None] | zenoh.LivelinessToken
-        ] = []
+        self._declared: list[Declared] = []
         self._publisher: zenoh.Publisher | None = None
         self._lock = -1
 
@@ -107,6 +110,9 @@ class Carried:
             mirror.miss(SILENT)
         if mirror is None or not mirror.others:
             self.next = now + ALONE
+            if self.changed:
+                self.changed = False
+                self._exchange(lambda: None)
             return
         look = now >= self._flag
         if look:
@@ -133,11 +139,9 @@ class Carried:
 
     def close(self) -> None:
         """Let go of the table, and remove it when nobody else uses it."""
-        for entity in self._zenoh:
+        for entity in self._declared:
             with contextlib.suppress(zenoh.ZError):
-                entity.undeclare()  # type: ignore[no-untyped-call]
-        if self._publisher is not None:
-            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+                entity.undeclare()
         if self.mirror is not None:
             self.mirror.close()
         if self._lock >= 0:
@@ -167,20 +171,21 @@ class Carried:
             priority=zenoh.Priority.REAL_TIME,
             allowed_destination=zenoh.Locality.REMOTE,
         )
-        self._zenoh += [
+        self._declared += [
+            self._publisher,
             session.declare_subscriber(
                 key("news"),
-                _at_once(self._heard),
+                direct(self._heard),
                 allowed_origin=zenoh.Locality.REMOTE,
             ),
             session.declare_queryable(
-                key("sync", owner.machine), _at_once(self._asked), complete=True
+                key("sync", owner.machine), direct(self._asked), complete=True
             ),
             session.declare_queryable(
-                key("flush", owner.machine), _at_once(self._flushed), complete=True
+                key("flush", owner.machine), direct(self._flushed), complete=True
             ),
             session.liveliness().declare_subscriber(
-                key("here"), _at_once(self._met), history=True
+                key("here"), direct(self._met), history=True
             ),
             session.liveliness().declare_token(key("here", owner.machine)),
         ]
@@ -302,7 +307,7 @@ class Carried:
         try:
             owner.session.get(
                 keys.svar(owner.domain, self.subsystem, leaf, machine),
-                zenoh.handlers.Callback(replied, done, indirect=False),
+                direct(replied, done),
                 payload=data,
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
@@ -376,7 +381,14 @@ class Mirrors:
         if wait:
             done.wait(wait)
 
-    def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
+    def spread(
+        self,
+        subsystem: str,
+        done: Callable[[], None],
+        *,
+        take: bool = False,
+        value: bool = False,
+    ) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
         It is called in a thread of zenoh's, in the carrier's, or at once.
@@ -386,11 +398,16 @@ class Mirrors:
             done: Is called once.
             take: Whether this machine must have taken what theirs say as well, as
                 behind the opening of a table that stands elsewhere.
+            value: Whether only a value was set: where nobody is there to be told, the
+                carrier is not woken, and looks in its next turn.
         """
         carried = self._carried.get(subsystem)
         if carried is not None and carried.alone and not take:
-            done()  # the mirror looks all the same: machines that are lost count too
-            done = _nothing
+            carried.changed = True
+            done()
+            if not value:  # the mirror looks at once: machines that are lost count too
+                self.do(partial(setattr, carried, "next", 0.0))
+            return
 
         def spread() -> None:
             carried = self._carried.get(subsystem)
@@ -481,12 +498,3 @@ class Mirrors:
             what()
         except Exception:  # one table's trouble is not that of the others
             log.exception("a table could not be carried")
-
-
-def _nothing() -> None:
-    """Be called when nobody waits."""
-
-
-def _at_once(what: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
-    """Have zenoh's own thread do something, which only hands over."""
-    return zenoh.handlers.Callback(what, indirect=False)

@@ -32,6 +32,7 @@ from pbonet.errors import (
 from pbonet.xm import codec, keys, mailboxes, names, roles
 from pbonet.xm import messages as m
 from pbonet.xm import resources as r
+from pbonet.xm.callbacks import direct
 from pbonet.xm.filing import FileWrite
 
 from .repeats import Repeats
@@ -116,7 +117,7 @@ class Office:
         self._pool = ThreadPoolExecutor(WAITS + OTHERS, "pbonet office")
         self._subscriber = session.liveliness().declare_subscriber(
             keys.customer(domain, "*"),
-            zenoh.handlers.Callback(self._heard, indirect=False),
+            direct(self._heard),
             history=True,
         )
 

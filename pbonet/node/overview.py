@@ -83,7 +83,9 @@ class Overview:
         self._core: _rt.CoreTable | None = None
         self._tables: dict[str, tuple[Table, bool]] = {}
         self._do: dict[type[m.Request], Callable[[Any], object]] = {
-            m.Status: lambda request: self._status(request, self._look()),
+            m.Status: lambda request: self._status(
+                request, self._look(), self._links.names()
+            ),
             m.Profile: self._profile,
             m.Display: self._display,
             m.Write: self._write,
@@ -161,12 +163,13 @@ class Overview:
         tasks = self._known.tasks
         if tasks is None or self._core is None:
             return None
-        if len(tasks) + len(self._links.names()) > FEW:
+        links = self._links.names()
+        if len(tasks) + len(links) > FEW:
             return None
         found = self._match(tasks)
         if len(found) < len(tasks):
             return None
-        return self._answer(request, partial(self._status, request, found))
+        return self._answer(request, partial(self._status, request, found, links))
 
     def write_at_once(self, request: m.Write) -> bytes | None:
         """Set a variable, and return the packed answer; None: the table is locked."""
@@ -176,13 +179,16 @@ class Overview:
         except Exception as error:  # noqa: BLE001 - the server outlives any request
             return self._answers.bad(request, error)
 
-    def _status(self, request: m.Status, seen: list[Seen]) -> m.RtpuStatus:
-        whose = request.subsystem
+    def _status(
+        self, request: m.Status, seen: list[Seen], links: list[str]
+    ) -> m.RtpuStatus:
+        whose, core = request.subsystem, self._open()
         entry = self._claim(whose)
         return status.rtpu_status(
             self._rtpu,
             entry.scheduler if entry else "",
-            self._open().status(),
+            core.status(),
+            core.cpu_ns,
             tasks=[
                 *(self._shown(one) for one in self._of(request, seen)),
                 *self._died(request),
@@ -190,7 +196,7 @@ class Overview:
             spent_ns=sum(one.slot.cpu_total_ns for one in seen),
             illegal=self._causes(whose),
             events=events.by_task(self._known.counts or [], whose),
-            tbufs=tbuf.seen(self._links),
+            tbufs=tbuf.seen(self._domain, links),
             recorder=self._recorder(whose),
         )
 

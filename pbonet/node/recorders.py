@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from pbonet.xm.messages import AnyRequest
 
     Tell = Callable[[wire.Note], None]
+    _Told = Callable[[], wire.Commanded]
 
 END_TIME: Final = 10.0
 """Seconds that a recorder may take to finish its log."""
@@ -196,7 +198,7 @@ class Recorders:
         self._fares: dict[str, wire.Recorder] = {}
         self._children: dict[str, _Child] = {}
         self._ended: list[_Child] = []
-        self._before: dict[str, deque[wire.Commanded]] = {}
+        self._before: dict[str, deque[_Told]] = {}
         """Commands to subsystems that are not recorded yet."""
         self._claims: set[str] = set()
         self._guard = threading.Lock()
@@ -232,7 +234,7 @@ class Recorders:
 
     def _begin(self, subsystem: str, wanted: wire.Recording) -> None:
         """Start a recorder; if the system gives no process, the next update does."""
-        before = self._before.get(subsystem, ())
+        before = [told() for told in self._before.get(subsystem, ())]
         try:
             self._children[subsystem] = _Child(wanted, before, self._said)
         except OSError as error:
@@ -266,11 +268,32 @@ class Recorders:
         told = command(request, answer, begun_ns, time.monotonic_ns())
         with self._guard:
             child = self._children.get(told.subsystem)
-            if child is None and told.subsystem in self._claims:
-                room: deque[wire.Commanded] = deque(maxlen=BEFORE)
-                self._before.setdefault(told.subsystem, room).append(told)
+            if child is None:
+                self._keep(told.subsystem, lambda: told)
         if child is not None:
             child.tell(told)
+
+    def noted(self, request: AnyRequest, answer: bytes, begun_ns: int) -> bool:
+        """Keep a short command; returns False where it must be `commanded` instead.
+
+        It takes next to no time: of what nobody records nothing need be made, unless
+        somebody begins to.
+        """
+        if not self._guard.acquire(blocking=False):
+            return False
+        try:
+            if request.subsystem in self._children:
+                return False
+            told = partial(command, request, answer, begun_ns, time.monotonic_ns())
+            self._keep(request.subsystem, told)
+            return True
+        finally:
+            self._guard.release()
+
+    def _keep(self, subsystem: str, told: _Told) -> None:
+        if subsystem in self._claims:
+            room: deque[_Told] = deque(maxlen=BEFORE)
+            self._before.setdefault(subsystem, room).append(told)
 
     def stop(self) -> None:
         """Finish every log."""

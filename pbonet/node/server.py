@@ -25,6 +25,7 @@ import zenoh
 from pbonet.errors import NodeError, PbonetError, ProtocolError
 from pbonet.xm import codec, keys, roles, session
 from pbonet.xm import messages as m
+from pbonet.xm.callbacks import direct
 from pbonet.xm.resources import XmRequest
 
 from .overview import HANDLED
@@ -69,10 +70,11 @@ class Node(Protocol):
     ) -> None:
         """Hand a request on; its answer comes through `Server.answer`."""
 
-    def spread(self, subsystem: str, done: Callable[[], None], *, take: bool) -> None:
+    def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
-        With `take`, this machine has taken what theirs say as well.
+        With `take`, this machine has taken what theirs say as well; with `value`, only
+        a value was set.
         """
 
     def info(self) -> AgentInfo:
@@ -103,6 +105,17 @@ class Mail(Protocol):
         """Carry a request out and have its answer sent; comes back at once."""
 
 
+class Book(Protocol):
+    """Who puts commands on record."""
+
+    def commanded(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
+        """Put a command on record: its packed answer, and when it came."""
+
+    def noted(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> bool:
+        """Keep a short one that nobody records; return whether that was done now."""
+        ...
+
+
 class Server:
     """Answers the requests for one RTPU.
 
@@ -113,8 +126,7 @@ class Server:
         node: Who carries requests out.
         mail: Who carries out those about semaphores and queues.
         overview: Who carries out those that need no RTPU process.
-        commanded: Is told of what changes something: the request, its packed answer,
-            and when it came.
+        book: Is told of what changes something.
     """
 
     def __init__(
@@ -126,12 +138,12 @@ class Server:
         node: Node,
         mail: Mail,
         overview: Overview,
-        commanded: Callable[[m.AnyRequest, bytes, int], None],
+        book: Book,
     ) -> None:
         self._session = session
         self._domain = domain
         self._node, self._mail, self._overview = node, mail, overview
-        self._commanded = commanded
+        self._book = book
         self._keys = [keys.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
@@ -159,7 +171,7 @@ class Server:
         self._queryables = [
             self._session.declare_queryable(
                 key,
-                zenoh.handlers.Callback(self._arrive, indirect=False),
+                direct(self._arrive),
                 complete=True,
             )
             for key in self._keys
@@ -196,7 +208,7 @@ class Server:
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Have a command put on record."""
         if not roles.only_looks(request):
-            self._commanded(request, answer, begun_ns)
+            self._book.commanded(request, answer, begun_ns)
 
     def publish(self, data: bytes) -> None:
         """Publish a packed event; it is dropped rather than waited for."""
@@ -253,7 +265,7 @@ class Server:
             if self._behind:
                 return False
             roles.check(request, str(query.key_expr))
-            self._once(query, request, self._overview.write_at_once)
+            self._once(query, request, short=True)
             return True
         answer = self._overview.at_once(request)
         if answer is None:
@@ -316,19 +328,15 @@ class Server:
     def _handle(self, query: zenoh.Query, request: Handled) -> None:
         """Have a request carried out in this process; what changes something, once."""
         if isinstance(request, m.Write):
-            self._once(query, request, self._overview.answer)
+            self._once(query, request, short=False)
         else:
             self._looks.submit(
                 lambda: self._reply(query, self._overview.answer(request))
             )
 
-    def _once(
-        self,
-        query: zenoh.Query,
-        request: m.Write,
-        do: Callable[[m.Write], bytes | None],
-    ) -> None:
-        """Have a request carried out, unless it was before; `do` may decline."""
+    def _once(self, query: zenoh.Query, request: m.Write, *, short: bool) -> None:
+        """Have a request carried out, unless it was before; a short one at once."""
+        do = self._overview.write_at_once if short else self._overview.answer
         who = request.client, request.id or secrets.token_hex(8)
         if self._repeats.begin(who, partial(self._reply, query)):
             begun_ns = time.monotonic_ns()
@@ -336,21 +344,29 @@ class Server:
             if data is None:
                 self._put(partial(self._finish_later, who, request, begun_ns))
             else:
-                self._finish(who, request, data, begun_ns)
+                self._finish(who, request, data, begun_ns, short=short)
 
     def _finish_later(
         self, who: tuple[str, str], request: m.Write, begun_ns: int
     ) -> None:
-        self._finish(who, request, self._overview.answer(request), begun_ns)
+        data = self._overview.answer(request)
+        self._finish(who, request, data, begun_ns, short=True)
 
     def _finish(
-        self, who: tuple[str, str], request: m.Write, data: bytes, begun_ns: int
+        self,
+        who: tuple[str, str],
+        request: m.Write,
+        data: bytes,
+        begun_ns: int,
+        *,
+        short: bool,
     ) -> None:
         """Answer a request that was carried out, then put it on record."""
         end = partial(self._repeats.end, who, data)
-        self._node.spread(request.subsystem, end, take=False)
-        record = partial(self._commanded, request, data, begun_ns)
-        self._arrived.put(record)  # which takes longer than zenoh's thread may take
+        self._node.spread(request.subsystem, end, value=True)
+        if not (short and self._book.noted(request, data, begun_ns)):
+            record = partial(self._book.commanded, request, data, begun_ns)
+            self._arrived.put(record)  # zenoh's thread has no time for it
 
     def _measure(self) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

@@ -22,7 +22,7 @@ from ._rt import KINDS
 from .signalling import by_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pbonet.sched.records import CoreStatus, Histograms, SlotStatus
 
@@ -151,6 +151,7 @@ def rtpu_status(
     rtpu: str,
     scheduler: str,
     core: CoreStatus,
+    cpu_ns: Callable[[], int],
     *,
     tasks: list[TaskStatus],
     spent_ns: int,
@@ -165,6 +166,7 @@ def rtpu_status(
         rtpu: Its name.
         scheduler: The algorithm in use.
         core: What stands in the core table about the dispatcher.
+        cpu_ns: Looks up the dispatcher's CPU time, which is told if there are tasks.
         tasks: The tasks asked for.
         spent_ns: CPU time of all its tasks since the dispatcher began.
         illegal: Causes for which the illegal-configuration flag is up.
@@ -180,7 +182,7 @@ def rtpu_status(
         scheduler=scheduler,
         tasks=tasks,
         util=spent_ns / since if since > 0 else 0.0,
-        dispatcher=core.cpu_ns / since if since > 0 else 0.0,
+        dispatcher=cpu_ns() / since if since > 0 else 0.0,
         illegal=illegal,
         events=events,
         tbufs=tbufs,

@@ -50,19 +50,52 @@ static inline int64_t rt_process_cpu(pid_t pid)
     return (int64_t)at.tv_sec * 1000000000 + at.tv_nsec;
 }
 
-/* The CPU time of a thread of another process, exact; 0 when it is gone. */
-static inline int64_t rt_cpu_of(pid_t pid, pid_t tid)
+/* A look at the CPU time of a thread, which is made again and again: its file is kept open.
+ * To be zero before the first look. */
+struct rt_meter {
+    int file;                   /* 0: none */
+    pid_t pid, tid;             /* whose it is */
+};
+
+static inline void rt_meter_close(struct rt_meter *meter)
 {
-    char path[64], text[64];
-    ssize_t bytes;
+    if (meter->file)
+        close(meter->file);
+    meter->file = 0;
+}
+
+static inline void rt_meter_open(struct rt_meter *meter, pid_t pid, pid_t tid)
+{
+    char path[64];
     int file;
     snprintf(path, sizeof path, "/proc/%d/task/%d/schedstat", (int)pid, (int)tid);
     file = open(path, O_RDONLY | O_CLOEXEC);
-    bytes = file < 0 ? 0 : read(file, text, sizeof text - 1);
-    if (file >= 0)
-        close(file);
+    *meter = (struct rt_meter){file > 0 ? file : 0, pid, tid};
+}
+
+/* The CPU time of a thread of another process, exact; 0 when it is gone. */
+static inline int64_t rt_meter_read(struct rt_meter *meter, pid_t pid, pid_t tid)
+{
+    char text[64];
+    ssize_t bytes = -1;
+    if (meter->file && meter->pid == pid && meter->tid == tid)
+        bytes = pread(meter->file, text, sizeof text - 1, 0);
+    if (bytes <= 0) {           /* another thread's, or it is gone */
+        rt_meter_close(meter);
+        rt_meter_open(meter, pid, tid);
+        bytes = meter->file ? pread(meter->file, text, sizeof text - 1, 0) : 0;
+    }
     text[bytes > 0 ? bytes : 0] = 0;
     return strtoll(text, NULL, 10);
+}
+
+/* The same for who looks once. */
+static inline int64_t rt_cpu_of(pid_t pid, pid_t tid)
+{
+    struct rt_meter once = {0};
+    const int64_t time = rt_meter_read(&once, pid, tid);
+    rt_meter_close(&once);
+    return time;
 }
 
 static inline struct timespec rt_timespec(int64_t ns)

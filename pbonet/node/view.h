@@ -126,7 +126,6 @@ struct rt_core_view {
     int64_t since_ns, late_max_ns;
     uint64_t turns, releases, level_changes, errors, takeovers, stalls, stalled_ns;
     uint64_t spared;
-    int members[RT_MEMBERS], lives[RT_MEMBERS];
 };
 
 static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_view *v)
@@ -145,10 +144,13 @@ static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_vie
     v->takeovers = atomic_load(&t->takeovers);
     v->stalls = atomic_load(&t->stalls);
     v->stalled_ns = atomic_load(&t->stalled_ns);
-    for (int i = 0; i < RT_MEMBERS; i++) {
-        v->members[i] = atomic_load(&t->members[i].pid);
-        v->lives[i] = rt_member_lives(&t->members[i]);
-    }
+}
+
+/* The process of member `i`, 0 if there is none, and whether it lives. */
+static inline int rt_member_at(const struct rt_table *t, int i, int *lives)
+{
+    *lives = rt_member_lives(&t->members[i]);
+    return atomic_load(&t->members[i].pid);
 }
 
 /* Copy the trace's records from number `since` on; `*first` is the first one had. */

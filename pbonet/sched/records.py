@@ -182,10 +182,6 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
     """How often a standby took over from a leader that died."""
     spared: int
     """Looks at running cycles that were taken back because none ran any more."""
-    cpu_ns: int
-    """CPU time of the leader's dispatcher, and of its thread that takes looks back."""
-    members: list[tuple[int, bool]]
-    """RTPU processes attached to the table: pid, and whether it lives."""
 
 
 class Histograms(Struct, frozen=True, kw_only=True):

@@ -71,6 +71,7 @@ cdef extern from "local.h" nogil:
         uint64_t copies, retries, torn, lost, stale, commits, refused, clipped
     struct pb_seen:
         uint64_t changes
+        bint up
     struct pb_local:
         pb_table table
         uint8_t *data

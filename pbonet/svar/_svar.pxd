@@ -14,6 +14,8 @@ cdef class Arena:
     cdef void *base
     cdef size_t bytes
     cdef int fd
+    cdef unsigned long long looked_at   # what `causes` saw last: a struct pb_seen
+    cdef bint seen_up
     # Raise an entry of the illegal-configuration flag, clear all that a raiser raised: no
     # lock, no waiting. Negative: no room, or another process that lives has raised them.
     cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil

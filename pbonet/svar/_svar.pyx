@@ -198,6 +198,12 @@ cdef class Arena:
 
         None when they changed again and again.
         """
+        cdef pb_seen seen
+        seen.changes, seen.up = self.looked_at, self.seen_up
+        cdef bint up = pb_illegal(table(self), &seen)
+        self.looked_at, self.seen_up = seen.changes, seen.up
+        if not up:
+            return []
         cdef bytearray memory = bytearray(PB_CAUSES * sizeof(pb_cause))
         cdef pb_cause *c = <pb_cause *>PyByteArray_AS_STRING(memory)
         cdef int i, n = pb_causes(table(self), c)

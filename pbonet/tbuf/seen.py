@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from typing import TYPE_CHECKING
 
 from pbonet.errors import XmError
 from pbonet.xm import files, names
@@ -12,13 +13,21 @@ from pbonet.xm.messages import TbufStatus
 from . import places
 from ._tbuf import READER, WRITER, Buffer
 
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
-def seen(standing: places.Standing) -> list[TbufStatus]:
-    """Return the links of a domain that stand on this machine, by name."""
+
+def seen(domain: str, links: Iterable[str]) -> list[TbufStatus]:
+    """Return how links stand on this machine.
+
+    Args:
+        domain: Their domain.
+        links: Their names; those that have gone meanwhile are left out.
+    """
     found: list[TbufStatus] = []
-    for text in standing.names():
+    for text in links:
         with contextlib.suppress(XmError):  # it has gone, or is no link
-            found.append(_look(text, standing.domain))
+            found.append(_look(text, domain))
     return found
 
 

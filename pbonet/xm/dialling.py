@@ -23,6 +23,7 @@ import zenoh
 from pbonet.errors import PbonetError
 
 from . import codec, keys, rundir, session
+from .callbacks import direct
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -173,9 +174,7 @@ class Dialled:
             with contextlib.suppress(zenoh.ZError):
                 query.reply(key, msgspec.msgpack.encode(said))  # pyright: ignore[reportUnknownMemberType]
 
-        self._queryable = link.declare_queryable(
-            key, zenoh.handlers.Callback(tell, indirect=False)
-        )
+        self._queryable = link.declare_queryable(key, direct(tell))
         return link
 
     def _wait_links(self, routers: set[str]) -> None:

@@ -38,6 +38,7 @@ from pbonet.errors import (
 )
 from pbonet.xm import keys, losses, roles, rundir
 from pbonet.xm.agents import AgentInfo
+from pbonet.xm.callbacks import direct
 from pbonet.xm.codec import Codec
 from pbonet.xm.letters import read_result
 from pbonet.xm.messages import Answer, Hello, Request, Stop
@@ -244,7 +245,7 @@ class Client:
             told()
 
         subscriber: zenoh.Subscriber[None] = self.session.declare_subscriber(
-            key, zenoh.handlers.Callback(heard, indirect=False)
+            key, direct(heard)
         )
         return subscriber
 
@@ -336,7 +337,7 @@ class Client:
         try:
             self.session.get(
                 keys.rtpu(self.domain, rtpu, leaf),
-                zenoh.handlers.Callback(waiter.take, waiter.end, indirect=False),
+                direct(waiter.take, waiter.end),
                 payload=payload,
                 timeout=max(timeout, 0.1),
                 consolidation=zenoh.ConsolidationMode.NONE,

@@ -6,6 +6,7 @@ import threading
 from types import NoneType
 
 import pytest
+from watching import wait_for
 
 from pbonet.errors import (
     NoAnswerError,
@@ -34,6 +35,26 @@ def test_request_is_answered_with_its_typed_result(client):
 
 def test_agents_are_listed_by_their_tokens(client):
     assert client.rtpus() == ["arm0", "arm1"]
+
+
+def test_threads_that_zenoh_started_stay_known_to_python(client):
+    """What is a thread's own stands from call to call, and is not made anew."""
+    own, counts = threading.local(), []
+
+    def told():
+        own.count = getattr(own, "count", 0) + 1
+        counts.append((threading.get_ident(), own.count))
+
+    key = f"{client.domain}/test/told"
+    heard, other = client.hear(key, told), session.client(client.domain)
+    try:
+        wait_for(lambda: other.put(key, b"") or len(counts) > 11, "twelve calls")
+    finally:
+        heard.undeclare()
+        other.close()
+    for thread in {ident for ident, _ in counts}:
+        found = [count for ident, count in counts if ident == thread]
+        assert found == list(range(1, len(found) + 1))
 
 
 def test_missing_agent_is_named_with_those_that_are_there(client):

@@ -124,7 +124,7 @@ def test_a_look_that_waits_holds_up_no_command():
         node=node,
         mail=None,
         overview=SimpleNamespace(answer=answer),
-        commanded=lambda *_: None,
+        book=None,
     )
     look = Query(m.Status(), "status")
     try:
@@ -154,7 +154,7 @@ def test_one_measurement_of_the_ways_is_for_all_who_wait_for_one():
         node=node,
         mail=None,
         overview=None,
-        commanded=lambda *_: None,
+        book=None,
     )
     one._claim = lambda *told: forwarded.append(told)
     asked = [Query(m.Links(id=f"{n}"), "status") for n in range(100)]

@@ -102,9 +102,32 @@ def test_who_is_alone_still_looks_at_what_the_lost_ones_owned(carrying, monkeypa
     looks = []
     monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
     mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
     mirrors.spread("arm", lambda: None, take=False)
     turn(mirrors)
+    assert carried.next == 0.0, "its turn comes at once"
+    carried.turn(1.0)
     assert looks == [{"full": True}]
+
+
+def test_a_value_that_is_set_alone_wakes_nobody_and_is_looked_at_once(
+    carrying, monkeypatch
+):
+    looks, done = [], []
+    monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    for n in range(3):
+        mirrors.spread("arm", lambda n=n: done.append(n), value=True)
+    assert done == [0, 1, 2]
+    assert mirrors._todo.empty()
+    assert not looks
+    carried.turn(1.0)
+    carried.turn(2.0)
+    assert looks == [{"full": True}], "one look for all of them"
+    carried._met(token(zenoh.SampleKind.PUT))
+    mirrors.spread("arm", lambda: done.append("two"), value=True)
+    assert done == [0, 1, 2], "whoever is there is told first"
 
 
 def test_packets_that_come_too_fast_are_told_of(carrying):

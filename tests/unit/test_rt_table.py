@@ -76,7 +76,7 @@ def test_two_members_share_one_table(path) -> None:
     i = one.alloc("a", "t")
     assert two.find("a", "t") == i
     assert two.find("a", "u") is None
-    assert [member for member, lives in two.status().members] == [os.getpid()] * 2
+    assert [member for member, lives in two.members()] == [os.getpid()] * 2
     one.close()
     assert path.exists()
     two.close()

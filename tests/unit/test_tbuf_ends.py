@@ -372,12 +372,12 @@ def test_a_text_that_tells_no_layout(text):
 def test_links_can_be_seen_from_outside(link):
     writer, _ = link
     me = f"process {os.getpid()} of arm"
-    (found,) = tbuf.seen(places.Standing("d"))
+    (found,) = tbuf.seen("d", places.standing("d"))
     assert (found.name, found.writer, found.reader) == ("arm:x", me, me)
     assert (found.number, found.age) == (0, None)
     writer.write()
     writer.close()
-    (found,) = tbuf.seen(places.Standing("d"))
+    (found,) = tbuf.seen("d", places.standing("d"))
     assert (found.writer, found.reader, found.number) == ("", me, 1)
     assert 0 <= found.age < 60
-    assert tbuf.seen(places.Standing("other")) == []
+    assert tbuf.seen("other", places.standing("other")) == []
