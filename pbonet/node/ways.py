@@ -21,6 +21,7 @@ import zenoh
 from pbonet.errors import PbonetError, Severity
 from pbonet.xm import codec, dialling, keys, session
 from pbonet.xm import messages as m
+from pbonet.xm.callbacks import direct
 
 from . import relink, wire
 
@@ -115,7 +116,7 @@ class Ways:
         """Ask every second."""
         self._subscriber = self._session.declare_subscriber(
             keys.all_rtpus(self._me().domain, _END),
-            zenoh.handlers.Callback(self._heard_end, indirect=False),
+            direct(self._heard_end),
         )
         self._thread.start()
 
