@@ -194,7 +194,7 @@ def test_a_write_overtakes_no_write_that_waits():
         node=SimpleNamespace(spread=lambda _, end, **__: end()),
         mail=None,
         overview=SimpleNamespace(answer=answer, write_at_once=at_once),
-        commanded=lambda *_: None,
+        book=SimpleNamespace(noted=lambda *_: True),
     )
 
     def write(value):
