@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
 import zenoh
+from watching import wait_for
 
 from pbonet.config.model import Variable
 from pbonet.node import incoming
 from pbonet.node import mirrors as mirrors_module
-from pbonet.node.mirrors import Carried, Mirrors
+from pbonet.node.carried import Carried
+from pbonet.node.mirrors import Mirrors
 from pbonet.node.tables import table_name
 from pbonet.svar import Table
 from pbonet.svar.mirror import Mirror
@@ -158,15 +161,23 @@ def test_what_others_ask_is_bounded(carrying):
 @pytest.mark.usefixtures("table")
 def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_order):
     """The carrier's thread comes late; only who opens a table waits for it."""
-    happened = []
+    happened, threads = [], []
     monkeypatch.setattr(Carried, "_take", lambda _, data: happened.append(data))
+
+    def done():
+        threads.append(threading.current_thread().name)
+        happened.append("done")
+
     network = Network()
     mirrors = Mirrors(network, "d", lambda _: None)
     try:
         mirrors.carry({"arm": True})
-        mirrors.spread("arm", lambda: happened.append("done"), take=take)
+        mirrors.spread("arm", done, take=take)
         turn(mirrors)
         network.answers(b"state")
+        if not take:
+            wait_for(lambda: happened == ["done"], "the word that all have it")
+            assert threads == ["pbonet told_0"]  # zenoh's may hold its routes
         turn(mirrors)
         assert happened == in_order
     finally:
