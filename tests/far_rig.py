@@ -27,6 +27,8 @@ class Site:
 
 PATIENT = ("ANSWER_TIME", "PROOF_TIME")
 """Limits of a program's requests that are made long."""
+UNSEEN = {"UnreachableError", "NoAnswerError"}
+"""What is said while an agent is out of reach."""
 LEASE_MS = 5000
 """A link that is cut is given up after that; one that stands outlives a stall."""
 PROGRAM = """
@@ -127,8 +129,17 @@ class Hand:
                 pipe.close()
 
     def wait(self, code: str, wanted: str, limit: float = 60.0) -> None:
-        """Wait until something is so."""
-        wait_for(lambda: self.do(code) == wanted, f"{code} to be {wanted}", limit)
+        """Wait until something is so; links may be coming back meanwhile."""
+
+        def so():
+            try:
+                return self.do(code) == wanted
+            except RefusedError as error:
+                if error.kind not in UNSEEN:
+                    raise
+            return False
+
+        wait_for(so, f"{code} to be {wanted}", limit)
 
 
 class Cell(Pair):
