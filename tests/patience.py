@@ -19,7 +19,7 @@ LEASE_MS = 20_000
 def be_patient(monkeypatch) -> None:
     """Wait long in this process, and in the agents that it starts."""
     for module, names in (
-        (rpc, ("ANSWER_TIME", "PROOF_TIME", "WAY_TIME")),
+        (rpc, ("ANSWER_TIME", "PROOF_TIME", "WAY_TIME", "_LOSS_TIME")),
         (crew, ("CONTROL_TIME", "SPAWN_TIME", "STOP_TIME")),
         (subsystem, ("CONTROL_TIME",)),
         (logbook, ("FINISH_TIME",)),

@@ -157,12 +157,14 @@ def _without_unit(text: str) -> str:
     match = _WITH_UNIT.fullmatch(text)
     if match is None:
         return ""
-    value = float(match[1]) * _SCALE.get(match[2], 1.0)
-    return f"units are not written: {value:.12g}"
+    scale = _SCALE.get(match[2])
+    if scale is None:
+        return "units are not written; convert the number to what is expected"
+    return f"units are not written: {float(match[1]) * scale:.12g}"
 
 
 _WITH_UNIT = re.compile(r"([+-]?[0-9]*\.?[0-9]+)([a-zA-Z]{1,3})")
-_SCALE = {"kHz": 1e3, "khz": 1e3, "MHz": 1e6, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_SCALE = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "s": 1.0, "ms": 1e-3, "us": 1e-6}
 """By what a number is multiplied when its unit is left out: files have Hz and s."""
 
 

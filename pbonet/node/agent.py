@@ -317,8 +317,9 @@ class Agent:
         try:
             config = self.config if again is None else again()
             anew.check(self.config, config, self._rtpu_config.core)
-        except PbonetError as error:
-            text = f"the agent does not start anew: {error}"
+        except Exception as error:  # noqa: BLE001 - whatever it is, this one goes on
+            why = error if isinstance(error, PbonetError) else repr(error)
+            text = f"the agent does not start anew: {why}"
             log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
             self._note(wire.Note(int(Severity.ERROR), "NOT_ANEW", text))
             return False
@@ -357,6 +358,7 @@ class Agent:
         info = self._link.info if self._link is not None else None
         if self._about is None or info is None:
             return self._describe()
+        term, ways = self._term, self._ways
         return msgspec.structs.replace(
             self._about,
             rtpu_pid=info.pid,
@@ -364,8 +366,8 @@ class Agent:
             limits=info.limits,
             claims=info.claims,
             now_ns=time.monotonic_ns(),
-            keys_left=self._term.left if self._term is not None else None,
-            lost=self._ways.lost() if self._ways is not None else [],
+            keys_left=term.left if term is not None else None,
+            lost=ways.lost() if ways is not None else [],
         )
 
     def _describe(self) -> AgentInfo:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 from pbonet.errors import NodeError
 from pbonet.xm import access, credentials, session
 
+from . import relink
 from .filer import Filer
 
 if TYPE_CHECKING:
@@ -61,8 +62,10 @@ def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
     if keys is not None:
         credentials.prove(keys, credentials.Role.AGENT)
     Filer(new.files, old.name or "")
-    for endpoint in set(new.listen) - set(old.listen):
-        _try(endpoint)
+    ours = {_address(endpoint)[1] for endpoint in old.listen}
+    for endpoint in new.listen:
+        if _address(endpoint)[1] not in ours:  # such are given up before
+            _try(endpoint)
 
 
 def kept(old: AgentConfig, new: AgentConfig) -> list[str]:
@@ -70,22 +73,28 @@ def kept(old: AgentConfig, new: AgentConfig) -> list[str]:
     return [one for one in _THE_PROCESS if getattr(old, one) != getattr(new, one)]
 
 
+def _address(endpoint: str) -> tuple[str, str]:
+    """Return the host and the port of an endpoint."""
+    host, _, port = relink.inside(endpoint).rpartition(":")
+    return host.strip("[]"), port
+
+
 def _try(endpoint: str) -> None:
     """Refuse an endpoint that cannot be listened on now."""
-    protocol, _, address = endpoint.partition("/")
+    protocol = endpoint.partition("/")[0]
     if protocol == access.LOCAL:
         return
-    host, _, port = address.partition("?")[0].partition("#")[0].rpartition(":")
+    host, port = _address(endpoint)
     kind = socket.SOCK_DGRAM if protocol == "udp" else socket.SOCK_STREAM
     try:
-        found = socket.getaddrinfo(host.strip("[]"), int(port), type=kind)[0]
+        found = socket.getaddrinfo(host, int(port), type=kind)[0]
         with contextlib.closing(socket.socket(*found[:3])) as one:
             one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             one.bind(found[4])
-    except OSError as error:
+    except (OSError, UnicodeError) as error:
         raise NodeError(
             "the endpoint cannot be listened on",
             where=endpoint,
-            got=error.strerror or str(error),
+            got=getattr(error, "strerror", "") or str(error),
             remedy="name an address of this machine, and a port that is free",
         ) from None

@@ -61,6 +61,14 @@ class End(Struct):
     """Who owns these variables before those do."""
 
 
+class Waits(Protocol):
+    """What is needed of the heirs."""
+
+    def waits(self, task: Task) -> bool:
+        """Tell whether a task stands by, or came on and was not asked for yet."""
+        ...
+
+
 class Home(Protocol):
     """What is needed of the RTPU that all these tasks are on."""
 
@@ -69,6 +77,12 @@ class Home(Protocol):
     events: EventLog
     tasks: dict[tuple[str, str], Task]
     stopping: set[str]
+    lists: dict[str, list[tuple[str, str]]]
+
+    @property
+    def heirs(self) -> Waits:
+        """Who stands by for tasks of other RTPUs."""
+        ...
 
     def of(self, subsystem: str) -> list[Task]:
         """Return the tasks of a subsystem."""
@@ -196,9 +210,15 @@ class Fallbacks:
             and not original.stopping
             and not (standby.stands_by and pair.arranged is original)
             and standby.state is State.OFF
+            and not self._is_heir(standby)
             and self._unengaged(standby)
             and self._unfallen(original, coming=coming)
         )
+
+    def _is_heir(self, standby: Task) -> bool:
+        """Tell whether a list is about to turn a task on, here or elsewhere."""
+        listed = self._rtpu.lists.get(standby.facts.subsystem, ())
+        return (standby.name, "on") in listed or self._rtpu.heirs.waits(standby)
 
     def _unengaged(self, standby: Task) -> bool:
         """Tell whether the dispatcher lets a task rest, that it has not told of yet."""

@@ -366,11 +366,10 @@ class Filer:
                 got=repr(request.to[:100]),
                 remedy="name what is in the folder, and where it is to be",
             )
-        with (
-            self._folder(request.path, parent=True) as (fd, name),
-            self._folder(request.to, parent=True) as (other, target),
-        ):
-            os.rename(name, target, src_dir_fd=fd, dst_dir_fd=other)
+        with self._folder(request.path, parent=True) as (fd, name):
+            os.stat(name, dir_fd=fd, follow_symlinks=False)  # told by its own path
+            with self._folder(request.to, parent=True) as (other, target):
+                os.rename(name, target, src_dir_fd=fd, dst_dir_fd=other)
 
 
 def _seen(name: str, found: os.stat_result) -> f.FileSeen:

@@ -142,6 +142,8 @@ class Exchange:
         self._slowest = slowest
         self._came: set[str] = set()
         """Tasks that have come on; one may have failed in a cycle since."""
+        self._ended: set[str] = set()
+        """Tasks that have ended in order; one may have been engaged since."""
         self._unheard: set[str] = set()
         """Tasks that have ended and whose heirs elsewhere were not there any more."""
         self.failed: dict[str, PbonetError] = {}
@@ -153,7 +155,8 @@ class Exchange:
     def undone(self) -> list[Item]:
         """Items that were not carried out: those that failed first."""
         done = {task.name for task in self._olds if task.state is State.OFF}
-        left = [item for item in self._items if item[0] not in done | self._came]
+        done |= self._ended | self._came
+        left = [item for item in self._items if item[0] not in done]
         return sorted(left, key=lambda item: item[0] not in self.failed)
 
     @property
@@ -183,10 +186,10 @@ class Exchange:
                 timer.cancel()
         self._abandon()
         for task in self._news:
-            if task.state is not State.ON:
+            if not self._has_come(task):
                 await self._rtpu.fallbacks.spare(task)
-            if task.state is State.OFF:
-                await rest(self._rtpu, task)
+                if task.state is State.OFF:
+                    await rest(self._rtpu, task)
         await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
 
     def _watched(self, slow: Callable[[], None]) -> asyncio.TimerHandle:
@@ -241,6 +244,7 @@ class Exchange:
             self._left,
             last=task.facts.rmod.tasktype is TaskType.PERIODIC,
         )
+        self._ended.add(task.name)
         if done.result:
             self._unheard.add(task.name)
 
@@ -278,6 +282,10 @@ class Exchange:
         subsystem = task.facts.subsystem
         return self._rtpu.flags.written(subsystem, outputs, but=task.name)
 
+    def _has_come(self, new: Task) -> bool:
+        """Tell whether a task has come on; in a cycle since it may have failed."""
+        return new.name in self._came or new.state is State.ON
+
     def _has_rest(self, task: Task) -> bool:
         """Tell whether a task owns what nobody has taken over."""
         if task.state is not State.OFF:
@@ -287,7 +295,7 @@ class Exchange:
         taken = {
             output
             for new in self._news
-            if new.state is State.ON
+            if self._has_come(new)
             for output in new.facts.outputs
         }
         return not taken.issuperset(task.facts.outputs)

@@ -30,6 +30,8 @@ LOOK = 600.0
 """Seconds between looks at the clock, for it may be set."""
 LINK_LOOK = 2.0
 """Seconds between looks at links that are to be there and are not."""
+_END = 1.0
+"""Seconds that the end waits for a look."""
 
 
 class KeyTerm:
@@ -70,10 +72,10 @@ class KeyTerm:
             self._thread.start()
 
     def stop(self) -> None:
-        """Tell nothing any more."""
+        """Tell nothing any more; a name that is being looked up is not waited for."""
         self._over.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(_END)
 
     def _watch(self) -> None:
         told = None

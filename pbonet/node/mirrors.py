@@ -76,6 +76,7 @@ class Mirrors:
 
     def start(self) -> None:
         """Begin to carry what `carry` names."""
+        self._ends.submit(int)  # has the thread begin
         self._thread.start()
 
     def stop(self) -> None:

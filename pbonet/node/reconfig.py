@@ -181,7 +181,7 @@ class _List:
             self._rtpu.flags.up(subsystem, task.name, cause, task.facts.outputs)
             self._rtpu.later(self._late(made, task), f"off of {task.name}")
         undone = made.undone
-        if undone and not made.unseen:
+        if undone and made.failed and not made.unseen:
             first = made.failed.get(undone[0][0]) or next(iter(made.failed.values()))
             self._result.error = first.to_wire()
         return undone

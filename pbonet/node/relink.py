@@ -126,6 +126,8 @@ def _sockets() -> Iterator[socket.socket]:
 
 def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Known) -> bool:
     """Tell whether a socket carries one of the links to a neighbour."""
+    if one.family not in {socket.AF_INET, socket.AF_INET6, socket.AF_UNIX}:
+        return False
     try:
         near, far = one.getsockname(), one.getpeername()
         if one.family != socket.AF_UNIX:
@@ -155,7 +157,7 @@ def resolved(endpoint: str) -> set[str]:
     host, _, port = inside(endpoint).rpartition(":")
     try:
         found = socket.getaddrinfo(host.strip("[]"), int(port))
-    except OSError:
+    except (OSError, UnicodeError):
         return set()
     return {_spelled(str(one[4][0]), port) for one in found} | {plain(endpoint)}
 

@@ -26,7 +26,7 @@ from pbonet.xm.callbacks import direct
 from . import relink, wire
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Container, Iterable, Sequence
 
 log = logging.getLogger("pbonet.node")
 
@@ -44,6 +44,8 @@ AGAIN = 10
 """A report looks so often again for who is seen and cannot be asked."""
 PAUSE = 0.1
 """Seconds between such looks: links are being restored."""
+LOST_TIME = 86400.0
+"""Seconds for which an agent that is seen no more is told of."""
 MOST_LOST = 64
 """Agents that are remembered though they are seen no more."""
 _UNASKED = "its agent is seen, and no request finds its way there"
@@ -148,7 +150,11 @@ class Ways:
         now = time.monotonic()
         with self._guard:
             found = sorted(self._lost.items())
-        return [msgspec.structs.replace(one, ago=now - at) for _, (one, at) in found]
+        return [
+            msgspec.structs.replace(one, ago=now - at)
+            for _, (one, at) in found
+            if now - at < LOST_TIME
+        ]
 
     def _heard_end(self, sample: zenoh.Sample) -> None:
         """Take note of an agent that ends in order; runs in zenoh's own thread."""
@@ -187,10 +193,11 @@ class Ways:
         for _ in range(TRIES):
             self._look(me.name)
         for _ in range(AGAIN):
-            if not any(peer.error == _UNASKED for peer in list(self._peers.values())):
+            with self._guard:
+                left = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
+            if not left or self._over.wait(PAUSE):
                 break
-            time.sleep(PAUSE)
-            self._look(me.name)
+            self._look(me.name, left)
         counts = dialling.links(self._session)
         with self._guard:
             peers = sorted(self._peers.items())
@@ -207,7 +214,7 @@ class Ways:
             try:
                 self._look(self._me().name)
                 self._relink_unseen()
-            except zenoh.ZError as error:
+            except (zenoh.ZError, OSError) as error:
                 log.debug("the ways cannot be measured: %s", error)
             if self._tell is not None and (others := self._apart()):
                 self._tell(wire.Clocks(self._me().machine, others))
@@ -237,8 +244,8 @@ class Ways:
                 and not peer.error
             ]
 
-    def _look(self, me: str) -> None:
-        """Make one round trip to each agent that can be seen."""
+    def _look(self, me: str, wanted: Container[str] | None = None) -> None:
+        """Make one round trip to each agent that can be seen, or to those wanted."""
         domain, machine = self._me().domain, self._me().machine
         names = [n for n in session.rtpus(self._session, domain) if n != me]
         near = {str(zid) for zid in self._session.info.routers_zid()}
@@ -248,6 +255,8 @@ class Ways:
             for name in names:
                 self._lost.pop(name, None)
         for name in names:
+            if wanted is not None and name not in wanted:
+                continue
             peer = self._peers.setdefault(name, Peer())
             begin = time.monotonic_ns()
             found = self._ask(keys.rtpu(domain, name, "sbs"))

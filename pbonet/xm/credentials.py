@@ -162,10 +162,12 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
         ):
             one.recv(1)  # a certificate is refused behind the handshake
     except ssl.SSLCertVerificationError as error:
-        run_out = error.verify_code == _RUN_OUT
-        return "its certificate " + (
-            "has run out" if run_out else "is not of the authority of these keys"
-        )
+        how = {
+            _RUN_OUT: "has run out",
+            _NOT_YET: "is not valid yet (look at the clocks of both machines)",
+        }
+        other = "is not of the authority of these keys"
+        return f"its certificate {how.get(error.verify_code, other)}"
     except ssl.SSLError as error:
         refused = "ALERT" in (error.reason or "")
         return "it refuses the certificate of these keys" if refused else ""

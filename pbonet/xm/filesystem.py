@@ -344,6 +344,7 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
                 remedy="choose another name, or mode wb to replace it",
             )
         self._part = secrets.token_hex(8)
+        self._written = 0
         super().__init__(fs, path, mode, block_size, autocommit, **options)
         if mode == "rb" and self.details["type"] != "file":
             raise XmAccessError(
@@ -352,6 +353,12 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
                 got=self.details["type"],
                 remedy="read files, list folders",
             )
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Close the file; what was written is dropped if something was raised."""
+        if kind is not None and self.mode != "rb":
+            self.discard()
+        self.close()
 
     def _fetch_range(self, start: int, end: int) -> bytes:
         got = bytearray()

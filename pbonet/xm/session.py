@@ -49,9 +49,16 @@ _KEYS_REFUSED = (
     " hosts (`pbonet keys show`)?"
 )
 PROTOCOLS = ("tcp", "tls", "udp", "ws", "unixsock-stream")
-_HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):\d{1,5}([?#].*)?")
+_HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):(\d{1,5})([?#].*)?")
+_LAST_PORT = 65535
 TOKENS = 100_000
 """Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
+
+
+def _is_address(text: str) -> bool:
+    """Tell whether a text is a host and a port."""
+    match = _HOST_PORT.fullmatch(text)
+    return match is not None and int(match[2]) <= _LAST_PORT
 
 
 def check_endpoint(
@@ -65,7 +72,7 @@ def check_endpoint(
     """
     protocol, _, address = endpoint.partition("/")
     local = protocol == "unixsock-stream" and address
-    if not local and not (protocol in PROTOCOLS and _HOST_PORT.fullmatch(address)):
+    if not local and not (protocol in PROTOCOLS and _is_address(address)):
         raise NodeError(
             "this is no endpoint",
             expected="PROTOCOL/HOST:PORT with one of " + " ".join(PROTOCOLS),

@@ -214,7 +214,9 @@ def test_an_heir_that_is_killed_within_on(arm, nodes, tmp_path):
         with Table.attach(f"{nodes.domain}.t") as table:
             wait_for(lambda t=table: t.info("Y0").owner is None, "that nobody owns Y0")
         died = f"{heir} has died ({rtpu}/{heir})"
-        assert {died, NOBODY} <= set(causes(arm))
+        wait_for(
+            lambda both={died, NOBODY}: both <= set(causes(arm)), "the flag's causes"
+        )
         legal = [event.text for event in arm.events() if event.code == "LEGAL"]
         assert f"no longer: {died}" not in legal, "it was up all the time"
         assert arm.reconfig([("a", "on")]) == {"a": "ON"}

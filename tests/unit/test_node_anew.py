@@ -27,6 +27,7 @@ def config(**more):
         config(listen=()),
         config(connect=("tcp/10.0.0.1:7447",), grace=2.0),
         config(listen=("unixsock-stream//tmp/x.sock", *OLD.listen)),
+        config(listen=("tcp/0.0.0.0:7447",), insecure=True),
     ],
 )
 def test_what_may_be(new):
@@ -44,8 +45,10 @@ STAYS = "put it back, or end the agent and start it again: its tasks turn OFF"
         ({"core": 0}, "keeps its core (expected core 1, got 0); " + STAYS),
         ({"name": None}, "keeps its name (expected name arm0, got None); " + STAYS),
         ({"listen": ("tcp/127.0.0.1",)}, "this is no endpoint"),
+        ({"listen": ("tcp/127.0.0.1:65536",)}, "this is no endpoint"),
+        ({"listen": ("tcp/x..y:80",), "insecure": True}, "be listened on"),
         ({"listen": ("tcp/0.0.0.0:7447",)}, "beyond this machine is not protected"),
-        ({"listen": ("tcp/192.0.2.1:7447",), "insecure": True}, "be listened on"),
+        ({"listen": ("tcp/192.0.2.1:7448",), "insecure": True}, "be listened on"),
         ({"connect": ("tls/10.0.0.1:7447",)}, "TLS needs keys"),
         ({"keys": "/nowhere"}, "with keys every link over a network is TLS"),
         ({"keys": "/nowhere", "listen": ()}, "this is no key folder"),

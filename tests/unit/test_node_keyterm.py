@@ -8,6 +8,7 @@ import ssl
 import threading
 
 import pytest
+from patience import LIMIT
 from watching import wait_for
 
 from pbonet.errors import Severity
@@ -133,13 +134,13 @@ def test_keys_that_go_together_are_not_doubted(lab):
     mine = pki.issue(lab, Role.AGENT, "pc", hosts=["127.0.0.1"])
     old = pki.issue(lab, Role.AGENT, "old", hosts=["127.0.0.1"], days=-0.01)
     with listening(mine) as port:
-        assert credentials.doubted(mine, "127.0.0.1", port) == ""
-        refused = credentials.doubted(old, "127.0.0.1", port)
+        assert credentials.doubted(mine, "127.0.0.1", port, LIMIT) == ""
+        refused = credentials.doubted(old, "127.0.0.1", port, LIMIT)
     assert refused == "it refuses the certificate of these keys"
     with listening(old) as port:
-        found = credentials.doubted(mine, "127.0.0.1", port)
+        found = credentials.doubted(mine, "127.0.0.1", port, LIMIT)
     assert found == "its certificate has run out"
-    assert credentials.doubted(mine, "127.0.0.1", port) == "", "nobody is there"
+    assert credentials.doubted(mine, "127.0.0.1", port, LIMIT) == "", "nobody is there"
 
 
 @pytest.mark.parametrize(

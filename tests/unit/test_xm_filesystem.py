@@ -1,5 +1,6 @@
 """The fsspec file system over a filer in this process; see test_xm_files for agents."""
 
+import contextlib
 import io
 import os
 
@@ -255,6 +256,29 @@ def test_copied(fs, root, other):
     assert files(other) == ["a", "all/old/a", "all/old/b", "all/run", "b"]
     assert (other / "all" / "old" / "a").read_text() == "old/a"
     assert files(root) == ["logs/old/a", "logs/old/b", "logs/run", "new/run"]
+
+
+def test_a_copy_whose_source_is_cut_replaces_nothing(
+    fs, desk, root, other, monkeypatch
+):
+    """Though its target is within reach; the same of any block that is left early."""
+    (root / "new").write_bytes(bytes(3 * f.CHUNK))
+    (other / "new").write_text("old")
+    read = desk.filer._read
+
+    def once(request):
+        if request.offset:
+            raise UnreachableError("cut", remedy="heal")
+        return read(request)
+
+    monkeypatch.setattr(desk.filer, "_read", once)
+    with pytest.raises(UnreachableError):
+        fs.cp_file("arm1/new", "arm2/new")
+    with contextlib.suppress(KeyError), fs.open("arm2/new", "wb") as file:
+        file.write(bytes(10))
+        raise KeyError
+    assert [path.name for path in other.iterdir()] == ["new"]
+    assert (other / "new").read_text() == "old"
 
 
 @pytest.mark.usefixtures("tree")
