@@ -10,7 +10,8 @@ is a synchronous task, awake when a record has come.
 
     added       to the writer's median cycle, from its call to the end of its commit:
                 without a reader, with one on the same machine, with one on the other;
-                and to its processor time, what is behind the cycle included
+                and to its processor time, what is behind the cycle included; beside
+                it what one numpy.copyto of the same bytes adds to such a cycle
     latency     from the writer's cycle to the reader's, beside raw zenoh's put and
                 callback between two processes in the same rounds
 """
@@ -43,7 +44,10 @@ KEPT = 200_000
 SOURCE = '''
 """Writes a record in every cycle of every second block of cycles."""
 
+from functools import partial
 from typing import Annotated as A
+
+import numpy as np
 
 from pbonet import Params, PortBasedObject, param, tbuf
 
@@ -54,13 +58,17 @@ class Which(Params):
     link: A[str, param("none", "its name")]
     size: A[int, param("none", "bytes of a record")]
     blocks: A[int, param("none", "cycles of a block; 0: one for ever")] = 0
+    copies: A[int, param("none", "1: copies the bytes in place of writing them")] = 0
 
 
 class LinkSource(PortBasedObject[Which]):
     """Writes records."""
 
     def init(self) -> None:
-        self._link = tbuf.Writer(self.params.link, ("u1", self.params.size))
+        size = self.params.size
+        self._link = tbuf.Writer(self.params.link, ("u1", size))
+        copy = partial(np.copyto, np.zeros(size, "u1"), np.ones(size, "u1"))
+        self._do = copy if self.params.copies else self._link.write
 
     def on(self) -> None:
         self._count = 0
@@ -70,7 +78,7 @@ class LinkSource(PortBasedObject[Which]):
         writes = not blocks or self._count // blocks % 2
         self._count += 1
         if writes:
-            self._link.write()
+            self._do()
 
     def kill(self) -> None:
         self._link.close()
@@ -173,7 +181,7 @@ class Tasks:
         self.begin(name, "sink", text)
 
     def added(
-        self, size: int, where: str, seconds: float
+        self, size: int, where: str, seconds: float, *, copies: int = 0
     ) -> tuple[list[float], list[float]]:
         """Return by how many nanoseconds each block's median cycle is longer.
 
@@ -182,7 +190,9 @@ class Tasks:
         """
         if where:
             self.sink(where, size)
-        text = rmod("link_source", "periodic", link="x", size=size, blocks=BLOCK)
+        text = rmod(
+            "link_source", "periodic", link="x", size=size, blocks=BLOCK, copies=copies
+        )
         made = self.begin("one", "source", text)
         os.environ["PBONET_SHM_DIR"] = str(self._pair.one.shm_dir)
         ring = Ring.attach(made.ring)
@@ -231,6 +241,7 @@ def raw(size: int, seconds: float) -> list[float]:
 
 
 READERS = {"no reader": "", "a reader here": "one", "a reader there": "two"}
+COPY = "numpy.copyto"
 
 
 def measure(rounds: int, seconds: float) -> dict[str, list[float]]:
@@ -245,8 +256,9 @@ def measure(rounds: int, seconds: float) -> dict[str, list[float]]:
         try:
             for _ in range(rounds):
                 for size in SIZES:
-                    for name, reader in READERS.items():
-                        both = tasks.added(size, reader, seconds)
+                    for name, reader in {COPY: "", **READERS}.items():
+                        copies = int(name == COPY)
+                        both = tasks.added(size, reader, seconds, copies=copies)
                         for what, more in zip(
                             ("added", "CPU added"), both, strict=True
                         ):
