@@ -23,6 +23,8 @@ static void step(void) {
 #include <sys/prctl.h>
 #include <sys/wait.h>
 
+#include "xm_rig.h"
+
 #include "sys.h"
 
 static _Atomic uint32_t *standing;
@@ -46,22 +48,6 @@ static struct xm_sem *grip;
 static struct xm_queue *queue;
 static struct rt_table *table;
 static unsigned held, amid, uncalled;
-
-static void die(const char *what) {
-    perror(what);
-    abort();
-}
-
-static void *memory(uint64_t bytes) {
-    void *at = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-    if (at == MAP_FAILED) die("mmap");
-    return at;
-}
-
-static uint32_t member(int m) {
-    if (m < 0) die("member");
-    return (uint32_t)m;
-}
 
 static void post(uint32_t me, uint32_t size) {
     uint8_t data[LARGEST] = {0};

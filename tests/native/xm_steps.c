@@ -20,10 +20,7 @@ static void step(void) {
 
 #include <sys/mman.h>
 
-static void die(const char *what) {
-    perror(what);
-    abort();
-}
+#include "xm_rig.h"
 
 static void *map(const char *path) {
     struct stat st;
@@ -33,11 +30,6 @@ static void *map(const char *path) {
     base = mmap(NULL, (size_t)st.st_size, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
     if (base == MAP_FAILED) die("mmap");
     return base;
-}
-
-static uint32_t member(int m) {
-    if (m < 0) die("member");
-    return (uint32_t)m;
 }
 
 static void on_semaphore(struct xm_sem *s, char what, long step_wanted) {

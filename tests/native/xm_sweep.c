@@ -25,27 +25,13 @@ static void step(void) {
 #include <sys/prctl.h>
 #include <sys/wait.h>
 
+#include "xm_rig.h"
+
 enum { PATIENCE = 40, MESSAGES = 5, BLOCKS = 120, BLOCK = 64, LARGEST = 2000 };
 
 static struct xm_sem *grip;
 static struct xm_queue *queue;
 static unsigned deaths, torn, lost, broken, stuck, intruders;
-
-static void die(const char *what) {
-    perror(what);
-    abort();
-}
-
-static void *memory(uint64_t bytes) {
-    void *at = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-    if (at == MAP_FAILED) die("mmap");
-    return at;
-}
-
-static uint32_t member(int m) {
-    if (m < 0) die("member");
-    return (uint32_t)m;
-}
 
 static void post(uint32_t me, uint32_t size, int full) {
     uint8_t data[LARGEST];

@@ -14,6 +14,8 @@
 #include <sys/prctl.h>
 #include <sys/wait.h>
 
+#include "xm_rig.h"
+
 enum { PATIENCE = 8, WORKERS = 4, MESSAGES = 16, BLOCKS = 96, BLOCK = 64, TOKENS = 3 };
 
 struct shared {
@@ -25,17 +27,6 @@ struct shared {
 };
 
 static struct shared *shared;
-
-static void die(const char *what) {
-    perror(what);
-    abort();
-}
-
-static void *memory(uint64_t bytes) {
-    void *at = mmap(NULL, bytes, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-    if (at == MAP_FAILED) die("mmap");
-    return at;
-}
 
 static int p(struct xm_sem *s, uint32_t me, int32_t priority) {
     int slot, code = xm_sem_begin(s, me, priority, true, &slot);
