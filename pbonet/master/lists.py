@@ -14,16 +14,18 @@ if TYPE_CHECKING:
     from pbonet.master.picture import Picture
 
 
-def handed_over(picture: Picture, items: Sequence[tuple[str, str]]) -> list[str]:
-    """Return the tasks that go off and whose outputs a later item takes over."""
-    found: list[str] = []
+def handed_over(
+    picture: Picture, items: Sequence[tuple[str, str]]
+) -> dict[str, list[str]]:
+    """Return for tasks that go off which of their outputs a later item takes over."""
+    found: dict[str, list[str]] = {}
     taken: set[str] = set()
     for task, signal in reversed(items):
         outputs = picture.find(task).task.outputs
         if signal == "on":
             taken.update(outputs)
-        elif signal == "off" and taken.intersection(outputs):
-            found.append(task)
+        elif signal == "off" and (theirs := [one for one in outputs if one in taken]):
+            found[task] = theirs
     return found
 
 

@@ -124,13 +124,21 @@ class Flags:
     ) -> None:
         """Raise an entry unless others have taken variables over by then.
 
+        Those that others write already are done with, whatever comes behind that.
+
         Args:
             subsystem: Whose variables.
             outputs: Their names, and which task each was handed over by.
             done: What of the list is done.
             within: Seconds.
         """
-        handed = {(subsystem, output): _Handed(by) for output, by in outputs.items()}
+        handed: dict[tuple[str, str], _Handed] = {}
+        for output, by in outputs.items():
+            self._handed.pop((subsystem, output), None)
+            if not self.written(subsystem, [output], but=by):
+                handed[subsystem, output] = _Handed(by)
+        if not handed:
+            return
         self._handed |= handed
 
         def look() -> None:

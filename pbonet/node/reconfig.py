@@ -107,7 +107,7 @@ class _List:
             output: name
             for name in gone
             if name in request.handover and (request.subsystem, name) in rtpu.tasks
-            for output in rtpu.need(request.subsystem, name).facts.outputs
+            for output in request.handover[name]
         }
         if outputs:  # behind a failure the master sends nothing more
             within = 0.0 if self._result.error else TRIP

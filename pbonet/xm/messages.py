@@ -170,9 +170,9 @@ class Reconfig(Request, tag="reconfig"):
 
     items: list[tuple[str, str]]
     """Pairs of task and signal."""
-    handover: list[str] = []
-    """Tasks whose outputs a task on another RTPU takes over; of those on its own the
-    agent knows by itself."""
+    handover: dict[str, list[str]] = {}
+    """For tasks that go off, here or elsewhere, the variables that a task that comes
+    later takes over, on whatever RTPU."""
     timeout: float = 5.0
     calls: dict[str, list[Call]] = {}
     """For tasks among these whom each is to call when its `off` has ended."""

@@ -78,7 +78,8 @@ def stand_by(arm, heir, old, limit=LIMIT):
 
 def turn_off(arm, old, calls):
     """Turn a task of arm0 off that has an heir; nobody tells arm1."""
-    request = m.Reconfig(items=[(old, "off")], handover=[old], calls=calls)
+    handover = {old: [f"Y{'ac'.index(old)}"]}
+    request = m.Reconfig(items=[(old, "off")], handover=handover, calls=calls)
     return arm.fleet.call("arm0", request, m.Reconfigured)
 
 

@@ -149,6 +149,24 @@ def test_a_slow_task_elsewhere_is_waited_for(arm):
     assert [text for text in raised(arm) if "nobody took over" in text] == []
 
 
+@pytest.mark.parametrize("rtpu", ["arm1", "arm2"])
+def test_an_heir_may_write_less(arm, rtpu):
+    """Nobody reads what it does not write, so that nobody has to take it over."""
+    arm.control("b", "off")
+    arm.spawn("pair", rtpu)
+    arm.swap("a", "pair")
+    arm.swap("pair", "a" if rtpu == "arm2" else "b")
+    first = arm.status_all()
+    wait_for(
+        lambda: any(
+            now.state == "ON" and now.cycle > before.cycle + 0.5 * RATE
+            for before, now in zip(first, arm.status_all(), strict=True)
+        ),
+        "cycles of half a second",
+    )
+    assert [text for text in raised(arm) if "nobody took over" in text] == []
+
+
 def test_one_of_two_that_leave_fails(arm, nodes, tmp_path):
     (tmp_path / "bad.rmod").write_text(rmod("raises_in_off", "Y1", RATE))
     arm.control("b", "off")

@@ -112,8 +112,8 @@ def test_swap_is_one_message_on_one_rtpu_and_two_on_two(arm, world, agents):
         agent.requests.clear()
     arm.swap("grav_comp", "grav2", rtpu="arm0")
     assert sorted(lists()) == [
-        ("arm0", [("grav2", "on")], ["grav_comp"]),
-        ("arm1", [("grav_comp", "off")], ["grav_comp"]),
+        ("arm0", [("grav2", "on")], {"grav_comp": ["T_GRAV"]}),
+        ("arm1", [("grav_comp", "off")], {"grav_comp": ["T_GRAV"]}),
     ]
     assert steps(world)[-2:] == ["off grav_comp", "on grav2"]
 

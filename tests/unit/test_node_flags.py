@@ -1,5 +1,7 @@
 """An RTPU's entries in the illegal-configuration flag."""
 
+import asyncio
+
 import pytest
 
 from pbonet.config import parse_svar
@@ -105,3 +107,23 @@ def test_who_has_ended_for_an_heir_that_failed_is_no_writer(table):
     assert made.written("arm", ["X"], but="heir")
     made.relieve()
     assert not table.illegal
+
+
+@pytest.mark.parametrize("taken", [True, False])
+def test_what_an_heir_has_taken_over_is_handed_over_for_good(table, taken):
+    """If it gives that up again soon, it is its own list that says what is wrong."""
+    made = flags(table)
+    heir = table.local("heir", 1, outvar=["X"])
+    if taken:
+        heir.claim()
+
+    async def look():
+        made.expect("arm", {"X": "old"}, "off old", 0.0)
+        if taken:
+            heir.release()
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    asyncio.run(look())
+    nobody = "off old is done, and nobody took over X"
+    assert [one.cause for one in table.illegal] == [nobody] * (not taken)

@@ -20,6 +20,7 @@ from pbonet.svar import Table
 from pbonet.xm import messages as m
 
 VARIABLE = "NAME {}\nTYPE double\nDESC an output\nUNITS none\nNELEM 1\n\n"
+B_HANDS = {"b": ["Y1"]}
 LIMIT = 30.0
 """Seconds after which a test has failed."""
 
@@ -121,8 +122,8 @@ def call(heir, *outputs):
     )
 
 
-def carry_out(rtpu, outputs, calls, items=None):
-    """Turn off tasks whose outputs others take over; return what is answered.
+def carry_out(rtpu, outputs, calls, items=None, *, handover=None):
+    """Turn off tasks whose outputs others take over, all or some; return the answer.
 
     Nobody takes over, and what is looked at later than at once never is.
     """
@@ -133,7 +134,7 @@ def carry_out(rtpu, outputs, calls, items=None):
         request = m.Reconfig(
             subsystem="arm",
             items=items or [(name, "off") for name in outputs],
-            handover=list(outputs),
+            handover=handover or outputs,
             calls=calls,
         )
         answer = await reconfig.reconfigure(rtpu, request)
@@ -166,6 +167,17 @@ def test_who_does_not_come_in_that_time_raises_the_flag(rtpu, table, monkeypatch
     ]
 
 
+def test_a_variable_that_nobody_is_to_take_over_is_not_waited_for(
+    rtpu, table, monkeypatch
+):
+    """The heir of b writes less: who has judged the list knows that nobody reads Y0."""
+    monkeypatch.setattr(reconfig, "TRIP", 0.0)
+    carry_out(rtpu, {"b": ["Y0", "Y1"]}, {}, handover=B_HANDS)
+    assert [one.cause for one in table.illegal] == [
+        "off b is done, and nobody took over Y1"
+    ]
+
+
 def two_lists(rtpu, *lists):
     """Have b hand Y1 over, and the other task nothing: items and handover of each."""
 
@@ -184,14 +196,14 @@ def two_lists(rtpu, *lists):
 def test_the_next_list_ends_the_look_at_the_one_before(rtpu, table, monkeypatch):
     """What is handed over is decided anew; a look behind it would say what is over."""
     monkeypatch.setattr(reconfig, "TRIP", 0.0)
-    two_lists(rtpu, ([("b", "off")], ["b"]), ([("other", "off")], []))
+    two_lists(rtpu, ([("b", "off")], B_HANDS), ([("other", "off")], {}))
     assert [one.cause for one in table.illegal] == []
 
 
 def test_the_next_part_of_a_list_ends_no_look(rtpu, table, monkeypatch):
     """The master has died behind it: the heir of Y1, on another RTPU, never comes."""
     monkeypatch.setattr(reconfig, "TRIP", 0.0)
-    two_lists(rtpu, ([("b", "off")], ["b"]), ([("other", "off")], ["b"]))
+    two_lists(rtpu, ([("b", "off")], B_HANDS), ([("other", "off")], B_HANDS))
     assert [one.cause for one in table.illegal] == [
         "off b is done, and nobody took over Y1"
     ]
@@ -208,7 +220,7 @@ def test_what_one_list_left_stands_until_the_next_is_done(rtpu, table, monkeypat
         await rtpu.tasks["arm", "other"].end()
 
     rtpu.reactions["other"] = look
-    two_lists(rtpu, ([("b", "off")], ["b"]), ([("other", "off")], []))
+    two_lists(rtpu, ([("b", "off")], B_HANDS), ([("other", "off")], {}))
     assert seen == ["off b is done, and nobody took over Y1"]
     assert [one.cause for one in table.illegal] == []
 
