@@ -1,4 +1,4 @@
-"""Assembling a whole job in two phases, and undoing it when a step fails.
+"""Assembling a whole job in two phases, undoing it when a step fails, and its end.
 
 First every task is spawned, in the order that constants demand (Stewart 1994, section
 3.5), until all are OFF; then they are turned ON: sensors, computation, and at last the
@@ -14,8 +14,10 @@ from pbonet import verify
 from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
 from pbonet.master import constants
 from pbonet.master.conditions import Gate
+from pbonet.master.failures import forced
 from pbonet.pbo import State
 from pbonet.xm import messages as m
+from pbonet.xm import rpc
 
 if TYPE_CHECKING:
     import threading
@@ -113,6 +115,32 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
         gate.entered()
     statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
     return [status for status in statuses if status.task in by_name]
+
+
+def end(crew: Crew, name: str) -> list[PbonetError]:
+    """Turn OFF in order, end every task, give everything back.
+
+    Args:
+        crew: The subsystem.
+        name: Its name, for errors.
+
+    Returns:
+        An error for each task that hung: it is ended, but by force.
+
+    Raises:
+        SeveralError: Parts of it could not be done, the rest was; of one part, its own
+            error.
+    """
+    crew.off()
+    still_on = [member for member in crew.picture if member.is_on]
+    stopped, errors = crew.stop()
+    told = {str(error) for error in errors}
+    errors += [error for error in crew.leave() if str(error) not in told]
+    hung = [forced(one) for one in still_on if one.name in stopped.killed]
+    if errors:
+        what = f"the end of subsystem {name} left something behind"
+        rpc.raise_all(what, [*errors, *hung])
+    return hung
 
 
 def pair(crew: Crew, wanted: Sequence[Member]) -> None:

@@ -38,6 +38,17 @@ def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
     )
 
 
+def forced(task: Member) -> PbonetError:
+    """Return the error for a task that did not turn OFF, and was ended by force."""
+    return StateError(
+        f"the task {task.name} hung and was ended by force",
+        where=f"{task.rtpu}/{task.name}",
+        expected="'off' between two of its cycles",
+        got=f"a method of module {task.rmod.module} that does not come back",
+        remedy="see what its cycle() or its off() waits for",
+    )
+
+
 def stuck(
     items: Sequence[tuple[str, str]], done: int, error: PbonetError, *, unsure: int = 0
 ) -> ReconfigError:

@@ -228,7 +228,7 @@ class Run:
         if self._profile:
             self._save_profiles(subsystem)
         try:
-            subsystem.finish()
+            self._unfinished += subsystem.finish()
         except SeveralError as error:
             self._unfinished += error.errors
         except PbonetError as error:

@@ -21,7 +21,7 @@ from msgspec import structs
 
 from pbonet import verify
 from pbonet.config.library import Library
-from pbonet.errors import NodeError
+from pbonet.errors import NodeError, PbonetError
 from pbonet.master import assembly, constants, environment, profile
 from pbonet.master.calls import Calls
 from pbonet.master.changing import Changing
@@ -143,7 +143,7 @@ class Subsystem(Switching, Calls, Signalled):
         if self.watch:
             self.detach()
         else:
-            self.finish()
+            self.quit()
 
     @property
     def name(self) -> str:
@@ -246,8 +246,11 @@ class Subsystem(Switching, Calls, Signalled):
             fleet.client.close()
             self._end_agents()
 
-    def finish(self) -> None:
+    def finish(self) -> list[PbonetError]:
         """Turn OFF in order, end every task, give everything back (`sbsFinish`).
+
+        Returns:
+            An error for each task that hung: it is ended, but by force.
 
         Raises:
             SeveralError: Parts of it could not be done, the rest was; of one part, its
@@ -255,13 +258,9 @@ class Subsystem(Switching, Calls, Signalled):
         """
         self.stopped.set()
         try:
-            self.crew.off()
-            _, errors = self.crew.stop()
-            told = {str(error) for error in errors}
-            errors += [error for error in self.crew.leave() if str(error) not in told]
+            return assembly.end(self.crew, self.name)
         finally:
             self.detach()
-        rpc.raise_all(f"the end of subsystem {self.name} left something behind", errors)
 
     def network(self, portname: str) -> None:
         """Hand control to a program on the network until it ends (`sbsNetwork`).
@@ -275,12 +274,13 @@ class Subsystem(Switching, Calls, Signalled):
         serve(self, portname)
 
     def quit(self) -> None:
-        """End the program's work: it is the last interface, so the subsystem ends.
+        """End the subsystem with its last interface, and warn of tasks that hung.
 
         Raises:
             SeveralError: As `finish`.
         """
-        self.finish()
+        for error in self.finish():
+            self._warn(str(error))
 
     # -- tasks ------------------------------------------------------------------------
 

@@ -9,14 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import nodekit
 import numpy as np
 import pytest
 from rich.console import Console
 from watching import processes_of, wait_for
 
 from pbonet.log import Log
+from pbonet.master import crew
+from pbonet.master import run as run_module
 from pbonet.master.embedded import assign_cores
 from pbonet.master.live import Screen
+from pbonet.master.oneshot import Place
 from pbonet.master.sim import Simulation
 from pbonet.node import _rt
 from pbonet.xm import rundir, session
@@ -275,6 +279,36 @@ def test_an_error_in_the_very_first_cycle_is_told(run, nodes, puma):
     assert len(told) == 1, said
     assert "arm0/fails" in told[0]
     assert "not even one cycle works: ERROR" in told[0]
+
+
+def test_a_task_that_never_ends_its_first_cycle_has_failed(
+    nodes, tmp_path, monkeypatch, capsys
+):
+    """It is ended by force, which the run tells; no task is in ERROR."""
+    hung, whole = tmp_path / "hung.rmod", run_module.Run._watch
+    hung.write_text(nodekit.rmod("hangs_at_once"))
+    (tmp_path / "s.svar").write_text(nodekit.svar(1))
+    (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU c0\nEOF\n")
+    job = tmp_path / "j.job"
+    job.write_text("JOB j\nDESC d\nSBS s.sbs\nTASK hung\nEOF\n")
+
+    def watch(*given):
+        monkeypatch.setattr(crew, "CONTROL_TIME", 0.5)
+        monkeypatch.setattr(crew, "STOP_TIME", 0.5)
+        return whole(*given)
+
+    monkeypatch.setattr(run_module.Run, "_watch", watch)
+    place = Place(domain=nodes.domain, libraries=(str(nodekit.MISBEHAVING),))
+    outcome = run_module.run(job, place, seconds=0.0, record="off")
+    assert [(one.state, one.error) for one in outcome.tasks] == [("ON", "")]
+    assert outcome.status == 1
+    assert outcome.faults == [
+        "c0/hung: the task hung hung and was ended by force (expected 'off' between "
+        "two of its cycles, got a method of module hangs_at_once that does not come "
+        "back); see what its cycle() or its off() waits for"
+    ]
+    assert f"ERROR> {outcome.faults[0]}" in capsys.readouterr().out
+    assert left_of(nodes) == []
 
 
 def test_run_in_virtual_time_needs_no_agents(run, nodes):
