@@ -15,8 +15,9 @@ from msgspec import Struct, structs
 from pbonet.errors import VerificationError, did_you_mean
 
 from .joins import check_ages
+from .misspelt import as_meant
 from .order import check_initialization
-from .parts import check_task
+from .parts import check_ports, check_task
 from .records import Code, Configuration, Problem, Severity, Task
 from .shapes import check_shapes
 from .times import check_times
@@ -98,7 +99,9 @@ class Verdict(Struct, frozen=True, kw_only=True):
 
 def check(configuration: Configuration) -> list[Problem]:
     """Return everything that is wrong with a configuration (section 3.3.1)."""
-    found = [p for task in configuration.tasks for p in check_task(configuration, task)]
+    found = [p for task in configuration.tasks for p in check_ports(task)]
+    configuration = as_meant(configuration)
+    found += [p for t in configuration.tasks for p in check_task(configuration, t)]
     found += [p for task in configuration.tasks for p in check_times(task)]
     for part in (
         check_shapes,

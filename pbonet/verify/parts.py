@@ -10,6 +10,7 @@ from pbonet.errors import did_you_mean
 from pbonet.ports import Kind, Port, accepts, wanted
 
 from .combined import check_parts
+from .misspelt import KEYWORDS, elsewhere, listed, meant
 from .records import Code, Configuration, Problem, Task
 from .units import ANY, conversion, same_unit
 
@@ -19,31 +20,16 @@ if TYPE_CHECKING:
     from pbonet.config.model import Variable
     from pbonet.pbo import ModuleInfo
 
-KEYWORDS = {
-    Kind.INCONST: "INCONST",
-    Kind.OUTCONST: "OUTCONST",
-    Kind.INVAR: "INVAR",
-    Kind.OUTVAR: "OUTVAR",
-}
-"""The list of the ``.rmod`` file that holds each kind of port."""
-
 
 def check_task(configuration: Configuration, task: Task) -> Iterator[Problem]:
-    """Yield what is wrong with one task, whatever the others are."""
+    """Yield what else is wrong with one task, whatever the others are."""
     yield from _rtpu(configuration, task)
     if task.info is not None:
-        yield from _ports(task, task.info)
         yield from _stable(task, task.info)
         yield from _methods(task, task.info)
         yield from check_parts(configuration, task)
     for kind, keyword in KEYWORDS.items():
         yield from _variables(configuration.table, task, kind, keyword)
-
-
-def listed(task: Task, keyword: str) -> tuple[str, ...]:
-    """Return the ports that one list of the RMOD names."""
-    ports: tuple[str, ...] = getattr(task.rmod, keyword.lower())
-    return ports
 
 
 def _rtpu(configuration: Configuration, task: Task) -> Iterator[Problem]:
@@ -88,15 +74,29 @@ def _methods(task: Task, info: ModuleInfo) -> Iterator[Problem]:
         )
 
 
-def _ports(task: Task, info: ModuleInfo) -> Iterator[Problem]:
-    """Compare the lists of the RMOD with the ports of the class, both ways."""
+def check_ports(task: Task) -> Iterator[Problem]:
+    """Compare the lists of the RMOD with the ports of the class, both ways.
+
+    A port that stands in the wrong list, or is misspelt, is told once.
+    """
+    info = task.info
+    if info is None:
+        return
+    astray = {
+        port
+        for kind, keyword in KEYWORDS.items()
+        for port in listed(task, keyword)
+        if port not in info.named(kind)
+    }
     for kind, keyword in KEYWORDS.items():
         given, declared = listed(task, keyword), info.named(kind)
+        misspelt = meant(task, kind)
         for port in given:
             if port not in declared:
-                yield _surplus(task, info, keyword, port, declared)
+                near = (misspelt[port],) if port in misspelt else declared
+                yield _surplus(task, info, keyword, port, near)
         for port in declared:
-            if port not in given:
+            if port not in {*given, *astray, *misspelt.values()}:
                 yield Problem(
                     code=Code.PORTS,
                     what=f"{keyword} does not list {port}, an {kind.value} of the "
@@ -111,10 +111,11 @@ def _ports(task: Task, info: ModuleInfo) -> Iterator[Problem]:
 
 
 def _surplus(
-    task: Task, info: ModuleInfo, keyword: str, port: str, declared: tuple[str, ...]
+    task: Task, info: ModuleInfo, keyword: str, port: str, near: tuple[str, ...]
 ) -> Problem:
     """Return the problem of a port that the class does not have there."""
-    other = [KEYWORDS[kind] for kind in Kind if port in info.named(kind)]
+    other = elsewhere(task, port)
+    declared = info.named(Kind[keyword])
     about = f"{task.rmod.name}.rmod" if info.parts else info.name
     return Problem(
         code=Code.PORTS,
@@ -124,7 +125,7 @@ def _surplus(
         got=" ".join(listed(task, keyword)),
         remedy=f"list it under {' and '.join(other)}"
         if other
-        else did_you_mean(port, declared)
+        else did_you_mean(port, near)
         or f"take it out; 'pbonet describe {about}' shows the ports",
         tasks=(task.name,),
         ports=(port,),
@@ -140,8 +141,10 @@ def _variables(
     }  # fmt: skip
     for name in listed(task, keyword):
         variable = table.get(task.rmod.svar_name(name))
-        if variable is None:
+        if variable is None and (task.info is None or elsewhere(task, name)):
             yield _unknown(table, task, keyword, name)
+        elif variable is None:
+            continue  # the module has no such port, which is told
         elif port := ports.get(name):
             yield from _type(task, keyword, port, variable)
             yield from _unit(task, keyword, port, variable)

@@ -1,6 +1,7 @@
 """One task by itself: ports, variables, types, units, sizes, CRITICAL, RTPU."""
 
 import pytest
+from msgspec import structs
 from verify_parts import configuration, module, port, rtpu, task, texts
 
 from pbonet import verify
@@ -41,15 +42,52 @@ def test_a_port_in_the_wrong_list() -> None:
     assert texts(config) == [
         "a.rmod: INVAR lists Z, which is no such port of the module mod (expected "
         "none, got Z); list it under OUTVAR",
-        "a.rmod: OUTVAR does not list Z, an out-var of the module mod (expected Z, "
-        "got none); add Z to OUTVAR",
     ]
 
 
-def test_a_port_that_is_misspelt() -> None:
-    info = module(port("invar", "Q_REF"))
-    config = configuration(task("a", invar="Q_REFF", info=info), on=set())
-    assert verify.check(config)[0].remedy == "did you mean Q_REF?"
+def test_a_port_that_is_read_and_written_is_to_stand_in_both_lists() -> None:
+    info = module(port("invar", "Z"), port("outvar", "Z"))
+    config = configuration(task("a", invar="Z", info=info), on=set())
+    assert [problem.remedy for problem in verify.check(config)] == ["add Z to OUTVAR"]
+
+
+@pytest.mark.parametrize("alias", [{}, {"T_GRAVV": "G"}], ids=["plain", "alias"])
+def test_a_port_that_is_misspelt_is_told_once_and_first(alias) -> None:
+    """Neither as missing, nor as an unknown variable, nor to those who read it."""
+    info = module(port("invar", "Q"), port("outvar", "T_GRAV"))
+    grav = task("grav", invar="Q", outvar="T_GRAVV", alias=alias, info=info)
+    arm = task("arm", invar=alias.get("T_GRAVV", "T_GRAV"), outvar="Q")
+    now = configuration(arm, grav)
+    table = tuple(one for one in now.svar.variables if one.name != "T_GRAVV")
+    now = structs.replace(now, svar=structs.replace(now.svar, variables=table))
+    assert texts(now) == [
+        "grav.rmod: OUTVAR lists T_GRAVV, which is no such port of the module mod "
+        "(expected T_GRAV, got T_GRAVV); did you mean T_GRAV?"
+    ]
+
+
+def test_a_port_that_is_misspelt_in_the_module_is_told_once() -> None:
+    info = module(port("outvar", "T_GRAVV"))
+    tasks = (task("arm", invar="T_GRAV"), task("grav", outvar="T_GRAV", info=info))
+    assert texts(configuration(*tasks)) == [
+        "grav.rmod: OUTVAR lists T_GRAV, which is no such port of the module mod "
+        "(expected T_GRAVV, got T_GRAV); did you mean T_GRAVV?"
+    ]
+
+
+def test_each_port_stands_for_one_that_is_misspelt() -> None:
+    info = module(port("invar", "Q_REF"), port("invar", "Q_MEZ"))
+    config = configuration(task("a", invar="Q_REFF Q_REEF", info=info), on=set())
+    assert [problem.remedy for problem in verify.check(config)] == [
+        *["did you mean Q_REF?"] * 2,
+        "add Q_MEZ to INVAR",
+    ]
+
+
+def test_variables_of_a_port_that_the_module_does_not_have_are_not_asked_for() -> None:
+    now = configuration(task("a", invar="A", info=module()), on=set())
+    now = structs.replace(now, svar=structs.replace(now.svar, variables=()))
+    assert [problem.code for problem in verify.check(now)] == [verify.Code.PORTS]
 
 
 def test_an_unknown_class_is_not_judged() -> None:
