@@ -82,6 +82,7 @@ class Oracle:
         self._local = Ports()
         self._script: dict[str, str] = {}
         self._count = 0
+        self._outdated = False
         self._now = Expected()
 
     def send(self, signal: str, script: dict[str, str]) -> Expected:
@@ -113,6 +114,7 @@ class Oracle:
         # task is OFF. An error prevents creation and calls kill.
         self._local = Ports()
         self._count = 0
+        self._outdated = False
         self._local.c_in = self.table.c_in
         try:
             self._call("init")
@@ -125,6 +127,12 @@ class Oracle:
 
     def _on(self) -> None:
         # 3.5: in-vars and out-vars are read before; 3.6: out-vars are written after.
+        # 3.5: all deal with the same constants always, so one whose reinit failed does
+        # not come on before it has taken them in.
+        if self._outdated:
+            self._reinit()
+            if self._outdated:
+                return
         self._local.x = self.table.x
         self._local.y = self.table.y
         try:
@@ -217,6 +225,7 @@ class Oracle:
     def _reinit(self) -> None:
         # 3.5: only what rests on the input constants is done again.
         self._local.c_in = self.table.c_in
+        self._outdated = True
         try:
             self._call("reinit")
         except _BrokenError as broken:
@@ -225,6 +234,7 @@ class Oracle:
                 return
             if self._ask(broken) != "CONTINUE":
                 return
+        self._outdated = False
         self.table.c_out = self._local.c_out
 
     def _set(self) -> None:

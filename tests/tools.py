@@ -77,9 +77,12 @@ TOOL = """
 """
 WEIGH = """
     from typing import Annotated as A
-    from pbonet import InConst, OutConst, Params, PortBasedObject
+    from pbonet import InConst, OutConst, Params, PortBasedObject, param
 
-    class Weigh(PortBasedObject[Params]):
+    class Scales(Params):
+        heaviest: A[float, param("kg", "what is too heavy", ge=0)] = 100.0
+
+    class Weigh(PortBasedObject[Scales]):
         '''Weight of a mass.'''
 
         mass: A[float, InConst("MASS", "1", "kg", "mass")]
@@ -89,7 +92,7 @@ WEIGH = """
             self.reinit()
 
         def reinit(self) -> None:
-            if self.mass > 100.0:
+            if self.mass > self.params.heaviest:
                 self.task.fail("too heavy")
             self.weight = 10.0 * self.mass
 

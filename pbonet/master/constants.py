@@ -84,17 +84,22 @@ def followed(
 def signals(
     crew: Crew, items: Sequence[tuple[str, str]]
 ) -> AbstractContextManager[None]:
-    """Return `followed` for a list of signals; only ``reinit`` changes constants."""
-    gives = {
-        task: crew.picture.find(task).task.gives
-        for task, signal in items
-        if signal == "reinit"
-    }
-    givers = [task for task in gives if gives[task]]
-    last = max((items.index((task, "reinit")) for task in givers), default=0)
+    """Return `followed` for a list of signals.
+
+    Constants change by ``reinit``, and by ``on`` of a task whose last one failed.
+    """
+    gives: dict[tuple[str, str], tuple[str, ...]] = {}
+    for task, signal in items:
+        one = crew.picture.find(task).task
+        if one.gives and (signal == "reinit" or (signal == "on" and one.needs)):
+            gives[task, signal] = one.gives
+    last = max((items.index(item) for item in gives), default=0)
     done = {task for task, signal in items[last:] if signal == "reinit"}
-    why = f"reinit of {' and '.join(givers)}"
-    return followed(crew, why, [v for task in givers for v in gives[task]], done)
+    why = ", ".join(
+        f"{kind} of {' and '.join(task for task, signal in gives if signal == kind)}"
+        for kind in dict.fromkeys(signal for _, signal in gives)
+    )
+    return followed(crew, why, [v for given in gives.values() for v in given], done)
 
 
 def renew(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pbonet.errors import PbonetError, PortError, SvarError
+from pbonet.errors import DeclarationError, PbonetError, PortError, SvarError
 from pbonet.pbo import Counted, PortBasedObject, check_sizes, memory
 from pbonet.ports import Kind
 
@@ -30,6 +30,9 @@ class Actions:
         dt: What `cycle` is told.
         method: The method that runs, or ran last; ``stable`` for a cycle that was one.
         cede: Whether an heir takes the out-vars in its own claim.
+
+    Raises:
+        DeclarationError: A CRITICAL task whose module has no ``stable``.
     """
 
     def __init__(
@@ -38,6 +41,14 @@ class Actions:
         copies: Copies,
         illegal: Callable[[], bool] | None,
     ) -> None:
+        cls = type(instance)
+        if illegal is not None and "stable" not in cls.__interface__.methods:
+            raise DeclarationError(
+                "a CRITICAL task needs a module with stable()",
+                where=cls.__name__,
+                remedy="write `def stable(self, dt: float) -> None`, or take CRITICAL "
+                "out of the .rmod file",
+            )
         self.dt = 0.0
         self.method = ""
         self.cede = False

@@ -8,7 +8,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from pbonet.errors import DeclarationError, MethodError, StateError
+from pbonet.errors import MethodError, StateError
 from pbonet.pbo import (
     Answer,
     Counted,
@@ -88,6 +88,7 @@ class Executor:
         self.cycling: Callable[[], str] = lambda: "cycle"
         """Says which method runs now where somebody else does the cycling."""
         self._spent = False
+        self._outdated = False
         self._actions = Actions(instance, copies, illegal)
         self._do = self._actions.do
         self._wakeup = tuple(
@@ -96,14 +97,6 @@ class Executor:
         self._counted = (
             self.task.source if isinstance(self.task.source, Counted) else None
         )
-        cls = type(instance)
-        if illegal is not None and "stable" not in cls.__interface__.methods:
-            raise DeclarationError(
-                "a CRITICAL task needs a module with stable()",
-                where=cls.__name__,
-                remedy="write `def stable(self, dt: float) -> None`, or take CRITICAL "
-                "out of the .rmod file",
-            )
 
     # -- signals ----------------------------------------------------------------------
 
@@ -150,6 +143,8 @@ class Executor:
         self.task.handover = handover
         self._actions.cede = cede
         try:
+            if event is Event.ON and self.state is State.OFF and self._outdated:
+                self._run(Event.REINIT)
             return self._run(event)
         finally:
             self._actions.cede = False
@@ -319,7 +314,11 @@ class Executor:
         try:
             self._steps(found, found.steps)
         except StepFailed as failed:
+            if event is Event.REINIT and not isinstance(failed.cause, RefusedError):
+                self._outdated = True
             self._recover(found, failed)
+        if event is Event.REINIT:
+            self._outdated = False
         return self.state
 
     def _enter(self, found: Rule) -> None:

@@ -341,3 +341,35 @@ def test_a_kill_that_fails_behind_continue_ends_the_task():
     with pytest.raises(MethodError, match=r"^scale\.kill: ZeroDivisionError"):
         bench.kill()
     assert bench.state is State.NOT_CREATED
+
+
+@pytest.mark.parametrize("answer", [Answer.ERROR, Answer.OFF])
+def test_constants_that_were_not_taken_in_are_before_the_task_comes_on(answer):
+    """Section 3.5: all tasks deal with the same constants always."""
+    willing = []
+
+    def reinit(_):
+        if not willing:
+            raise ValueError("no such tool")
+
+    bench = make(reinit=reinit, error=lambda _: answer)
+    bench.on()
+    for again in (bench.reinit, bench.on, bench.on):
+        with pytest.raises(
+            MethodError, match=r"^scale\.reinit: ValueError: no such to"
+        ):
+            again()
+        if answer is Answer.ERROR:
+            assert bench.clear() is State.OFF
+    willing.append(True)
+    before = len(bench.log)
+    assert bench.on() is State.ON
+    assert bench.log[before : before + 3] == [
+        "in-consts in",
+        "reinit",
+        "out-consts out",
+    ]
+    bench.off()
+    before = len(bench.log)
+    bench.on()
+    assert "reinit" not in bench.log[before:], "once is enough"

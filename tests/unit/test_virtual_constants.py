@@ -57,3 +57,20 @@ def test_a_tool_that_somebody_cannot_take_is_put_back(held):
         [0.5],
     ]
     assert held.picture.names == ["grip", "weigh", "hold"]
+
+
+def test_who_could_not_take_a_constant_in_does_so_before_it_comes_on(held):
+    held.set("grip", "mass", 200.0)
+    for again in ("reinit grip", "on weigh"):
+        signal, task = again.split()
+        with pytest.raises(MethodError, match="too heavy"):
+            held.control(task, signal)
+        assert held.status("weigh").state == "ERROR"
+        held.clear("weigh")
+    assert torque(held) == [10.0]
+    held.set("weigh", "heaviest", 300.0)
+    told = []
+    held.warned = told.append
+    held.on("weigh")
+    assert torque(held) == [1000.0], "and who uses what it gives has the new value"
+    assert "on of weigh: re-initialized hold" in told
