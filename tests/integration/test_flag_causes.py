@@ -52,6 +52,28 @@ class Alarmist(PortBasedObject[Heat]):
         else:
             self.task.legal()
 '''
+LINGERS = """
+import time
+from pathlib import Path
+from typing import Annotated as A
+
+from pbonet import Params, PortBasedObject, param
+
+
+class Files(Params):
+    begun: A[str, param("none", "written when `kill` begins")]
+    go_on: A[str, param("none", "`kill` ends when it is there")]
+
+
+class Lingers(PortBasedObject[Files]):
+    def cycle(self, dt: float) -> None:
+        pass
+
+    def kill(self) -> None:
+        Path(self.params.begun).touch()
+        while not Path(self.params.go_on).exists():
+            time.sleep(0.005)
+"""
 
 
 @pytest.fixture
@@ -197,6 +219,27 @@ def test_a_reconfiguration_that_takes_longer_than_a_cycle(arm, tmp_path, heir):
     assert illegal(arm) == []
     told = [f"no longer: {cause}"]
     wait_for(lambda: texts(arm, "LEGAL") == told, "its end as an event")
+
+
+def test_a_task_that_is_off_is_killed_in_no_hurry(arm, nodes, tmp_path):
+    """Behind a switch nobody's inputs depend on how long a kill takes."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    nodes.write_module("lingers", LINGERS)
+    arm.spawn("old", "lingers", out="", local={"BEGUN": begun, "GO_ON": go_on})
+    arm.spawn("source", "counts", out="Y0")
+    arm.on("source")
+    hold(arm, "Y0")
+    with ThreadPoolExecutor(1) as pool:
+        request = m.Reconfig(items=[("old", "kill")])
+        done = pool.submit(arm.ask, request, m.Reconfigured)
+        try:
+            wait_for(begun.exists, "the beginning of kill")
+            arm.wait_cycles("hold", 50)
+            assert illegal(arm) == []
+        finally:
+            go_on.touch()
+        assert done.result().done == 1
+    assert texts(arm, "ILLEGAL") == []
 
 
 def set_hot(arm, word):
