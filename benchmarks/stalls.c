@@ -1,9 +1,11 @@
 /* The reference of swap.py: a bare C loop that tells when it was late.
  *
- * usage: stalls CORE LEVEL PERIOD_NS LATE_NS
- * Sleeps from release to release until standard input ends, then prints how many there
- * were, and for each wake-up that came LATE_NS late or more when it was due and when it
- * came, in nanoseconds of CLOCK_MONOTONIC.
+ * usage: stalls CORE LEVEL PERIOD_NS OFFSET_NS LATE_NS
+ * Says "ready", and sleeps from release to release, OFFSET_NS behind the multiples of
+ * PERIOD_NS, until standard input ends. Then prints how many there were, and for each
+ * wake-up that came LATE_NS late or more when it was due and when it came, in
+ * nanoseconds of CLOCK_MONOTONIC. Its memory is there before it takes its level: to fill
+ * it takes milliseconds, in which nothing below runs.
  */
 #define _GNU_SOURCE
 #include <poll.h>
@@ -27,22 +29,27 @@ static int64_t now(void)
 
 int main(int argc, char **argv)
 {
-    if (argc != 5)
+    if (argc != 6)
         return 2;
-    int64_t period = atoll(argv[3]), least = atoll(argv[4]), count = 0;
+    int64_t period = atoll(argv[3]), offset = atoll(argv[4]);
+    int64_t least = atoll(argv[5]), count = 0;
     int late = 0;
     struct sched_param param = {.sched_priority = atoi(argv[2])};
     cpu_set_t set;
     CPU_ZERO(&set);
     CPU_SET((size_t)atoi(argv[1]), &set);
+    prctl(PR_SET_TIMERSLACK, 1);
+    if (mlockall(MCL_CURRENT | MCL_FUTURE))
+        return perror("mlockall"), 1;
     if (sched_setaffinity(0, sizeof set, &set))
         return perror("affinity"), 1;
     if (param.sched_priority && sched_setscheduler(0, SCHED_FIFO, &param))
         return perror("SCHED_FIFO"), 1;
-    prctl(PR_SET_TIMERSLACK, 1);
-    mlockall(MCL_CURRENT | MCL_FUTURE);
+    puts("ready");
+    fflush(stdout);
     struct pollfd end = {.fd = 0, .events = POLLIN};
-    for (int64_t release = (now() / period + 10) * period;; release += period, count++) {
+    int64_t release = (now() / period + 10) * period + offset;
+    for (;; release += period, count++) {
         struct timespec at = {release / 1000000000, release % 1000000000};
         clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
         int64_t woken = now();

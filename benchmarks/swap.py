@@ -3,11 +3,14 @@
 A real agent, a real master over zenoh. Two tasks of 1 kHz stay, one of which reads
 what the swapped ones write; two controllers of 1 kHz take each other's place again and
 again. What the staying tasks missed stands in the dispatcher's own trace. Beside them
-runs a C loop that does nothing but sleep, on the same core and above the dispatcher, so
-that nothing of pbonet can make it late. It wakes up eight times in a period; a miss is
-excused when the loop woke up half a period late or more, in the periods that the miss
-is about. Excused misses are counted apart, and of each other one is said how late the
-dispatcher and the loop were. Then lists that exchange 2, 10 and 40 tasks.
+runs a C loop of 1 kHz that does nothing but sleep, on the same core and above the
+dispatcher, so that nothing of pbonet can make it late. It wakes up in the middle
+between two releases. There it takes nothing from the tasks, which are done in a quarter
+of a period; and whatever keeps them from being done by the end of the period makes it
+late, by a quarter at least. So a miss is excused when the loop was that late in the
+periods that the miss is about. Excused misses are counted apart, and of each other one
+is said how late the dispatcher and the loop were. Then lists that exchange 2, 10 and 40
+tasks.
 
 With ``--rtpus 2`` the two controllers are on two RTPUs, and so on two cores; of the
 tasks that stay one is on each, with a loop beside it. Before the swaps everything runs
@@ -56,10 +59,10 @@ STAY = ("reader", "other")
 """On the first and on the last RTPU."""
 ABOVE = _rt.DISPATCHER_LEVEL + 1
 """The level of the C loop."""
-LOOP = PERIOD // 8
-"""Nanoseconds from one of its wake-ups to the next; less than so late is not told."""
-LATE = PERIOD // 2
-"""So many nanoseconds late it must have been to excuse a miss."""
+NOTED = PERIOD // 100
+"""So many nanoseconds late a turn or the loop must be to be looked at at all."""
+LATE = PERIOD // 4
+"""So many nanoseconds late the loop must have been to excuse a miss."""
 LOST = "missed, loop was not late"
 EXCUSED = "missed, loop was late, too"
 GAP = "last cycle to first cycle"
@@ -135,6 +138,8 @@ class Trace:
         }
         self._next, _, _ = self._table.trace()
         self._now = 0
+        self.release = 0
+        """The last."""
         self.released = self.lost = 0
         self.misses: list[tuple[int, int]] = []
         """(instant, releases without a cycle of their own)."""
@@ -150,7 +155,8 @@ class Trace:
                 self._now = record.a
             elif record.slot in self._slots and record.kind == Event.RELEASE:
                 self.released += 1
-                if self._now - record.a > LOOP:
+                self.release = record.a
+                if self._now - record.a > NOTED:
                     self.turns.append((record.a, self._now))
             elif record.slot in self._slots and record.kind == Event.MISS:
                 self.misses.append((self._now, record.arg))
@@ -160,28 +166,39 @@ class Trace:
         self._table.close()
 
 
+def phase(core: int) -> int:
+    """Return where in a period the tasks of a core are released, in nanoseconds."""
+    trace = Trace(core, STAY)
+    while not trace.release:
+        time.sleep(0.01)
+        trace.look()
+    trace.close()
+    return trace.release % PERIOD
+
+
 class Stalls:
-    """The C loop beside the tasks."""
+    """The C loop beside the tasks, which waits in the middle between two releases.
+
+    Raises:
+        PermissionError: It could not be had above the dispatcher.
+    """
 
     def __init__(self, folder: Path, core: int) -> None:
-        program = folder / "stalls"
+        program = folder / f"stalls{core}"
         source = Path(__file__).with_name("stalls.c")
         subprocess.run(["cc", "-O2", "-o", program, source], check=True)  # noqa: S607 - the compiler is where PATH says
-        words = [str(program), *map(str, (core, ABOVE, LOOP, LOOP))]
+        middle = phase(core) + PERIOD // 2
+        words = [str(program), *map(str, (core, ABOVE, PERIOD, middle, NOTED))]
         self._process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
-
-    def end(self) -> tuple[int, list[tuple[int, int]]]:
-        """Return the wake-ups of the loop, and the late ones as (due, came).
-
-        Raises:
-            PermissionError: It could not be had above the dispatcher.
-        """
-        out, _ = self._process.communicate()
-        if self._process.returncode:
+        if not (self._process.stdout and self._process.stdout.readline()):
             msg = f"the C loop needs SCHED_FIFO {ABOVE}, above the dispatcher"
             raise PermissionError(msg)
+
+    def end(self) -> tuple[int, list[tuple[int, int]]]:
+        """Return the wake-ups of the loop, and the late ones as (due, came)."""
+        out, _ = self._process.communicate()
         count, *rest = map(int, out.split())
         return count, list(zip(rest[::2], rest[1::2], strict=True))
 
@@ -198,7 +215,8 @@ class Watched:
     def __init__(self, subsystem: Subsystem, folder: Path, rtpus: list[str]) -> None:
         call = subsystem.fleet.call
         cores = {call(rtpu, Hello(), AgentInfo).core for rtpu in rtpus}
-        self._cores = [(Stalls(folder, core), Trace(core, STAY)) for core in cores]
+        loops = [(core, Stalls(folder, core)) for core in cores]
+        self._cores = [(loop, Trace(core, STAY)) for core, loop in loops]
 
     def look(self) -> None:
         """Take in what was traced since the last look."""
@@ -255,13 +273,24 @@ def start(subsystem: Subsystem, rtpus: list[str]) -> None:
 
 def undisturbed(
     subsystem: Subsystem, watched: Watched, seconds: float
-) -> dict[str, int]:
-    """Return the counts of a time without swaps."""
+) -> tuple[dict[str, int], list[float]]:
+    """Return the counts of a time without swaps.
+
+    Returns:
+        The counts, and behind how much of a period the cycles of the tasks that stay
+        are done.
+    """
+    rings = [Ring.attach(subsystem.status(task).ring) for task in STAY]
+    done: list[float] = []
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         subsystem.wait(0.2)
         watched.look()
-    return watched.end()
+        records = [one for ring in rings for one in ring.drain() if not one.kind]
+        done += [(one.end_ns - one.release_ns) / PERIOD for one in records]
+    for ring in rings:
+        ring.close()
+    return watched.end(), done
 
 
 def swaps(
@@ -361,12 +390,14 @@ def main() -> None:
             with Subsystem(sbs, warned=lambda _text: None, record="off") as subsystem:
                 start(subsystem, rtpus)
                 watch = partial(Watched, subsystem, folder, rtpus)
-                quiet = undisturbed(subsystem, watch(), args.swaps * SWAP_TIME)
+                quiet, done = undisturbed(subsystem, watch(), args.swaps * SWAP_TIME)
                 found = swaps(subsystem, watch, args.swaps)
                 lengths = lists(subsystem, args.rounds) if args.rtpus == 1 else {}
     print(rtbench.machine())
     print(f"{args.swaps} swaps, {args.rtpus} RTPUs, {RATE:.0f} Hz; two that stay:")
     print("\n".join(report(quiet, found)))
+    p50, p99 = np.quantile(done, [0.5, 0.99])
+    print(f"without swaps, release to end of a cycle: p50 {p50:.2f}, p99 {p99:.2f}")
     if lengths:
         print(f"signals in a list, ms {'p50':>16} {'max':>8}")
     for count, times in lengths.items():
