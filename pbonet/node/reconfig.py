@@ -123,7 +123,7 @@ class _List:
             if signal == "on" and self._rtpu.heirs.waits(task):
                 await self._heir(task)
                 return []
-            if signal == "on" or task.state is State.ON:  # others change nobody's inputs
+            if signal == "on" or task.state is State.ON:  # else no inputs change
                 self._slow.begin()
             goes = signal == "off" and (
                 name in request.handover or self._has_heir(task, rest)
