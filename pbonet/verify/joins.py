@@ -8,9 +8,12 @@ from pbonet.config.types import numpy_type
 from pbonet.config.words import MAX_NAME
 
 from .records import Code, Problem, Severity
+from .units import ANY, conversion, same_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from pbonet.pbo import ModuleInfo
 
     from .records import Configuration, Task
 
@@ -86,3 +89,83 @@ def intermediate(variable: str, count: int) -> list[str]:
         mark = "'" * number if count <= 3 else f"'{number}"  # noqa: PLR2004 - x''''
         names.append(variable[: MAX_NAME - len(mark)] + mark)
     return names
+
+
+def check_units(configuration: Configuration) -> Iterator[Problem]:
+    """Yield connectors between variables of different units.
+
+    Their ports go with every unit, so nothing else would notice.
+    """
+    for task in configuration.tasks:
+        for name, joined in _joined(configuration, task):
+            (_, first), *others = joined.values()
+            unlike = [unit for _, unit in others if not same_unit(unit, first)]
+            if not unlike:
+                continue
+            factor = conversion(unlike[0], first)
+            yield Problem(
+                code=Code.UNIT,
+                what=f"{name} joins variables of different units",
+                where=task.place("INVAR"),
+                expected=f"one unit for {', '.join(joined)}",
+                got=", ".join(f"{p}={v} in {unit}" for p, (v, unit) in joined.items()),
+                remedy=(f"{factor}; " if factor else "")
+                + "correct UNITS, or put a gain that converts in between",
+                tasks=(task.name,),
+                ports=tuple(joined),
+                variables=tuple(variable for variable, _ in joined.values()),
+            )
+
+
+_Joined = dict[str, tuple[str, str]]
+"""By port: the variable behind it, and its unit; without those of unknown unit."""
+
+
+def _joined(configuration: Configuration, task: Task) -> Iterator[tuple[str, _Joined]]:
+    """Yield every connector that a task is or has as a part, and what it joins."""
+    ports = {port.name for port in task.info.ports} if task.info else set[str]()
+    if task.rmod.module in CONNECTORS:
+        ports = {"Z1", "Z2", "Z"}
+    behind = {port: task.rmod.svar_name(port) for port in ports}
+    units = {
+        port: known.units
+        for port, variable in behind.items()
+        if (known := configuration.table.get(variable)) and known.units != ANY
+    }
+    if task.rmod.module in CONNECTORS:
+        yield from _told(
+            task.name, behind, {behind[port]: units[port] for port in units}
+        )
+    elif task.info:
+        yield from _within(task.name, task.info, units)
+
+
+def _within(
+    path: str, info: ModuleInfo, outer: Mapping[str, str]
+) -> Iterator[tuple[str, _Joined]]:
+    """Yield the connectors among the parts; `outer` has the units of its ports."""
+    units = {
+        one.variables[port.name]: port.unit
+        for one in info.parts
+        for port in one.info.ports
+        if not port.kind.is_input and port.unit != ANY
+    } | dict(outer)
+    for one in info.parts:
+        name = f"{path}.{one.name}"
+        if one.info.name in CONNECTORS:
+            yield from _told(name, one.variables, units)
+        else:
+            ports = {p: units[v] for p, v in one.variables.items() if v in units}
+            yield from _within(name, one.info, ports)
+
+
+def _told(
+    name: str, behind: Mapping[str, str], units: Mapping[str, str]
+) -> Iterator[tuple[str, _Joined]]:
+    joined = {
+        port: (behind[port], units[behind[port]])
+        for port in ("Z1", "Z2", "Z")
+        if behind[port] in units
+    }
+    if joined:
+        yield name, joined

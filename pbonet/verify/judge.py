@@ -14,7 +14,7 @@ from msgspec import Struct, structs
 
 from pbonet.errors import VerificationError, did_you_mean
 
-from .joins import check_ages
+from .joins import check_ages, check_units
 from .misspelt import as_meant
 from .order import check_initialization
 from .parts import check_ports, check_task
@@ -109,6 +109,7 @@ def check(configuration: Configuration) -> list[Problem]:
         check_readers,
         check_constants,
         check_ages,
+        check_units,
         check_initialization,
         check_loads,
         check_traffic,

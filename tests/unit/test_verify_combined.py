@@ -123,6 +123,23 @@ def test_sizes_go_through_the_inner_variable(folder):
     assert "(X " in text, "the line of the variable"
 
 
+@pytest.mark.parametrize(("unit", "wrong"), [("rad", False), ("deg", True)])
+def test_a_connector_within_joins_variables_of_one_unit(folder, unit, wrong):
+    """Also one within a combination within the combination."""
+    folder.module("two", TWO.replace('"Z", "n", "rad"', f'"Y2", "n", "{unit}"'))
+    lists = {"INCONST": "NDOF", "OUTVAR": "Z"}
+    folder.rmod("join", "MODULE join_max", alias="Z1=Y Z2=Y2", INVAR="Z1 Z2", **lists)
+    folder.rmod("inner", "COMBINE two join", INVAR="Y", **lists)
+    for parts, at in (("two join", "both.join"), ("inner", "both.inner.join")):
+        both = folder.rmod("both", f"COMBINE one {parts}", INVAR="X", **lists)
+        found = problems(folder, both)
+        assert set(found) == ({"unit"} if wrong else set())
+        assert not wrong or (
+            f"{at} joins variables of different units (expected one unit for Z1, Z2, "
+            "Z, got Z1=Y in rad, Z2=Y2 in deg, Z=Z in rad)" in found["unit"]
+        )
+
+
 def test_two_parts_read_one_variable_but_not_in_one_unit(folder):
     folder.module("two", TWO.replace('"Y", "n", "rad"', '"X", "n", "deg"'))
     found = problems(folder, folder.both(OUTVAR="Y Z"), SVAR + "NAME Y\nTYPE double\n"

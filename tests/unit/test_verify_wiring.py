@@ -273,3 +273,26 @@ def test_with_a_maxage_or_another_connector_there_is_nothing_to_say() -> None:
     (one, *others) = config.tasks
     one = structs.replace(one, rmod=structs.replace(one.rmod, module="join_max"))
     assert verify.check(structs.replace(config, tasks=(one, *others))) == []
+
+
+def joining(*units: str) -> list[str]:
+    """Return what is said of a connector of X1, X2 and X with these units."""
+    variables = [
+        Variable(name=name, type="double", units=unit, maxage=1.0)
+        for name, unit in zip(("X1", "X2", "X"), units, strict=True)
+    ]
+    config = first_of(*variables)
+    tasks = [structs.replace(one, info=None) for one in config.tasks]
+    return texts(structs.replace(config, tasks=tuple(tasks)))
+
+
+def test_a_connector_joins_variables_of_one_unit() -> None:
+    assert joining("rad", "radians", "any") == []
+    (told,) = joining("deg", "rad", "rad")
+    assert told == (
+        "join.rmod: join joins variables of different units (expected one unit for Z1, "
+        "Z2, Z, got Z1=X1 in deg, Z2=X2 in rad, Z=X in rad); 1 rad is 57.2958 deg; "
+        "correct UNITS, or put a gain that converts in between"
+    )
+    (told,) = joining("any", "rad", "m")
+    assert "got Z2=X2 in rad, Z=X in m); correct UNITS" in told
