@@ -12,9 +12,10 @@ import os
 import sys
 import traceback
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
+from typer.core import TyperGroup
 
 from pbonet.cli import options
 from pbonet.errors import PbonetError
@@ -34,10 +35,26 @@ VERBS = (
 """The verbs in the order of the help; each stands in a file of its name."""
 
 
+class Verbs(TyperGroup):
+    """The verbs; wrong usage of one is told with the word that is wrong."""
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401 - as Typer has it
+        """Carry out the verb that was given."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            cause: Any = error.__cause__
+            if hasattr(cause, "errors"):  # older releases of Typer name the word
+                told = error.message.partition(", unable to parse")[0]
+                error.message = f"{told} (got {cause.errors()[0]['input']!r})"
+            raise
+
+
 def build() -> typer.Typer:
     """Return the application with all verbs."""
     app = typer.Typer(
         name="pbonet",
+        cls=Verbs,
         help="Assemble a robot's control software from ready modules, and change it "
         "while it runs.",
         no_args_is_help=True,

@@ -25,7 +25,7 @@ import zenoh
 
 from pbonet.errors import NodeError, UnreachableError
 
-from . import access, credentials, keys, rundir
+from . import access, credentials, keys, rundir, unreached
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -250,12 +250,14 @@ def client(
             if now - begin + (now - tried) < timeout:  # the next try may last as long
                 time.sleep(_OPEN_PAUSE)
                 continue
+            got, remedy = _reason(error), ""
+            if timeout:
+                got, remedy = unreached.reasons(endpoints)
             raise UnreachableError(
                 f"no agent of domain {domain} answers",
                 where=" ".join(endpoints),
-                got=_reason(error),
-                remedy="is an agent running there, and does it listen on that address?"
-                + (_KEYS_REFUSED if key_folder else ""),
+                got=got,
+                remedy=remedy + (_KEYS_REFUSED if key_folder else ""),
             ) from None
 
 

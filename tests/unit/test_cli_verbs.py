@@ -135,6 +135,37 @@ def test_wrong_usage_is_status_two(call):
     assert call("nonsense")[0] == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "option", "expected"),
+    [
+        (("run", "a.job", "--seconds", "5s"), "--seconds", "number"),
+        (("agent", "--core", "1.5"), "--core", "integer"),
+        (("new", "module", "a", "--freq", "-7"), "--freq", "0.001"),
+        (("events", "a.sbs", "many"), "LAST", "integer"),
+    ],
+)
+def test_an_option_that_is_no_number_or_out_of_range_is_told_with_its_word(
+    call, words, option, expected
+):
+    status, _, err = call(*words)
+    told = err.splitlines()[-1]
+    assert status == 2
+    assert told.startswith(f"Error: Invalid value for '{option}': ")
+    assert expected in told
+    assert words[-1] in told
+
+
+def test_a_host_that_is_not_found_is_told_in_words_of_pbonet(call):
+    """A name with an empty part is none anywhere, which no server needs to say."""
+    words = ("status", PUMA / "puma.sbs", "--connect", "tcp/no..where:7447")
+    status, _, err = call(*words, "--domain", "nobody-here")
+    assert status == 1
+    assert err.startswith(
+        "pbonet: tcp/no..where:7447: no agent of domain nobody-here answers (got no "
+        "host that is known as no..where); is the name right?"
+    )
+
+
 def test_a_word_that_is_no_number_is_told_as_at_the_prompt(call):
     sbs = PUMA / "puma.sbs"
     assert call("freq", sbs, "jttrace", "50kHz") == (

@@ -1,0 +1,53 @@
+"""Why nobody answers at an endpoint, in words that say where to look."""
+
+from __future__ import annotations
+
+import socket
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+TRY_TIME: Final = 0.5
+"""Seconds in which a host must answer that is there."""
+_BY_TCP: Final = {"tcp", "tls", "ws"}
+
+
+def reasons(endpoints: Sequence[str]) -> tuple[str, str]:
+    """Return why no session came about, and what to do.
+
+    Args:
+        endpoints: ``PROTOCOL/HOST:PORT`` each, at least one; all are tried at once.
+    """
+    with ThreadPoolExecutor(len(endpoints)) as pool:
+        found = list(pool.map(_reason, endpoints))
+    told = [why for why, _ in found]
+    if len(found) > 1:
+        told = [f"{one}: {why}" for one, why in zip(endpoints, told, strict=True)]
+    return "; ".join(told), "; ".join(dict.fromkeys(remedy for _, remedy in found))
+
+
+def _reason(endpoint: str) -> tuple[str, str]:
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in _BY_TCP | {"udp"}:
+        return "no answer", "is an agent running there?"
+    host, _, rest = address.rpartition(":")
+    host, port = host.strip("[]"), int(rest.partition("?")[0].partition("#")[0])
+    remedy = "is an agent running there, and does it listen on that address?"
+    try:
+        socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        if protocol not in _BY_TCP:
+            return "no answer", remedy
+        with socket.create_connection((host, port), TRY_TIME):
+            return "an open port, and no greeting of an agent", remedy
+    except (socket.gaierror, UnicodeError):
+        return (
+            f"no host that is known as {host}",
+            "is the name right? Else write the host's address, or enter the name in "
+            "DNS or /etc/hosts",
+        )
+    except TimeoutError:
+        return f"no answer of the host {host} within {TRY_TIME:g} s", remedy
+    except OSError as error:
+        return f"from {host}: {error.strerror}", remedy
