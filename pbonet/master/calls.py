@@ -108,12 +108,7 @@ class Calls(Opened, Protocol):
                 got=f"{len(tasks)} tasks",
                 remedy=f"give '{signal}' once for each task",
             )
-        dead = self.inbox.dead() if signal == "kill" else {}  # a list is for the living
-        states = {
-            name: self.control(name, signal).state for name in tasks if name in dead
-        }
-        rest = [(name, signal) for name in tasks if name not in dead]
-        return states | (self.reconfig(rest) if rest else {})
+        return self.reconfig([(name, signal) for name in tasks])
 
     # -- looking ----------------------------------------------------------------------
 

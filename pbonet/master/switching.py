@@ -59,6 +59,9 @@ class Switching(Opened, Protocol):
     def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
         """Send an ordered list of signals; it is judged by its end (section 4.4.4).
 
+        Tasks that have died may be killed, which forgets them and their ERROR; that is
+        done before the list is sent.
+
         Args:
             item: Pairs of task and signal.
 
@@ -75,13 +78,17 @@ class Switching(Opened, Protocol):
             check_signal(signal)
         judged = any(signal == "on" for _, signal in items)
         with self._changing(strict=judged) as crew:
-            for task, _ in items:
-                crew.picture.find(task)
+            for task, signal in items:
+                crew.home(task, signal)
+            names = crew.picture.names
+            living = [item for item in items if item[0] in names]
             if judged:
-                crew.judge(verify.reconfig(items))
+                crew.judge(verify.reconfig(living))
             try:
-                with constants.signals(crew, items):
-                    return crew.send(items)
+                dead = dict.fromkeys(task for task, _ in items if task not in names)
+                states = {task: crew.control(task, "kill", "").state for task in dead}
+                with constants.signals(crew, living):
+                    return states | crew.send(living)
             finally:
                 crew.settle()
 

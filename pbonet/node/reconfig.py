@@ -118,6 +118,10 @@ class _List:
         """Send one signal; return it when that failed."""
         name, signal = item
         request = self._request
+        if signal == "kill" and (request.subsystem, name) in self._rtpu.tombs:
+            self._rtpu.bury(request.subsystem, name)
+            self._result.states[name] = State.NOT_CREATED.value
+            return []
         try:
             task = self._rtpu.need(request.subsystem, name)
             if signal == "on" and self._rtpu.heirs.waits(task):

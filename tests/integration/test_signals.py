@@ -189,7 +189,10 @@ class TestSigwait:
         program.spawn("talks")
         wait_for(lambda: program.events(code="TASK_DIED"), "its death")
         assert program.signals()
-        program.kill(["talks", "dies"])
+        with pytest.raises(UnknownTaskError):
+            program.reconfig([("dies", "off"), ("talks", "kill")])
+        items = [("talks", "kill"), ("dies", "kill")]
+        assert program.reconfig(items) == dict.fromkeys(dict(items), "NOT-CREATED")
         assert [one.task for one in program.status()] == []
         program.spawn("dies")
         assert program.signals() == []

@@ -70,6 +70,7 @@ class Rtpu:
 
     def __init__(self, core, table):
         self.core, self.tasks, self.lists, self.reactions = core, {}, {}, {}
+        self.tombs = {}
         self.events = EventLog(self.name)
         opened = SimpleNamespace(table=table, keep=True)
         self.flags = Flags(self.name, Tables(arm=opened), self.events)
@@ -82,6 +83,9 @@ class Rtpu:
             msg = "there is no such task"
             raise UnknownTaskError(msg, where=name)
         return self.tasks["arm", name]
+
+    def bury(self, subsystem, name):
+        del self.tombs[subsystem, name]
 
     def of(self, _subsystem):
         return list(self.tasks.values())
@@ -239,6 +243,16 @@ def test_what_was_done_before_another_one_died_is_answered(rtpu):
     assert answer.states == {"b": "OFF"}
     assert answer.error is not None
     assert "there is no such task" in str(PbonetError.from_wire(answer.error))
+
+
+def test_a_task_that_has_died_is_killed_in_a_list(rtpu):
+    """It may have died amid the list; every other signal to it fails."""
+    rtpu.tombs["arm", "dead"] = "its last status"
+    items = [("dead", "kill"), ("b", "off"), ("dead", "off")]
+    answer = carry_out(rtpu, {"b": ["Y1"]}, {}, items)
+    assert (answer.done, answer.rest) == (2, [("dead", "off")])
+    assert answer.states == {"dead": "NOT-CREATED", "b": "OFF"}
+    assert rtpu.tombs == {}
 
 
 def test_an_exchange_is_slow_though_one_of_its_tasks_is_dead(rtpu):
