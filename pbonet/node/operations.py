@@ -318,11 +318,14 @@ class Operations:
         return await params.set_(self._rtpu, task, request.name, request.value), []
 
     async def _rank(self, request: m.Rank) -> Result:
-        for name in request.tasks:
-            self._rtpu.need(request.subsystem, name)
-        for name, (crit, priority) in request.tasks.items():
+        whose, tombs = request.subsystem, self._rtpu.tombs
+        # One that has died since the master looked is no fault of the others.
+        ranks = {n: r for n, r in request.tasks.items() if (whose, n) not in tombs}
+        for name in ranks:
+            self._rtpu.need(whose, name)
+        for name, (crit, priority) in ranks.items():
             spawning.check_rank(crit, priority, name)
-            self._rtpu.told[request.subsystem, name] = (crit, priority)
+            self._rtpu.told[whose, name] = (crit, priority)
         self._rtpu.rank()
         return None, []
 

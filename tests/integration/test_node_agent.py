@@ -1,6 +1,7 @@
 """The agent as masters see it: claims, names, requests good and bad, events."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -414,3 +415,9 @@ def test_rank_checks_its_range(arm):
     assert (arm.status("a").crit, arm.status("a").priority) == (5, 4)
     for wrong in ((63, 0), (0, 0), (5, -1), (5, 70000)):
         arm.refused(ParameterError, arm.ask, m.Rank(tasks={"a": wrong}))
+    # A master may not know yet that one has died.
+    os.kill(arm.spawn("b", "counts", out="Y1").tid, signal.SIGKILL)
+    wait_for(lambda: arm.status("b").state == "NOT-CREATED", "its death")
+    arm.ask(m.Rank(tasks={"b": (7, 1), "a": (41, 2)}))
+    assert (arm.status("a").crit, arm.status("a").priority) == (41, 2)
+    arm.refused(UnknownTaskError, arm.ask, m.Rank(tasks={"nobody": (7, 1)}))
