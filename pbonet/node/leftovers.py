@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 1.5
 """Seconds that orphaned tasks have: they end themselves within one."""
+KILL_TIME = 5.0
+"""Seconds in which one that was killed has ended, on a machine that stalls, too."""
 _LOOK = 0.01
 
 
@@ -115,17 +117,28 @@ def clean_after(places: rundir.Places) -> list[str]:
 
 
 def _end_tasks(state: Leftovers, patience: float) -> list[str]:
-    """Wait for the tasks, end those that stay; return what was done."""
+    """Wait for the tasks, end those that stay; return what was done.
+
+    What they use is theirs until they are gone, also when they were killed.
+    """
     done: list[str] = []
-    deadline = time.monotonic() + patience
-    for task in state.tasks:
-        while time.monotonic() < deadline and runtime.is_alive(task.pid, task.started):
-            time.sleep(_LOOK)
-        if runtime.is_alive(task.pid, task.started):
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(task.pid, signal.SIGKILL)
-            done.append(f"process {task.pid} did not end and was killed")
+    left = _outlive(state.tasks, patience)
+    for task in left:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(task.pid, signal.SIGKILL)
+        done.append(f"process {task.pid} did not end and was killed")
+    _outlive(left, KILL_TIME)
     return done
+
+
+def _outlive(tasks: list[TaskLeft], patience: float) -> list[TaskLeft]:
+    """Wait for the tasks' ends; return those that live all the same."""
+    deadline = time.monotonic() + patience
+    while left := [one for one in tasks if runtime.is_alive(one.pid, one.started)]:
+        if time.monotonic() > deadline:
+            break
+        time.sleep(_LOOK)
+    return left
 
 
 def _remove_ring(name: str) -> list[str]:

@@ -91,14 +91,17 @@ def settle_memory() -> None:
 def start_time(pid: int) -> int:
     """Return when process `pid` started, in clock ticks since boot; 0 if it is gone.
 
-    Together with the number it names a process for as long as the machine is up.
+    Together with the number it names a process for as long as the machine is up. One
+    that was killed has files and locks until the last of its threads has ended.
     """
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return 0
     fields = text.rpartition(")")[2].split()
-    return 0 if fields[0] in {"Z", "X"} else int(fields[19])
+    threads = int(fields[17])  # with the first one, though that has ended
+    gone = fields[0] == "X" or (fields[0] == "Z" and threads <= 1)
+    return 0 if gone else int(fields[19])
 
 
 def is_alive(pid: int, started: int) -> bool:

@@ -183,8 +183,11 @@ class RtpuLink:
         self._closing = True
         with contextlib.suppress(NodeError):
             self.send(wire.Shutdown(timeout))
-        by_itself = self._wait_for_end(timeout + 3.0)
+        by_itself = self._ended(timeout + 3.0, kill=True)
         self.close()
+        with _contained():
+            self._listener.let_go()
+        self._clean_up()
         return by_itself
 
     def close(self) -> None:
@@ -207,14 +210,11 @@ class RtpuLink:
             self.send(wire.Attach(os.getpid(), pbonet.__version__, longer))
         self.close()
 
-    def _wait_for_end(self, timeout: float) -> bool:
-        """Wait for the process's end; kill it when it takes longer."""
-        if self.info is None:
-            return True
-        ended = self._ended(timeout, kill=True)
-        self._reap()
-        leftovers.clean_after(self._places)  # nothing, if it ended in order
-        return ended
+    def _clean_up(self) -> None:
+        """Remove what the process left; nothing, if it ended in order."""
+        if self.info is not None:
+            self._reap()
+            leftovers.clean_after(self._places)
 
     def _reap(self) -> int | None:
         if self._process is None:
@@ -446,7 +446,8 @@ class RtpuLink:
         """Return how the process ended, with the end of its log if not in order."""
         while True:
             try:
-                self._wait_for_end(5.0 if orderly else 1.0)
+                self._ended(5.0 if orderly else 1.0, kill=True)
+                self._clean_up()
                 break
             except OSError as error:
                 if self._closing or error.errno not in LACKS:

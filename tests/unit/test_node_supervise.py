@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
+from patience import LIMIT
 
 import pbonet
 from pbonet.config.model import AgentConfig
@@ -232,3 +233,12 @@ def test_an_agent_that_cannot_start_its_rtpu_process_again_ends(monkeypatch, tmp
     assert agent.wait(30.0)
     assert "does not start again" in agent.reason
     assert "temporarily unavailable" in agent.reason
+
+
+def test_who_stops_lets_go_of_tables_before_they_are_removed(ends, info, monkeypatch):
+    """Else they stood, when the RTPU process is killed and cannot remove them."""
+    link, hears, _, _ = ends
+    monkeypatch.setattr(supervise.leftovers, "clean_after", lambda _: hears._note("c"))
+    os.kill(info.pid, signal.SIGKILL)
+    assert link.shut_down(LIMIT)
+    assert hears.heard[-2:] == ["let go", "c"]
