@@ -274,8 +274,13 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
             return
         (rtpu, path), (other, to) = _split(source), _split(target)
         if rtpu == other:
-            self._make_parent(target)
-            self.ask(source, f.FileMove(path=path, to=to), type(None))
+            try:
+                self.ask(source, f.FileMove(path=path, to=to), type(None))
+            except XmMissingError:  # what was to be moved, or the folder it is to go to
+                if not self._is_listed(source):
+                    raise
+                self._make_parent(target)
+                self.ask(source, f.FileMove(path=path, to=to), type(None))
             return
         if self.isdir(target):
             raise XmExistsError(
@@ -286,6 +291,12 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         whole = self.isdir(source)
         self.copy(source, target, recursive=whole, on_error="raise")
         self.rm(source, recursive=whole)
+
+    def _is_listed(self, path: str) -> bool:
+        """Tell whether something stands at a path, be it a link that leads nowhere."""
+        with contextlib.suppress(XmMissingError):
+            return path in self.ls(str(self._parent(path)), detail=False)
+        return False
 
     def rmdir(self, path: str) -> None:
         """Remove an empty folder."""

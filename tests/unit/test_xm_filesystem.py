@@ -219,6 +219,9 @@ def test_moved_on_one_machine(fs, desk, root, tree):
     fs.mv(["arm1/logs/b", "arm1/logs/ran"], ["arm1/c", "arm1/d"])
     fs.mv("arm1/d", "arm1/d")
     assert files(root) == ["c", "d", "kept/older", "logs"]
+    (root / "lost").symlink_to(root / "nowhere")
+    fs.mv("arm1/lost", "arm1/fresh/lost")
+    assert files(root) == ["c", "d", "fresh/lost", "kept/older", "logs"]
     assert not [r for r in desk.asked if isinstance(r, f.FileRead | f.FileWrite)]
 
 
@@ -229,6 +232,9 @@ OUT = "out of the agent's folder"
     ("paths", "words"),
     [
         ("arm1/none arm1/new", "there is no such file"),
+        ("arm1/none arm1/fresh/new", "arm1:none: there is no such file"),
+        ("arm1/none/at arm1/fresh/new", "arm1:none/at: there is no such file"),
+        ("arm1/logs arm1/logs/fresh/logs", "this cannot be moved there"),
         ("arm1 arm1/new", "this cannot be moved there"),
         ("arm1/logs arm1/logs/old/logs", "this cannot be moved there"),
         ("arm1/logs/run arm1/logs/../run", "this is no path of a file here"),
