@@ -239,6 +239,8 @@ class Agent:
         link = self._begin_to_stop()
         if link is not None:
             link.leave(ANEW_TIME)
+        if self._server is not None:
+            self._server.fail_pending("the agent starts anew; what was begun goes on")
         self._recorders.stop()
         self._leave()
 

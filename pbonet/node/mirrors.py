@@ -27,6 +27,7 @@ from pbonet.xm import messages as m
 
 from . import wire
 from .carried import ALONE, ANSWER_TIME, Carried
+from .promises import Promises
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +38,8 @@ log = logging.getLogger("pbonet.node")
 GLANCE_NS = 20_000_000
 """Nanoseconds between glances at a table that nobody is expected to change; a glance is
 made without Python."""
+LAST_TIME = 1.0
+"""Seconds that the last answers may take."""
 NEVER = 1e9
 """On the monotonic clock."""
 ASKED = 1000
@@ -69,6 +72,7 @@ class Mirrors:
         self._watch = Watch()
         self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
         """Answers who waits for other machines."""
+        self._promises = Promises()
         self._over = False
         self._thread = threading.Thread(
             target=self._work, name="pbonet mirrors", daemon=True
@@ -80,11 +84,15 @@ class Mirrors:
         self._thread.start()
 
     def stop(self) -> None:
-        """Let go of everything."""
+        """Let go of everything; who waits for other machines waits no longer."""
         self.carry({})
         self.do(self._end)
         if self._thread.is_alive():
             self._thread.join()
+        for done in self._promises.end():
+            self.safely(done)
+        with contextlib.suppress(TimeoutError):  # answers that it is about to give
+            self._ends.submit(int).result(LAST_TIME)
         self._ends.shutdown(wait=False)
 
     def do(self, what: Callable[[], object]) -> None:
@@ -126,7 +134,8 @@ class Mirrors:
     ) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
-        It is called in a thread for that, in the carrier's, or at once.
+        It is called in a thread for that, in the carrier's, or at once; by `stop` at the
+        latest, for what was done here stands, and the next agent tells the others.
 
         Args:
             subsystem: Whose table.
@@ -144,15 +153,20 @@ class Mirrors:
                 self.do(partial(setattr, carried, "next", 0.0))
             return
 
+        promised = self._promises.make(done)
+        if promised is None:
+            done()
+            return
+
         def spread() -> None:
             carried = self._carried.get(subsystem)
             if carried is None:
-                done()
+                promised()
                 return
             try:
-                carried.spread(done, take=take)
+                carried.spread(promised, take=take)
             except Exception:
-                done()  # who waits for it goes on; what is wrong it finds itself
+                promised()  # who waits for it goes on; what is wrong it finds itself
                 raise
 
         self.do(spread)

@@ -155,6 +155,24 @@ def test_what_others_ask_is_bounded(carrying):
     assert [q.drop.called for q in queries] == [False] * mirrors_module.ASKED + [True]
 
 
+@pytest.mark.parametrize("take", [False, True])
+def test_who_waits_for_other_machines_is_answered_when_the_agent_leaves(carrying, take):
+    """Once, also where these answer at last; be it asked, or still to be asked."""
+    mirrors, _ = carrying
+    mirrors._carried["arm"]._met(token(zenoh.SampleKind.PUT))
+    network, done = mirrors.session, []
+    mirrors.spread("arm", lambda: done.append("asked"), take=take)
+    turn(mirrors)
+    mirrors.spread("arm", lambda: done.append("to be asked"), take=take)
+    assert done == []
+    mirrors.stop()
+    assert done == ["asked", "to be asked"]
+    network.asked.drop()
+    turn(mirrors)
+    mirrors.spread("arm", lambda: done.append("late"), take=take)
+    assert done == ["asked", "to be asked", "late"]
+
+
 @pytest.mark.parametrize(
     ("take", "in_order"), [(True, [b"state", "done"]), (False, ["done", b"state"])]
 )

@@ -1,0 +1,44 @@
+"""Who waits for other machines is answered once, whatever becomes of these."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from functools import partial
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class Promises:
+    """What is to be called once, by whoever comes first: its cause, or the end."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._count = itertools.count()
+        self._open: dict[int, Callable[[], None]] = {}
+        self._over = False
+
+    def make(self, done: Callable[[], None]) -> Callable[[], None] | None:
+        """Return what calls `done` unless that was done; None behind the end."""
+        with self._guard:
+            if self._over:
+                return None
+            n = next(self._count)
+            self._open[n] = done
+        return partial(self._keep, n)
+
+    def _keep(self, n: int) -> None:
+        with self._guard:
+            done = self._open.pop(n, None)
+        if done is not None:
+            done()
+
+    def end(self) -> list[Callable[[], None]]:
+        """Return what was not called yet, for the caller to do; no more is taken."""
+        with self._guard:
+            self._over = True
+            left = list(self._open.values())
+            self._open.clear()
+        return left
