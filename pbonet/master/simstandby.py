@@ -123,6 +123,21 @@ class Standbys:
             task.stands_by = ""
             self._turns[task.member.rtpu].rest(task)
 
+    def missed(self, task: SimTask) -> set[str]:
+        """Return which of its variables others must write when a task has failed.
+
+        Where its fallback is ON these are what both write: the configuration was judged
+        with the one in the place of the other.
+        """
+        outputs = set(task.member.task.outputs)
+        for pair in self._pairs.values():
+            other = self._tasks.get(pair.standby)
+            if pair.original != task.name or other is None:
+                continue
+            if other.executor.state is State.ON:
+                outputs &= set(other.member.task.outputs)
+        return outputs
+
     def engage(self, task: SimTask) -> None:
         """Turn a task on in the place of its original, and tell so."""
         pair = self._pairs[task.name]

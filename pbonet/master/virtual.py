@@ -150,7 +150,7 @@ class VirtualRtpus(Simulation):
             f"{task.name} is in ERROR ({task.member.rtpu}/{task.name})"
             for task in tasks
             if states[task.name] is State.ERROR
-            and not written.issuperset(task.member.task.outputs)
+            and not written.issuperset(self._standbys.missed(task))
         }
 
     def _look_at_flag(self) -> None:

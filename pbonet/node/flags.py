@@ -85,14 +85,28 @@ class Flags:
         self.look()
 
     def down(self, subsystem: str, name: str) -> None:
-        """Withdraw an entry; harmless when there is none."""
+        """Withdraw an entry, told if it was raised natively; harmless without one."""
         self._outputs.pop((subsystem, name), None)
         self._refused.pop((subsystem, name), None)
         opened = self._tables.sound(subsystem)
         if opened is not None:
             with contextlib.suppress(SvarError):
+                self.look()
                 opened.table.clear_illegal(self._raiser(name))
                 self.look()
+
+    def narrow(self, subsystem: str, name: str, outputs: Collection[str]) -> None:
+        """Have an entry go when those of its outputs are written that are among these.
+
+        Args:
+            subsystem: Whose flag.
+            name: The task that the entry is about; harmless when there is none.
+            outputs: What the task's fallback writes, which has taken its place.
+        """
+        stands = self._outputs.get((subsystem, name))
+        if stands is not None:
+            left = [output for output in stands if output in outputs]
+            self._outputs[subsystem, name] = left
 
     def written(
         self, subsystem: str, outputs: Collection[str], *, but: str = ""

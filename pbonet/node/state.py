@@ -349,15 +349,16 @@ class Rtpu:
         if task.state is State.ON:
             self.turned_on += 1
             task.on_rank = self.turned_on
-        subsystem = task.facts.subsystem
-        original = self.tasks.get((subsystem, task.stands_by))
-        if not task.stands_by and task.state is State.ERROR:
+        subsystem, replaced = task.facts.subsystem, task.stands_by
+        if not replaced and task.state is State.ERROR:
             self.flags.ceded(subsystem, task.facts.outputs)
         self.fallbacks.engaged(task, notice)
-        if original is not None and self.flags.written(
-            subsystem, original.facts.outputs, but=original.name
-        ):  # of one whose death is known already `relieve` thinks
-            self.flags.down(subsystem, original.name)
+        if original := self.tasks.get((subsystem, replaced)):
+            missed = self.fallbacks.missed(original)
+            if self.flags.written(subsystem, missed, but=replaced):
+                self.flags.down(subsystem, replaced)
+        elif replaced and task.state is State.ON:  # its death is known already
+            self.flags.narrow(subsystem, replaced, task.facts.outputs)
         self.settle(task)
         self.flags.relieve()
 
@@ -375,7 +376,7 @@ class Rtpu:
 
     def _raise_flag(self, task: Task, how: str) -> None:
         """Raise the flag for a task if others may depend on it."""
-        outputs, subsystem = task.facts.outputs, task.facts.subsystem
+        outputs, subsystem = self.fallbacks.missed(task), task.facts.subsystem
         if outputs and not self.flags.written(subsystem, outputs, but=task.name):
             cause = f"{task.name} {how}"
             self.flags.up(subsystem, task.name, cause, outputs)

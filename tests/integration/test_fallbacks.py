@@ -33,6 +33,7 @@ FAILS = """
 
     class Fails(PortBasedObject):
         y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+        more: A[Vector, OutVar("Y5", "2", "none", "what its fallback does not write")]
 
         def cycle(self, dt: float) -> None:
             raise ZeroDivisionError("no cycle works")
@@ -62,14 +63,14 @@ def start(nodes, tmp_path):
     """Start the job with these modules as the original and the standby."""
     opened = []
 
-    def one(first, second="counts", freq=200.0, text=None):
+    def one(first, second="counts", freq=200.0, text=None, more=""):
         nodes.agent_processes("arm0", "arm1")
         (tmp_path / "t.sbs").write_text(SBS)
         (tmp_path / "t.svar").write_text(svar())
         (tmp_path / "watch.job").write_text(JOB)
         hold = {"invar": "Y0", "critical": True, "local": {"LEVEL": 3}}
         texts = {
-            "first": text or rmod(first, freq=freq),
+            "first": text or rmod(first, freq=freq).replace("R Y\n", f"R Y {more}\n"),
             "second": text or rmod(second, freq=freq),
             "hold": rmod("holds", "Y1", freq, **hold),
         }
@@ -134,11 +135,15 @@ def test_an_error_releases_the_standby(start):
 
 
 def test_an_error_in_the_very_first_cycle_releases_the_standby(start, nodes, tmp_path):
-    """It stands by before its original comes on, however that does and how often."""
+    """It stands by before its original comes on, however that does and how often.
+
+    It writes less, too: nobody reads the rest, so that no flag stands for it.
+    """
     nodes.write_module("fails_at_once", FAILS)
-    arm = start("fails_at_once")  # with the job
+    arm = start("fails_at_once", more="Y5")  # with the job
     assert "state ON, time 1 of 3" in told(arm)[-1]
     wait_states(arm, first="ERROR", second="ON", hold="ON")
+    wait_for(lambda: not causes(arm), "the flag to go down")
     assert arm.status("first").cycle == 0
     arm.control("first", "clear")
     arm.control("second", "off")
@@ -174,6 +179,9 @@ def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):
     assert {one.task: one.state for one in arm.status_all()}["second"] == "ON"
     assert arm.status("hold").on_ns == before["hold"].on_ns  # who stays noticed nothing
     wait_for(lambda: not causes(arm), "the flag to go down")
+    cause = "first has died (arm0/first)"  # told, however briefly it was up
+    wait_for(lambda: f"no longer: {cause}" in events(arm, "LEGAL"), "its end, told")
+    assert cause in events(arm, "ILLEGAL")
 
 
 def test_a_standby_that_fails_too_is_in_error_with_the_flag_up(start):

@@ -11,7 +11,13 @@ from pbonet.node.flags import Flags
 from pbonet.svar import Table
 from pbonet.svar.native import CAUSES_EACH
 
-SVAR = """NAME X
+SVAR = """NAME Y
+TYPE double
+DESC another one
+UNITS none
+NELEM 1
+
+NAME X
 TYPE double
 DESC an output
 UNITS none
@@ -127,3 +133,17 @@ def test_what_an_heir_has_taken_over_is_handed_over_for_good(table, taken):
     asyncio.run(look())
     nobody = "off old is done, and nobody took over X"
     assert [one.cause for one in table.illegal] == [nobody] * (not taken)
+
+
+def test_what_a_fallback_does_not_write_is_missed_no_more(table):
+    """The configuration was judged with it in the place of the task that has died."""
+    made = flags(table)
+    made.narrow("arm", "servo", ["X"])  # there is no entry yet
+    made.up("arm", "servo", "servo has died", ["X", "Y"])
+    heir = table.local("hold", 1, outvar=["X"])
+    heir.claim()
+    made.relieve()
+    assert len(table.illegal) == 1, "nobody writes Y"
+    made.narrow("arm", "servo", ["X", "Z"])
+    made.relieve()
+    assert not table.illegal

@@ -238,6 +238,28 @@ def test_a_swap_to_the_fallback_is_a_swap_like_others(folder):
         assert arm.status("second").stands_by
 
 
+def test_one_that_writes_less_lets_the_flag_down_all_the_same(folder):
+    """Nobody reads what it does not write: the job was judged with it in the place."""
+    module = (folder / "source.py").read_text()
+    more = '    more: A[float, OutVar("W", "1", "none", "more")]\n'
+    (folder / "wide.py").write_text(module.replace("    y: A[", f"{more}    y: A["))
+    table = (folder / "s.svar").read_text()
+    wide = table[: table.index("NAME Z")].replace("NAME Y", "NAME W")
+    (folder / "s.svar").write_text(wide + table)
+    text = (folder / "first.rmod").read_text()
+    text = text.replace("source", "wide").replace("OUTVAR   Y", "OUTVAR   W Y")
+    (folder / "first.rmod").write_text(text)
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        arm.wait(0.1)
+        states = {one.task: one.state for one in arm.status_all()}
+        assert states == {"first": "ERROR", "second": "ON", "sink": "ON"}
+        assert arm.rtpu_status()[0].illegal == []
+        assert arm.display(["Z"])[0].values[0] > 0.0, "cycle, and not stable"
+        arm.off("second")
+        assert "first is in ERROR (arm0/first)" in arm.rtpu_status()[0].illegal
+
+
 def test_virtual_time_has_no_prompt(folder):
     with (
         Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm,
