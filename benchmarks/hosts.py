@@ -102,12 +102,18 @@ class Side:
         folders = {"PBONET_RUN_DIR": self.run_dir, "PBONET_SHM_DIR": self.shm_dir}
         return {**os.environ, **{key: str(path) for key, path in folders.items()}}
 
-    def start(self, listen: str = "", connect: str = "", library: str = "") -> None:
-        """Start its agent."""
+    def start(
+        self,
+        listen: str = "",
+        connect: str = "",
+        library: str = "",
+        core: int | None = None,
+    ) -> None:
+        """Start its agent, on the last core unless another one is named."""
         config = AgentConfig(
             name=self.name, domain=DOMAIN, grace=20.0, insecure=True,
             listen=(listen,) if listen else (), connect=(connect,) if connect else (),
-            core=max(os.sched_getaffinity(0)),
+            core=max(os.sched_getaffinity(0)) if core is None else core,
             libraries=(library,) if library else (),
         )  # fmt: skip
         text = msgspec.json.encode(config).decode()

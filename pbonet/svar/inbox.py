@@ -104,7 +104,7 @@ class Machine:
             if theirs.news is None or _newer(news, theirs.news):
                 theirs.news, theirs.time_ns = news, now - news.age_ns - late_ns
                 self._commit(theirs)
-        return packet.state == self.state
+        return packet.state <= self.state
 
     def claims(self) -> dict[int, Claim]:
         """Return the claims of its groups, by variable."""

@@ -128,6 +128,8 @@ class Mirror:
             self._lost.pop(packet.machine, None)
             self._newcomers.add(packet.machine)
         late = self._late(packet.machine, packet.sent_ns)
+        if packet.state < other.state:
+            packet.full = None  # it was overtaken by a newer one
         placed = other.take(packet, late)
         if packet.full is not None:
             self._epochs.there(

@@ -59,7 +59,8 @@ class Own:
         """Take note of a commit that is being sent."""
         stamp = now - news.age_ns
         commits = news.seq - self.sent
-        if self.sent >= 0 and 0 < commits < _MANY:
+        # Who carries may have stood still between two looks at the clock.
+        if self.sent >= 0 and 0 < commits < _MANY and stamp > self.stamp_ns:
             period = (stamp - self.stamp_ns) // commits
             known = self.period_ns
             self.period_ns = (3 * known + period) // 4 if known else period
