@@ -39,27 +39,28 @@ from benchmarks.swap import (
     PERIOD,
     RATE,
     RMOD,
+    STAY,
     Stalls,
     Trace,
     Watched,
     report,
-    undisturbed,
 )
 from pbonet.master import Subsystem
 from pbonet.node._ring import Ring
 from pbonet.testing.lan import Lan, missing
+from pbonet.xm import session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pbonet.node._ring import Record
 
-READERS = ("near", "far")
-"""On the first machine and on the second."""
+READERS: dict[str, str] = dict(zip(STAY, ("one", "two"), strict=True))
+"""Of these each has one: the machine by the reader's name."""
 WRITERS = ("a", "b")
 SWAP_TIME = 0.06
 """Seconds that a swap takes, about: so much longer runs the time without swaps."""
-SEEN = "last cycle to seen by {}"
+SEEN = "last cycle to seen on {}"
 WRONG = "wrong values"
 BACK = "times that a reader saw the count go back"
 JUMPS = "swaps in which the new one did not count on"
@@ -155,6 +156,8 @@ class Machines:
         two.start(connect=way, library=library, core=cores[-1])
         for side in self.sides:
             wait(side.socket_there, f"agent {side.name}")
+        with session.client(DOMAIN, connect=[one.socket], local=False) as link:
+            wait(lambda: len(session.rtpus(link, DOMAIN)) == len(self.sides), "both")
 
     def enter(self, number: int) -> None:
         """Have shared memory be that of one of the two from here on."""
@@ -182,7 +185,7 @@ class Apart(Watched):
         self._cores: list[tuple[Stalls, Trace]] = []
         for number, core in enumerate(machines.cores.values()):
             machines.enter(number)
-            self._cores.append((Stalls(folder, core), Trace(core, READERS)))
+            self._cores.append((Stalls(folder, core), Trace(core, STAY)))
 
 
 class Seen:
@@ -251,12 +254,20 @@ def write_files(folder: Path) -> Path:
 
 def start(subsystem: Subsystem) -> None:
     """Have a and both readers run, and b stand by."""
-    where = dict(zip(("a", "b"), ("one", "two"), strict=True))
-    where |= dict(zip(READERS, ("one", "two"), strict=True))
+    where = dict(zip(WRITERS, ("one", "two"), strict=True)) | READERS
     for task, rtpu in where.items():
         subsystem.spawn(task, rtpu)
     subsystem.reconfig([("a", "on"), *((task, "on") for task in READERS)])
     subsystem.wait(0.5)
+
+
+def undisturbed(subsystem: Subsystem, watched: Apart, seconds: float) -> dict[str, int]:
+    """Return the counts of a time without swaps."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        subsystem.wait(0.2)
+        watched.look()
+    return watched.end()
 
 
 def rings_of(subsystem: Subsystem, machines: Machines) -> dict[str, Ring]:
@@ -294,7 +305,7 @@ def swaps(
             taken = {
                 "command to first cycle": begins.start_ns - begun,
                 GAP: begins.start_ns - last.start_ns,
-                **{SEEN.format(name): one.first(who) - last.start_ns
+                **{SEEN.format(READERS[name]): one.first(who) - last.start_ns
                    for name, one in readers.items()},
                 "command to answer": answered - begun,
             }  # fmt: skip
@@ -344,7 +355,7 @@ def goals(found: dict[str, Any], cable: dict[str, float]) -> Iterator[str]:
     for what, count in found[WRONG].items():
         yield rtbench.verdict(f"{what},", count, 0)
     most = 2 + cable["p50"] / 2 / (PERIOD / 1e6)
-    for name in (GAP, *(SEEN.format(name) for name in READERS)):
+    for name in (GAP, *(SEEN.format(READERS[name]) for name in READERS)):
         gap = float(np.median(found[name]))
         yield rtbench.verdict(f"periods from {name}, median,", gap, most)
 
