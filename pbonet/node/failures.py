@@ -8,7 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeGuard
 
 from pbonet.errors import MethodError, PbonetError, SvarError
-from pbonet.pbo import Answer, Recovery, TaskFailure, innermost, number_of, place_of
+from pbonet.pbo import (
+    Answer,
+    Recovery,
+    TaskFailure,
+    innermost,
+    number_of,
+    place_of,
+    said,
+    text_of,
+)
 
 if TYPE_CHECKING:
     from pbonet.svar.guards import Blamed
@@ -63,7 +72,7 @@ def contained(error: BaseException) -> Raised:
     if isinstance(error, Exception | TaskFailure):
         return error
     wrapped = MethodError(
-        f"{type(error).__name__}: {error}",
+        said(error),
         remedy="raise an exception of the module's own; do not end the process",
     )
     wrapped.__traceback__ = error.__traceback__
@@ -145,6 +154,8 @@ def method_error(error: Raised, method: str, task: str) -> MethodError:
     cause = error.error if isinstance(error, TaskFailure) else error
     told.number = number_of(cause)
     told.place = place_of(cause)
+    for note in getattr(cause, "__notes__", ()):
+        add_remedy(told, str(note))
     return told
 
 
@@ -163,12 +174,12 @@ def _method_error(error: Raised, where: str) -> MethodError:
             debug=error.debug or _trace(error),
         )
     remedy = ""
-    if isinstance(error, ValueError) and "read-only" in str(error):
+    if isinstance(error, ValueError) and "read-only" in text_of(error):
         remedy = (
             "inputs are written by their producers; take a copy: `x = self.x.copy()`"
         )
     return MethodError(
-        f"{type(error).__name__}: {error}" if str(error) else type(error).__name__,
+        said(error),
         where=where,
         remedy=remedy,
         debug=_trace(error),

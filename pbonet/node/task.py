@@ -25,7 +25,7 @@ from pbonet.config.model import TaskType
 from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did
 from pbonet.outside import Tape, Told, use
-from pbonet.pbo import State, bind, decode_params
+from pbonet.pbo import State, bind, decode_params, text_of
 from pbonet.svar import Table
 from pbonet.xm import live_on
 
@@ -334,7 +334,7 @@ class Host:
         self._waiting_outside = False
         settled = False
         try:
-            with self.journal.doing(Did("fault", name=method, arg=str(error))):
+            with self.journal.doing(Did("fault", name=method, arg=text_of(error))):
                 self.executor.fault(error, method)
             settled = self.executor.failure is None
         except PbonetError as second:

@@ -25,6 +25,8 @@ from ._handling import (
     line_of,
     number_of,
     place_of,
+    said,
+    text_of,
 )
 from ._object import METHODS, Interface, PortBasedObject, interface
 from ._param import Param, param
@@ -127,7 +129,9 @@ __all__ = [
     "params_type",
     "place_of",
     "render",
+    "said",
     "signal_bits",
     "signal_names",
     "source_version",
+    "text_of",
 ]

@@ -9,6 +9,7 @@ from pbonet.ports import Kind, attribute
 
 from ._bind import assemble, check_sizes
 from ._combine import Part, combination, faults, methods, signals
+from ._handling import said
 from ._object import Interface, PortBasedObject
 from ._params import Params, combine_params, combined_field
 from ._task import Answer, TaskFailure
@@ -160,7 +161,7 @@ class Combined(PortBasedObject[Params], abstract=True):
             try:
                 self.parts[number].kill()
             except _RAISED as error:
-                failed.append(f"{self.place()}: {type(error).__name__}: {error}")
+                failed.append(f"{self.place()}: {said(error)}")
         self._begun = 0
         self._at = NOBODY
         if failed:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from enum import StrEnum
 from pathlib import Path
 from traceback import walk_tb
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self, TypeAlias, cast
 
 from pbonet.errors import MethodError
 
@@ -73,11 +73,12 @@ class ErrorScope:
         self._task = task
         self._code = code
         self._handler = handler or _jump
+        self._spoilt = False
         self.error: Exception | None = None
 
     def __enter__(self) -> Self:
         """Begin."""
-        self.error = None
+        self.error, self._spoilt = None, False
         self._task.scopes.append(self)
         return self
 
@@ -92,7 +93,7 @@ class ErrorScope:
         del scopes[scopes.index(self) :]
         if isinstance(error, Jump):
             return error.scope is self
-        if not isinstance(error, Exception) or not covers(self._code, error):
+        if self._spoilt or not isinstance(error, Exception) or not self.covers(error):
             return False
         return self.ask(error) is not Handling.ABORT
 
@@ -101,8 +102,10 @@ class ErrorScope:
         return covers(self._code, error)
 
     def ask(self, error: Exception) -> Handling:
-        """Run the handler."""
+        """Run the handler; one that fails is not asked about that."""
+        self._spoilt = True
         answer = self._task.handled(error, self._handler)
+        self._spoilt = False
         if answer is not Handling.ABORT:
             self.error = error
         return answer
@@ -122,6 +125,27 @@ def covers(code: Code, error: Exception) -> bool:
 def number_of(error: Exception) -> int:
     """Return the number of an error."""
     return (error.number if isinstance(error, MethodError) else 0) or UNNUMBERED
+
+
+def text_of(error: BaseException) -> str:
+    """Return the text of an exception, empty where its own ``__str__`` fails.
+
+    Of a group, also what is in it.
+    """
+    try:
+        text = str(error)
+    except Exception:  # noqa: BLE001 - a module's exception may do anything
+        return ""
+    if isinstance(error, BaseExceptionGroup):
+        group = cast("BaseExceptionGroup[BaseException]", error)
+        text += f": {', '.join(said(one) for one in group.exceptions)}"
+    return text
+
+
+def said(error: BaseException) -> str:
+    """Return class and text of an exception."""
+    text, name = text_of(error), type(error).__name__
+    return f"{name}: {text}" if text else name
 
 
 def checked(answer: object) -> Handling:

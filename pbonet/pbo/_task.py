@@ -24,6 +24,7 @@ from ._handling import (
     line_of,
     number_of,
     place_of,
+    said,
 )
 from ._schedule import Counted, IllegalHook, Schedule
 from ._signals import Signal
@@ -423,10 +424,15 @@ class TaskContext:
         if isinstance(error, MethodError):
             self.errmsg = error.what
         else:
-            self.errmsg = f"{type(error).__name__}: {error}"
+            self.errmsg = said(error)
         self.errnum = number_of(error)
+        what = self.errmsg
         try:
             answer = checked(handler(error))
+        except (Exception, TaskFailure) as second:
+            new = second.error if isinstance(second, TaskFailure) else second
+            new.add_note(f"this happened in the handler of: {what}")
+            raise
         finally:
             self.scopes, self._kept, self.on_fail = before
         if answer is not Handling.ABORT:

@@ -13,8 +13,9 @@ from pbonet.xm import messages as m
         ({"TEXT": "odd"}, "cannot read /nowhere/\\udcff.dat"),
         ({"TEXT": "odd", "WARNINGS": 3000}, "cannot read"),
         ({"TEXT": "long"}, "xxx"),
+        ({"TEXT": "mute"}, "MuteError"),
     ],
-    ids=["no Unicode", "a flood before it", "without end"],
+    ids=["no Unicode", "a flood before it", "without end", "no text"],
 )
 def test_an_error_is_known_whatever_it_says(arm, local, said):
     tid = arm.spawn("bad", "says_odd", local=local).tid

@@ -10,8 +10,15 @@ from pbonet import OutVar, Params, PortBasedObject, Vector, param
 class Odd(Params):
     """What it says."""
 
-    text: A[str, param("none", "what its error says: long or odd")]
+    text: A[str, param("none", "what its error says: long, odd or mute")]
     warnings: A[int, param("none", "how many come before the error", ge=0)] = 0
+
+
+class MuteError(Exception):
+    """An error whose text cannot be had."""
+
+    def __str__(self) -> str:
+        raise LookupError("no words")
 
 
 class SaysOdd(PortBasedObject[Odd]):
@@ -24,6 +31,8 @@ class SaysOdd(PortBasedObject[Odd]):
         if self.y[0] == 10.0 and self.params.text != "nothing":
             for _ in range(self.params.warnings):
                 self.task.warn("something is wrong with the sensor of this axis")
+            if self.params.text == "mute":
+                raise MuteError
             raise ValueError(self.text())
 
     def text(self) -> str:

@@ -170,7 +170,10 @@ def test_in_init_a_scope_counts_and_nothing_else_does():
 
 
 def test_a_handler_that_fails_is_the_error():
-    def fails(_error):
+    asked = []
+
+    def fails(error):
+        asked.append(str(error))
         raise ZeroDivisionError("within the handler")
 
     def cycle(self):
@@ -178,9 +181,14 @@ def test_a_handler_that_fails_is_the_error():
             self.task.fail("x")
 
     made, diary = bench(cycle)
-    with pytest.raises(MethodError, match="ZeroDivisionError: within the handler"):
+    with pytest.raises(MethodError) as caught:
         made.step()
+    assert str(caught.value) == (
+        "bench.cycle: ZeroDivisionError: within the handler; this happened in the "
+        "handler of: x"
+    )
     assert diary == ["error: within the handler"]
+    assert asked == ["bench: x"], "it is not asked about its own failure"
 
 
 def test_a_handler_that_reports_an_error_ends_there():
@@ -192,9 +200,43 @@ def test_a_handler_that_reports_an_error_ends_there():
         self.task.fail("x", HOT)
 
     made, _ = bench(cycle)
-    with pytest.raises(MethodError, match="again"):
+    with pytest.raises(MethodError, match="again; this happened in the handler of: x"):
         made.step()
     assert made.state is State.ERROR
+
+
+class UnspeakableError(Exception):
+    """An exception whose text cannot be had."""
+
+    def __str__(self):
+        raise LookupError("no words")
+
+
+def test_an_exception_without_a_text_is_an_error_like_any_other():
+    def cycle(self):
+        with self.task.on_error(UnspeakableError):
+            raise UnspeakableError
+        raise UnspeakableError
+
+    made, _ = bench(cycle)
+    with pytest.raises(
+        MethodError, match=r"^bench\.cycle: UnspeakableError; and then "
+    ):
+        made.step()
+    assert made.state is State.ERROR
+    (notice,) = [one for one in made.notices() if one.handled]
+    assert notice.text == "UnspeakableError: jump"
+
+
+def test_of_a_group_all_is_told():
+    def cycle(_self):
+        raise ExceptionGroup("two", [ValueError("a"), DeviceError("b")])
+
+    made, _ = bench(cycle)
+    with pytest.raises(
+        MethodError, match=r"exceptions\): ValueError: a, DeviceError: b"
+    ):
+        made.step()
 
 
 def test_an_answer_that_there_is_not():
@@ -208,7 +250,7 @@ def test_an_answer_that_there_is_not():
     assert str(caught.value) == (
         "bench.cycle: a handler of errors gave an answer that it cannot give "
         "(expected None or Handling.ABORT or Handling.CONTINUE or Handling.JUMP, "
-        "got 'please')"
+        "got 'please'); this happened in the handler of: x"
     )
 
 
