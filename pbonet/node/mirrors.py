@@ -134,8 +134,8 @@ class Mirrors:
     ) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
-        It is called in a thread for that, in the carrier's, or at once; by `stop` at the
-        latest, for what was done here stands, and the next agent tells the others.
+        It is called in a thread for that, in the carrier's, or at once; by `stop` at
+        the latest: what was done here stands, and the next agent tells the others.
 
         Args:
             subsystem: Whose table.
