@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 from pbonet import verify
 from pbonet.config import info_of, parse_rmod
 from pbonet.errors import PbonetError
-from pbonet.master import modules, sending, unfed
+from pbonet.master import modules, sending
 from pbonet.master.failures import already
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
+from pbonet.master.unfed import Unfed
 from pbonet.pbo import State
 from pbonet.sched.criticality import PLANNED
 from pbonet.xm import messages as m
@@ -76,9 +77,10 @@ class Crew:
         self._inbox = inbox
         self.picture = Picture()
         self._info = cache(partial(modules.on, fleet, files.library))
-        self._causes: set[str] = set()  # that this subsystem's masters have raised
-        self._unfed: set[str] = set()  # told already, of inputs without a writer
-        self._noted: set[str] = set()  # the same, of saved profiles
+        self._unfed = Unfed(
+            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), warned
+        )
+        self._noted: set[str] = set()  # told already, of saved profiles
 
     # -- the picture ------------------------------------------------------------------
 
@@ -143,12 +145,7 @@ class Crew:
             gone = member.rtpu in results and member.name not in names
             if gone and member.name in known:  # else it was spawned meanwhile
                 self.picture.remove(member.name)
-        self._causes = {
-            cause.partition(" (")[0]  # behind it stands who raised it
-            for rtpu in statuses
-            for cause in rtpu.illegal
-            if cause.startswith(unfed.UNFED)
-        }
+        self._unfed.seen(cause for rtpu in statuses for cause in rtpu.illegal)
         return statuses
 
     def note(self, status: m.TaskStatus) -> None:
@@ -242,7 +239,7 @@ class Crew:
             VerificationError: It would be illegal.
         """
         texts = self.verdict(change)
-        self._unfed |= set(texts)
+        self._unfed.told(texts)
         self.tell(texts)
 
     def verdict(self, change: verify.Change | None = None) -> list[str]:
@@ -413,28 +410,11 @@ class Crew:
         too: the change has its own outcome.
         """
         try:
-            problems = [
-                problem
-                for problem in self._problems()
-                if problem.code is verify.Code.NO_WRITER
-            ]
-            texts = list(map(verify.as_text, problems))
-            self.tell(text for text in texts if text not in self._unfed)
-            self._unfed = set(texts)
-            self._flag({unfed.cause(problems)} if problems else set())
+            no_writer = verify.Code.NO_WRITER
+            self._unfed.settle([p for p in self._problems() if p.code is no_writer])
             self.rank()
         except PbonetError as error:
             self.warned(f"after the change: {error}")
-
-    def _flag(self, wanted: set[str]) -> None:
-        """Have the flag up for these causes; it does not go down in between."""
-        for cause, up in [
-            *((cause, True) for cause in wanted - self._causes),
-            *((cause, False) for cause in self._causes - wanted),
-        ]:
-            request = m.Flag(cause=cause, up=up)
-            self.fleet.call(self.files.sbs.keeper, request, list[str])
-        self._causes = wanted
 
     @staticmethod
     def priorities(members: Iterable[Member]) -> dict[str, int]:

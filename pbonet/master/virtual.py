@@ -67,7 +67,7 @@ class VirtualRtpus(Simulation):
         self._signals: dict[str, dict[str, int]] = {}
         self._writers: dict[str, str] = {}
         self._masks: dict[str, list[str]] = {}
-        self._raised: set[str] = set()
+        self._raised: dict[str, list[str]] = {}
         """Causes under which the master has the flag up."""
         self._steady = True
         self._job: m.Standing | None = None
@@ -136,7 +136,7 @@ class VirtualRtpus(Simulation):
     def _look_for_causes(self) -> None:
         """Take what raises the flag as on real RTPUs: the master, and tasks in ERROR.
 
-        Of these only such whose variables nobody else writes.
+        Of both only such whose variables nobody writes by now.
         """
         tasks = [*self._tasks.values()]
         states = {task.name: task.executor.state for task in tasks}
@@ -146,6 +146,9 @@ class VirtualRtpus(Simulation):
             if states[task.name] is State.ON
             for name in task.member.task.outputs
         }
+        for cause, unfed in list(self._raised.items()):
+            if unfed and written.issuperset(unfed):
+                del self._raised[cause]
         self.table.causes = {f"{cause} (master)" for cause in self._raised} | {
             f"{task.name} is in ERROR ({task.member.rtpu}/{task.name})"
             for task in tasks
@@ -189,7 +192,9 @@ class VirtualRtpus(Simulation):
         """Do nothing: who else could have it."""
 
     def _flag(self, _rtpu: str, request: m.Flag) -> list[str]:
-        (self._raised.add if request.up else self._raised.discard)(request.cause)
+        self._raised.pop(request.cause, None)
+        if request.up:
+            self._raised[request.cause] = request.unfed
         self._look_at_flag()
         return sorted(self.table.illegal)
 

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from .events import EventLog
-    from .tables import Tables
+    from .tables import Opened, Tables
 
+MASTER = "master"
+"""Raises the entries of a subsystem's masters."""
 UNFINISHED = "unfinished"
 """Raises the entry of a list whose other part, on another RTPU, has not come."""
 
@@ -33,8 +35,16 @@ class _Handed(Struct):
     """The task that wrote it."""
 
 
+class _Unfed(Struct):
+    """What a master has found: inputs without a writer."""
+
+    opened: Opened
+    """The table whose flag is up for it."""
+    variables: Collection[str]
+
+
 class Flags:
-    """What one RTPU has raised.
+    """What one RTPU has raised, and on the keeper of a table what masters have.
 
     Args:
         rtpu: Its name.
@@ -57,6 +67,8 @@ class Flags:
         self._handed: dict[tuple[str, str], _Handed] = {}
         """Variables that lists have handed over; those for which nobody has come are
         among the outputs of the entry `UNFINISHED`."""
+        self._unfed: dict[tuple[str, str], _Unfed] = {}
+        """Entries of masters that go by themselves, by subsystem and cause."""
 
     def up(
         self, subsystem: str, name: str, cause: str, outputs: Collection[str] = ()
@@ -107,6 +119,41 @@ class Flags:
         if stands is not None:
             left = [output for output in stands if output in outputs]
             self._outputs[subsystem, name] = left
+
+    def master_found(self, subsystem: str, cause: str, unfed: Collection[str]) -> None:
+        """Raise an entry for a master, whose look at the tasks may be an old one.
+
+        Args:
+            subsystem: Whose flag.
+            cause: Why.
+            unfed: Variables that nobody writes, as the master knows. The entry goes
+                when all of them are written, and is not raised if they are: a fallback
+                asks no master. None: the master withdraws it itself.
+
+        Raises:
+            SvarMissingError: The table is not open.
+            UnknownVariableError: It has no such variable.
+            SvarFullError: There is no room.
+        """
+        opened = self._tables.need(subsystem)
+        if unfed and self.written(subsystem, unfed):
+            self.master_mended(subsystem, cause)
+            return
+        opened.table.raise_illegal(cause, MASTER)
+        if unfed:
+            self._unfed[subsystem, cause] = _Unfed(opened, unfed)
+        self.look()
+
+    def master_mended(self, subsystem: str, cause: str) -> None:
+        """Withdraw an entry of a master; harmless when there is none.
+
+        Raises:
+            SvarMissingError: The table is not open.
+            SvarOwnerError: Another process has raised it, and lives.
+        """
+        self._unfed.pop((subsystem, cause), None)
+        self._tables.need(subsystem).table.clear_illegal(MASTER, cause=cause)
+        self.look()
 
     def written(
         self, subsystem: str, outputs: Collection[str], *, but: str = ""
@@ -258,7 +305,17 @@ class Flags:
                 del self._outputs[subsystem, name]
             elif self.written(subsystem, outputs, but=name):
                 self.down(subsystem, name)
+        self._relieve_masters()
         self.look()
+
+    def _relieve_masters(self) -> None:
+        """Withdraw masters' entries for inputs that tasks write now."""
+        for (subsystem, cause), unfed in list(self._unfed.items()):
+            if self._tables.sound(subsystem) is not unfed.opened:
+                del self._unfed[subsystem, cause]
+            elif self.written(subsystem, unfed.variables):
+                with contextlib.suppress(SvarError):
+                    self.master_mended(subsystem, cause)
 
     def _raiser(self, name: str) -> str:
         return f"{self._rtpu}/{name}"

@@ -234,12 +234,13 @@ class Operations:
         return None, []
 
     async def _flag(self, request: m.Flag) -> Result:
-        table = self._rtpu.tables.need(request.subsystem).table
+        rtpu, subsystem = self._rtpu, request.subsystem
+        rtpu.tables.need(subsystem)
         if request.up:
-            table.raise_illegal(request.cause, "master")
+            rtpu.flags.master_found(subsystem, request.cause, request.unfed)
         else:
-            table.clear_illegal("master", cause=request.cause)
-        return self._rtpu.tables.causes(request.subsystem), []
+            rtpu.flags.master_mended(subsystem, request.cause)
+        return rtpu.tables.causes(subsystem), []
 
     async def _record(self, request: m.Record) -> Result:
         return recordings.begin(self._rtpu, request), []

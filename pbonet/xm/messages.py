@@ -279,6 +279,9 @@ class Flag(Request, tag="flag"):
 
     cause: str
     up: bool
+    unfed: list[str] = []
+    """Variables that nobody writes: the entry goes when all of them are written, and is
+    not raised if they are."""
 
 
 class Sigmask(Request, tag="sigmask"):

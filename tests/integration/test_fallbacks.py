@@ -56,6 +56,25 @@ HANGS = """
         def cycle(self, dt: float) -> None:
             self.y[0] += 1.0
 """
+WAITS = """
+    import time
+    from pathlib import Path
+    from typing import Annotated as A
+
+    from pbonet import OutVar, PortBasedObject, Vector
+
+
+    class Waits(PortBasedObject):
+        y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+        def on(self) -> None:
+            Path("{begun}").touch()
+            while not Path("{go_on}").exists():
+                time.sleep(0.005)
+
+        def cycle(self, dt: float) -> None:
+            self.y[0] += 1.0
+"""
 
 
 @pytest.fixture
@@ -134,7 +153,7 @@ def test_an_error_releases_the_standby(start):
         arm.control("first", "on")
 
 
-def test_an_error_in_the_very_first_cycle_releases_the_standby(start, nodes, tmp_path):
+def test_an_error_in_the_very_first_cycle_releases_the_standby(start, nodes):
     """It stands by before its original comes on, however that does and how often.
 
     It writes less, too: nobody reads the rest, so that no flag stands for it.
@@ -150,15 +169,39 @@ def test_an_error_in_the_very_first_cycle_releases_the_standby(start, nodes, tmp
     arm.control("first", "on")  # by hand
     assert "state ON, time 2 of 3" in told(arm, 2)[-1]
     wait_states(arm, first="ERROR", second="ON", hold="ON")
+    wait_for(lambda: not causes(arm), "the flag to go down")
+
+
+def test_what_the_master_has_raised_goes_down_by_itself(start, nodes, tmp_path):
+    """It looked behind a swap, before the fallback wrote; then it has gone."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    nodes.write_module("fails_at_once", FAILS)
+    nodes.write_module("waits_in_on", WAITS.format(begun=begun, go_on=go_on))
+    go_on.touch()
+    arm = start("fails_at_once", "waits_in_on", more="Y5")
+    told(arm)
+    wait_states(arm, first="ERROR", second="ON", hold="ON")
     arm.control("first", "clear")
     (tmp_path / "third.rmod").write_text(rmod("counts", freq=200.0))
     arm.spawn("third", "arm0")
     arm.swap("second", "third")
-    arm.swap("third", "first")  # in the place of another one
-    assert "state ON, time 3 of 3" in told(arm, 3)[-1]
-    wait_states(arm, first="ERROR", second="ON", hold="ON", third="OFF")
-    arm.control("third", "kill")  # the master sees who writes now
-    wait_for(lambda: not causes(arm), "the flag to go down")
+    begun.unlink()
+    go_on.unlink()
+    arm.swap("third", "first")  # in the place of another one than its fallback
+    wait_for(begun.exists, "that the fallback is engaged")
+    wait_states(arm, first="ERROR", second="OFF", hold="ON", third="OFF")
+    arm.control("third", "kill")  # whatever makes the master look
+    unfed = "equation 2: nobody writes Y0 for hold (master)"
+    assert unfed in causes(arm)
+    arm.detach()
+    go_on.touch()
+    with Table.attach(f"{nodes.domain}.t") as table:
+        wait_for(lambda: table.info("Y0").owner == "second", "the fallback to own Y0")
+        wait_for(lambda: not table.illegal, "the flag to go down")
+    arm.open()
+    assert "state ON, time 2 of 3" in told(arm, 2)[-1]
+    came, went = (events(arm, code) for code in ("ILLEGAL", "LEGAL"))
+    assert went.count(f"no longer: {unfed}") == came.count(unfed) >= 1
 
 
 def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from pbonet.config import parse_svar
-from pbonet.errors import SvarFullError
+from pbonet.errors import SvarFullError, UnknownVariableError
 from pbonet.node.events import EventLog
 from pbonet.node.flags import Flags
 from pbonet.svar import Table
@@ -40,6 +40,7 @@ class Tables(dict):
     """The open tables of an RTPU process; their files are whole."""
 
     sound = dict.get
+    need = dict.__getitem__
     subsystems = dict.keys
 
 
@@ -51,8 +52,13 @@ def table(monkeypatch, tmp_path):
     table.destroy()
 
 
-def flags(table, events=None):
-    return Flags("arm0", Tables(arm=Opened(table)), events or EventLog("arm0"))
+def flags(table, events=None, tables=None):
+    tables = tables or Tables(arm=Opened(table))
+    return Flags("arm0", tables, events or EventLog("arm0"))
+
+
+def standing(table):
+    return [one.cause for one in table.illegal]
 
 
 def test_an_entry_stands_until_it_is_withdrawn(table):
@@ -147,3 +153,71 @@ def test_what_a_fallback_does_not_write_is_missed_no_more(table):
     made.narrow("arm", "servo", ["X", "Z"])
     made.relieve()
     assert not table.illegal
+
+
+def test_what_a_master_found_goes_when_somebody_writes(table):
+    """No master is needed: a fallback has come on, which asks none."""
+    events = EventLog("arm0")
+    mine = flags(table, events)
+    mine.master_found("arm", "equation 2", ["X"])
+    mine.relieve()
+    assert standing(table) == ["equation 2"]
+    second = table.local("second", 1, outvar=["X"])
+    second.claim()
+    mine.relieve()
+    assert standing(table) == []
+    second.release()
+    mine.relieve()
+    assert standing(table) == [], "whoever stops writing is told by others"
+    assert [(event.code, event.text) for event in events.since(1)] == [
+        ("ILLEGAL", "equation 2 (master)"),
+        ("LEGAL", "no longer: equation 2 (master)"),
+    ]
+
+
+def test_what_a_master_found_too_late_is_not_raised(table):
+    """The fallback was engaged before the master heard of it."""
+    mine = flags(table)
+    mine.master_found("arm", "equation 2", ["X"])
+    second = table.local("second", 1, outvar=["X"])
+    second.claim()
+    mine.master_found("arm", "equation 2", ["X"])
+    assert standing(table) == []
+    mine.ceded("arm", ["X"])  # it has ended, and its heir has failed
+    mine.master_found("arm", "equation 2", ["X"])
+    mine.relieve()
+    assert standing(table) == ["equation 2"]
+    mine.master_mended("arm", "equation 2")
+    mine.master_mended("arm", "equation 2")
+    assert standing(table) == []
+    with pytest.raises(UnknownVariableError, match="W"):
+        mine.master_found("arm", "equation 2", ["W"])
+    assert standing(table) == []
+
+
+def test_what_a_master_says_of_no_variables_stands_until_it_is_withdrawn(table):
+    mine = flags(table)
+    mine.master_found("arm", "a test", [])
+    table.local("second", 1, outvar=["X"]).claim()
+    mine.relieve()
+    assert standing(table) == ["a test"]
+
+
+def test_what_a_master_found_ends_with_its_table(table):
+    """Another table of the subsystem may have other variables."""
+    tables = Tables(arm=Opened(table))
+    mine = flags(table, tables=tables)
+    mine.master_found("arm", "equation 2", ["X"])
+    del tables["arm"]
+    mine.relieve()
+    other = Table.create(
+        "other", parse_svar(SVAR.replace("X", "Z"), "t.svar").variables
+    )
+    try:
+        tables["arm"] = Opened(table)
+        mine.master_found("arm", "equation 2", ["X"])
+        tables["arm"] = Opened(other)
+        mine.relieve()
+        assert standing(other) == []
+    finally:
+        other.destroy()
