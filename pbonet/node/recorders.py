@@ -261,11 +261,13 @@ class Recorders:
         for child in children:
             child.tell(message)
 
-    def commanded(self, request: AnyRequest, answer: bytes, begun_ns: int) -> None:
+    def commanded(
+        self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> None:
         """Put a command on record, or keep it until its subsystem is recorded."""
         if not request.subsystem:
             return
-        told = command(request, answer, begun_ns, time.monotonic_ns())
+        told = command(request, answer, begun_ns, ended_ns)
         with self._guard:
             child = self._children.get(told.subsystem)
             if child is None:
@@ -273,7 +275,9 @@ class Recorders:
         if child is not None:
             child.tell(told)
 
-    def noted(self, request: AnyRequest, answer: bytes, begun_ns: int) -> bool:
+    def noted(
+        self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> bool:
         """Keep a short command; returns False where it must be `commanded` instead.
 
         It takes next to no time: of what nobody records nothing need be made, unless
@@ -284,7 +288,7 @@ class Recorders:
         try:
             if request.subsystem in self._children:
                 return False
-            told = partial(command, request, answer, begun_ns, time.monotonic_ns())
+            told = partial(command, request, answer, begun_ns, ended_ns)
             self._keep(request.subsystem, told)
             return True
         finally:

@@ -108,10 +108,14 @@ class Mail(Protocol):
 class Book(Protocol):
     """Who puts commands on record."""
 
-    def commanded(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
-        """Put a command on record: its packed answer, and when it came."""
+    def commanded(
+        self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> None:
+        """Put a command on record: its packed answer, when it came and was answered."""
 
-    def noted(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> bool:
+    def noted(
+        self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> bool:
         """Keep a short one that nobody records; return whether that was done now."""
         ...
 
@@ -208,7 +212,7 @@ class Server:
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Have a command put on record."""
         if not roles.only_looks(request):
-            self._book.commanded(request, answer, begun_ns)
+            self._book.commanded(request, answer, begun_ns, time.monotonic_ns())
 
     def publish(self, data: bytes) -> None:
         """Publish a packed event; it is dropped rather than waited for."""
@@ -364,9 +368,10 @@ class Server:
         """Answer a request that was carried out, then put it on record."""
         end = partial(self._repeats.end, who, data)
         self._node.spread(request.subsystem, end, value=True)
-        if not (short and self._book.noted(request, data, begun_ns)):
-            record = partial(self._book.commanded, request, data, begun_ns)
-            self._arrived.put(record)  # zenoh's thread has no time for it
+        said = request, data, begun_ns, time.monotonic_ns()
+        if not (short and self._book.noted(*said)):
+            # zenoh's thread has no time for it
+            self._arrived.put(partial(self._book.commanded, *said))
 
     def _measure(self) -> None:
         """Answer with the ways to the other agents, which takes their round trips."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import time
 
 import msgspec
 import pytest
@@ -132,11 +133,16 @@ def test_a_damaged_ring_ends_its_own_recording_only(ring, tmp_path) -> None:
     assert log.arrays("b")["cycle"].tolist() == [1, 2]
 
 
-def commanded(recorders, subsystem, values=(1.0,), *, short=False) -> None:
+def commanded(recorders, subsystem, values=(1.0,), *, short=False, behind=False):
+    """Put a command on record; `behind`: return what does, where it cannot wait."""
     request = m.Write(subsystem=subsystem, client="c", name="X", values=list(values))
     answer = codec.Codec().pack(m.Answer(id=request.id, ok=True, result=list(values)))
-    if not (short and recorders.noted(request, answer, 1)):
-        recorders.commanded(request, answer, 1)
+    said = request, answer, 1, time.monotonic_ns()
+    if short and recorders.noted(*said):
+        return None
+    if behind:
+        return lambda: recorders.commanded(*said)
+    return recorders.commanded(*said)
 
 
 def test_more_commands_than_a_pipe_takes_are_in_the_log(tmp_path) -> None:
@@ -156,6 +162,25 @@ def test_more_commands_than_a_pipe_takes_are_in_the_log(tmp_path) -> None:
     found = Log(tmp_path / "r").commands()
     first = [one["asked"]["values"][0] for one in found]
     assert first == list(range(1, BEFORE + 2)), "the last ones, in order, once"
+
+
+def test_a_command_that_is_put_on_record_late_stands_where_it_was_answered(
+    tmp_path,
+) -> None:
+    """Its record waited for a lock, and the next one's found that free."""
+    recorders = Recorders(lambda _: None, AgentConfig())
+    recorders.update({}, {"arm": 1})
+    try:
+        with recorders._guard:
+            late = commanded(recorders, "arm", [1.0], short=True, behind=True)
+        commanded(recorders, "arm", [2.0], short=True)
+        late()
+        recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+        wait_for(lambda: logs(tmp_path), "a log")
+    finally:
+        recorders.stop()
+    found = Log(tmp_path / "r").commands()
+    assert [one["asked"]["values"] for one in found] == [[1.0], [2.0]]
 
 
 @pytest.mark.parametrize("short", [False, True])
