@@ -90,9 +90,10 @@ def signals(
     """
     gives: dict[tuple[str, str], tuple[str, ...]] = {}
     for task, signal in items:
-        one = crew.picture.find(task).task
-        if one.gives and (signal == "reinit" or (signal == "on" and one.needs)):
-            gives[task, signal] = one.gives
+        if signal in {"reinit", "on"}:
+            one = crew.picture.find(task).task
+            if one.gives and (signal == "reinit" or one.needs):
+                gives[task, signal] = one.gives
     last = max((items.index(item) for item in gives), default=0)
     done = {task for task, signal in items[last:] if signal == "reinit"}
     why = ", ".join(
