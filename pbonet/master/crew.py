@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 from pbonet import verify
 from pbonet.config import info_of, parse_rmod
 from pbonet.errors import PbonetError
-from pbonet.master import modules, sending
+from pbonet.master import modules, sending, standing
 from pbonet.master.failures import already
 from pbonet.master.files import RmodSource
 from pbonet.master.picture import Member, Picture
+from pbonet.master.standing import Standing
 from pbonet.master.unfed import Unfed
 from pbonet.pbo import State
 from pbonet.sched.criticality import PLANNED
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from pbonet.pbo import ModuleInfo
 
     Warned = Callable[[str], None]
+    Problems = Sequence[verify.Problem]
+    News = Callable[[Problems], Sequence[verify.Problem]]
 
 CONTROL_TIME = 5.0
 SPAWN_TIME = 10.0
@@ -77,8 +80,10 @@ class Crew:
         self._inbox = inbox
         self.picture = Picture()
         self._info = cache(partial(modules.on, fleet, files.library))
+        self._standing = Standing()
+        self._producers: dict[str, tuple[str, ...]] = {}  # as last read
         self._unfed = Unfed(
-            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), warned
+            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self._say
         )
         self._noted: set[str] = set()  # told already, of saved profiles
 
@@ -233,14 +238,13 @@ class Crew:
             raise already(old)
 
     def judge(self, change: verify.Change) -> None:
-        """Refuse a change that would be illegal; tell what else is to be said of it.
+        """Refuse a change that would be illegal; tell what is new of it else.
 
         Raises:
             VerificationError: It would be illegal.
         """
-        texts = self.verdict(change)
-        self._unfed.told(texts)
-        self.tell(texts)
+        problems = self._legal(change, self._standing.new_or_refused)
+        self._say(problems)
 
     def verdict(self, change: verify.Change | None = None) -> list[str]:
         """Return the warnings for a change, or for the tasks as they stand.
@@ -248,29 +252,30 @@ class Crew:
         Raises:
             VerificationError: It would be, or is, illegal.
         """
-        self.with_infos(self.picture)
-        problems = self._problems(change)
-        refused = [p for p in problems if p.severity is verify.Severity.REFUSE]
-        if refused:
-            raise verify.as_error(refused)
-        return list(map(verify.as_text, problems))
+        return list(map(verify.as_text, self._legal(change, list)))
 
-    def _problems(
-        self, change: verify.Change | None = None
-    ) -> Sequence[verify.Problem]:
+    def _legal(self, change: verify.Change | None, news: News) -> Problems:
+        self.with_infos(self.picture)
+        problems = self._problems(change, news)
+        if refused := standing.refused(problems):
+            raise verify.as_error(refused)
+        return problems
+
+    def _problems(self, change: verify.Change | None, news: News) -> Problems:
         """Return what is to be said of a change, or of the tasks as they stand.
 
-        The library is read only when there is something that it may help with.
+        The library, which a remedy may name, is read again only when there are `news`:
+        that takes longer than everything else of a change.
         """
-        problems: Sequence[verify.Problem] = ()
-        for producers in (False, True):
-            now = self.configuration(producers=producers)
-            problems = (
-                verify.judge(now, change).problems if change else verify.check(now)
-            )
-            if not problems:
-                break
-        return problems
+        problems = self._judged(change)
+        if not news(problems):
+            return problems
+        self._producers = self.files.producers()
+        return self._judged(change)
+
+    def _judged(self, change: verify.Change | None) -> Problems:
+        now = self.configuration()
+        return verify.judge(now, change).problems if change else verify.check(now)
 
     def report(self, change: verify.Change | None = None) -> list[verify.RtpuReport]:
         """Return what the analysis finds for a change, or for what stands.
@@ -282,14 +287,14 @@ class Crew:
         now = self.configuration()
         return verify.report(verify.judge(now, change).after if change else now)
 
-    def configuration(self, *, producers: bool = False) -> verify.Configuration:
-        """Return the subsystem as it stands; with `producers`, what a remedy needs."""
+    def configuration(self) -> verify.Configuration:
+        """Return the subsystem as it stands."""
         return verify.Configuration(
             svar=self.files.table,
             tasks=tuple(member.task for member in self.picture),
             on=frozenset(member.name for member in self.picture if member.is_on),
             rtpus=self.files.sbs.rtpus,
-            producers=self.files.producers() if producers else {},
+            producers=self._producers,
             limit=PLANNED,
         )
 
@@ -298,6 +303,10 @@ class Crew:
         for member in members:
             if member.info is None:
                 self._describe(member)
+
+    def _say(self, problems: Problems) -> None:
+        """Tell those that are not told already."""
+        self.tell(self._standing.say(problems))
 
     def tell(self, warnings: Iterable[str]) -> None:
         """Hand on warnings."""
@@ -410,8 +419,9 @@ class Crew:
         too: the change has its own outcome.
         """
         try:
-            no_writer = verify.Code.NO_WRITER
-            self._unfed.settle([p for p in self._problems() if p.code is no_writer])
+            problems = self._problems(None, self._standing.new_unfed)
+            self._unfed.settle(standing.unfed(problems))
+            self._standing.keep(problems)
             self.rank()
         except PbonetError as error:
             self.warned(f"after the change: {error}")

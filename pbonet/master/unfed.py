@@ -22,20 +22,17 @@ class Unfed:
     Args:
         ask: Has the keeper of the table raise or withdraw an entry; returns the causes
             that stand.
-        warned: Called with each warning.
+        say: Called with problems that stand, to warn of those not told yet.
     """
 
     def __init__(
-        self, ask: Callable[[m.Flag], list[str]], warned: Callable[[str], None]
+        self,
+        ask: Callable[[m.Flag], list[str]],
+        say: Callable[[Sequence[verify.Problem]], None],
     ) -> None:
         self._ask = ask
-        self._warned = warned
+        self._say = say
         self._causes: set[str] = set()  # that this subsystem's masters have raised
-        self._told: set[str] = set()
-
-    def told(self, texts: Iterable[str]) -> None:
-        """Take note of warnings that have been given."""
-        self._told |= set(texts)
 
     def seen(self, causes: Iterable[str]) -> None:
         """Take note of the causes that stand, as RTPUs tell them."""
@@ -57,15 +54,12 @@ class Unfed:
         Raises:
             PbonetError: The keeper does not do it.
         """
-        texts = list(map(verify.as_text, problems))
+        said: Sequence[verify.Problem] = problems
         try:
             if not self._flag(problems):
-                texts = []
+                said = []
         finally:
-            for text in texts:
-                if text not in self._told:
-                    self._warned(text)
-            self._told = set(texts)
+            self._say(said)
 
     def _flag(self, problems: Sequence[verify.Problem]) -> bool:
         """Bring the flag in line; return whether it is up for these problems.

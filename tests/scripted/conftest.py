@@ -8,6 +8,7 @@ import time
 import pytest
 from patience import LEASE_MS
 
+from pbonet.master.subsystem import Subsystem
 from pbonet.xm import session
 
 
@@ -49,3 +50,15 @@ def agents(world):
     yield fakes
     for fake in fakes.values():
         fake.close()
+
+
+@pytest.fixture
+def arm(world, agents, puma):
+    """An open subsystem with both RTPUs; its warnings are in ``arm.heard``."""
+    agents("arm0", "arm1")
+    subsystem = Subsystem(puma, domain=world.domain)
+    subsystem.heard = []
+    subsystem.warned = subsystem.heard.append
+    subsystem.open()
+    yield subsystem
+    subsystem.detach()

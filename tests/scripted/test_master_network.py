@@ -17,7 +17,6 @@ from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
 from pbonet.master import oneshot
 from pbonet.master.interfaces import Script
 from pbonet.master.network import Port
-from pbonet.master.subsystem import Subsystem
 from pbonet.xm import codec, keys, rpc, rundir, session
 from pbonet.xm import messages as m
 
@@ -50,14 +49,6 @@ FOREIGN = textwrap.dedent(
     assert "pbonet" not in sys.modules
     """
 )
-
-
-@pytest.fixture
-def arm(world, agents, puma):
-    agents("arm0", "arm1")
-    subsystem = Subsystem(puma, domain=world.domain).open()
-    yield subsystem
-    subsystem.detach()
 
 
 @pytest.fixture

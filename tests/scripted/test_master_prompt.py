@@ -17,18 +17,9 @@ from prompt_toolkit.output import DummyOutput
 
 from pbonet.master.profile import Window
 from pbonet.master.prompt import Prompt, summary
-from pbonet.master.subsystem import Subsystem
 from pbonet.xm import messages as m
 
 F12 = "\x1b[24~"
-
-
-@pytest.fixture
-def arm(world, agents, puma):
-    agents("arm0", "arm1")
-    subsystem = Subsystem(puma, domain=world.domain).open()
-    yield subsystem
-    subsystem.detach()
 
 
 @pytest.fixture

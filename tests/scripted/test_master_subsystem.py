@@ -30,18 +30,6 @@ ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
 
 
 @pytest.fixture
-def arm(world, agents, puma):
-    """An open subsystem with both RTPUs; its warnings are in ``arm.heard``."""
-    agents("arm0", "arm1")
-    subsystem = Subsystem(puma, domain=world.domain)
-    subsystem.heard = []
-    subsystem.warned = subsystem.heard.append
-    subsystem.open()
-    yield subsystem
-    subsystem.detach()
-
-
-@pytest.fixture
 def robot(arm):
     """The same with the robot's task OFF, which gives the constants."""
     arm.spawn("puma_pidg", "arm0")

@@ -6,6 +6,7 @@ import pytest
 
 from pbonet import verify
 from pbonet.errors import NoAnswerError
+from pbonet.master.standing import Standing
 from pbonet.master.unfed import UNFED, Unfed
 
 
@@ -18,7 +19,11 @@ class Keeper:
         self.asked = []
         self.warnings = []
         self.silent = False
-        self.unfed = Unfed(self.ask, self.warnings.append)
+        self._said = Standing()
+        self.unfed = Unfed(self.ask, self.say)
+
+    def say(self, problems):
+        self.warnings += self._said.say(problems)
 
     def ask(self, flag):
         if self.silent:
