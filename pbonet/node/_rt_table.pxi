@@ -190,7 +190,7 @@ cdef class CoreTable:
         return SlotStatus(
             index=i, rtpu=slot.config.rtpu.decode(), task=slot.config.task.decode(),
             pid=v.pid, kind=Kind(v.kind), mode=Mode(v.mode), dead=bool(v.dead),
-            comes=bool(v.comes), fell=bool(v.fell),
+            comes=bool(v.comes), called=bool(v.called), fell=bool(v.fell),
             period_ns=v.period_ns, deadline_ns=v.deadline_ns, crit=v.crit,
             priority=v.priority, level=v.level, errors=v.errors, now_ns=rt_now(),
             on_ns=v.on_ns, release_ns=v.release_ns, cycles=v.cycles,

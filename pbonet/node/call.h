@@ -28,13 +28,19 @@ static inline int rt_expects(const struct rt_table *t, int i, uint32_t life,
 /* Say to an heir of another core that the caller has ended; behind the last of them it
  * comes after nobody any more, so the next turn of its dispatcher engages it. A caller
  * that is killed in here has not called, or the heir's config is whole again by the next
- * edit. Returns whether the heir waited for it. */
+ * edit. Returns whether the heir waited for it, and lives. */
 static inline int rt_call(struct rt_table *t, int i, uint32_t life, uint32_t ticket,
                           int caller)
 {
     struct rt_config *c = &t->slots[i].config;
     rt_edit_lock(t);
     int awaited = rt_expects(t, i, life, ticket, caller);
+    if (awaited) {
+        /* SYNC POINT: rt_mourn marks the death first and looks at `called` then. So either
+         * this caller is told that nobody comes, or the death raises the flag. */
+        atomic_store(&c->called, 1);
+        awaited = atomic_load(&c->dead) != life;
+    }
     uint64_t left = atomic_load(&c->callers) & ~(UINT64_C(1) << caller);
     if (awaited && !(uint32_t)left) {
         uint32_t gen = rt_config_begin(c);

@@ -367,7 +367,11 @@ async def come(task: Task, limit: float) -> None:
 
 
 async def rest(rtpu: Home, task: Task) -> None:
-    """Have a task that did not come on stand by no longer."""
-    rtpu.core.follow(task.facts.slot, 0, [])
+    """Have a task that did not come on stand by no longer.
+
+    Of one that has died it stays known what it waited for, until its end is heard of.
+    """
+    if not rtpu.core.snapshot(task.facts.slot).dead:
+        rtpu.core.follow(task.facts.slot, 0, [])
     with contextlib.suppress(PbonetError):
         await task.command("rest", lambda n: wire.Prepare(n, []), 1.0)

@@ -150,7 +150,7 @@ class Heirs:
         if self._forget(task) and task.engaged and not task.engaged.done():
             await rest(self._rtpu, task)
 
-    def died(self, task: Task, *, ended: bool = False) -> None:
+    def died(self, task: Task, *, called: bool = False, ended: bool = False) -> None:
         """Keep the flag up for a task that has died as it was about to come on.
 
         Its death has raised it natively. While somebody writes what it was to take over
@@ -158,6 +158,8 @@ class Heirs:
 
         Args:
             task: The task.
+            called: Those before it call it, and one of them has ended. The exchange is
+                not this RTPU's alone: the entry stands until all is written anew.
             ended: Their exchange has; who writes now goes on.
         """
         rtpu, subsystem, outputs = self._rtpu, task.facts.subsystem, task.facts.outputs
@@ -167,7 +169,8 @@ class Heirs:
             for one in rtpu.of(subsystem)
             if one.name in owners and one is not task
         ]
-        written = any(s.mode in {Mode.ON, Mode.COMMAND} and not s.dead for s in slots)
+        there = any(s.mode in {Mode.ON, Mode.COMMAND} and not s.dead for s in slots)
+        written = there and not called
         if written and ended:
             rtpu.flags.down(subsystem, task.name)
             return

@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 6,
+    RT_VERSION = 7,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -83,6 +83,7 @@ struct rt_config {
     _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
     _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
     _Atomic uint64_t callers;           /* of other cores: ticket << 32 | one bit each */
+    _Atomic uint32_t called;            /* one of these has ended, and counts on it */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 

@@ -18,12 +18,14 @@ static inline int rt_stands(const struct rt_state *s)
 }
 
 /* Whether a task that stands by comes on now, or will as soon as those have ended that it
- * takes over from in order: if it dies now, nobody writes what they wrote. */
+ * takes over from in order, or one of other cores has ended and called it: if it dies now,
+ * nobody writes what they wrote. */
 static inline int rt_comes(const struct rt_slot *slot)
 {
     return (atomic_load(&slot->post.word) & 3) == RT_STANDS &&
            (atomic_load(&slot->grant.seq) != atomic_load(&slot->post.done) ||
-            atomic_load(&slot->config.after_kind) == RT_HANDOVER);
+            atomic_load(&slot->config.after_kind) == RT_HANDOVER ||
+            atomic_load(&slot->config.called));
 }
 
 /* Whether the slots that `s` comes after have ended as it waits for. */

@@ -433,7 +433,7 @@ class Rtpu:
         last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
         if slot.comes:
-            self.heirs.died(task)
+            self.heirs.died(task, called=slot.called)
         elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
             self._raise_flag(task, "has died")
         trace = task.child.crash_text()

@@ -390,6 +390,7 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     for (int k = 0; k < RT_MASKS; k++)
         atomic_store(&c->after[k], 0);
     atomic_store(&c->callers, 0);
+    atomic_store(&c->called, 0);
     rt_init_mutex(&slot->alive);
     memset(c->rtpu, 0, RT_NAME);
     memset(c->task, 0, RT_NAME);
@@ -482,6 +483,7 @@ static inline void rt_follow(struct rt_table *t, int i, int kind, const uint64_t
         atomic_store_explicit(&c->after[k], after[k], memory_order_relaxed);
     rt_config_end(c, gen);
     atomic_store(&c->callers, 0);
+    atomic_store(&c->called, 0);
     pthread_mutex_unlock(&t->edit);
 }
 

@@ -12,7 +12,7 @@ struct rt_section_view {
 
 struct rt_view {
     int life, dead, pid, kind, crit, priority, mode, level;
-    int rank, drop, handler, tells, hangs, comes, fell, n_sections;
+    int rank, drop, handler, tells, hangs, comes, called, fell, n_sections;
     int64_t period_ns, deadline_ns, release_ns, minc_ns, maxc_ns;
     uint64_t dispatcher_missed, errors, overruns, held_off, failures[RT_FAILURES];
     uint64_t aborted, skipped, handlers, stale_failures;
@@ -113,6 +113,7 @@ static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
     v->deadline_ns = atomic_load(&c->deadline_ns);
     v->mode = (int)(atomic_load(&slot->post.word) & 3);
     v->comes = rt_comes(slot);
+    v->called = (int)atomic_load(&c->called);
     v->fell = (int)atomic_load(&slot->grant.fell);
     v->level = atomic_load(&slot->grant.level);
     v->dispatcher_missed = rt_get(&slot->grant.missed);

@@ -84,19 +84,30 @@ static inline void rt_raise(const struct rt_watched *w, const char *cause)
     pb_raise(w->table, &c);             /* no room: other causes hold it up */
 }
 
+/* Raise the flag for a death if others count on the task; whether they do. */
+static inline int rt_alarm(struct rt_vigil *v, int i, const struct rt_watched *w)
+{
+    const struct rt_slot *slot = &v->table->slots[i];
+    uint32_t mode = atomic_load(&slot->post.word) & 3;
+    if (mode != RT_ON && mode != RT_COMMAND && !rt_comes(slot))
+        return 0;
+    atomic_fetch_add(&v->deaths, 1);
+    rt_raise(w, w->died);
+    return 1;
+}
+
 /* Tell of a death; the flag goes up first, so that whoever is released next sees it. */
 static inline void rt_mourn(struct rt_vigil *v, int i, struct rt_watched *w)
 {
     struct rt_slot *slot = &v->table->slots[i];
-    uint32_t mode = atomic_load(&slot->post.word) & 3;
     int32_t pid = atomic_load(&slot->config.pid);
     if (v->backend == RT_FIFO && pid > 0)
         rt_take_level(pid);     /* first: else who is released waits for its end */
-    if (mode == RT_ON || mode == RT_COMMAND || rt_comes(slot)) {
-        atomic_fetch_add(&v->deaths, 1);
-        rt_raise(w, w->died);
-    }
+    int raised = rt_alarm(v, i, w);
     atomic_store(&slot->config.dead, atomic_load(&w->life));
+    /* SYNC POINT: rt_call says that it has called first and looks for a death then. */
+    if (!raised)
+        rt_alarm(v, i, w);
     atomic_store(&w->life, 0);
     rt_kick(v->table);
 }

@@ -66,6 +66,8 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     """The task's process is gone."""
     comes: bool
     """It stands by, and comes on as soon as those have ended whose place it takes."""
+    called: bool
+    """One of those has ended on another core, and has called it."""
     fell: bool
     """It failed while it was ON: who stands by for it is engaged at once."""
     period_ns: int

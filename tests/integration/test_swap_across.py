@@ -70,9 +70,9 @@ def arm(nodes, tmp_path):
     subsystem.finish()
 
 
-def stand_by(arm, heir, old, limit=LIMIT):
-    """Have a task of arm1 stand by for one of arm0; return whom that has to call."""
-    request = m.Heirs(after={heir: [old]}, timeout=limit)
+def stand_by(arm, heir, *olds, limit=LIMIT):
+    """Have a task of arm1 stand by for some of arm0; return whom these have to call."""
+    request = m.Heirs(after={heir: list(olds)}, timeout=limit)
     return arm.fleet.call("arm1", request, dict[str, list[m.Call]])
 
 
@@ -146,17 +146,29 @@ def test_pairs_in_both_directions(arm):
 def test_two_that_leave_for_one(arm):
     arm.control("c", "on")
     calls = stand_by(arm, "b", "a")
-    again = arm.fleet.call(
-        "arm1",
-        m.Heirs(after={"b": ["a", "c"]}, timeout=LIMIT),
-        dict[str, list[m.Call]],
-    )
+    again = stand_by(arm, "b", "a", "c")
     assert set(again) == {"a", "c"}
     assert calls["a"][0].ticket != again["a"][0].ticket
     assert turn_off(arm, "c", again).done == 1
     assert states(arm)["b"] == "OFF", "it waits for a, too"
     assert turn_off(arm, "a", again).done == 1
     wait_for(lambda: states(arm)["b"] == "ON", "that it says that it is ON")
+
+
+def test_an_heir_that_is_killed_between_two_calls(arm):
+    """Who has ended counts on it: the flag is up from its death on."""
+    arm.control("c", "on")
+    calls = stand_by(arm, "b", "c", "a")
+    assert turn_off(arm, "c", calls).done == 1
+    os.kill(arm.status("b").tid, signal.SIGKILL)
+    died = "b has died (arm1/b)"
+    wait_for(lambda: "TASK_DIED" in {event.code for event in arm.events()}, "its end")
+    assert turn_off(arm, "a", calls).unseen == ["b"]
+    told = [(event.code, event.text) for event in arm.events() if died in event.text]
+    assert told[0] == ("ILLEGAL", died)
+    wait_for(lambda: died not in causes(arm), "that a is seen to write all of it")
+    arm.control("c", "on")
+    wait_for(lambda: not causes(arm), "a legal configuration")
 
 
 def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
@@ -170,7 +182,7 @@ def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
 
 def test_an_heir_stands_by_for_a_limited_time(arm):
     """As when the master is killed before it has sent the first signal."""
-    calls = stand_by(arm, "b", "a", 2.0)
+    calls = stand_by(arm, "b", "a", limit=2.0)
 
     def expired():
         return turn_off(arm, "c", {"c": calls["a"]}).unseen == ["b"]

@@ -181,3 +181,25 @@ def test_the_end_of_who_comes_on_raises_the_flag(core, vigil, table, kind, falle
     first.disarm()
     core.free(new)
     core.free(old)
+
+
+@pytest.mark.parametrize("calls", [0, 1, 2])
+def test_the_end_of_an_heir_that_was_called_raises_the_flag(core, vigil, table, calls):
+    """It waits for two tasks of other cores; who has called it has ended."""
+    slot = core.alloc("r", "t")
+    life = core.expect(slot, ticket=7, callers=2)
+    pid = child(slot, arm=False, stands=True)
+    wait_for(lambda: core.snapshot(slot).mode is Mode.STANDS, "standing by")
+    watch(vigil, slot, table)
+    for caller in range(calls):
+        assert core.call(slot, life, 7, caller)
+    os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: core.snapshot(slot).dead, "the news of the death")
+    assert core.snapshot(slot).comes is core.snapshot(slot).called is bool(calls)
+    assert causes(table) == [("t has died", "r/t")] * bool(calls)
+    assert vigil.counts[0] == bool(calls)
+    assert not core.call(slot, life, 7, 1), "nobody hears that"
+    os.waitpid(pid, 0)
+    core.follow(slot, 0, [])
+    assert not core.snapshot(slot).called
+    core.free(slot)

@@ -93,6 +93,7 @@ static void disturb(struct rt_table *t, int i)
         require(rt_call(t, i, rt_life(t, i), 7, 0) == lives, "the first call");
         require(!rt_call(t, i, rt_life(t, i), 7, 0), "the first call, repeated");
         require(t->slots[i].config.after_kind == RT_ALONE, "one has not called");
+        require(t->slots[i].config.called == (uint32_t)lives, "one has called");
         if (pick(2))
             require(rt_call(t, i, rt_life(t, i), 7, 1) == lives, "the last call");
         break;
