@@ -7,7 +7,7 @@ test that is about them bears the mark `own_limits`.
 
 from __future__ import annotations
 
-from pbonet.master import crew, fleet, logbook, subsystem
+from pbonet.master import crew, fleet, logbook, proving, subsystem
 from pbonet.xm import rpc, session
 
 LIMIT = 30.0
@@ -23,6 +23,7 @@ def be_patient(monkeypatch) -> None:
         (crew, ("CONTROL_TIME", "SPAWN_TIME", "STOP_TIME")),
         (subsystem, ("CONTROL_TIME",)),
         (logbook, ("FINISH_TIME",)),
+        (proving, ("PATIENCE",)),
     ):
         for name in names:
             monkeypatch.setattr(module, name, LIMIT)

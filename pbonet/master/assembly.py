@@ -264,7 +264,8 @@ def stands(crew: Crew, member: Member) -> bool:
         expected=f"none, or one of the same RMOD on {member.rtpu} without error",
         got=f"state {old.state}, {'the same' if same else 'another'} RMOD "
         f"on {old.rtpu}",
-        remedy=f"'kill {old.name}' removes it",
+        remedy=f"'clear {old.name}' mends it, " * (same and old.state is State.ERROR)
+        + f"'kill {old.name}' removes it",
     )
 
 

@@ -46,7 +46,11 @@ def taken_over(
     """
     olds = list(going)
     found = {
-        new.name: [old.name for old in olds if {*old.task.gives} & {*new.task.gives}]
+        new.name: [
+            old.name
+            for old in olds
+            if old.name != new.name and {*old.task.gives} & {*new.task.gives}
+        ]
         for new in coming
     }
     return {name: names for name, names in found.items() if names}

@@ -17,6 +17,7 @@ from pbonet.errors import StateError, VerificationError
 from pbonet.master import assembly, constants
 from pbonet.master.changing import Opened
 from pbonet.master.conditions import Gate, in_time
+from pbonet.master.proving import prove
 from pbonet.master.words import check_signal
 from pbonet.pbo import State
 
@@ -141,7 +142,8 @@ class Switching(Opened, Protocol):
         POST of the job that stands and PRE of the one to come must hold, before
         anything is done and again when all its tasks are there; not where the job
         stands already and is only completed. Tasks that are ON or in ERROR and not in
-        the job are turned off and killed; tasks that are OFF stand by, and stay so.
+        the job are turned off, and killed when those that came have done a cycle; tasks
+        that are OFF stand by, and stay so.
 
         Args:
             job: The ``.job`` file or its name; None where the subsystem was opened with
@@ -155,7 +157,8 @@ class Switching(Opened, Protocol):
             VerificationError: The end would be illegal, or a condition cannot be
                 answered; nothing was done.
             ConditionError: One does not hold, and says what was seen; nothing was done.
-            ReconfigError: A signal failed; it says which, and what was not sent.
+            ReconfigError: A signal failed, or a new task in its first cycle; it says
+                which, and what was not sent.
             PbonetError: A new task could not be spawned; nothing else was done.
         """
 
@@ -179,10 +182,13 @@ class Switching(Opened, Protocol):
             return transition
         try:
             plan.spawn(transition, self.stopped, gate)
-            transition.states = crew.send(transition.items)
+            items = transition.items
+            transition.states = crew.send(items)
             plan.pair()
-            kills = [(name, "kill") for name in transition.kills]
-            transition.states |= crew.send(kills, before=transition.items)
+            if kills := [(name, "kill") for name in transition.kills]:
+                came = prove(crew, items, kills, self.clock, self.stopped)
+                transition.states |= came
+                transition.states |= crew.send(kills, before=items)
         finally:
             crew.settle()
         return transition
@@ -197,6 +203,8 @@ class _Plan:
         self._coming: dict[str, Member] = {}
         self._killed: list[str] = []
         self._standbys: dict[str, Member] = {}
+        self._kept: set[str] = set()
+        """Standbys of tasks that leave."""
 
     def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
         """Turn tasks off, except those that are named."""
@@ -207,13 +215,22 @@ class _Plan:
         if not member.is_on:
             self._coming[member.name] = member
 
-    def have_ready(self, member: Member) -> None:
-        """Have a standby ready, which stands or is to be spawned."""
-        self._standbys[member.name] = member
+    def have_ready(self, member: Member, before: str) -> None:
+        """Have a standby ready, which stands or is to be spawned.
 
-    def kill_all(self) -> None:
-        """Kill those that are turned off."""
-        self._killed = list(self._going)
+        Args:
+            member: The standby.
+            before: Whose fallback it has been until now; that one keeps it as long as
+                it is ON.
+        """
+        self._standbys[member.name] = member
+        other = self._crew.picture.get(before)
+        if before != member.fallback_of and other is not None and other.is_on:
+            self._kept.add(member.name)
+
+    def kill_all(self, *, but: Sequence[str]) -> None:
+        """Kill those that are turned off, except those that are to stand by."""
+        self._killed = [name for name in self._going if name not in but]
 
     def judged(self) -> Transition:
         """Return what is to be done.
@@ -277,6 +294,9 @@ class _Plan:
             if gate is not None:
                 if transition.spawns:
                     gate.must_hold()
+                # Before a task may fail for which somebody stands by.
+                free = self._standbys.keys() - self._kept
+                assembly.pair(self._crew, [self._standbys[name] for name in free])
                 gate.entered()
         if transition.spawns:
             self._crew.rank()
@@ -291,17 +311,17 @@ def _of_job(crew: Crew, job: JobFile) -> _Plan:
     """
     plan = _Plan(crew)
     wanted = assembly.plan(crew, job)
-    names = [member.name for member in wanted]
     plan.take_out(
-        [one for one in crew.picture if one.state is not State.OFF], but=names
+        [one for one in crew.picture if one.state is not State.OFF],
+        but=[member.name for member in wanted if not member.fallback_of],
     )
-    plan.kill_all()
+    plan.kill_all(but=[member.name for member in wanted])
     for member in wanted:
         stands = assembly.stands(crew, member)
         standing = crew.picture.find(member.name) if stands else member
-        standing.fallback_of = member.fallback_of
+        before, standing.fallback_of = standing.fallback_of, member.fallback_of
         if member.fallback_of:
-            plan.have_ready(standing)
+            plan.have_ready(standing, before)
         else:
             plan.put_in(standing)
         if stands:

@@ -26,6 +26,18 @@ from pbonet.svar import Table
 from pbonet.xm import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
+FAILS = """
+from typing import Annotated as A
+
+from pbonet import OutVar, PortBasedObject, Vector
+
+
+class Fails(PortBasedObject):
+    y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+    def cycle(self, dt: float) -> None:
+        raise ZeroDivisionError("no cycle works")
+"""
 
 
 @pytest.fixture
@@ -101,6 +113,38 @@ def test_on_that_raises_and_back_again(arm, write, tmp_path):
     assert writer(arm) == "good"
     text = (tmp_path / "good.txt").read_text()
     assert "off True" in text  # it was told that somebody would take over
+
+
+@pytest.mark.parametrize("rtpu", ["arm0", "arm1"])
+def test_a_switch_kills_nobody_for_a_task_that_fails_at_once(
+    arm, nodes, write, tmp_path, rtpu
+):
+    """It fails in its first cycle; who stands by for it is there by then."""
+    nodes.write_module("fails_at_once", FAILS)
+    write("bad", "fails_at_once")
+    write("third", "counts")
+    for job, line in (
+        ("one", "TASK good arm0"),
+        ("two", f"TASK bad {rtpu} FALLBACK third"),
+    ):
+        text = f"JOB {job}\nDESC\nSBS t.sbs\n{line}\nTASK stays arm0\nEOF\n"
+        (tmp_path / f"{job}.job").write_text(text)
+    arm.switch("one")
+    with pytest.raises(ReconfigError) as caught:
+        arm.switch("two")
+    assert (caught.value.done, caught.value.rest) == (2, (("good", "kill"),))
+    assert "bad, which has come on, has failed" in str(caught.value)
+    assert "no cycle works" in str(caught.value)
+    assert "nobody was killed" in str(caught.value)
+    states_then = {"stays": "ON", "good": "OFF", "bad": "ERROR", "third": "ON"}
+    wait_for(lambda: states(arm) == states_then, "that the fallback is ON")
+    wait_for(lambda: not causes(arm), "a legal configuration")
+    with pytest.raises(StateError, match="'clear bad' mends it, 'kill bad' removes it"):
+        arm.switch("two")
+    back = arm.switch("one")
+    assert back.items == [("third", "off"), ("good", "on")]
+    assert states(arm) == {"stays": "ON", "good": "ON"}
+    assert writer(arm) == "good"
 
 
 @pytest.fixture

@@ -234,7 +234,9 @@ def test_a_swap_to_the_fallback_is_a_swap_like_others(folder):
         states = {one.task: one.state for one in arm.status_all()}
         assert states == {"first": "OFF", "second": "ON", "sink": "ON"}
         assert arm.display(["Y"])[0].writer == "second"
-        arm.swap("second", "first")
+        back = arm.switch()  # to the job that says who stands by for whom
+        assert back.items == [("second", "off"), ("first", "on")]
+        assert (back.kills, back.stays) == ([], ["sink"])
         assert arm.status("second").stands_by
 
 

@@ -1,0 +1,75 @@
+"""Sees that those that came have done a cycle before others are killed for them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.config.model import TaskType
+from pbonet.errors import StateError
+from pbonet.master.failures import stuck
+from pbonet.pbo import State
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Sequence
+
+    from pbonet.master.clock import Clock
+    from pbonet.master.crew import Crew
+    from pbonet.xm import messages as m
+
+    Item = tuple[str, str]
+
+PATIENCE = 2.0
+"""Seconds that are waited for first cycles at most; slower tasks are not waited for."""
+_LOOK = 0.002
+
+
+def prove(
+    crew: Crew,
+    items: Sequence[Item],
+    kills: Sequence[Item],
+    clock: Clock,
+    stopped: threading.Event,
+) -> dict[str, str]:
+    """Wait for the first cycles of tasks that have come; return where these stand.
+
+    Args:
+        crew: The subsystem.
+        items: What was carried out.
+        kills: What is to be done behind it.
+        clock: By which first cycles are waited for.
+        stopped: When it is set nobody waits any more.
+
+    Raises:
+        ReconfigError: One of them has failed; nobody was killed.
+    """
+    came = [task for task, signal in items if signal == "on"]
+    end = clock.now() + PATIENCE
+    while True:
+        statuses = [one for rtpu in crew.refresh(strict=False) for one in rtpu.tasks]
+        there = {one.task: one for one in statuses if one.task in came}
+        for one in there.values():
+            if one.state in {State.ERROR, State.NOT_CREATED} and not stopped.is_set():
+                error = _failed(one)
+                raise stuck([*items, *kills], len(items), error) from error
+        begins = [one for one in there.values() if _begins(crew, one)]
+        if not begins or clock.now() >= end or clock.wait(_LOOK, stopped):
+            return {task: one.state for task, one in there.items()}
+
+
+def _begins(crew: Crew, task: m.TaskStatus) -> bool:
+    """Tell whether a task has its first cycle, which time brings, still before it."""
+    member = crew.picture.get(task.task)
+    periodic = member is not None and member.rmod.tasktype is TaskType.PERIODIC
+    return periodic and task.state == State.ON and not task.cycle
+
+
+def _failed(task: m.TaskStatus) -> StateError:
+    """Return the error for a task that has come and does not stay."""
+    return StateError(
+        f"{task.task}, which has come on, has failed",
+        where=f"{task.rtpu}/{task.task}",
+        expected="a first cycle before others are killed for it",
+        got=task.error or f"state {task.state}",
+        remedy="nobody was killed: 'switch' back turns them on again",
+    )
