@@ -25,7 +25,7 @@ from pbonet.log import Attached, LogWriter, TaskAbout
 from pbonet.xm import folders
 from pbonet.xm.messages import Event
 
-from . import _rt, runtime, wire
+from . import _rt, rings, runtime, wire
 from ._ring import Ring
 from .logfiles import LogFiles
 
@@ -97,7 +97,7 @@ class Recorder:
         self._files = LogFiles(wanted, self._say, self._enter_all)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
-        self._folder = os.environ.get("PBONET_SHM_DIR") or "/dev/shm"  # noqa: S108
+        self._folder = os.environ.get("PBONET_SHM_DIR") or rings.FOLDER
         self._changes = folders.Changes(self._folder)
         self._waiting = False
         """Whether there are rings that may yet be followed."""
@@ -175,6 +175,8 @@ class Recorder:
             if mode != "off":
                 ring.want(always=mode == "all")
                 self._begin(key, ring, about)
+                if rings.is_left(name):  # it is whole: the next look lets go of it
+                    Path(ring.path).unlink(missing_ok=True)
                 return
         except msgspec.MsgspecError:
             pass

@@ -17,7 +17,7 @@ import msgspec
 from pbonet.config import agent_text
 from pbonet.errors import Severity
 
-from . import runtime, wire
+from . import rings, runtime, wire
 from .commanded import command
 from .feed import Feed
 from .tasks import describe_end
@@ -195,6 +195,7 @@ class Recorders:
         self._tell = tell
         self._limits = wire.LogLimits(config.log_mb, config.log_minutes, config.runs_mb)
         self._text = agent_text(config)
+        self._domain, self._name = config.domain, config.name
         self._fares: dict[str, wire.Recorder] = {}
         self._children: dict[str, _Child] = {}
         self._ended: list[_Child] = []
@@ -306,3 +307,5 @@ class Recorders:
             ended, self._ended = self._ended, []
         for child in ended:
             child.join()
+        if self._name is not None:
+            rings.sweep(self._domain, self._name)

@@ -23,7 +23,7 @@ from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, rundir, sweep
 
-from . import control, forkserver, leftovers, orphans, runtime, wire
+from . import control, forkserver, leftovers, orphans, rings, runtime, wire
 from .events import EventLog
 from .inlets import Inlets
 from .known import Teller
@@ -219,6 +219,7 @@ async def run(config: wire.RtpuConfig, forks: Server) -> int:
     lock = rundir.NameLock(places.ctl_lock, f"pid {os.getpid()}")
     try:
         leftovers.clean(places)
+        rings.sweep(config.domain, config.name)
         rtpu = Rtpu(config, EventLog(config.name), places, forks)
         await _serve(rtpu, places, end)
     finally:
@@ -249,6 +250,7 @@ def _remove_dead_agent(places: rundir.Places) -> None:
     with contextlib.suppress(DuplicateNameError):
         lock = rundir.NameLock(places.lock)
         places.remove(*places.agents_files)
+        rings.sweep(places.domain, places.name)
         lock.release()
 
 

@@ -15,13 +15,13 @@ from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
 from . import _rt, known, leftovers, lifecycle, ranking, runtime, status, waking, wire
-from ._ring import Ring
 from .claims import Claims
 from .failures import own_place, placed
 from .fallbacks import Fallbacks
 from .flags import Flags
 from .givers import Givers
 from .heirs import Heirs
+from .rings import let_ring_go
 from .signalling import Signals
 from .spawner import Server, Spawner
 from .tables import Tables
@@ -410,7 +410,7 @@ class Rtpu:
         try:
             if opened is not None:
                 opened.table.reap(task.name)
-            Ring.attach(task.facts.ring).destroy()
+            let_ring_go(task, self.recordings.get(task.facts.subsystem))
         except NodeError:
             pass  # it ended before it had a ring, or removed it
         except (PbonetError, OSError) as error:

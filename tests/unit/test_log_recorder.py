@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import time
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -13,7 +14,7 @@ from watching import wait_for
 from pbonet.config.model import AgentConfig
 from pbonet.log import Log, TaskAbout
 from pbonet.node import recorder as recording
-from pbonet.node import wire
+from pbonet.node import rings, wire
 from pbonet.node._ring import Ring
 from pbonet.node.recorders import BEFORE, RESTARTS, Recorders
 from pbonet.xm import codec
@@ -89,6 +90,68 @@ def test_without_a_limit_it_stays_in_one(ring, tmp_path) -> None:
         recorder.turn()
     recorder.end()
     assert len(Log(tmp_path / "r").parts) == 1
+
+
+def gone(task="a", pid=7):
+    """A task whose process has ended."""
+    facts = SimpleNamespace(ring=f"d.arm.{task}")
+    return SimpleNamespace(name=task, facts=facts, child=SimpleNamespace(pid=pid))
+
+
+def files(shared_memory):
+    return [one.name.split(".", 3)[-1] for one in shared_memory.glob("*.ring")]
+
+
+def test_what_a_task_left_before_the_recorder_came_is_in_the_log(
+    tmp_path, shared_memory
+) -> None:
+    """Also where another task of its name is there already."""
+    for cycle in (1, 2):
+        ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+        ring.close()
+        rings.let_ring_go(gone(pid=cycle), wanted(tmp_path))
+    assert sorted(files(shared_memory)) == ["arm.a~arm0.1.ring", "arm.a~arm0.2.ring"]
+    recorder = begin(tmp_path, [])
+    recorder.end()
+    assert files(shared_memory) == []
+    assert sorted(Log(tmp_path / "r").arrays("a")["cycle"].tolist()) == [1, 2]
+
+
+def test_a_ring_that_a_recorder_follows_is_removed_and_emptied(
+    ring, tmp_path, shared_memory
+) -> None:
+    recorder = begin(tmp_path, [])
+    recorder.turn()
+    ring.put(b"", cycle=1, now_ns=1)
+    rings.let_ring_go(gone(), wanted(tmp_path))
+    assert files(shared_memory) == []
+    recorder.end()
+    assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1]
+
+
+@pytest.mark.parametrize("tasks", [None, {"a": "off"}])
+def test_the_ring_of_a_task_that_nobody_records_is_removed(
+    tmp_path, shared_memory, tasks
+) -> None:
+    Ring.create("d.arm.a", 1 << 14).close()
+    asked = msgspec.structs.replace(wanted(tmp_path), tasks=tasks) if tasks else None
+    rings.let_ring_go(gone(), asked)
+    assert files(shared_memory) == []
+
+
+def test_rings_that_no_recorder_comes_for_are_bounded_and_swept(
+    tmp_path, shared_memory
+) -> None:
+    for pid in range(rings.MOST + 1):
+        Ring.create("d.arm.a", 1 << 14).close()
+        rings.let_ring_go(gone(pid=pid), wanted(tmp_path))
+    assert len(files(shared_memory)) == rings.MOST
+    rings.sweep("d", "arm")
+    rings.sweep("e", "arm0")
+    assert len(files(shared_memory)) == rings.MOST, "they are another one's"
+    Recorders(lambda _: None, AgentConfig(name="arm0", domain="d")).stop()
+    assert files(shared_memory) == []
 
 
 @pytest.mark.usefixtures("ring")
