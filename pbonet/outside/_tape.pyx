@@ -96,28 +96,34 @@ cdef class Outside:
         tape_put(&self.tape.t, e, first, n, second, m)
 
     cdef int failed(self, error) except -1:
-        """Note that a call was ended by an exception."""
+        """Count a call that was ended by an exception, and note that."""
         cdef bytes text = b""
         if not isinstance(error, Exception):
+            self.calls += 1
             self.put(TAPE_BROKEN, NULL, 0, NULL, 0)
             return 0
         text = answers.pack_error(error)
+        self.calls += 1
         self.put(TAPE_RAISED, <char *>text, len(text), NULL, 0)
         return 0
 
     def ask(self, call, *args, default=ALWAYS):
-        cdef bytes text
-        self.calls += 1
+        """Calls count as they end: within one, a handler may ask the same source."""
+        cdef bytes text = None
+        cdef uint8_t kind = 0
         if self.player is not None:
+            self.calls += 1
             return self.player.answer(self, default)
         if self.tape is None:
             return call(*args)
         try:
             answer = call(*args)
+            if default is ALWAYS or answer != default or type(answer) is not type(default):
+                kind, text = answers.pack(answer, self.name)
         except BaseException as error:
             self.failed(error)
             raise
-        if default is ALWAYS or answer != default or type(answer) is not type(default):
-            kind, text = answers.pack(answer, self.name)
+        self.calls += 1
+        if text is not None:
             self.put(kind, <char *>text, len(text), NULL, 0)
         return answer

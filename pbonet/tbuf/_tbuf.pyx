@@ -223,12 +223,12 @@ cdef class Out(End):
             self.stamp.number += 1
             self.stamp.time_ns = self.stamp.stamp_ns = now_ns
         else:
-            self.outside.calls += 1
             try:
                 _send(self, now_ns)
             except BaseException as error:
                 self.outside.failed(error)
                 raise
+            self.outside.calls += 1
 
     @property
     def time_ns(self) -> int:
@@ -287,12 +287,12 @@ cdef class In(End):
             return tb_read(self.ready(), &self.stamp, self.copy, not self.met)
         if self.outside.player is not None:
             return self.play(self.outside.ask(None, default=b""))
-        self.outside.calls += 1
         try:
             new = tb_read(self.ready(), &self.stamp, self.copy, not self.met)
         except BaseException as error:
             self.outside.failed(error)
             raise
+        self.outside.calls += 1
         if new and self.outside.recording():
             self.outside.put(TAPE_RAW, &self.stamp, sizeof(tb_stamp), self.copy,
                              self.b.bytes)

@@ -175,6 +175,36 @@ def test_a_key_that_would_change_is_refused() -> None:
         Outside("it").ask(lambda: {(1, xm.Policy.HPF): 1})
 
 
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_handler_amid_a_call_may_ask_the_same_source(raises) -> None:
+    """A replay runs it before the line that it interrupted: it has the first number."""
+
+    def program(*, handled: bool) -> list[object]:
+        line = Outside("line")
+        found: list[object] = []
+
+        def handler() -> None:
+            found.append(line.ask(lambda: b"of the handler"))
+
+        def call() -> bytes:
+            handler()
+            if raises:
+                raise OSError(5, "unplugged")
+            return b"of the cycle"
+
+        if handled:
+            handler()
+        try:
+            found.append(line.ask(call))
+        except OSError as error:
+            found.append(error.errno)
+        return [*found, line.ask(lambda: b"the next")]
+
+    found, heard = recorded(lambda: program(handled=False))
+    assert found == [b"of the handler", 5 if raises else b"of the cycle", b"the next"]
+    assert played(lambda: program(handled=True), heard) == found
+
+
 def test_without_a_tape_all_is_asked() -> None:
     thing = object()
     assert Outside("it").ask(lambda: thing) is thing
