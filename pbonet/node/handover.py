@@ -327,7 +327,7 @@ class Exchange:
     @property
     def hanging(self) -> list[Task]:
         """Tasks whose `off` nobody waits for any more; see `late`."""
-        return [task for task in self._olds if task.busy]
+        return [one for one in self._olds if one.busy and not one.gone.is_set()]
 
     async def late(self, task: Task) -> bool:
         """Wait for an `off` that hangs; return whether it ended in order after all.

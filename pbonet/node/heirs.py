@@ -127,8 +127,12 @@ class Heirs:
             calls.setdefault(old, []).append(call)
 
     def waits(self, task: Task) -> bool:
-        """Tell whether a task stands by, or came on and was not asked for yet."""
-        return (task.facts.subsystem, task.name) in self._waiting
+        """Tell whether a task stands by, or came on and was not asked for yet.
+
+        One of its name that has died meanwhile is another one.
+        """
+        waiting = self._waiting.get((task.facts.subsystem, task.name))
+        return waiting is not None and waiting.task is task
 
     async def come(self, task: Task, limit: float) -> None:
         """Wait until an heir has come on.

@@ -232,7 +232,10 @@ def test_an_heir_that_is_killed_within_on(arm, nodes, tmp_path):
         )
         legal = [event.text for event in arm.events() if event.code == "LEGAL"]
         assert f"no longer: {died}" not in legal, "it was up all the time"
-        assert arm.reconfig([("a", "on")]) == {"a": "ON"}
+        (tmp_path / f"{heir}.rmod").write_text(rmod("counts", "Y0", RATE))
+        done = arm.swap("a", heir, rtpu=rtpu)  # what is left, with a task spawned anew
+        assert (done.items, done.states) == ([(heir, "on")], {heir: "ON"})
+        assert arm.swap(heir, "a").states == {heir: "OFF", "a": "ON"}
         wait_for(lambda: not causes(arm), "a legal configuration")
         begun.unlink()
 

@@ -343,6 +343,7 @@ def test_task_that_dies_while_it_goes_off(arm, gate):
     swapping.join()
     assert not alive(tid)
     assert isinstance(swapping.error, ReconfigError), swapping.error
+    assert not any("hangs" in cause for cause in causes(arm))
     assert "not sent: on good" in str(swapping.error)
     wait_gone([tid])
     arm.reconfig(swapping.error.rest[1:])
