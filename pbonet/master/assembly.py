@@ -199,6 +199,7 @@ class Done:
             leaving: Tasks that are about to be killed, and need no new constants.
         """
         freq = member.freq if member.freq != member.rmod.freq else None
+        constants.at_hand(self._crew, member)
         self._crew.create(member, freq, replaces)
         self._spawned.append(member.name)
         self._robbed |= dict.fromkeys(replaces, member.name)

@@ -307,6 +307,7 @@ class Subsystem(Switching, Calls, Signalled):
             member = crew.plan(self.files.rmod(rmod), rtpu, hz)
             crew.must_be_new(member)
             crew.judge(verify.spawn(member.task))
+            constants.at_hand(crew, member)
             status = crew.create(member, hz)
             try:
                 constants.given(crew, member.name)
@@ -400,9 +401,7 @@ class Subsystem(Switching, Calls, Signalled):
             )
 
     def write(self, variable: str, value: float | Iterable[float]) -> m.VarValue:
-        """Set a variable that no task writes.
-
-        Tasks that have it as an in-const are re-initialized when its value changes.
+        """Set a variable that no task writes; who has it as in-const takes it in.
 
         Raises:
             UnknownVariableError: The table has no such variable.
@@ -412,8 +411,9 @@ class Subsystem(Switching, Calls, Signalled):
             self.files.must_have(variable)
             values = [value] if isinstance(value, (int, float)) else value
             request = m.Write(name=variable, values=[float(one) for one in values])
-            with constants.followed(crew, f"{variable} was set", [variable]):
-                return self.fleet.call(self.sbs.keeper, request, m.VarValue)
+            keeper = self.sbs.keeper
+            with constants.followed(crew, f"{variable} was set", {variable: keeper}):
+                return self.fleet.call(keeper, request, m.VarValue)
 
     # -- the whole --------------------------------------------------------------------
 

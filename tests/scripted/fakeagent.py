@@ -115,6 +115,8 @@ class FakeAgent:
         self.fail: dict[tuple[str, str], PbonetError] = {}
         self.slow: dict[str, float] = {}
         self.held: dict[str, threading.Event] = {}
+        self.late: list[dict[str, list[float]]] = []
+        """What has not come here yet: older values, for one look each."""
         self.executed: dict[str, bytes] = {}
         self.requests: list[m.Request] = []
         self.standing: list[m.Standing] = []
@@ -397,7 +399,8 @@ class FakeAgent:
         )
 
     def do_display(self, request: m.Display) -> list[m.VarValue]:
-        table = self.world.values.get(request.subsystem, {})
+        late = self.late.pop(0) if self.late else {}
+        table = self.world.values.get(request.subsystem, {}) | late
         for name in request.names or ():
             if name not in table:
                 raise UnknownVariableError("there is no such variable", where=name)
