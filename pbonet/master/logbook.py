@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.config.job import LAST, MODES, last_seconds
 from pbonet.config.reader import load
-from pbonet.errors import ConfigError, LogError, PbonetError, did_you_mean
+from pbonet.errors import (
+    ConfigError,
+    LogError,
+    PbonetError,
+    StateError,
+    did_you_mean,
+)
 from pbonet.log import Log, is_complete, log_name
 from pbonet.xm import messages as m
 from pbonet.xm import rpc, rundir
@@ -225,6 +231,28 @@ class Logbook:
             with contextlib.suppress(PbonetError):
                 found[f"{name}.rmod"] = files.rmod(name).text
         return found
+
+
+def book(mode: str | None, *, virtual: bool) -> Logbook:
+    """Return the logbook of a program.
+
+    Args:
+        mode: As for `Logbook`.
+        virtual: In virtual time, where a program writes no log.
+
+    Raises:
+        LogError: There is no such mode.
+        StateError: A log is asked for in virtual time.
+    """
+    if virtual and mode not in {None, "off"}:
+        raise StateError(
+            "a program in virtual time writes no log",
+            expected="record=None or 'off'",
+            got=repr(mode),
+            remedy="every cycle is in simulation.recording; 'pbonet run --sim' writes "
+            "the log of a job in virtual time",
+        )
+    return Logbook("off" if virtual else mode)
 
 
 def _newest(path: Path) -> Path:

@@ -32,7 +32,7 @@ from pbonet.master.embedded import Embedded
 from pbonet.master.failures import must_be_stopped
 from pbonet.master.files import Files
 from pbonet.master.fleet import Fleet, client_name
-from pbonet.master.logbook import Logbook
+from pbonet.master.logbook import book
 from pbonet.master.signalling import Inbox, Signalled
 from pbonet.master.switching import Switching
 from pbonet.master.virtual import VirtualClient, VirtualClock, VirtualRtpus
@@ -75,10 +75,11 @@ class Subsystem(Switching, Calls, Signalled):
         partly: Be content with the RTPUs that answer; of the others it is warned.
         warned: Called with each warning, one sentence, unless a `Desk` collects it.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
-            says, or outputs.
+            says, or outputs. In virtual time nothing is, and only ``off`` may be said.
 
     Raises:
         ConfigError: A file is missing or wrong.
+        StateError: A log is asked for in virtual time.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class Subsystem(Switching, Calls, Signalled):
         self.shown = profile.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = profile.Baselines()
-        self.logbook = Logbook("off" if virtual else record)
+        self.logbook = book(record, virtual=virtual)
         self._connect = connect
         self._kind = kind
         self._take_over = take_over

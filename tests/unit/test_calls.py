@@ -8,7 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from pbonet.errors import NoAnswerError, PbonetError, StateError, VerificationError
+from pbonet.errors import (
+    LogError,
+    NoAnswerError,
+    PbonetError,
+    StateError,
+    VerificationError,
+)
 from pbonet.master import profile
 from pbonet.master.commands import COMMANDS, Command, Use
 from pbonet.master.desk import Desk
@@ -84,6 +90,17 @@ PRE X_MEZ[3] > 5 [m]
 TASK puma_pidg
 EOF
 """
+
+
+def test_a_log_that_virtual_time_does_not_give_is_refused():
+    """Else an option would do nothing."""
+    job = SERVOING / "inverse.job"
+    for mode in (None, "off"):
+        assert not Subsystem(job, virtual=True, record=mode).logbook.wanted
+    with pytest.raises(StateError, match="a program in virtual time writes no log"):
+        Subsystem(job, virtual=True, record="outputs")
+    with pytest.raises(LogError, match="this is no way to record"):
+        Subsystem(job, record="everything")
 
 
 @pytest.fixture
