@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pbonet.config.model import TaskType
-from pbonet.errors import StateError
+from pbonet.errors import PbonetError, StateError
 from pbonet.master.failures import stuck
 from pbonet.pbo import State
 
@@ -46,7 +46,10 @@ def prove(
     came = [task for task, signal in items if signal == "on"]
     end = clock.now() + PATIENCE
     while True:
-        statuses = [one for rtpu in crew.refresh(strict=False) for one in rtpu.tasks]
+        try:
+            statuses = [t for rtpu in crew.refresh(strict=False) for t in rtpu.tasks]
+        except PbonetError:  # nobody answers: the kills will tell
+            return {}
         there = {one.task: one for one in statuses if one.task in came}
         for one in there.values():
             if one.state in {State.ERROR, State.NOT_CREATED} and not stopped.is_set():

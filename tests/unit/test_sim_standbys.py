@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pbonet import State
-from pbonet.errors import LogError, Severity, StateError, UnknownTaskError
+from pbonet.errors import LogError, ReconfigError, Severity, StateError, UnknownTaskError
 from pbonet.master.oneshot import Place
 from pbonet.master.prompt import Prompt
 from pbonet.master.run import run
@@ -260,6 +260,19 @@ def test_one_that_writes_less_lets_the_flag_down_all_the_same(folder):
         assert arm.display(["Z"])[0].values[0] > 0.0, "cycle, and not stable"
         arm.off("second")
         assert "first is in ERROR (arm0/first)" in arm.rtpu_status()[0].illegal
+
+
+def test_a_switch_kills_nobody_for_a_task_that_fails_at_once(folder):
+    source(folder, "first")
+    source(folder, "bad", CYCLES=1)
+    other = JOB.replace("JOB j", "JOB k").replace("first FALLBACK second", "bad")
+    (folder / "k.job").write_text(other)
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        with pytest.raises(ReconfigError, match="bad, which has come on") as e:
+            arm.switch("k")
+        assert (e.value.done, e.value.rest) == (2, (("first", "kill"),))
+        assert arm.switch("j").states == {"first": "ON", "bad": "NOT-CREATED"}
 
 
 def test_virtual_time_has_no_prompt(folder):
