@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from pbonet import State
-from pbonet.errors import LogError, ReconfigError, Severity, StateError, UnknownTaskError
+from pbonet.errors import (
+    LogError,
+    ReconfigError,
+    Severity,
+    StateError,
+    UnknownTaskError,
+)
 from pbonet.master.oneshot import Place
 from pbonet.master.prompt import Prompt
 from pbonet.master.run import run
