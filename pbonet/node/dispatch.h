@@ -186,12 +186,14 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     /* SYNC POINT: rt_alloc sets a slot back before it gives it a life. */
     uint32_t life = atomic_load_explicit(&slot->config.life, memory_order_acquire);
     if (life != s->life) {
-        /* Freed while it was armed: its task has died, and nobody came to say so. */
-        uint8_t fell = !(life & 1) && (s->armed || s->fell);
+        /* Freed while it was armed: its task has died, and nobody came to say so. If
+         * that was while no turn was taken, its arming was not seen either. */
+        uint8_t died = !(life & 1) && rt_died_on(slot, life - 1);
+        uint8_t fell = !(life & 1) && (s->armed || s->fell || died);
         memset(s, 0, sizeof *s);
         s->life = life;
         s->fell = fell;
-        rt_emit(t, RT_LIFE, i, life, 0, 0);
+        rt_emit(t, RT_LIFE, i, life, died, 0);
     }
     if (!(life & 1))
         return;

@@ -72,6 +72,14 @@ static inline int rt_has_fallen(const struct rt_slot *slot, const struct rt_stat
     return mode == RT_OFF && s->armed && atomic_load(&slot->post.fell);
 }
 
+/* Whether the task of a slot died ON in that life, though nobody looked meanwhile. */
+static inline int rt_died_on(const struct rt_slot *slot, uint32_t life)
+{
+    uint32_t mode = atomic_load(&slot->post.word) & 3;
+    return atomic_load(&slot->config.dead) == life &&
+           (mode == RT_ON || mode == RT_COMMAND);
+}
+
 /* Whether a task that fell is OFF in order again, as its new mode says. */
 static inline int rt_has_recovered(const struct rt_slot *slot, const struct rt_state *s,
                                    uint32_t mode)

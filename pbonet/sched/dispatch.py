@@ -119,19 +119,20 @@ class Dispatcher:
                 state.level = 0
             return
         if event is Event.LIFE:
-            self._live(record.slot, record.arg)
+            self._live(record.slot, record.arg, died=bool(record.a))
             return
         self._change(now, record.slot, self.slots[record.slot], event, record)
 
-    def _live(self, slot: int, life: int) -> None:
-        """Take over that a slot was allocated or freed."""
+    def _live(self, slot: int, life: int, *, died: bool) -> None:
+        """Take over that a slot was allocated or freed; `died`: its task, while ON."""
         old = self._state(slot)
         self.slots.pop(slot, None)
         self._freed.pop(slot, None)
         if life & 1:
             self.slots[slot] = SlotState(life=life)
         else:  # freed while it was armed: its task has died, and nobody came to say so
-            self._freed[slot] = SlotState(life=life, fell=old.armed or old.fell)
+            fell = old.armed or old.fell or died
+            self._freed[slot] = SlotState(life=life, fell=fell)
 
     def _change(
         self, now: int, slot: int, state: SlotState, event: Event, record: Decision

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 
 import pytest
+from patience import LIMIT
 from watching import wait_for
 
 from pbonet.config.model import Variable
@@ -140,6 +142,30 @@ def test_who_frees_the_slot_of_a_task_that_was_armed_says_that_it_died(core, vig
     assert heir.stand_by() == _rt.ENGAGED
     assert vigil.counts == (0, 0)
     heir.disarm()
+    core.free(second)
+
+
+def test_a_task_that_died_before_the_dispatcher_saw_it_on(core):
+    """The dispatcher stood still from before its arming until its slot was free."""
+    first, second = core.alloc("r", "t"), core.alloc("r", "u")
+    core.follow(second, _rt.FALLBACK, [first])
+    pid = child(first, arm=True)
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    core.died(first)
+    core.free(first)
+    heir = _rt.Slot(core, second)
+    dispatcher = _rt.Dispatcher(core, "park")
+    dispatcher.start()
+    end = threading.Timer(LIMIT, core.request, [second])
+    end.start()
+    try:
+        wait_for(lambda: core.trace(0)[2], "its first turn")
+        assert heir.stand_by() == _rt.ENGAGED
+        heir.disarm()
+    finally:
+        end.cancel()
+        dispatcher.stop()
     core.free(second)
 
 
