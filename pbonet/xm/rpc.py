@@ -211,19 +211,27 @@ class Client:
         errors: list[PbonetError] = []
         if not requests:
             return results, errors
-        with ThreadPoolExecutor(len(requests)) as pool:
-            calls = {
-                rtpu: pool.submit(
-                    contextvars.copy_context().run,  # warnings find their command
-                    partial(self.call, rtpu, request, result, timeout=timeout),
-                )
-                for rtpu, request in requests.items()
-            }
-        for rtpu, call in calls.items():
+
+        def ask(rtpu: str) -> T | PbonetError:
             try:
-                results[rtpu] = call.result()
+                return self.call(rtpu, requests[rtpu], result, timeout=timeout)
             except PbonetError as error:
-                errors.append(error)
+                return error
+
+        *others, last = requests  # of the last one nobody else need take care
+        with ThreadPoolExecutor(len(others) or 1) as pool:
+            asked = {
+                # in this context, so that warnings find their command
+                rtpu: pool.submit(contextvars.copy_context().run, partial(ask, rtpu))
+                for rtpu in others
+            }
+            own = ask(last)
+        answers = {rtpu: call.result() for rtpu, call in asked.items()} | {last: own}
+        for rtpu, answer in answers.items():
+            if isinstance(answer, PbonetError):
+                errors.append(answer)
+            else:
+                results[rtpu] = answer
         return results, errors
 
     def announce(self, key: str) -> Declared:
