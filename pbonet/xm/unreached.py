@@ -32,14 +32,15 @@ def _reason(endpoint: str) -> tuple[str, str]:
     protocol, _, address = endpoint.partition("/")
     if protocol not in _BY_TCP | {"udp"}:
         return "no answer", "is an agent running there?"
-    host, _, rest = address.rpartition(":")
-    host, port = host.strip("[]"), int(rest.partition("?")[0].partition("#")[0])
+    plain = address.partition("?")[0].partition("#")[0]
+    host, _, port = plain.rpartition(":")
+    host = host.strip("[]")
     remedy = "is an agent running there, and does it listen on that address?"
     try:
         socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         if protocol not in _BY_TCP:
             return "no answer", remedy
-        with socket.create_connection((host, port), TRY_TIME):
+        with socket.create_connection((host, int(port)), TRY_TIME):
             return "an open port, and no greeting of an agent", remedy
     except (socket.gaierror, UnicodeError):
         return (
