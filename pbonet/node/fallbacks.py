@@ -25,10 +25,10 @@ from . import _rt, wire
 from .tasks import error_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from .events import EventLog
-    from .tasks import Task
+    from .tasks import Make, Task
 
 LIMIT = 3
 """So often a standby is engaged; then an operator is needed."""
@@ -66,6 +66,10 @@ class Waits(Protocol):
 
     def waits(self, task: Task) -> bool:
         """Tell whether a task stands by, or came on and was not asked for yet."""
+        ...
+
+    def callers(self, task: Task) -> list[str]:
+        """Return the tasks that a task waits for, on any RTPU."""
         ...
 
 
@@ -214,21 +218,32 @@ class Fallbacks:
             pair: The two.
             coming: The original is about to come on, if it has not yet.
         """
-        standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
-        original = self._rtpu.tasks.get((pair.subsystem, pair.original))
+        both = self._both(pair)
+        if both is None:
+            return False
+        standby, original = both
         return (
-            standby is not None
-            and original is not None
-            and pair.engaged < LIMIT
-            and pair.subsystem not in self._rtpu.stopping
-            and not standby.stopping
-            and not original.stopping
-            and not (standby.stands_by and pair.arranged is original)
+            not (standby.stands_by and pair.arranged is original)
             and standby.state is State.OFF
             and not self._is_heir(standby)
             and self._unengaged(standby)
             and self._unfallen(original, coming=coming)
         )
+
+    def _both(self, pair: Pair) -> tuple[Task, Task] | None:
+        """Return the standby and its original if the one is for the other still."""
+        standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
+        original = self._rtpu.tasks.get((pair.subsystem, pair.original))
+        if (
+            standby is None
+            or original is None
+            or pair.engaged >= LIMIT
+            or pair.subsystem in self._rtpu.stopping
+            or standby.stopping
+            or original.stopping
+        ):
+            return None
+        return standby, original
 
     def _is_heir(self, standby: Task) -> bool:
         """Tell whether a list is about to turn a task on, here or elsewhere."""
@@ -263,6 +278,70 @@ class Fallbacks:
                 standby.stands_by = ""
                 raise
             pair.told = ""
+
+    async def turn_off(
+        self,
+        task: Task,
+        off: Make,
+        limit: float,
+        *,
+        last: bool,
+        heirs: Mapping[str, Sequence[str]],
+    ) -> wire.Done:
+        """Turn a task off that hands over, and have it stand by for its own original.
+
+        If that is its heir, it may fail in its first cycle, before anybody hears that
+        the task is off. So the task does not wait to be told.
+
+        Args:
+            task: It is ON.
+            off: Makes the message from its number.
+            limit: Seconds that its `off` may take.
+            last: It comes behind the task's next cycle.
+            heirs: Tasks that come, and for each those whose out-vars it takes over.
+
+        Raises:
+            PbonetError: As `Task.command`.
+        """
+        owners = self._turn_back(task, heirs)
+        if not owners:
+            return await task.command("off", off, limit, last=last)
+        names = [task.stands_by]
+        try:
+            done, failed = await task.off_and_prepare(
+                off, lambda n: wire.Prepare(n, names, owners), limit, last=last
+            )
+        except PbonetError:
+            await self._stay(task)
+            raise
+        if failed is not None:
+            await self._stay(task)
+        return done
+
+    def _turn_back(self, task: Task, heirs: Mapping[str, Sequence[str]]) -> list[str]:
+        """Arrange that a task stands by for its original, which it hands over to.
+
+        Returns:
+            Who owns their variables until the original does; none: it does not.
+        """
+        pair = self._pairs.get((task.facts.subsystem, task.name))
+        both = self._both(pair) if pair is not None else None
+        if pair is None or both is None:
+            return []
+        original = both[1]
+        owners = [*heirs.get(original.name, self._rtpu.heirs.callers(original))]
+        coming = original.state is State.OFF and task.name in owners
+        if not (coming and self._unfallen(original, coming=True)):
+            return []
+        task.stands_by, pair.arranged = pair.original, original
+        self._rtpu.core.follow(task.facts.slot, _rt.FALLBACK, [original.facts.slot])
+        return owners
+
+    async def _stay(self, task: Task) -> None:
+        """Have a task not stand by that could not be turned off, or not get ready."""
+        task.stands_by = ""
+        if not task.gone.is_set():
+            await rest(self._rtpu, task)
 
     async def withdraw(self, task: Task) -> None:
         """Have a task stand by no longer, if it does: it gets a signal itself."""

@@ -178,9 +178,7 @@ class Exchange:
             timer = self._watched(slow)
             try:
                 await self._each(self._olds, self._end)
-                # One of those that have ended may be the fallback of its heir.
-                ready = [self._ready(task) for task in self._news]
-                await asyncio.gather(self._each(self._news, self._come), *ready)
+                await self._each(self._news, self._come)
                 await self._taken()
             finally:
                 timer.cancel()
@@ -223,12 +221,7 @@ class Exchange:
         task.engaged = asyncio.get_running_loop().create_future()
         after = self._after[task.name]
         await stand_by(self._rtpu, task, End(_rt.HANDOVER, after), self._left)
-        await self._ready(task)
-
-    async def _ready(self, task: Task) -> None:
-        """Have its fallback stand by for a task that is about to come on."""
-        owners = [old.name for old in self._after[task.name]]
-        await self._rtpu.fallbacks.ready(task, owners)
+        await self._rtpu.fallbacks.ready(task, [old.name for old in after])
 
     async def _send_heralds(self, task: Task) -> None:
         calls = self._calls.get(task.name, [])
@@ -238,11 +231,14 @@ class Exchange:
     async def _end(self, task: Task) -> None:
         """Let the task's next cycle be its last."""
         await self._rtpu.heirs.withdraw(task)
-        done = await task.command(
-            "off",
+        done = await self._rtpu.fallbacks.turn_off(
+            task,
             lambda n: wire.Signal(n, "off", handover=True, cede=True),
             self._left,
             last=task.facts.rmod.tasktype is TaskType.PERIODIC,
+            heirs={
+                new: [old.name for old in olds] for new, olds in self._after.items()
+            },
         )
         self._ended.add(task.name)
         if done.result:
@@ -337,6 +333,8 @@ class Exchange:
         await task.idle()
         if task.state is not State.OFF:
             return False
+        if not task.stands_by:  # it may have got ready behind its `off`
+            await rest(self._rtpu, task)
         await self._disown(task)
         return True
 

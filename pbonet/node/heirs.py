@@ -52,6 +52,8 @@ class Waiting(Struct):
     """An heir that stands by, or has come on and was not asked for yet."""
 
     task: Task
+    after: list[str]
+    """Who calls it."""
     timer: asyncio.TimerHandle
 
 
@@ -113,7 +115,7 @@ class Heirs:
             raise
         key = task.facts.subsystem, task.name
         timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
-        self._waiting[key] = Waiting(task, timer)
+        self._waiting[key] = Waiting(task, after, timer)
         for caller, old in enumerate(after):
             call = Call(
                 heir=task.name,
@@ -133,6 +135,11 @@ class Heirs:
         """
         waiting = self._waiting.get((task.facts.subsystem, task.name))
         return waiting is not None and waiting.task is task
+
+    def callers(self, task: Task) -> list[str]:
+        """Return the tasks that a task waits for, on any RTPU."""
+        waiting = self._waiting.get((task.facts.subsystem, task.name))
+        return waiting.after if waiting is not None and waiting.task is task else []
 
     async def come(self, task: Task, limit: float) -> None:
         """Wait until an heir has come on.

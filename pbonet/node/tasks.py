@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
     from .spawner import Child
 
+    Make = Callable[[int], wire.ToTask]
+
 DUMP_SIGNAL = signal.SIGQUIT
 """Makes a task write where it stands into its crash file, whatever it is doing."""
 END_TIME = 1.0
@@ -164,7 +166,7 @@ class Task:
     async def command(
         self,
         what: str,
-        make: Callable[[int], wire.ToTask],
+        make: Make,
         limit: float,
         *,
         last: bool = False,
@@ -187,18 +189,60 @@ class Task:
         """
         left = await self._turn(limit)
         try:
-            n = next(self._count)
-            answer = self._expect(n)
-            self._busy[n] = what
-            try:
-                self.send(make(n), last=last)
-            except PbonetError:  # it was never asked
-                self._busy.pop(n, None)
-                self._waiting.pop(n, None)
-                raise
+            answer = self._ask(what, make, last=last)
             return await self.wait_for(answer, what, left, of=limit)
         finally:
             self._lock.release()
+
+    async def off_and_prepare(
+        self, off: Make, prepare: Make, limit: float, *, last: bool
+    ) -> tuple[wire.Done, PbonetError | None]:
+        """Send an ``off``, and what the task is to hear behind it without being asked.
+
+        Args:
+            off: Makes the first message from its number.
+            prepare: Makes the second one.
+            limit: As for `command`.
+            last: As for `command`.
+
+        Returns:
+            The answer to the first message, and what went wrong with the second.
+
+        Raises:
+            PbonetError: As `command`, of the first message.
+        """
+        left = await self._turn(limit)
+        try:
+            first = self._ask("off", off, last=last)
+            try:
+                second = self._ask("prepare", prepare, last=last)
+            except PbonetError as error:
+                return await self.wait_for(first, "off", left, of=limit), error
+            done = await self.wait_for(first, "off", left, of=limit)
+            try:
+                await self.wait_for(second, "prepare", limit)
+            except PbonetError as error:
+                return done, error
+            return done, None
+        finally:
+            self._lock.release()
+
+    def _ask(self, what: str, make: Make, *, last: bool) -> asyncio.Future[wire.Done]:
+        """Send a message; return what resolves with the answer.
+
+        Raises:
+            PbonetError: It could not be sent.
+        """
+        n = next(self._count)
+        answer = self._expect(n)
+        self._busy[n] = what
+        try:
+            self.send(make(n), last=last)
+        except PbonetError:  # it was never asked
+            self._busy.pop(n, None)
+            self._waiting.pop(n, None)
+            raise
+        return answer
 
     async def _turn(self, limit: float) -> float:
         """Take the lock, within `limit` seconds; return how many are left.

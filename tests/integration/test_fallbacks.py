@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from nodekit import rmod, svar, wait_gone
@@ -82,7 +83,7 @@ def start(nodes, tmp_path):
     """Start the job with these modules as the original and the standby."""
     opened = []
 
-    def one(first, second="counts", freq=200.0, text=None, more=""):
+    def one(first, second="counts", freq=200.0, text=None, *, more="", standby=None):
         nodes.agent_processes("arm0", "arm1")
         (tmp_path / "t.sbs").write_text(SBS)
         (tmp_path / "t.svar").write_text(svar())
@@ -90,7 +91,7 @@ def start(nodes, tmp_path):
         hold = {"invar": "Y0", "critical": True, "local": {"LEVEL": 3}}
         texts = {
             "first": text or rmod(first, freq=freq).replace("R Y\n", f"R Y {more}\n"),
-            "second": text or rmod(second, freq=freq),
+            "second": standby or text or rmod(second, freq=freq),
             "hold": rmod("holds", "Y1", freq, **hold),
         }
         for name, lines in texts.items():
@@ -167,6 +168,30 @@ def test_an_error_in_the_very_first_cycle_releases_the_standby(start, nodes):
     arm.control("first", "clear")
     arm.control("second", "off")
     arm.control("first", "on")  # by hand
+    assert "state ON, time 2 of 3" in told(arm, 2)[-1]
+    wait_states(arm, first="ERROR", second="ON", hold="ON")
+    wait_for(lambda: not causes(arm), "the flag to go down")
+
+
+def test_a_fallback_that_hands_over_to_its_original_is_ready_behind_it(
+    start, nodes, tmp_path
+):
+    """Its own end takes long; its original has failed before anybody hears of that."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    nodes.write_module("fails_at_once", FAILS)
+    lines = rmod("waits_in_collection", local={"BEGUN": begun, "GO_ON": go_on})
+    arm = start("fails_at_once", more="Y5", standby=lines)
+    told(arm)
+    wait_states(arm, first="ERROR", second="ON", hold="ON")
+    arm.control("first", "clear")
+    with ThreadPoolExecutor(1) as pool:
+        swap = pool.submit(arm.swap, "second", "first")
+        try:
+            wait_for(begun.exists, "the collection behind off")
+            wait_for(lambda: states(arm)["first"] == "ERROR", "that the original fails")
+        finally:
+            go_on.touch()
+        assert swap.result(60.0).items == [("second", "off"), ("first", "on")]
     assert "state ON, time 2 of 3" in told(arm, 2)[-1]
     wait_states(arm, first="ERROR", second="ON", hold="ON")
     wait_for(lambda: not causes(arm), "the flag to go down")

@@ -1,0 +1,179 @@
+"""A fallback that hands over to its own original stands by for it behind its `off`."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+
+from pbonet.errors import NoAnswerError, StateError
+from pbonet.node import _rt, wire
+from pbonet.node.events import EventLog
+from pbonet.node.fallbacks import LIMIT, Fallbacks
+from pbonet.pbo import State
+
+ORIGINAL, STANDBY, OTHER = "first", "second", "other"
+
+
+class Core:
+    """What the dispatcher is told of slots, and says of them."""
+
+    def __init__(self):
+        self.follows = {}
+        self.fell = set()
+        self.dead = set()
+
+    def follow(self, slot, kind, slots):
+        self.follows[slot] = (kind, slots)
+
+    def snapshot(self, slot):
+        return SimpleNamespace(fell=slot in self.fell, dead=slot in self.dead)
+
+
+class FakeTask:
+    """A task that obeys, or fails as it is told."""
+
+    def __init__(self, name, slot, state):
+        self.name = name
+        self.facts = SimpleNamespace(subsystem="arm", slot=slot)
+        self.state = state
+        self.stands_by = ""
+        self.stopping = False
+        self.gone = asyncio.Event()
+        self.heard = []
+        self.fails_off = None
+        self.fails_prepare = None
+
+    async def command(self, what, make, limit, *, last=False):
+        assert limit > 0
+        assert last is (what == "off")
+        message = make(1)
+        self.heard.append(message)
+        if isinstance(message, wire.Signal):
+            self._off()
+        return wire.Done(n=1, state=self.state)
+
+    async def off_and_prepare(self, off, prepare, limit, *, last):
+        self.heard += [off(1), prepare(2)]
+        self._off()
+        assert limit > 0
+        assert last
+        return wire.Done(n=1, state=self.state), self.fails_prepare
+
+    def _off(self):
+        if self.fails_off is not None:
+            raise self.fails_off
+        self.state = State.OFF
+
+
+class Home:
+    """An RTPU with the two, and heirs that are called from others."""
+
+    def __init__(self):
+        self.name = "arm0"
+        self.core = Core()
+        self.events = EventLog("arm0")
+        self.first = FakeTask(ORIGINAL, 3, State.OFF)
+        self.second = FakeTask(STANDBY, 4, State.ON)
+        self.tasks = {("arm", one.name): one for one in (self.first, self.second)}
+        self.stopping = set()
+        self.lists = {}
+        self.called = []
+        self.heirs = SimpleNamespace(
+            waits=lambda task: task is self.first and bool(self.called),
+            callers=lambda task: self.called if task is self.first else [],
+        )
+        self.fallbacks = Fallbacks(self)
+        asyncio.run(self.fallbacks.pair("arm", STANDBY, ORIGINAL))
+
+    def need(self, subsystem, name):
+        return self.tasks[subsystem, name]
+
+    def turn_off(self, **heirs):
+        def off(n):
+            return wire.Signal(n, "off", handover=True, cede=True)
+
+        return asyncio.run(
+            self.fallbacks.turn_off(self.second, off, 5.0, last=True, heirs=heirs)
+        )
+
+    @property
+    def prepared(self):
+        """What the standby was told to be ready for, message by message."""
+        messages = [one for one in self.second.heard if isinstance(one, wire.Prepare)]
+        return [(one.after, one.owners) for one in messages]
+
+
+@pytest.fixture
+def home():
+    return Home()
+
+
+def stands_by(home):
+    return home.second.stands_by, home.core.follows.get(4)
+
+
+READY = (ORIGINAL, (_rt.FALLBACK, [3]))
+ALONE = ("", (0, []))
+
+
+def test_it_is_told_beforehand(home):
+    done = home.turn_off(first=[STANDBY, OTHER])
+    assert done.state == State.OFF
+    assert home.prepared == [([ORIGINAL], [STANDBY, OTHER])]
+    assert stands_by(home) == READY
+
+
+def test_its_original_may_be_called_from_another_rtpu(home):
+    home.called = [OTHER, STANDBY]
+    home.turn_off()
+    assert home.prepared == [([ORIGINAL], [OTHER, STANDBY])]
+    assert stands_by(home) == READY
+
+
+@pytest.mark.parametrize(
+    "why", ["another", "fell", "dead", "on", "gone", "often", "ended"]
+)
+def test_nothing_is_arranged_where_it_could_not_be_engaged_in_order(home, why):
+    heirs = {"third": [STANDBY]} if why == "another" else {ORIGINAL: [STANDBY]}
+    if why == "fell":
+        home.core.fell.add(3)
+    elif why == "dead":
+        home.core.dead.add(3)
+    elif why == "on":
+        home.first.state = State.ON
+    elif why == "gone":
+        del home.tasks["arm", ORIGINAL]
+    elif why == "ended":
+        home.first.stopping = True
+    elif why == "often":
+        home.fallbacks._pairs["arm", STANDBY].engaged = LIMIT
+    home.turn_off(**heirs)
+    assert [type(one) for one in home.second.heard] == [wire.Signal]
+    assert stands_by(home) == ("", None)
+
+
+def test_an_off_that_fails_leaves_it_as_it_was(home):
+    home.second.fails_off = NoAnswerError("it hangs in off")
+    with pytest.raises(NoAnswerError):
+        home.turn_off(first=[STANDBY])
+    assert stands_by(home) == ALONE
+    assert home.prepared[-1] == ([], []), "in case that it gets ready yet"
+
+
+def test_one_that_cannot_get_ready_is_off_all_the_same(home):
+    home.second.fails_prepare = StateError("no room")
+    assert home.turn_off(first=[STANDBY]).state == State.OFF
+    assert stands_by(home) == ALONE
+    assert home.prepared[-1] == ([], [])
+
+
+def test_of_one_that_has_died_no_slot_is_touched(home):
+    """It may be another task's by then."""
+    home.second.fails_off = NoAnswerError("it has died")
+    home.second.gone.set()
+    with pytest.raises(NoAnswerError):
+        home.turn_off(first=[STANDBY])
+    assert stands_by(home) == ("", (_rt.FALLBACK, [3]))
+    assert home.prepared == [([ORIGINAL], [STANDBY])]
