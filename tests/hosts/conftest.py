@@ -13,12 +13,12 @@ from pbonet.xm import session
 _missing = functools.cache(missing)
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def lease():
-    """Links of this process stand as long as those of the agents."""
+    """Links of this process and of the agents stand so long, in ms; a module's own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session, "LEASE_MS", LEASE_MS)
-        yield
+        yield LEASE_MS
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +40,9 @@ def lan(clocks):
 
 
 @pytest.fixture(scope="module")
-def lab(lan):
+def lab(lan, lease):
     """Agents on the three hosts, which the module starts as it needs them."""
-    made = Lab(lan)
+    made = Lab(lan, lease_ms=lease)
     try:
         yield made
     finally:

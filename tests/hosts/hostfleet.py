@@ -6,13 +6,13 @@ import contextlib
 import secrets
 
 import zenoh
+from hostkit import Asking
 from nodekit import rmod, svar
 from patience import LIMIT
 
 from pbonet.errors import PbonetError
 from pbonet.xm import keys
 from pbonet.xm import messages as m
-from pbonet.xm.rpc import Client
 
 AGED = """
 NAME Z0
@@ -92,7 +92,7 @@ class Desk:
 
     def ask(self, rtpu, request, result=object, *, limit=LIMIT, host=None):
         session = self.lab.session(host or self.host)
-        client = Client(session, self.lab.domain, self.name)
+        client = Asking(session, self.lab.domain, self.name)
         request.subsystem = self.subsystem
         request.epoch = self.epochs.get(rtpu, 0)
         return client.call(rtpu, request, result, timeout=limit)

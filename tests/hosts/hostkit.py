@@ -10,16 +10,18 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
 from nodekit import AGENT, MISBEHAVING, alive
+from patience import LIMIT
 from tbuf_rig import Program
 from watching import processes_of, wait_for
 
 from pbonet.config.model import AgentConfig
-from pbonet.errors import PbonetError
+from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
 from pbonet.testing.lan import Lan
 from pbonet.xm import messages as m
 from pbonet.xm import session
@@ -33,6 +35,24 @@ LEASE_MS = 1000
 """A silent link is given up after that; one that stands outlives shorter stalls."""
 
 
+class Asking(Client):
+    """Makes a request again, as the same one, when its link was given up meanwhile.
+
+    A machine that stands still for longer than the lease loses its links, and a master
+    is told so at once. The agent carries a request out once, however often it comes.
+    """
+
+    def _exchange(self, rtpu, request, timeout):
+        over = time.monotonic() + LIMIT
+        while True:
+            try:
+                return super()._exchange(rtpu, request, timeout)
+            except (NoAnswerError, UnreachableError):
+                if time.monotonic() > over:
+                    raise
+                time.sleep(0.05)
+
+
 class Lab:
     """Three hosts with agents of one domain.
 
@@ -40,10 +60,14 @@ class Lab:
         lan: The hosts.
         port: The one that agents listen on; two labs of one network need two.
         keys: By host, the folder of its agents' keys; all links are TLS then.
+        lease_ms: After which a silent link is given up.
     """
 
-    def __init__(self, lan: Lan, port: int = PORT, keys=None) -> None:
+    def __init__(
+        self, lan: Lan, port: int = PORT, keys=None, lease_ms: int = LEASE_MS
+    ) -> None:
         self.lan = lan
+        self.lease_ms = lease_ms
         self.port = port
         self.keys: dict[str, Path] = keys or {}
         self.protocol = "tls" if self.keys else "tcp"
@@ -81,7 +105,9 @@ class Lab:
         )
         text = msgspec.json.encode(config).decode()
         process = subprocess.Popen(
-            self.lan[host].command(sys.executable, "-c", code, text, str(LEASE_MS)),
+            self.lan[host].command(
+                sys.executable, "-c", code, text, str(self.lease_ms)
+            ),
             env=self.environment(host),
         )
         self.agents[name] = (host, process)
@@ -156,7 +182,7 @@ class Lab:
 
     def client(self, host):
         """Return a client of a host's agent."""
-        return Client(self.session(host), self.domain, f"c{secrets.token_hex(3)}")
+        return Asking(self.session(host), self.domain, f"c{secrets.token_hex(3)}")
 
     def info(self, name, host=None):
         """Return who an agent is, asked by way of a host."""
@@ -188,14 +214,14 @@ class Lab:
         host, process = self.agents.pop(name)
         self.forget_session(host)
         process.kill()
-        process.wait(10.0)
+        process.wait(LIMIT)
 
     def stop(self, name):
         """Tell an agent to end, and wait for it."""
         host, process = self.agents.pop(name)
         self.forget_session(host)
         process.send_signal(signal.SIGTERM)
-        process.wait(30.0)
+        process.wait(LIMIT)
 
     def cli(self, host, *words, limit=60.0):
         """Run a verb of the command line on a host."""
@@ -226,7 +252,7 @@ class Lab:
             for process in running:
                 process.send_signal(signal.SIGTERM)
             for process in running:
-                process.wait(30.0)
+                process.wait(LIMIT)
             self._check()
         finally:
             for pid, _ in self._left():

@@ -1,9 +1,13 @@
-"""The PUMA example as it stands: two RTPUs on two machines, the master on a third."""
+"""The PUMA example as it stands: two RTPUs on two machines, the master on a third.
+
+No cable is pulled: links and requests outlive a machine that stands still.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import patience
 import pytest
 from watching import wait_for
 
@@ -15,6 +19,9 @@ MASTER = """
 import json, sys
 from pbonet.master import Subsystem
 told = json.loads(sys.argv[1])
+sys.path.append(told["tests"])
+import patience, pytest
+patience.be_patient(pytest.MonkeyPatch())
 arm = Subsystem(told["job"], domain=told["domain"], connect=told["way"]).open()
 arm.start()
 print("ready", flush=True)
@@ -38,6 +45,13 @@ EOF
 TASKS = {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def lease():
+    with pytest.MonkeyPatch.context() as patch:
+        patience.be_patient(patch)
+        yield patience.LEASE_MS
+
+
 @pytest.fixture(scope="module")
 def clocks():
     return {"b": 7000.0}
@@ -58,7 +72,8 @@ def arm(lab, way, tmp_path_factory):
     """The subsystem: a master has started it and was killed, and this one took over."""
     library = tmp_path_factory.mktemp("library")
     (library / "hold.rmod").write_text(HOLD)
-    first = lab.program("c", MASTER, job=str(PUMA / "puma.job"), way=way)
+    told = {"job": str(PUMA / "puma.job"), "tests": str(Path(patience.__file__).parent)}
+    first = lab.program("c", MASTER, way=way, **told)
     first.kill()
     found = Subsystem(
         PUMA / "puma.job", domain=lab.domain, connect=way, libraries=[library]
@@ -124,9 +139,7 @@ def test_a_swap_and_a_list_from_a_third_host(arm):
     states = arm.reconfig([("hold", "off"), ("jttrace", "on")])
     assert states == {"hold": "OFF", "jttrace": "ON"}
     assert arm.display("Q_REF")[0].writer == "jttrace@host-b"
-    wait_for(
-        lambda: not any(rtpu.illegal for rtpu in arm.rtpu_status()), "no flag", 20.0
-    )
+    wait_for(lambda: not any(rtpu.illegal for rtpu in arm.rtpu_status()), "no flag")
     assert {one.task for one in arm.status() if one.state == "ON"} == TASKS
 
 

@@ -13,6 +13,7 @@ import pbonet
 from pbonet.errors import PbonetError, ProtocolError, UnreachableError
 from pbonet.xm import dialling, session
 from pbonet.xm import messages as m
+from pbonet.xm.rpc import Client
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -53,8 +54,9 @@ def test_a_cut_and_its_healing(lab, lan):
     wait_for(lambda: lab.seen("c") == ["arm2"], "the loss of the others at c")
     wait_for(lambda: lab.info("arm1").lost, "the news of it at b")
     wait_for(lambda: len(lab.info("arm2").lost) > 1, "the news of it at c")
+    once = Client(lab.session("a"), lab.domain, "once")
     with pytest.raises(UnreachableError) as caught:
-        lab.info("arm2", "a")
+        once.call("arm2", m.Hello(), m.AgentInfo)
     text = str(caught.value)
     assert "arm1 of host-b has not seen arm2 of host-c for " in text
     assert "look at the network between host-b and host-c" in text
