@@ -68,6 +68,9 @@ class Order(Struct, kw_only=True):
     line: str = ""
 
 
+_ORDER: Final = msgspec.msgpack.Decoder(Order)
+
+
 class Port:
     """A port at which programs on the network steer a subsystem.
 
@@ -342,7 +345,7 @@ def _decode(data: bytes) -> Order:
             remedy="send a shorter command",
         )
     try:
-        order = msgspec.msgpack.decode(data, type=Order)
+        order = _ORDER.decode(data)
     except codec.MALFORMED as error:
         raise ProtocolError(
             "the message is not understood",

@@ -14,6 +14,7 @@ None of this is public: both ends are always of one version, and say so when the
 from __future__ import annotations
 
 import struct
+import sys
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any, cast
 
@@ -23,6 +24,7 @@ from msgspec import Struct
 
 from pbonet.errors import NodeError, WireError
 from pbonet.xm.messages import Call
+from pbonet.xm.prepared import prepare
 
 if TYPE_CHECKING:
     import asyncio
@@ -498,3 +500,6 @@ def _checked(length: int) -> int:
             remedy="run the same pbonet version in both; end the older",
         )
     return length
+
+
+prepare(sys.modules[__name__])

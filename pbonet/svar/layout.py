@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
+
+_VARIABLES: Final = msgspec.msgpack.Decoder(tuple[Variable, ...])
 
 WORD = 8
 LINE = 64
@@ -122,7 +124,7 @@ def encode(variables: Sequence[Variable]) -> bytes:
 
 def decode(text: bytes) -> tuple[Variable, ...]:
     """Return the variables out of a table's file."""
-    return msgspec.msgpack.decode(text, type=tuple[Variable, ...])
+    return _VARIABLES.decode(text)
 
 
 def layout_hash(variables: Sequence[Variable]) -> bytes:

@@ -8,11 +8,14 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import PbonetError, ProtocolError
+from pbonet.xm import filing, messages, resources
 from pbonet.xm.filing import AnyFileRequest
 from pbonet.xm.messages import VERSION, Answer, AnyRequest, Event, Request
+from pbonet.xm.prepared import prepare
 from pbonet.xm.resources import AnyXmRequest
 
 AnyMessage = AnyRequest | AnyXmRequest | AnyFileRequest
+prepare(messages, resources, filing)
 
 
 class _Version(Struct):

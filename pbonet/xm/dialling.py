@@ -15,7 +15,7 @@ import socket
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 import zenoh
@@ -46,6 +46,9 @@ class Dials(msgspec.Struct, kw_only=True):
     dials: list[str]
     settled: bool
     """Whether it will take none of them back any more."""
+
+
+_DIALS: Final = msgspec.msgpack.Decoder(Dials)
 
 
 class Behind(NamedTuple):
@@ -222,7 +225,7 @@ def _ask(link: zenoh.Session, domain: str) -> Behind:
         if reply.ok is None:
             continue
         with contextlib.suppress(*codec.MALFORMED):
-            said = msgspec.msgpack.decode(reply.ok.payload.to_bytes(), type=Dials)
+            said = _DIALS.decode(reply.ok.payload.to_bytes())
             if said.zid == near:
                 return Behind(near, said)
     return Behind(near)

@@ -1,0 +1,24 @@
+"""Types that messages are decoded into, prepared before several threads may.
+
+msgspec (0.22) prepares a `Struct` when it is first decoded into, which runs Python and
+so lets other threads run. One that decodes into it meanwhile finds it half prepared,
+and the process ends by SIGSEGV. Once prepared, a type is safe for all threads.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+
+def prepare(*modules: ModuleType) -> None:
+    """Prepare every `Struct` of some modules; called while one thread imports them."""
+    for module in modules:
+        for one in vars(module).values():
+            if isinstance(one, type) and issubclass(one, Struct):
+                msgspec.msgpack.Decoder(one)
