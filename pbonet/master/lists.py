@@ -61,6 +61,11 @@ def _sharing(olds: Mapping[str, list[str]], heirs: set[str]) -> set[str]:
     return found
 
 
+def bound(heirs: Mapping[str, list[str]], heir: str) -> list[tuple[str, list[str]]]:
+    """Return an heir and those that share tasks with it, each with whom it follows."""
+    return [(one, heirs[one]) for one in heirs if one in _sharing(heirs, {heir})]
+
+
 def _predecessors(
     picture: Picture, items: Sequence[tuple[str, str]]
 ) -> dict[str, list[str]]:

@@ -1,8 +1,9 @@
 """Sends an ordered list of signals, in as few messages as the order allows.
 
-Tasks that take over from tasks on another RTPU of the same machine stand by before the
-first signal is sent: there the dispatcher engages them as soon as the others have
-ended, and nobody waits for this master.
+Tasks that take over from tasks on another RTPU stand by before the first signal is
+sent: there the dispatcher engages them as soon as the others have ended, and nobody
+waits for this master. On another machine they are called by its agent, with the news
+that the others have ended.
 """
 
 from __future__ import annotations
@@ -76,18 +77,24 @@ class _Sending:
         Raises:
             ReconfigError: One could not take over; nothing was done.
         """
-        for heir, olds in lists.across(self._picture, self._items).items():
-            if self._one_machine([heir, *olds]):
+        heirs = lists.across(self._picture, self._items)
+        for heir, olds in heirs.items():
+            if len(self._hosts([heir, *olds])) == 1:
                 self._stand_by(heir, olds)
+            elif all(self._are_apart(*one) for one in lists.bound(heirs, heir)):
+                self._stand_by(heir, olds, far=True)
 
-    def _one_machine(self, tasks: Sequence[str]) -> bool:
-        rtpus = {self._picture.find(task).rtpu for task in tasks}
-        return len({self._fleet.host(rtpu) for rtpu in rtpus}) == 1
+    def _hosts(self, tasks: Sequence[str]) -> set[str]:
+        return {self._fleet.host(self._picture.find(task).rtpu) for task in tasks}
 
-    def _stand_by(self, heir: str, olds: list[str]) -> None:
-        request = m.Heirs(
-            after={heir: olds}, timeout=self._limit * (len(self._items) + 1)
-        )
+    def _are_apart(self, heir: str, olds: list[str]) -> bool:
+        """Tell whether tasks leave one RTPU for an heir on another machine."""
+        rtpus = {self._picture.find(old).rtpu for old in olds}
+        return len(rtpus) == 1 and not self._hosts([heir]) & self._hosts(olds)
+
+    def _stand_by(self, heir: str, olds: list[str], *, far: bool = False) -> None:
+        timeout = self._limit * (len(self._items) + 1)
+        request = m.Heirs(after={heir: olds}, timeout=timeout, far=far)
         self.heirs[heir] = olds
         try:
             calls = self._fleet.call(

@@ -85,11 +85,9 @@ class Agent:
         self.config = config
         self.places = rundir.Places(config.domain, config.name)
         self._machine = rundir.machine()
-        self._key_folder = Path(config.keys) if config.keys else None
-        for endpoint in config.listen:
-            session.check_endpoint(
-                endpoint, insecure=config.insecure, key_folder=self._key_folder
-            )
+        self._key_folder = keys_in = Path(config.keys) if config.keys else None
+        for one in config.listen:
+            session.check_endpoint(one, insecure=config.insecure, key_folder=keys_in)
         core = choose_core(self.places) if config.core is None else config.core
         self._rtpu_config = wire.RtpuConfig(
             domain=config.domain,
@@ -102,9 +100,8 @@ class Agent:
             runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
         )
         self._recorders = Recorders(self._note, config)
-        self._overview = Overview(
-            config.domain, config.name, self._note, self._recorders.fares
-        )
+        fares = self._recorders.fares
+        self._overview = Overview(config.domain, config.name, self._note, fares)
         self._lock: rundir.NameLock | None = None
         self._session: zenoh.Session | None = None
         self._dials: list[str] = []
@@ -413,6 +410,11 @@ class Agent:
         self._recorders.tell(wire.Happened(data))
         if self._server is not None:
             self._server.publish(data)
+
+    def called(self, call: wire.Called) -> None:
+        """Have heirs on other machines called."""
+        if self._mirrors is not None:
+            self._mirrors.call(call)
 
     def informed(self, info: wire.RtpuInfo) -> None:
         """Carry the tables that are open now, and record what is to be recorded."""

@@ -21,14 +21,15 @@ from pbonet.svar.mirror import Mirror
 from pbonet.xm import keys
 from pbonet.xm.callbacks import direct
 
-from . import wire
+from . import farcalls, wire
 from .incoming import Incoming
 from .tables import lock_to_carry, remove_unused, table_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from pbonet.svar.native import Watch
+    from pbonet.xm.messages import Call
     from pbonet.xm.rpc import Declared
 
 log = logging.getLogger("pbonet.node")
@@ -148,6 +149,15 @@ class Carried:
             self._exchange(partial(self._owner.do, done) if take else done)
         else:  # another agent of this machine carries it
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
+
+    def call(self, calls: Sequence[Call]) -> None:
+        """Have the others take the whole state, then call heirs.
+
+        Where another agent of this machine carries the table nobody does; see
+        `farcalls`.
+        """
+        if self.mirror is not None:
+            self._exchange(calls=farcalls.packed(calls))
 
     def close(self) -> None:
         """Let go of the table, and remove it when nobody else uses it."""
@@ -278,6 +288,9 @@ class Carried:
             return ""
         new = packet.machine not in self.mirror.others
         placed = self.mirror.take(packet)
+        late_ns = self._owner.late(packet.machine, packet.sent_ns)
+        for call in packet.calls:
+            farcalls.make(self.table, call, late_ns)
         if new or (not placed and packet.full is None):
             self.next = 0.0
             self._beat = 0.0  # it may lack ours too
@@ -301,9 +314,13 @@ class Carried:
         with contextlib.suppress(zenoh.ZError), query:
             query.reply(key, packets.pack(packet) if packet is not None else b"")  # pyright: ignore[reportUnknownMemberType]
 
-    def _exchange(self, done: Callable[[], None] | None = None) -> None:
+    def _exchange(
+        self, done: Callable[[], None] | None = None, calls: Sequence[bytes] = ()
+    ) -> None:
         """Give every other machine this one's state, and take theirs."""
         packet = self.mirror.tell(full=True) if self.mirror is not None else None
+        if packet is not None:
+            packet.calls = list(calls)
         self._get("sync", "*", packets.pack(packet) if packet else b"", done)
 
     def _get(

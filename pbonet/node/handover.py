@@ -173,11 +173,13 @@ class Exchange:
         self._rtpu.rank(*self._news)
         await self._each(self._news, self._prepare)
         if self._calls:
-            await self._each(self._olds, self._send_heralds)
+            near = [task for task in self._olds if not self._is_far(task)]
+            await self._each(near, self._send_heralds)
         if not self.failed and not self.unseen:
             timer = self._watched(slow)
             try:
                 await self._each(self._olds, self._end)
+                self._call_far()
                 await self._each(self._news, self._come)
                 await self._taken()
             finally:
@@ -229,11 +231,16 @@ class Exchange:
         self.unseen += done.result
 
     async def _end(self, task: Task) -> None:
-        """Let the task's next cycle be its last."""
+        """Let the task's next cycle be its last.
+
+        For heirs on other machines it gives its variables up: an owner is known to have
+        ended there by the news that nobody owns them any more.
+        """
         await self._rtpu.heirs.withdraw(task)
+        far = self._is_far(task)
         done = await self._rtpu.fallbacks.turn_off(
             task,
-            lambda n: wire.Signal(n, "off", handover=True, cede=True),
+            lambda n: wire.Signal(n, "off", handover=True, cede=not far),
             self._left,
             last=task.facts.rmod.tasktype is TaskType.PERIODIC,
             heirs={
@@ -241,7 +248,7 @@ class Exchange:
             },
         )
         self._ended.add(task.name)
-        if done.result:
+        if done.result and not far:
             self._unheard.add(task.name)
 
     async def _come(self, task: Task) -> None:
@@ -268,9 +275,21 @@ class Exchange:
                 break
             await asyncio.sleep(_LOOK)
 
-    def _called_for(self, task: Task) -> list[str]:
-        """Return what those write that a task calls."""
+    def _is_far(self, task: Task) -> bool:
+        """Tell whether a task's heirs are on other machines, and called from there."""
         calls = self._calls.get(task.name, ())
+        return bool(calls) and all(call.far for call in calls)
+
+    def _call_far(self) -> None:
+        """Have those called that are on other machines; here all is done for them."""
+        ended = [one for one in self._olds if one.name in self._ended]
+        calls = [c for one in ended if self._is_far(one) for c in self._calls[one.name]]
+        if calls and self._rtpu.call_far is not None:
+            self._rtpu.call_far(ended[0].facts.subsystem, calls)
+
+    def _called_for(self, task: Task) -> list[str]:
+        """Return what those write that a task calls itself."""
+        calls = () if self._is_far(task) else self._calls.get(task.name, ())
         theirs = {output for call in calls for output in call.outputs}
         return [output for output in task.facts.outputs if output in theirs]
 
@@ -284,7 +303,7 @@ class Exchange:
 
     def _has_rest(self, task: Task) -> bool:
         """Tell whether a task owns what nobody has taken over."""
-        if task.state is not State.OFF:
+        if task.state is not State.OFF or self._is_far(task):
             return False
         if self._calls:
             return not self._written(task, task.facts.outputs)

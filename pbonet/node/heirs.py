@@ -7,6 +7,9 @@ the heir in its next turn. No message is waited for in between, and no master.
 
 A ticket, which no other wait has had, tells whose call it is. Who does not find it in
 the table that he sees is on another machine, or too late.
+
+Where they are known to be on another machine the agents call (`farcalls`), and the
+``on`` of the master has the heir engaged at the latest.
 """
 
 from __future__ import annotations
@@ -55,6 +58,8 @@ class Waiting(Struct):
     after: list[str]
     """Who calls it."""
     timer: asyncio.TimerHandle
+    calls: list[Call] = []
+    """Those of an heir that is called from another machine."""
 
 
 class Heirs:
@@ -69,7 +74,12 @@ class Heirs:
         self._waiting: dict[tuple[str, str], Waiting] = {}
 
     async def expect(
-        self, subsystem: str, after: dict[str, list[str]], limit: float
+        self,
+        subsystem: str,
+        after: dict[str, list[str]],
+        limit: float,
+        *,
+        far: bool = False,
     ) -> dict[str, list[Call]]:
         """Have tasks stand by for others; an empty list ends that.
 
@@ -77,6 +87,7 @@ class Heirs:
             subsystem: Whose tasks.
             after: The heirs, and for each the tasks, on any RTPU, that it waits for.
             limit: Seconds after which they stand by no longer.
+            far: Whether those they wait for are on another machine.
 
         Returns:
             For each task that is waited for whom it has to call.
@@ -91,7 +102,9 @@ class Heirs:
             for name, task in tasks.items():
                 await self.withdraw(task)
                 if after[name]:
-                    await self._stand_by(task, after[name], calls, limit)
+                    made = await self._stand_by(task, after[name], limit, far=far)
+                    for old, call in zip(after[name], made, strict=True):
+                        calls.setdefault(old, []).append(call)
         except BaseException:
             for task in tasks.values():
                 await self.withdraw(task)
@@ -99,25 +112,27 @@ class Heirs:
         return calls
 
     async def _stand_by(
-        self, task: Task, after: list[str], calls: dict[str, list[Call]], limit: float
-    ) -> None:
+        self, task: Task, after: list[str], limit: float, *, far: bool
+    ) -> list[Call]:
         rtpu, slot = self._rtpu, task.facts.slot
+        owners = self._owners(task) if far else []
         await rtpu.fallbacks.withdraw(task)
         rtpu.rank(task)
         task.engaged = asyncio.get_running_loop().create_future()
         ticket = secrets.randbelow(0xFFFFFFFF) + 1
         life = rtpu.core.expect(slot, ticket, len(after))
         try:
-            await task.command("prepare", lambda n: wire.Prepare(n, after), limit)
-            await rtpu.fallbacks.ready(task, after)
+            await task.command(
+                "prepare", lambda n: wire.Prepare(n, after, owners), limit
+            )
+            await rtpu.fallbacks.ready(task, [*after, *owners])
         except BaseException:
             rtpu.core.follow(slot, 0, [])
             raise
         key = task.facts.subsystem, task.name
         timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
-        self._waiting[key] = Waiting(task, after, timer)
-        for caller, old in enumerate(after):
-            call = Call(
+        calls = [
+            Call(
                 heir=task.name,
                 outputs=task.facts.outputs,
                 core=rtpu.core.core,
@@ -125,8 +140,16 @@ class Heirs:
                 life=life,
                 ticket=ticket,
                 caller=caller,
+                far=far,
             )
-            calls.setdefault(old, []).append(call)
+            for caller in range(len(after))
+        ]
+        self._waiting[key] = Waiting(task, after, timer, calls if far else [])
+        return calls
+
+    def _owners(self, task: Task) -> list[str]:
+        """Return who owns the variables of a task, as this machine's table names it."""
+        return sorted(self._rtpu.flags.owners(task.facts.subsystem, task.facts.outputs))
 
     def waits(self, task: Task) -> bool:
         """Tell whether a task stands by, or came on and was not asked for yet.
@@ -140,6 +163,26 @@ class Heirs:
         """Return the tasks that a task waits for, on any RTPU."""
         waiting = self._waiting.get((task.facts.subsystem, task.name))
         return waiting.after if waiting is not None and waiting.task is task else []
+
+    async def asked(self, task: Task) -> bool:
+        """Take note that the ``on`` of a task is asked for.
+
+        Returns:
+            Whether it comes by itself: it stands by, or came on already. One that waits
+            for another machine is called from here, if nobody writes its variables any
+            more; else it stands by no longer.
+        """
+        waiting = self._waiting.get((task.facts.subsystem, task.name))
+        if waiting is None or waiting.task is not task:
+            return False
+        if waiting.calls and task.engaged and not task.engaged.done():
+            if self._owners(task):
+                await self.withdraw(task)
+                return task.engaged.done()
+            for call in waiting.calls:
+                core = self._rtpu.core
+                core.call(call.slot, call.life, call.ticket, call.caller)
+        return True
 
     async def come(self, task: Task, limit: float) -> None:
         """Wait until an heir has come on.

@@ -171,6 +171,16 @@ class Mirrors:
 
         self.do(spread)
 
+    def call(self, call: wire.Called) -> None:
+        """Have other machines call heirs when they know how the table stands here."""
+
+        def spread() -> None:
+            carried = self._carried.get(call.subsystem)
+            if carried is not None:
+                carried.call(call.calls)
+
+        self.do(spread)
+
     def report(self, limit: float = ANSWER_TIME) -> list[m.TableNews]:
         """Return what has come from other machines; nothing if it takes too long."""
         found: list[m.TableNews] = []

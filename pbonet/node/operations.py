@@ -297,7 +297,9 @@ class Operations:
 
     async def _heirs(self, request: m.Heirs) -> Result:
         heirs, subsystem = self._rtpu.heirs, request.subsystem
-        return await heirs.expect(subsystem, request.after, request.timeout), []
+        return await heirs.expect(
+            subsystem, request.after, request.timeout, far=request.far
+        ), []
 
     async def _standby(self, request: m.Standby) -> Result:
         rtpu = self._rtpu

@@ -124,7 +124,7 @@ class _List:
             return []
         try:
             task = self._rtpu.need(request.subsystem, name)
-            if signal == "on" and self._rtpu.heirs.waits(task):
+            if signal == "on" and await self._rtpu.heirs.asked(task):
                 await self._heir(task)
                 return []
             if signal == "on" or task.state is State.ON:  # else no inputs change

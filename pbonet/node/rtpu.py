@@ -67,6 +67,7 @@ class AgentLink:
         )
         rtpu.events.publish = self._publish
         rtpu.claims_changed = lambda: self._send(rtpu.info())
+        rtpu.call_far = lambda name, calls: self._send(wire.Called(name, calls))
         rtpu.changed = self._soon
 
     async def listen(self, places: rundir.Places) -> None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from pbonet.sched.records import SlotStatus
     from pbonet.xm import rundir
-    from pbonet.xm.messages import TaskStatus
+    from pbonet.xm.messages import Call, TaskStatus
 
     from .events import EventLog
     from .tasks import Task
@@ -100,6 +100,8 @@ class Rtpu:
         self._watch: asyncio.Task[None] | None = None
         self._awake: waking.Awake | None = None
         self.claims_changed: Callable[[], None] | None = None
+        self.call_far: Callable[[str, list[Call]], None] | None = None
+        """Has heirs of a subsystem on other machines called."""
         self.changed: Callable[[], None] | None = None
         """Called when something may have changed that `pbonet.node.known` tells."""
 

@@ -57,6 +57,9 @@ class Listener(Protocol):
     def published(self, data: bytes) -> None:
         """Take an event for the network."""
 
+    def called(self, call: wire.Called) -> None:
+        """Take that heirs on other machines are to be called."""
+
     def informed(self, info: wire.RtpuInfo) -> None:
         """Take who the RTPU process is, as it has changed."""
 
@@ -434,6 +437,8 @@ class RtpuLink:
                 self._listener.answered(message.n, message.data)
             case wire.Published():
                 self._listener.published(message.data)
+            case wire.Called():
+                self._listener.called(message)
             case wire.RtpuInfo():
                 self.info = message
                 self._listener.informed(message)

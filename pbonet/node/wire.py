@@ -224,7 +224,14 @@ class Ending(Struct, tag="ending"):
     reason: str
 
 
-FromRtpu = RtpuInfo | Answered | Published | Ending
+class Called(Struct, tag="called"):
+    """Tasks have ended whose heirs are on other machines."""
+
+    subsystem: str
+    calls: list[Call]
+
+
+FromRtpu = RtpuInfo | Answered | Published | Called | Ending
 
 
 # -- RTPU process and fork server -----------------------------------------------------

@@ -66,6 +66,8 @@ class Packet(Struct, array_like=True):
     """CLOCK_MONOTONIC of the sender's machine."""
     news: list[News]
     full: Full | None = None
+    calls: list[bytes] = []
+    """Whom to call when the rest has been taken in; who carries tables knows how."""
 
 
 _encoder = msgspec.msgpack.Encoder()

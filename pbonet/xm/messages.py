@@ -131,7 +131,7 @@ class Control(Request, tag="control"):
 
 
 class Call(Struct, kw_only=True):
-    """How a task that has ended calls its heir on an RTPU of the machine."""
+    """How a task that has ended calls its heir on another RTPU."""
 
     heir: str
     outputs: list[str]
@@ -144,10 +144,12 @@ class Call(Struct, kw_only=True):
     """Tells this exchange from others."""
     caller: A[int, Meta(ge=0, lt=MOST_CALLERS)]
     """Which of those who call, counted from 0."""
+    far: bool = False
+    """The heir is on another machine: the agents call it, with the table's news."""
 
 
 class Heirs(Request, tag="heirs"):
-    """Have tasks stand by to take over from tasks on other RTPUs of the machine.
+    """Have tasks stand by to take over from tasks on other RTPUs.
 
     Result: a list of `Call` for each task that is waited for, by its name; they are for
     `Reconfig.calls` there. An ``on`` in a list then waits until the heir has come on.
@@ -158,6 +160,8 @@ class Heirs(Request, tag="heirs"):
     stands by no longer."""
     timeout: float = 5.0
     """Seconds; then they stand by no longer."""
+    far: bool = False
+    """Those they wait for are on another machine."""
 
 
 class Reconfig(Request, tag="reconfig"):

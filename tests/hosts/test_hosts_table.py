@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 
+import numpy as np
 import pytest
 from hostfleet import Desk
+from patience import LIMIT
 from watching import wait_for
 
-from pbonet.errors import SvarOwnerError
+from pbonet.errors import PbonetError, SvarOwnerError
+from pbonet.node._ring import Ring
 from pbonet.xm import messages as m
 
 
@@ -180,6 +184,91 @@ def test_a_swap_between_machines(cell):
         cell.on("arm2", "two")
         assert cell.value("arm1", "Y0").writer == "two@host-c"
         cell.off("arm2", "two")
+
+
+def leave(cell, here, old, there, new):
+    """Have a task stand by on another machine, and the one before it leave."""
+    heirs = m.Heirs(after={new: [old]}, far=True, timeout=LIMIT)
+    calls = cell.look(there, heirs, dict[str, list[m.Call]])
+    off = m.Reconfig(items=[(old, "off")], handover={old: ["Y0"]}, calls=calls)
+    assert cell.look(here, off, m.Reconfigured).done == 1
+
+
+def come(cell, there, new):
+    """Send the `on` of a task that stands by, or came on already."""
+    answer = cell.ask(there, m.Reconfig(items=[(new, "on")]), m.Reconfigured)
+    if answer.error is not None:
+        raise PbonetError.from_wire(answer.error)
+    assert answer.states == {new: "ON"}
+
+
+def is_on(cell, rtpu, task):
+    return cell.status(rtpu, task).state == "ON"
+
+
+def start_counting(cell):
+    """Have `one` count on arm0; `two` counts on from what it finds on arm2."""
+    cell.spawn("arm0", "one", "counts_on", out="Y0")
+    cell.spawn("arm2", "two", "counts_on", out="Y0")
+    cell.on("arm0", "one")
+
+
+def last_count(cell, rtpu, task):
+    """Return what a task that is OFF has written last."""
+    ring = Ring.attach(cell.status(rtpu, task).ring)
+    try:
+        *_, last = (one for one in ring.drain() if not one.kind)
+    finally:
+        ring.close()
+    return float(np.frombuffer(last.data)[0])
+
+
+def test_an_heir_on_another_machine_is_called(cell, lab, monkeypatch):
+    """It begins with what the old one wrote last, before anybody sends its `on`.
+
+    A machine that stands still amid that may make no call; then the `on` does it.
+    """
+    start_counting(cell)
+    by_itself, turn = 0, [("arm0", "one", "a"), ("arm2", "two", "c")]
+    for _ in range(4):
+        (here, old, host), (there, new, _) = turn
+        first = cell.value(there, "Y0").values[0]
+        wait_for(lambda r=there, n=first: cell.value(r, "Y0").values[0] > n, "news")
+        leave(cell, here, old, there, new)
+        with contextlib.suppress(AssertionError):
+            wait_for(lambda r=there, n=new: is_on(cell, r, n), "a call", 3.0)
+            by_itself += 1
+        come(cell, there, new)
+        monkeypatch.setenv("PBONET_SHM_DIR", str(lab.shm_dirs[host]))
+        assert cell.value(there, "Y0").values[1] == last_count(cell, here, old)
+        turn.reverse()
+    assert by_itself
+
+
+def test_a_cable_is_cut_amid_a_swap(cell, lab, lan):
+    """What was done stands, and the flag is up; the rest is sent again."""
+    start_counting(cell)
+    lan.cut("a", "c")
+    lan.cut("b", "c")
+    try:
+        leave(cell, "arm0", "one", "arm2", "two")
+        wait_for(lambda: "nobody took over Y0" in cell.illegal("arm0"), "the flag")
+    finally:
+        lan.heal("a", "c")
+        lan.heal("b", "c")
+    lab.wait_all()
+    last = cell.value("arm0", "Y0").values[0]
+
+    def again():
+        with contextlib.suppress(SvarOwnerError):  # its end is not known there yet
+            come(cell, "arm2", "two")
+            return True
+
+    wait_for(again, "the heir")
+    assert cell.value("arm2", "Y0").values[1] == last
+    for rtpu in ("arm0", "arm1", "arm2"):
+        wait_for(lambda r=rtpu: not cell.illegal(r), f"no flag at {rtpu}")
+        wait_for(lambda r=rtpu: cell.value(r, "Y0").values[0] > last, f"news at {rtpu}")
 
 
 def test_the_flag_reaches_all(cell):
