@@ -75,8 +75,12 @@ class Rtpu:
         opened = SimpleNamespace(table=table, keep=True)
         self.flags = Flags(self.name, Tables(arm=opened), self.events)
         self.heirs = SimpleNamespace(withdraw=self._nothing, waits=lambda _task: False)
+        self.fallbacks = SimpleNamespace(turn_off=self._turn_off)
 
     async def _nothing(self, *_): ...
+
+    async def _turn_off(self, task, make, limit, **_more):
+        return await task.command("off", make, limit)
 
     def need(self, _subsystem, name):
         if ("arm", name) not in self.tasks:
