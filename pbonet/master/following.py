@@ -6,6 +6,7 @@ that a sample which the network drops, or an agent that is restarted, costs noth
 
 from __future__ import annotations
 
+import select
 import sys
 from typing import TYPE_CHECKING, Any, Final
 
@@ -115,6 +116,7 @@ def follow(
 
     Raises:
         PbonetError: An argument is wrong, or no agent can be reached.
+        BrokenPipeError: Nobody reads any more.
     """
     wanted = Choice.of(given)
     subsystem = Subsystem(
@@ -136,11 +138,22 @@ def follow(
         _show(events[max(0, len(events) - count) :], as_data=as_data)
         told: dict[str, str] = {}
         while not interrupts.wished.is_set():
+            _must_be_read()
             news.wait(LOOK_TIME)
             news.clear()
             _show(follower.take(), as_data=as_data)
             told = _complain(told, follower)
     raise KeyboardInterrupt
+
+
+def _must_be_read() -> None:
+    """Raise when the reader of a pipe is gone, which else the next event would show."""
+    if not hasattr(select, "poll"):  # not on every system that a master runs on
+        return
+    ends = select.poll()
+    ends.register(sys.stdout.fileno(), 0)
+    if any(what & select.POLLERR for _, what in ends.poll(0)):
+        raise BrokenPipeError
 
 
 def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:

@@ -251,3 +251,19 @@ def test_looking_verb_ends_when_its_reader_does(world, puma):
         time.sleep(0.02)
     assert "Traceback" not in shown.stderr.read()
     shown.stderr.close()
+
+
+@pytest.mark.usefixtures("standing")
+def test_events_end_with_their_reader_though_nothing_happens(world, puma):
+    words = ["events", str(puma), "--follow", "--domain", world.domain]
+    shown = subprocess.Popen(
+        [sys.executable, "-m", "pbonet.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    shown.stdout.close()
+    assert shown.wait(60) == 1
+    assert shown.stderr.read() == ""
+    shown.stderr.close()
