@@ -12,8 +12,9 @@ periods that the miss is about. Excused misses are counted apart, and of each ot
 is said how late the dispatcher and the loop were. Then lists that exchange 2, 10 and 40
 tasks.
 
-With ``--rtpus 2`` the two controllers are on two RTPUs, and so on two cores; of the
-tasks that stay one is on each, with a loop beside it. Before the swaps everything runs
+With ``--rtpus 2`` the two controllers are on two RTPUs; of the tasks that stay one is
+on each. These have a core each, with a loop beside it, where the machine has three or
+more; on one with two cores both are on the second. Before the swaps everything runs
 as long without any, for comparison. Ends with status 3 when a goal is missed.
 
     python -m benchmarks.swap [--swaps 1000] [--rtpus 2] [--json FILE]
@@ -386,7 +387,7 @@ def main() -> None:
         os.environ["PBONET_RUN_DIR"] = str(folder / "run")
         sbs = write_files(folder, rtpus)
         with Embedded("default") as agents:
-            agents.start(rtpus)
+            cores = agents.start(rtpus)
             with Subsystem(sbs, warned=lambda _text: None, record="off") as subsystem:
                 start(subsystem, rtpus)
                 watch = partial(Watched, subsystem, folder, rtpus)
@@ -394,7 +395,9 @@ def main() -> None:
                 found = swaps(subsystem, watch, args.swaps)
                 lengths = lists(subsystem, args.rounds) if args.rtpus == 1 else {}
     print(rtbench.machine())
-    print(f"{args.swaps} swaps, {args.rtpus} RTPUs, {RATE:.0f} Hz; two that stay:")
+    where = " and ".join(map(str, sorted(set(cores.values()))))
+    print(f"{args.swaps} swaps, {args.rtpus} RTPUs on core {where}, {RATE:.0f} Hz;")
+    print("two tasks stay:")
     print("\n".join(report(quiet, found)))
     p50, p99 = np.quantile(done, [0.5, 0.99])
     print(f"without swaps, release to end of a cycle: p50 {p50:.2f}, p99 {p99:.2f}")
