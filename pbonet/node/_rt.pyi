@@ -355,6 +355,9 @@ class Slot:
     @property
     def armed(self) -> bool: ...
     @property
+    def after(self) -> int:
+        """`FALLBACK` or `HANDOVER`: why the task is engaged; 0: nobody waits for it."""
+    @property
     def flags(self) -> int:
         """Flags of the last copy-in and commit."""
     @property

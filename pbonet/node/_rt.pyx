@@ -385,6 +385,10 @@ cdef class Slot:
         return rt_mode_of(self.live()) != RT_OFF
 
     @property
+    def after(self) -> int:
+        return rt_after_of(self.live())
+
+    @property
     def stable(self) -> bool:
         return bool(self.cost.stable)
 

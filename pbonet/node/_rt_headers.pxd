@@ -198,6 +198,7 @@ cdef extern from "view.h" nogil:
     uint32_t rt_life(const rt_table *t, int i)
     int rt_mode_of(const rt_slot *slot)
     int rt_kind_of(const rt_slot *slot)
+    int rt_after_of(const rt_slot *slot)
     uint64_t rt_cycles(const rt_slot *slot)
     uint64_t rt_missed(const rt_slot *slot)
     int64_t rt_period(const rt_slot *slot)

@@ -231,6 +231,8 @@ class Host:
         """Come on, because others have ended; nobody has sent the signal."""
         failed: PbonetError | None = None
         self.heir_of = []
+        if self.slot.after == _rt.HANDOVER:
+            self.local.given_up = lambda: self.slot.after != _rt.HANDOVER
         self.time.turned_on()
         try:
             with self.journal.doing(Did("on")):
@@ -458,10 +460,8 @@ class Host:
 
     def _disarm(self) -> None:
         """Take part in no releases; in ERROR, have whoever stands by engaged."""
-        if self.executor.state is State.ERROR:
-            self.slot.fall()
-        else:
-            self.slot.disarm()
+        fails = self.executor.state is State.ERROR
+        (self.slot.fall if fails else self.slot.disarm)()
         self.alarm.end()
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:

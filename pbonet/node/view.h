@@ -186,6 +186,11 @@ static inline int rt_mode_of(const struct rt_slot *slot)
     return (int)(atomic_load(&slot->post.word) & 3);
 }
 
+static inline int rt_after_of(const struct rt_slot *slot)
+{
+    return atomic_load(&slot->config.after_kind);
+}
+
 static inline int rt_kind_of(const struct rt_slot *slot)
 {
     return atomic_load(&slot->config.kind);

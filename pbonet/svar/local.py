@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from pbonet.config.model import Variable
 
 
+def _never() -> bool:
+    return False
+
+
 class LocalTable(Closing, native.LocalTable):
     """Private copies of a task's variables, and the transfers to and from the table.
 
@@ -102,6 +106,7 @@ class LocalTable(Closing, native.LocalTable):
             at = np.array([places[i] for i in chosen], np.uint64)
             self.set_plan(which, np.array(chosen, np.uint32), at)
         self._closed = False
+        self.given_up = _never
         self._take_registers(pid, places)
         return self
 
@@ -201,6 +206,8 @@ class LocalTable(Closing, native.LocalTable):
             SvarFullError: Some of them stand in the task's register and others were
                 set or taken over since; that needs a fresh one, and none is left.
         """
+        if self.given_up():
+            self.heir_of([])
         return self._take(VARS, now_ns, cycle)
 
     def check_claim(self) -> None:
@@ -221,11 +228,13 @@ class LocalTable(Closing, native.LocalTable):
         """Say which tasks hand over: `claim` takes their variables though they live.
 
         So the variables go from one task to the other as one event, and are never
-        without an owner.
+        without an owner. Where `given_up` tells by then that nobody waits for that any
+        more, they are only taken if nobody owns them.
 
         Args:
             tasks: Their names; none ends it.
         """
+        self.given_up = _never
         self.succeed(VARS, [name.encode() for name in tasks])
 
     @contextmanager

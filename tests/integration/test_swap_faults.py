@@ -38,6 +38,30 @@ class Fails(PortBasedObject):
     def cycle(self, dt: float) -> None:
         raise ZeroDivisionError("no cycle works")
 """
+WAITS_IN_ON = """
+import time
+from pathlib import Path
+from typing import Annotated as A
+
+from pbonet import OutVar, Params, PortBasedObject, Vector, param
+
+
+class Files(Params):
+    begun: A[str, param("none", "written when `on` begins")]
+    go_on: A[str, param("none", "`on` ends when it is there")]
+
+
+class Waits(PortBasedObject[Files]):
+    y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+    def on(self) -> None:
+        Path(self.params.begun).touch()
+        while not Path(self.params.go_on).exists():
+            time.sleep(0.005)
+
+    def cycle(self, dt: float) -> None:
+        self.y[0] += 1.0
+"""
 
 
 @pytest.fixture
@@ -190,6 +214,28 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     assert writer(arm) == "good"
     assert causes(arm) == []
     assert arm.status("stays").on_ns == before.on_ns
+
+
+def test_on_that_ends_when_nobody_waits_takes_nothing_from_others(
+    arm, nodes, write, tmp_path, monkeypatch
+):
+    """The exchange was given up, and the one before is back in its place."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    nodes.write_module("waits_in_on", WAITS_IN_ON)
+    write("late", "waits_in_on", local={"BEGUN": begun, "GO_ON": go_on})
+    arm.spawn("late", "arm0")
+    arm.control("good", "on")
+    with monkeypatch.context() as short:
+        short.setattr(crew, "CONTROL_TIME", 2.5)
+        with pytest.raises(ReconfigError, match="on late: the task did not come on"):
+            arm.swap("good", "late")
+    assert arm.swap("late", "good").items == [("good", "on")]
+    go_on.touch()
+    wait_for(lambda: states(arm)["late"] == "ERROR", "the end of on")
+    assert "late cannot write Y0, another task does" in arm.status("late").error
+    assert states(arm) == {"stays": "ON", "good": "ON", "late": "ERROR"}
+    assert writer(arm) == "good"
+    wait_for(lambda: not causes(arm), "a legal configuration")
 
 
 def test_off_that_hangs_in_an_exchange(arm, write, briefly):
