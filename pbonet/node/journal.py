@@ -20,7 +20,7 @@ from pbonet.log.groups import pack
 
 from .copies import Copies
 from .failures import ALL_REFUSED
-from .wire import readable
+from .untold import readable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence

@@ -17,6 +17,7 @@ from pbonet.pbo import Notice, Signal, State, TaskContext, signal_names
 
 from . import wire
 from .signalling import severity
+from .untold import UNTOLD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -108,7 +109,7 @@ class Voice:
             data = wire.encode(done)
             if len(data) > wire.LARGEST_PACKET:
                 data = _instead(done, _too_long(data))
-        except wire.UNTOLD as error:
+        except UNTOLD as error:
             data = _instead(done, _untold(error))
         try:
             for one in (*self._owed, data):
@@ -240,7 +241,7 @@ def _untold(error: BaseException) -> PbonetError:
 
 def _packed(notice: wire.Notice) -> bytes:
     """Return a notice in bytes; if it is too long or cannot be told, what can be."""
-    with contextlib.suppress(*wire.UNTOLD):
+    with contextlib.suppress(*UNTOLD):
         data = wire.encode(notice)
         if len(data) <= wire.LARGEST_PACKET:
             return data

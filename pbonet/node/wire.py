@@ -15,16 +15,16 @@ from __future__ import annotations
 
 import struct
 import sys
-from operator import methodcaller
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 from msgspec import Struct
 
 from pbonet.errors import NodeError, WireError
 from pbonet.xm.messages import Call
 from pbonet.xm.prepared import prepare
+
+from .untold import of_numpy, readable_tree
 
 if TYPE_CHECKING:
     import asyncio
@@ -404,53 +404,16 @@ def encode(message: Struct) -> bytes:
     """Return `message` as msgpack bytes.
 
     What comes from a module may hold numpy's numbers and arrays, which are told as
-    Python's, and texts that are no Unicode; see `readable`.
+    Python's, and texts that are no Unicode; see `untold.readable`.
 
     Raises:
-        TypeError: It holds what cannot be told; `UNTOLD` are all classes of that.
+        TypeError: It holds what cannot be told; all classes of that are `UNTOLD`.
     """
     try:
-        return msgspec.msgpack.encode(message, enc_hook=_of_numpy)
+        return msgspec.msgpack.encode(message, enc_hook=of_numpy)
     except UnicodeEncodeError:
-        tree = msgspec.to_builtins(message, builtin_types=[bytes], enc_hook=_of_numpy)
-        return msgspec.msgpack.encode(_readable(tree))
-
-
-UNTOLD = TypeError, ValueError, OverflowError, RecursionError
-"""What `encode` raises for objects that no message can hold."""
-
-
-def readable(text: str) -> str:
-    r"""Return a text as UTF-8 can hold it.
-
-    Python has bytes of file names that are none as lone surrogates; they become escapes
-    as in ``\udcff``.
-    """
-    return text.encode(errors="backslashreplace").decode()
-
-
-def _readable(tree: object) -> object:
-    """Return what `msgspec.to_builtins` gave with each text `readable`."""
-    if isinstance(tree, str):
-        return readable(tree)
-    if isinstance(tree, dict):
-        items = cast("dict[object, object]", tree).items()
-        return {_readable(key): _readable(value) for key, value in items}
-    if isinstance(tree, list | tuple):
-        return [_readable(one) for one in cast("list[object]", tree)]
-    return tree
-
-
-_NUMPY: tuple[type[object], ...] = np.generic, np.ndarray
-
-
-def _of_numpy(value: object) -> object:
-    """Return a number or an array of numpy as Python's own."""
-    if isinstance(value, _NUMPY):
-        plain: object = methodcaller("tolist")(value)
-        if not isinstance(plain, np.generic | complex):
-            return plain
-    raise TypeError(f"a {type(value).__name__} cannot be told")
+        tree = msgspec.to_builtins(message, builtin_types=[bytes], enc_hook=of_numpy)
+        return msgspec.msgpack.encode(readable_tree(tree))
 
 
 def frame(message: Struct) -> bytes:
