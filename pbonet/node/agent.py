@@ -238,7 +238,7 @@ class Agent:
             link.leave(ANEW_TIME)
         if self._server is not None:
             self._server.fail_pending("the agent starts anew; what was begun goes on")
-        self._recorders.stop()
+        self._recorders.stop(sweep=False)
         self._leave()
 
     def _begin_to_stop(self) -> RtpuLink | None:

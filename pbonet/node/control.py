@@ -70,6 +70,7 @@ async def control(
     """
     event = event_of(signal, task.name)
     if event is lifecycle.Event.KILL:
+        task.stopping = True  # from here on nobody gets ready for it
         await rtpu.fallbacks.spare(task)
         rtpu.fallbacks.dismiss(task)  # nothing is asked of it: it may hang in `on`
         rtpu.heirs.dismiss(task)
@@ -80,6 +81,7 @@ async def control(
     lifecycle.rule(task.state, event, where=task.name)
     if event is lifecycle.Event.ON:
         rtpu.rank(task)
+        rtpu.fallbacks.overtaken(task)
         await rtpu.fallbacks.ready(task)
     try:
         await task.command(

@@ -311,7 +311,11 @@ class Fallbacks:
             done, failed = await task.off_and_prepare(
                 off, lambda n: wire.Prepare(n, names, owners), limit, last=last
             )
+        except NoAnswerError:  # it hangs: see `Exchange.late`
+            await self._stay(task)
+            raise
         except PbonetError:
+            await self._heard(task)
             await self._stay(task)
             raise
         if failed is not None:
@@ -337,6 +341,10 @@ class Fallbacks:
         self._rtpu.core.follow(task.facts.slot, _rt.FALLBACK, [original.facts.slot])
         return owners
 
+    async def _heard(self, task: Task) -> None:
+        """Wait until a task has answered what was sent behind its `off`."""
+        await asyncio.wait([asyncio.create_task(task.idle())], timeout=TIME)
+
     async def _stay(self, task: Task) -> None:
         """Have a task not stand by that could not be turned off, or not get ready."""
         task.stands_by = ""
@@ -356,6 +364,23 @@ class Fallbacks:
             if other.stands_by == task.name:
                 with contextlib.suppress(PbonetError):  # one that hangs in its `on`
                     await self.withdraw(other)
+
+    def overtaken(self, task: Task) -> None:
+        """Have fallbacks that are within their `on` take nothing from who comes on.
+
+        Args:
+            task: Is about to come on, and writes what they would.
+        """
+        mine = set(task.facts.outputs)
+        for other in self._rtpu.of(task.facts.subsystem):
+            slot = other.facts.slot
+            if (
+                other.stands_by
+                and other is not task
+                and mine.intersection(other.facts.outputs)
+                and self._rtpu.core.snapshot(slot).comes
+            ):  # it goes on standing by, so its notice is that of a fallback
+                self._rtpu.core.follow(slot, 0, [])
 
     def dismiss_all(self, subsystem: str) -> None:
         """Have nobody engaged any more: the subsystem is being stopped."""

@@ -185,12 +185,13 @@ class Exchange:
             finally:
                 timer.cancel()
         self._abandon()
+        # First, for one that was engaged all the same finds its variables free then.
+        await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
         for task in self._news:
             if not self._has_come(task):
                 await self._rtpu.fallbacks.spare(task)
                 if task.state is State.OFF:
                     await rest(self._rtpu, task)
-        await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
 
     def _watched(self, slow: Callable[[], None]) -> asyncio.TimerHandle:
         """Have `slow` called unless all new tasks are armed by then."""
@@ -220,6 +221,7 @@ class Exchange:
     async def _prepare(self, task: Task) -> None:
         await self._rtpu.heirs.withdraw(task)
         await self._rtpu.fallbacks.withdraw(task)
+        self._rtpu.fallbacks.overtaken(task)
         task.engaged = asyncio.get_running_loop().create_future()
         after = self._after[task.name]
         await stand_by(self._rtpu, task, End(_rt.HANDOVER, after), self._left)

@@ -300,12 +300,17 @@ class Recorders:
             room: deque[_Told] = deque(maxlen=BEFORE)
             self._before.setdefault(subsystem, room).append(told)
 
-    def stop(self) -> None:
-        """Finish every log."""
+    def stop(self, *, sweep: bool = True) -> None:
+        """Finish every log.
+
+        Args:
+            sweep: Remove the rings that nobody has come for; else the RTPU process
+                goes on, and they wait for the next agent's recorders.
+        """
         self.update({})
         with self._guard:
             ended, self._ended = self._ended, []
         for child in ended:
             child.join()
-        if self._name is not None:
+        if sweep and self._name is not None:
             rings.sweep(self._domain, self._name)

@@ -15,6 +15,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from pbonet.errors import NodeError
+
 from ._ring import Ring
 
 if TYPE_CHECKING:
@@ -37,10 +39,14 @@ def let_ring_go(task: Task, recording: Recording | None) -> None:
         recording: What is to be recorded of its subsystem.
 
     Raises:
-        NodeError: There is no such ring, or it was not ready.
-        OSError: It cannot be opened.
+        OSError: It cannot be removed.
     """
-    ring = Ring.attach(task.facts.ring)
+    try:
+        ring = Ring.attach(task.facts.ring)
+    except (NodeError, ValueError):  # it ended before it had one, or as it made it
+        name = f"pbonet.{os.geteuid()}.{task.facts.ring}{_ENDING}"
+        (_folder() / name).unlink(missing_ok=True)
+        return
     if (
         recording is not None
         and recording.tasks.get(task.name, recording.mode) != "off"
@@ -82,4 +88,8 @@ def sweep(domain: str, rtpu: str) -> None:
 def _left(domain: str, rtpu: str) -> list[Path]:
     domain, rtpu = glob.escape(domain), glob.escape(rtpu)
     pattern = f"pbonet.{os.geteuid()}.{domain}.*{_LEFT}{rtpu}.*{_ENDING}"
-    return list(Path(os.environ.get("PBONET_SHM_DIR") or FOLDER).glob(pattern))
+    return list(_folder().glob(pattern))
+
+
+def _folder() -> Path:
+    return Path(os.environ.get("PBONET_SHM_DIR") or FOLDER)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pbonet
 from pbonet.config.model import RtpuEntry, Scheduler, TaskType
-from pbonet.errors import NodeError, PbonetError, RealTimeError, Severity
+from pbonet.errors import PbonetError, RealTimeError, Severity
 from pbonet.pbo import Signal, State
 from pbonet.sched.records import Mode
 
@@ -387,15 +387,15 @@ class Rtpu:
 
     def ended(self, task: Task, code: int) -> None:
         """Clean up after a task's process, however it ended."""
-        key = (task.facts.subsystem, task.name)
-        slot = self.core.snapshot(task.facts.slot)
         task.last_status = self.status_of(task)
         self.signals.end(self.core, task)
         self.vigil.forget(task.facts.slot)
         self.core.died(task.facts.slot)
+        # Behind the mark: who calls from here on is told that nobody comes.
+        slot = self.core.snapshot(task.facts.slot)
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
-            kept.pop(key, None)
+            kept.pop((task.facts.subsystem, task.name), None)
         if task.stopping:
             self.flags.down(task.facts.subsystem, task.name)
         else:
@@ -413,8 +413,6 @@ class Rtpu:
             if opened is not None:
                 opened.table.reap(task.name)
             let_ring_go(task, self.recordings.get(task.facts.subsystem))
-        except NodeError:
-            pass  # it ended before it had a ring, or removed it
         except (PbonetError, OSError) as error:
             self.events.add(Severity.ERROR, "INTERNAL", f"after {task.name}: {error}")
 

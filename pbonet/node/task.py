@@ -231,8 +231,8 @@ class Host:
         """Come on, because others have ended; nobody has sent the signal."""
         failed: PbonetError | None = None
         self.heir_of = []
-        if self.slot.after == _rt.HANDOVER:
-            self.local.given_up = lambda: self.slot.after != _rt.HANDOVER
+        kind = self.slot.after or -1  # none: it was taken back before it could run
+        self.local.given_up = lambda: self.slot.after != kind
         self.time.turned_on()
         try:
             with self.journal.doing(Did("on")):
@@ -407,30 +407,24 @@ class Host:
         return None
 
     def _signal(self, message: wire.Signal) -> None:
-        if message.signal == "on":
+        which = message.signal
+        if which == "on":
             self.time.turned_on()
-        did = Did(
-            message.signal,
-            arg=message.arg,
-            handover=message.handover,
-            cede=message.cede,
-        )
+        did = Did(which, arg=message.arg, handover=message.handover, cede=message.cede)
         with self.journal.doing(did), self.local.replacing(message.replaces):
             self.executor.signal(
-                message.signal,
-                message.arg,
-                handover=message.handover,
-                cede=message.cede,
+                which, message.arg, handover=message.handover, cede=message.cede
             )
         self._after_signal(cede=message.cede)
 
     def _prepare(self, after: list[str], owners: list[str]) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
         self.heir_of = []
-        self.local.heir_of([*after, *owners])
+        self.local.heir_of([])
         if not after:
             return
         lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)
+        self.local.heir_of([*after, *owners])
         try:
             self.local.check_claim()
         except PbonetError:

@@ -431,7 +431,9 @@ class TaskContext:
             answer = checked(handler(error))
         except (Exception, TaskFailure) as second:
             new = second.error if isinstance(second, TaskFailure) else second
-            new.add_note(f"this happened in the handler of: {what}")
+            note = f"this happened in the handler of: {what}"
+            if note not in getattr(new, "__notes__", ()):  # one that is raised again
+                new.add_note(note)
             raise
         finally:
             self.scopes, self._kept, self.on_fail = before

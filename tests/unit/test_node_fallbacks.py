@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pbonet.errors import NoAnswerError, StateError
+from pbonet.errors import MethodError, NoAnswerError, StateError
 from pbonet.node import _rt, wire
 from pbonet.node.events import EventLog
 from pbonet.node.fallbacks import LIMIT, Fallbacks
@@ -23,12 +23,15 @@ class Core:
         self.follows = {}
         self.fell = set()
         self.dead = set()
+        self.coming = set()
 
     def follow(self, slot, kind, slots):
         self.follows[slot] = (kind, slots)
 
     def snapshot(self, slot):
-        return SimpleNamespace(fell=slot in self.fell, dead=slot in self.dead)
+        return SimpleNamespace(
+            fell=slot in self.fell, dead=slot in self.dead, comes=slot in self.coming
+        )
 
 
 class FakeTask:
@@ -36,7 +39,7 @@ class FakeTask:
 
     def __init__(self, name, slot, state):
         self.name = name
-        self.facts = SimpleNamespace(subsystem="arm", slot=slot)
+        self.facts = SimpleNamespace(subsystem="arm", slot=slot, outputs=["Y"])
         self.state = state
         self.stands_by = ""
         self.stopping = False
@@ -60,6 +63,9 @@ class FakeTask:
         assert limit > 0
         assert last
         return wire.Done(n=1, state=self.state), self.fails_prepare
+
+    async def idle(self):
+        self.heard.append("idle")
 
     def _off(self):
         if self.fails_off is not None:
@@ -86,6 +92,9 @@ class Home:
         )
         self.fallbacks = Fallbacks(self)
         asyncio.run(self.fallbacks.pair("arm", STANDBY, ORIGINAL))
+
+    def of(self, subsystem):
+        return [one for (of, _), one in self.tasks.items() if of == subsystem]
 
     def need(self, subsystem, name):
         return self.tasks[subsystem, name]
@@ -160,6 +169,27 @@ def test_an_off_that_fails_leaves_it_as_it_was(home):
         home.turn_off(first=[STANDBY])
     assert stands_by(home) == ALONE
     assert home.prepared[-1] == ([], []), "in case that it gets ready yet"
+    assert "idle" not in home.second.heard
+
+
+def test_an_off_that_raises_is_taken_back_behind_the_second_answer(home):
+    """Till then the task is busy, and would not be sent anything."""
+    home.second.fails_off = MethodError("off raised")
+    with pytest.raises(MethodError):
+        home.turn_off(first=[STANDBY])
+    assert home.second.heard[-2:] == ["idle", wire.Prepare(1, [])]
+    assert stands_by(home) == ALONE
+
+
+def test_one_within_its_on_takes_nothing_from_who_comes_on(home):
+    home.second.stands_by = ORIGINAL
+    home.fallbacks.overtaken(home.first)
+    assert 4 not in home.core.follows, "it stands by and is not engaged"
+    home.core.coming.add(4)
+    home.fallbacks.overtaken(home.second)
+    assert 4 not in home.core.follows, "it is the one that comes on"
+    home.fallbacks.overtaken(home.first)
+    assert stands_by(home) == (ORIGINAL, (0, []))
 
 
 def test_one_that_cannot_get_ready_is_off_all_the_same(home):
