@@ -216,6 +216,28 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     assert arm.status("stays").on_ns == before.on_ns
 
 
+def test_a_fallback_that_comes_late_takes_nothing_from_others(
+    arm, nodes, write, tmp_path
+):
+    """Its original failed, and while its `on` hung the one before came back."""
+    begun, go_on = tmp_path / "begun", tmp_path / "go_on"
+    nodes.write_module("waits_in_on", WAITS_IN_ON)
+    nodes.write_module("fails", FAILS)
+    write("late", "waits_in_on", local={"BEGUN": begun, "GO_ON": go_on})
+    write("bad", "fails")
+    tasks = "TASK stays arm0\nTASK bad arm0 FALLBACK late"
+    (tmp_path / "j.job").write_text(f"JOB j\nDESC\nSBS t.sbs\n{tasks}\nEOF\n")
+    arm.control("good", "on")
+    with pytest.raises(ReconfigError, match="bad, which has come on, has failed"):
+        arm.switch("j")
+    wait_for(begun.exists, "the fallback's on")
+    arm.control("good", "on")
+    go_on.touch()
+    wait_for(lambda: states(arm)["late"] == "ERROR", "the end of on")
+    assert "late cannot write Y0, another task does" in arm.status("late").error
+    assert (states(arm)["good"], writer(arm)) == ("ON", "good")
+
+
 def test_on_that_ends_when_nobody_waits_takes_nothing_from_others(
     arm, nodes, write, tmp_path, monkeypatch
 ):
