@@ -148,7 +148,8 @@ def test_an_end_is_left_to_the_next_program(when):
 def test_a_terminal_that_is_closed(program, how, tmp_path):
     """It ends the agent in order, unless that was started to outlive it."""
     master, slave = pty.openpty()
-    words, said = ("setsid", "--ctty", *how), tmp_path / "said"
+    heeds = ("env", "--default-signal=HUP")  # whatever the tests were started under
+    words, said = ("setsid", "--ctty", *heeds, *how), tmp_path / "said"
     with said.open("w") as file:
         process = program.start(*words, stdin=slave, stdout=DEVNULL, stderr=file)
     os.close(slave)
