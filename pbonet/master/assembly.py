@@ -95,8 +95,9 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
     gate = Gate(crew, job, leaves=False)
     wanted = plan(crew, job)
     tasks = [member.task for member in wanted]
-    crew.judge(verify.job(tasks))
+    problems = crew.legal(verify.job(tasks))
     gate.must_hold()
+    crew.say(problems)
     by_name = {member.name: member for member in wanted}
     done = Done(crew)
     with done.undone_on_error(f"the job {job.name} did not start"):

@@ -83,7 +83,7 @@ class Crew:
         self._standing = Standing()
         self._producers: dict[str, tuple[str, ...]] = {}  # as last read
         self._unfed = Unfed(
-            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self._say
+            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self.say
         )
         self._noted: set[str] = set()  # told already, of saved profiles
 
@@ -243,8 +243,17 @@ class Crew:
         Raises:
             VerificationError: It would be illegal.
         """
-        problems = self._legal(change, self._standing.new_or_refused)
-        self._say(problems)
+        self.say(self.legal(change))
+
+    def legal(self, change: verify.Change, *, only_asked: bool = False) -> Problems:
+        """Return what there is to `say` of a change; of one that is `only_asked`, all.
+
+        Raises:
+            VerificationError: It would be illegal.
+        """
+        return self._legal(
+            change, list if only_asked else self._standing.new_or_refused
+        )
 
     def verdict(self, change: verify.Change | None = None) -> list[str]:
         """Return the warnings for a change, or for the tasks as they stand.
@@ -304,8 +313,8 @@ class Crew:
             if member.info is None:
                 self._describe(member)
 
-    def _say(self, problems: Problems) -> None:
-        """Tell those that are not told already."""
+    def say(self, problems: Problems) -> None:
+        """Tell those that are not told already; `settle` follows."""
         self.tell(self._standing.say(problems))
 
     def tell(self, warnings: Iterable[str]) -> None:

@@ -41,15 +41,16 @@ def prove(
         stopped: When it is set nobody waits any more.
 
     Raises:
-        ReconfigError: One of them has failed; nobody was killed.
+        ReconfigError: One of them has failed, or an RTPU does not say how its tasks
+            stand; nobody was killed.
     """
     came = [task for task, signal in items if signal == "on"]
     end = clock.now() + PATIENCE
     while True:
         try:
-            statuses = [t for rtpu in crew.refresh(strict=False) for t in rtpu.tasks]
-        except PbonetError:  # nobody answers: the kills will tell
-            return {}
+            statuses = [task for rtpu in crew.refresh() for task in rtpu.tasks]
+        except PbonetError as silence:
+            raise stuck([*items, *kills], len(items), silence) from silence
         there = {one.task: one for one in statuses if one.task in came}
         for one in there.values():
             if one.state in {State.ERROR, State.NOT_CREATED} and not stopped.is_set():
@@ -61,10 +62,11 @@ def prove(
 
 
 def _begins(crew: Crew, task: m.TaskStatus) -> bool:
-    """Tell whether a task has its first cycle, which time brings, still before it."""
+    """Tell whether a task has its first cycle, which time brings soon, before it."""
     member = crew.picture.get(task.task)
     periodic = member is not None and member.rmod.tasktype is TaskType.PERIODIC
-    return periodic and task.state == State.ON and not task.cycle
+    soon = task.ref_f * PATIENCE >= 1.0
+    return periodic and soon and task.state == State.ON and not task.cycle
 
 
 def _failed(task: m.TaskStatus) -> StateError:

@@ -98,8 +98,7 @@ class Subsystem(Switching, Calls, Signalled):
         warned: Callable[[str], None] = log_warning,
         record: str | None = None,
     ) -> None:
-        told = environment.told(domain, connect, libraries)
-        domain, connect, libraries = told
+        domain, connect, libraries = environment.told(domain, connect, libraries)
         self.files: Files = Files(path, Library(libraries))
         self.domain = domain
         self.warned = warned
@@ -308,13 +307,13 @@ class Subsystem(Switching, Calls, Signalled):
             member = crew.plan(self.files.rmod(rmod), rtpu, hz)
             crew.must_be_new(member)
             crew.judge(verify.spawn(member.task))
-            constants.at_hand(crew, member)
-            status = crew.create(member, hz)
             try:
+                constants.at_hand(crew, member)
+                status = crew.create(member, hz)
                 constants.given(crew, member.name)
+                return status
             finally:
                 crew.settle()
-            return status
 
     def control(self, task: str, signal: str, arg: str = "") -> m.TaskStatus:
         """Send ``on off kill clear reinit`` to a task (section 4.5.3).
@@ -356,16 +355,17 @@ class Subsystem(Switching, Calls, Signalled):
             VerificationError: The RTPU could not bear the new rate.
         """
         if hz is None:
-            rtpu = self.crew.locate(task)
-            return self.fleet.call(rtpu, m.Freq(task=task), float)
+            return self.fleet.call(self.crew.locate(task), m.Freq(task=task), float)
         check_rate(task, hz)
         with self._changing() as crew:
             member = crew.picture.find(task)
             crew.judge(verify.frequency(structs.replace(member.task, freq=hz)))
             request = m.Freq(task=task, hz=hz)
-            member.freq = self.fleet.call(member.rtpu, request, float)
-            crew.settle()
-            return member.freq
+            try:
+                member.freq = self.fleet.call(member.rtpu, request, float)
+                return member.freq
+            finally:
+                crew.settle()
 
     def get(self, task: str, param: str | None = None) -> list[m.ParamValue]:
         """Return the parameters of a task's module, or the one named.

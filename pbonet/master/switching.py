@@ -8,6 +8,7 @@ end those are killed that nobody wants any more.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
@@ -23,7 +24,7 @@ from pbonet.pbo import State
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Sequence
+    from collections.abc import Generator, Sequence
     from pathlib import Path
 
     from pbonet.config.model import JobFile
@@ -74,7 +75,7 @@ class Switching(Opened, Protocol):
             VerificationError: The end would be illegal; nothing was sent.
             ReconfigError: An item failed; it says which, and what was not sent.
         """
-        items = list(item)
+        items = [(task, signal) for task, signal in item]
         for _, signal in items:
             check_signal(signal)
         judged = any(signal == "on" for _, signal in items)
@@ -175,13 +176,18 @@ class Switching(Opened, Protocol):
     def _carry_out(
         self, crew: Crew, plan: _Plan, gate: Gate | None = None, *, dry_run: bool
     ) -> Transition:
-        transition = plan.judged()
-        if gate is not None:
-            transition.conditions = gate.must_hold()
+        with plan.supposed():
+            transition = plan.transition()
+            problems = crew.legal(plan.change(transition), only_asked=dry_run)
+            if gate is not None:
+                transition.conditions = gate.must_hold()
         if dry_run:
+            crew.tell(map(verify.as_text, problems))
             return transition
         try:
-            plan.spawn(transition, self.stopped, gate)
+            crew.say(problems)
+            with plan.supposed():
+                plan.spawn(transition, self.stopped, gate)
             items = transition.items
             transition.states = crew.send(items)
             plan.pair()
@@ -205,6 +211,9 @@ class _Plan:
         self._standbys: dict[str, Member] = {}
         self._kept: set[str] = set()
         """Standbys of tasks that leave."""
+        self._originals: list[tuple[Member, str]] = []
+        """Tasks, and for whom each is to stand by."""
+        self._begun = False
 
     def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
         """Turn tasks off, except those that are named."""
@@ -215,29 +224,40 @@ class _Plan:
         if not member.is_on:
             self._coming[member.name] = member
 
-    def have_ready(self, member: Member, before: str) -> None:
+    def have_ready(self, member: Member, original: str) -> None:
         """Have a standby ready, which stands or is to be spawned.
 
         Args:
-            member: The standby.
-            before: Whose fallback it has been until now; that one keeps it as long as
-                it is ON.
+            member: The standby. Whose fallback it has been until now keeps it as long
+                as that one is ON.
+            original: Whose fallback it is to be.
         """
         self._standbys[member.name] = member
-        other = self._crew.picture.get(before)
-        if before != member.fallback_of and other is not None and other.is_on:
+        other = self._crew.picture.get(member.fallback_of)
+        if member.fallback_of != original and other is not None and other.is_on:
             self._kept.add(member.name)
+
+    def pair_with(self, member: Member, original: str) -> None:
+        """Have a task be the fallback of another one, or with "" of none."""
+        self._originals.append((member, original))
+
+    @contextmanager
+    def supposed(self) -> Generator[None]:
+        """Have the picture say who is to stand by; not any more if nothing is begun."""
+        before = [(member, member.fallback_of) for member, _ in self._originals]
+        _set_fallbacks(self._originals)
+        try:
+            yield
+        finally:
+            if not self._begun:
+                _set_fallbacks(before)
 
     def kill_all(self, *, but: Sequence[str]) -> None:
         """Kill those that are turned off, except those that are to stand by."""
         self._killed = [name for name in self._going if name not in but]
 
-    def judged(self) -> Transition:
-        """Return what is to be done.
-
-        Raises:
-            VerificationError: The end would be illegal.
-        """
+    def transition(self) -> Transition:
+        """Return what is to be done."""
         picture = self._crew.picture
         stays = [one for one in picture if one.is_on and one.name not in self._going]
         wanted = {**self._coming, **self._standbys}
@@ -250,18 +270,21 @@ class _Plan:
             [one.task for one in self._coming.values()],
             [one.task for one in stays],
         )
-        transition = Transition(
+        return Transition(
             stays=[one.name for one in stays],
             spawns=spawns,
             items=items,
             kills=self._killed,
             replaces=constants.taken_over(wanted.values(), self._going.values()),
         )
-        change = [(name, "spawn") for name in spawns]
-        change += [(name, "on") for name in transition.stays]  # so the end is demanded
-        change += [*items, *((name, "kill") for name in self._killed)]
-        self._crew.judge(verify.reconfig(change, [one.task for one in new]))
-        return transition
+
+    def change(self, transition: Transition) -> verify.Change:
+        """Return the change that this makes, to be judged."""
+        wanted = {**self._coming, **self._standbys}
+        items = [(name, "spawn") for name in transition.spawns]
+        items += [(name, "on") for name in transition.stays]  # so the end is demanded
+        items += [*transition.items, *((name, "kill") for name in transition.kills)]
+        return verify.reconfig(items, [wanted[name].task for name in transition.spawns])
 
     def pair(self) -> None:
         """Have standbys stand by.
@@ -298,6 +321,7 @@ class _Plan:
                 free = self._standbys.keys() - self._kept
                 assembly.pair(self._crew, [self._standbys[name] for name in free])
                 gate.entered()
+        self._begun = True
         if transition.spawns:
             self._crew.rank()
 
@@ -319,14 +343,19 @@ def _of_job(crew: Crew, job: JobFile) -> _Plan:
     for member in wanted:
         stands = assembly.stands(crew, member)
         standing = crew.picture.find(member.name) if stands else member
-        before, standing.fallback_of = standing.fallback_of, member.fallback_of
+        plan.pair_with(standing, member.fallback_of)
         if member.fallback_of:
-            plan.have_ready(standing, before)
+            plan.have_ready(standing, member.fallback_of)
         else:
             plan.put_in(standing)
         if stands:
             _must_run_at(crew.picture.find(member.name), member)
     return plan
+
+
+def _set_fallbacks(pairs: Sequence[tuple[Member, str]]) -> None:
+    for member, original in pairs:
+        member.fallback_of = original
 
 
 def _newcomer(crew: Crew, name: str, rtpu: str | None, old: Member) -> Member:

@@ -227,6 +227,12 @@ def test_an_agent_that_is_silent_is_told_from_one_that_refused(arm, agents):
     assert isinstance(caught.value.__cause__, UnreachableError)
 
 
+def test_the_items_of_a_list_may_be_lists_themselves(arm, world):
+    """As JSON has them; constants that a task gives are looked for by its item."""
+    assert arm.reconfig([["puma_pidg", "reinit"]]) == {"puma_pidg": "ON"}
+    assert ("arm0", "reinit puma_pidg") in world.log
+
+
 # -- switch --------------------------------------------------------------------------
 
 
@@ -302,6 +308,26 @@ def test_kill_that_fails_says_that_the_rest_is_done(arm, agents):
         "arm1/x: item 5 of 6, kill qrdiff: kill raised; done: off jttrace, on trace2, "
         "off qrdiff, on qrdiff2; not sent: kill jttrace"
     )
+
+
+def test_nobody_is_killed_for_tasks_of_which_an_rtpu_does_not_tell(arm, agents, world):
+    silent = agents["arm0"]
+    original = silent.do_reconfig
+
+    def tells_no_more(request):
+        silent.fail["status", None] = UnreachableError("gone")
+        return original(request)
+
+    silent.do_reconfig = tells_no_more
+    with pytest.raises(ReconfigError, match="item 5 of 6, kill qrdiff: gone") as caught:
+        arm.switch("follow")
+    assert caught.value.rest == (("qrdiff", "kill"), ("jttrace", "kill"))
+    assert not [text for text in steps(world) if "kill" in text]
+    assert arm.heard == []
+    silent.fail.clear()
+    silent.do_reconfig = original
+    arm.reconfig(caught.value.rest)
+    assert set(states(arm)) == {"puma_pidg", "grav_comp", "trace2", "qrdiff2"}
 
 
 # -- commands ------------------------------------------------------------------------

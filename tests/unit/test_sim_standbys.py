@@ -10,6 +10,7 @@ import pytest
 
 from pbonet import State
 from pbonet.errors import (
+    ConditionError,
     LogError,
     ReconfigError,
     Severity,
@@ -279,6 +280,40 @@ def test_a_switch_kills_nobody_for_a_task_that_fails_at_once(folder):
             arm.switch("k")
         assert (e.value.done, e.value.rest) == (2, (("first", "kill"),))
         assert arm.switch("j").states == {"first": "ON", "bad": "NOT-CREATED"}
+
+
+def test_a_switch_does_not_wait_for_who_is_slower_than_that(folder):
+    source(folder, "first")
+    source(folder, "slow", freq=0.1)
+    other = JOB.replace("JOB j", "JOB k").replace("first FALLBACK second", "slow")
+    (folder / "k.job").write_text(other)
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        begun = arm.clock.now()
+        assert arm.switch("k").states == {"first": "NOT-CREATED", "slow": "ON"}
+        assert arm.clock.now() - begun < 1.0
+
+
+def test_a_switch_that_is_not_made_leaves_no_fallback(folder):
+    source(folder, "first")
+    pair = JOB.replace("JOB j", "JOB k").replace(" FALLBACK second", "")
+    (folder / "k.job").write_text(pair)
+    (folder / "late.job").write_text(
+        JOB.replace("JOB j", "JOB late").replace(
+            "TASK first", "PRE Z > 1e9\nTASK first"
+        )
+    )
+    with Subsystem(folder / "k.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        arm.spawn("second")
+        second = arm.picture.find("second")
+        arm.switch("j", dry_run=True)
+        assert not second.fallback_of
+        with pytest.raises(ConditionError):
+            arm.switch("late")
+        assert not second.fallback_of
+        arm.switch("j")
+        assert second.fallback_of == "first"
 
 
 def test_virtual_time_has_no_prompt(folder):
