@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 RATE = 1000.0
 PERIOD = round(1e9 / RATE)
 SWAP_TIME = 0.06
-"""Seconds that a swap takes, about: so much longer runs the time without swaps."""
+"""Seconds without swaps, before, for each swap."""
 SLOW = 50.0
 """Hz of the tasks of a long list."""
 PAIRS = (1, 5, 20)
