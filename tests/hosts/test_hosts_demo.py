@@ -35,8 +35,10 @@ def test_link_is_cut_and_heals_by_itself():
     if why := missing():
         pytest.skip(why)
     before = left()
-    while (done := demo()).returncode and "can be reached" in done.stderr:
-        pass  # links were lost in a standstill while its master began
+    for _ in range(4):
+        done = demo()
+        if not done.returncode or "can be reached" not in done.stderr:
+            break  # else links were lost in a standstill while its master began
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     pulled = lines.index("-- the cable between a and b is pulled")

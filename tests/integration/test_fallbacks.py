@@ -225,8 +225,14 @@ def test_what_the_master_has_raised_goes_down_by_itself(start, nodes, tmp_path):
         wait_for(lambda: not table.illegal, "the flag to go down")
     arm.open()
     assert "state ON, time 2 of 3" in told(arm, 2)[-1]
-    came, went = (events(arm, code) for code in ("ILLEGAL", "LEGAL"))
-    assert went.count(f"no longer: {unfed}") == came.count(unfed) >= 1
+    wait_for(
+        lambda: (
+            events(arm, "LEGAL").count(f"no longer: {unfed}")
+            == events(arm, "ILLEGAL").count(unfed)
+            >= 1
+        ),
+        "that its end is told",
+    )
 
 
 def test_a_killed_task_is_replaced_though_its_agent_is_dead(start, nodes):

@@ -285,14 +285,16 @@ def test_a_task_that_never_ends_its_first_cycle_has_failed(
     nodes, tmp_path, monkeypatch, capsys
 ):
     """It is ended by force, which the run tells; no task is in ERROR."""
-    hung, whole = tmp_path / "hung.rmod", run_module.Run._watch
-    hung.write_text(nodekit.rmod("hangs_at_once"))
+    hung, begun = tmp_path / "hung.rmod", tmp_path / "begun"
+    whole = run_module.Run._watch
+    hung.write_text(nodekit.rmod("hangs_at_once", local={"BEGUN": begun}))
     (tmp_path / "s.svar").write_text(nodekit.svar(1))
     (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU c0\nEOF\n")
     job = tmp_path / "j.job"
     job.write_text("JOB j\nDESC d\nSBS s.sbs\nTASK hung\nEOF\n")
 
     def watch(*given):
+        wait_for(begun.exists, "that the first cycle begins")
         monkeypatch.setattr(crew, "CONTROL_TIME", 0.5)
         monkeypatch.setattr(crew, "STOP_TIME", 0.5)
         return whole(*given)

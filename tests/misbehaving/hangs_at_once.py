@@ -1,15 +1,23 @@
 """Hangs in its first `cycle`, in Python code."""
 
+from pathlib import Path
 from typing import Annotated as A
 
-from pbonet import OutVar, PortBasedObject, Vector
+from pbonet import OutVar, Params, PortBasedObject, Vector, param
 
 
-class Hangs(PortBasedObject):
+class Where(Params):
+    """What it writes."""
+
+    begun: A[str, param("none", "written when the first cycle begins")]
+
+
+class Hangs(PortBasedObject[Where]):
     """Never comes back from any `cycle`."""
 
     y: A[Vector, OutVar("Y", "2", "none", "nothing")]
 
     def cycle(self, dt: float) -> None:
+        Path(self.params.begun).touch()
         while True:
             pass
