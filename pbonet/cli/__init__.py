@@ -77,6 +77,7 @@ def build() -> typer.Typer:
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its status."""
     options.chosen.json = options.chosen.debug = False
+    _have_streams()
     try:
         build()(args=argv, standalone_mode=True)
     except PbonetError as error:
@@ -85,6 +86,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def _have_streams() -> None:
+    """Have output go nowhere where it was closed, for which Python has None."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
 
 
 def _tell(error: PbonetError) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -381,3 +382,15 @@ def test_doctor_finds_nothing_that_fails(call):
     assert out.splitlines()[0].startswith("PASS pbonet ")
     found = json.loads(call("doctor", "--json", "--domain", "nobody-here")[1])
     assert {one["level"] for one in found} <= {"PASS", "WARN"}
+
+
+def test_a_verb_whose_output_is_closed_does_its_work(monkeypatch):
+    """As behind ``>&-``, where Python has no stream at all."""
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    for job, status in (("puma.job", 0), ("none.job", 1)):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(["check", str(PUMA / job)])
+        assert (caught.value.code or 0) == status
+    for stream in (sys.stdout, sys.stderr):
+        stream.close()
