@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+
+import msgspec
 
 from pbonet.config.library import no_module
 from pbonet.errors import ModuleLoadError
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from pbonet.config.library import Library
     from pbonet.master.fleet import Fleet
 
+_MODULES: Final = list[ModuleInfo]
+msgspec.msgpack.Decoder(_MODULES)  # before several threads decode; see xm/prepared.py
 _LOAD_TIME = 10.0
 """Seconds in which an agent imports and describes the modules of its libraries."""
 
@@ -32,7 +36,7 @@ def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
     """
     request = m.Modules(name=module)
     try:
-        found = fleet.call(rtpu, request, list[ModuleInfo], timeout=_LOAD_TIME)
+        found = fleet.call(rtpu, request, _MODULES, timeout=_LOAD_TIME)
     except ModuleLoadError as error:
         if error.what == no_module(module):
             error.remedy = library.for_agent(module, rtpu) or error.remedy
@@ -55,7 +59,7 @@ def of(fleet: Fleet, name: str | None = None) -> list[ModuleInfo]:
         SeveralError: Several agents do not answer; of one, its own error.
     """
     results, errors = fleet.each(
-        lambda _: m.Modules(name=name), list[ModuleInfo], timeout=_LOAD_TIME
+        lambda _: m.Modules(name=name), _MODULES, timeout=_LOAD_TIME
     )
     if not results and len({error.what for error in errors}) == 1:
         raise errors[0]  # the same everywhere

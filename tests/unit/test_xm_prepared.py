@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 
 import msgspec
+from pbonet.master import modules
 from pbonet.node import wire
 from pbonet.xm import codec, filing, messages, resources
 
@@ -35,6 +36,7 @@ found = [
     if isinstance(one, type) and issubclass(one, msgspec.Struct)
 ]
 assert len(found) > 50
+found.append(list[modules.ModuleInfo])
 print([one for one in found if runs_python(one)])
 """
 
