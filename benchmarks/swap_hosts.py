@@ -149,8 +149,15 @@ class Machines:
             Side(name, folder, lan[host].command())
             for name, host in zip(self.cores, ("a", "b"), strict=True)
         ]
+        try:
+            self._start(lan, cores, str(folder))
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, lan: Lan, cores: list[int], library: str) -> None:
+        """Start the agents, and wait until each sees the other."""
         one, two = self.sides
-        library = str(folder)
         one.start(listen=f"tcp/0.0.0.0:{PORT}", library=library, core=cores[0])
         way = f"tcp/{lan['a'].address('b')}:{PORT}"
         two.start(connect=way, library=library, core=cores[-1])
