@@ -68,6 +68,8 @@ class Mirrors:
         self.machine = keys.machine(rundir.machine())
         self._offset = offset
         self._carried: dict[str, Carried] = {}
+        self._tables: dict[str, bool] = {}
+        """What is to be carried, before the carrier's thread has done so."""
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
         self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
@@ -119,6 +121,7 @@ class Mirrors:
     def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
         """Carry exactly these tables, by subsystem; the value tells who keeps them."""
         done = threading.Event()
+        self._tables = tables
         self.do(lambda: self._carry(tables))
         self.do(done.set)
         if wait:
@@ -134,6 +137,8 @@ class Mirrors:
     ) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
+        Behind a table's end it is called when the carrier has let go of it: whoever is
+        the last removes the file, and who is answered may make another one at once.
         It is called in a thread for that, in the carrier's, or at once; by `stop` at
         the latest: what was done here stands, and the next agent tells the others.
 
@@ -145,7 +150,7 @@ class Mirrors:
             value: Whether only a value was set: where nobody is there to be told, the
                 carrier is not woken, and looks in its next turn.
         """
-        carried = self._carried.get(subsystem)
+        carried = self._carried.get(subsystem) if subsystem in self._tables else None
         if carried is not None and carried.alone and not take:
             carried.changed = True
             done()

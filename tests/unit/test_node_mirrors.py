@@ -80,6 +80,17 @@ def test_who_is_alone_waits_for_nobody(carrying):
     assert done == ["alone", "alone again"]
 
 
+def test_who_ends_a_table_is_answered_behind_its_carrier(carrying):
+    """Who is answered may make another table of that name, and finds none left."""
+    mirrors, _ = carrying
+    held = []
+    mirrors.carry({})
+    mirrors.spread("arm", lambda: held.append("arm" in mirrors._carried))
+    assert not held, "it is attached as long as its thread has not let go"
+    turn(mirrors)
+    assert held == [False]
+
+
 @pytest.mark.usefixtures("table")
 def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
     found = []
