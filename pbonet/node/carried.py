@@ -71,8 +71,8 @@ class Owner(Protocol):
     def end(self, done: Callable[[], None]) -> None:
         """Have `done` called in a thread of its own; for zenoh's threads."""
 
-    def late(self, machine: str, sent_ns: int) -> int:
-        """Return how many nanoseconds a packet was on its way, as clocks tell."""
+    def late(self, machine: str, sent_ns: int) -> int | None:
+        """Return how many ns a packet was on its way; None: nobody can tell."""
         ...
 
     def safely(self, what: Callable[[], object]) -> None:
@@ -184,7 +184,7 @@ class Carried:
             owner.machine,
             secrets.randbits(62),
             keep=self.keep,
-            late=owner.late,
+            late=lambda machine, sent_ns: owner.late(machine, sent_ns) or 0,
         )
         session, key = owner.session, partial(keys.svar, owner.domain, self.subsystem)
         self._publisher = session.declare_publisher(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 LATEST_NS = 250_000_000
 """A call that was longer on its way is not made: somebody may have decided otherwise
-since, and nothing of that has come yet."""
+since, and nothing of that has come yet. Nor is one of which nobody can tell."""
 
 _decoder = msgspec.msgpack.Decoder(Call)
 
@@ -36,20 +36,22 @@ def packed(calls: Sequence[Call]) -> list[bytes]:
     return [msgspec.msgpack.encode(call) for call in calls]
 
 
-def make(table: Table, data: bytes, late_ns: int) -> bool:
+def make(table: Table, data: bytes, late_ns: int | None) -> bool:
     """Make a call, unless its time is over or somebody writes what the heir will.
 
     Args:
         table: This machine's, which knows already what went with the call.
         data: The packed call; of other machines' heirs there is nobody here.
-        late_ns: How long it was on its way.
+        late_ns: How long it was on its way; None while the clock of the machine that
+            it comes from is not known.
 
     Returns:
         Whether an heir waited for it.
     """
     with contextlib.suppress(PbonetError, msgspec.MsgspecError, UnicodeDecodeError):
         call = _decoder.decode(data)
-        if late_ns > LATEST_NS or not _free(table, call.outputs):
+        in_time = late_ns is not None and late_ns <= LATEST_NS
+        if not (in_time and _free(table, call.outputs)):
             return False
         core = _rt.CoreTable(call.core, member=False)
         try:

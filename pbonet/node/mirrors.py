@@ -211,11 +211,14 @@ class Mirrors:
         self.do(look)
         return found if done.wait(limit) else []
 
-    def late(self, machine: str, sent_ns: int) -> int:
-        """Return how many nanoseconds a packet was on its way, as clocks tell."""
+    def late(self, machine: str, sent_ns: int) -> int | None:
+        """Return how many nanoseconds a packet was on its way, as clocks tell.
+
+        None while that machine's clock is not known: it has just come into sight.
+        """
         offset = self._offset(machine)
         if offset is None:
-            return 0
+            return None
         return max(time.monotonic_ns() - (sent_ns - offset), 0)
 
     def _carry(self, tables: dict[str, bool]) -> None:

@@ -57,10 +57,15 @@ def test_a_call_to_somebody_else_is_not_heard(rtpu, table, waiting, wrong):
     assert awaited(rtpu, waiting)
 
 
-def test_a_call_that_was_under_way_for_long_is_not_made(rtpu, table, waiting):
+@pytest.mark.parametrize("late_ns", [farcalls.LATEST_NS + 1, None])
+def test_a_call_that_may_have_been_under_way_for_long_is_not_made(
+    rtpu, table, waiting, late_ns
+):
+    """None: the clock of the machine that it comes from is not known."""
     (data,) = farcalls.packed([waiting])
-    assert not farcalls.make(table, data, farcalls.LATEST_NS + 1)
+    assert not farcalls.make(table, data, late_ns)
     assert awaited(rtpu, waiting)
+    assert farcalls.make(table, data, farcalls.LATEST_NS), "it stands by all the same"
 
 
 def test_nobody_is_called_while_another_one_writes(rtpu, table, waiting):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -11,12 +12,12 @@ import zenoh
 from watching import wait_for
 
 from pbonet.config.model import Variable
-from pbonet.node import incoming
+from pbonet.node import farcalls, incoming
 from pbonet.node import mirrors as mirrors_module
 from pbonet.node.carried import Carried
 from pbonet.node.mirrors import Mirrors
 from pbonet.node.tables import table_name
-from pbonet.svar import Table
+from pbonet.svar import Table, packets
 from pbonet.svar.mirror import Mirror
 
 
@@ -142,6 +143,24 @@ def test_a_value_that_is_set_alone_wakes_nobody_and_is_looked_at_once(
     carried._met(token(zenoh.SampleKind.PUT))
     mirrors.spread("arm", lambda: done.append("two"), value=True)
     assert done == [0, 1, 2], "whoever is there is told first"
+
+
+def test_how_late_a_call_comes_is_known_when_that_machines_clock_is(
+    carrying, monkeypatch
+):
+    """Before, nobody can tell, and no call is taken for one in time."""
+    mirrors, _ = carrying
+    made, clocks = [], {}
+    monkeypatch.setattr(farcalls, "make", lambda *how: made.append(how))
+    monkeypatch.setattr(mirrors, "_offset", clocks.get)
+    sent = time.monotonic_ns()  # an hour ago, by a clock that is an hour ahead
+    packet = packets.Packet(packets.VERSION, "m2", "two", 1, 0, sent, [], calls=[b"c"])
+    for offset in (None, 3_600_000_000_000):
+        clocks["m2"] = offset
+        mirrors._carried["arm"]._take(packets.pack(packet))
+    (of, call, unknown), (_, _, late_ns) = made
+    assert (of, call, unknown) == (mirrors._carried["arm"].table, b"c", None)
+    assert late_ns >= 3_600_000_000_000
 
 
 def test_packets_that_come_too_fast_are_told_of(carrying):
