@@ -362,11 +362,13 @@ def judge(found: dict[str, Any]) -> list[str]:
     ]
 
 
-def report(quiet: dict[str, int], found: dict[str, Any]) -> list[str]:
-    """Return what was found, as lines."""
+def report(
+    quiet: dict[str, int], found: dict[str, Any], period: float = PERIOD
+) -> list[str]:
+    """Return what was found, as lines; times are in periods of so many ns."""
     lines = [f"  {'':28} {'with swaps':>12} {'without':>12}"]
     lines += [f"  {key:28} {found[key]:12} {quiet[key]:12}" for key in quiet]
-    lines.append(f"periods of {PERIOD / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
+    lines.append(f"periods of {period / 1e6:g} ms {'p50':>20} {'p90':>8} {'max':>8}")
     for key in [key for key in found if key not in quiet]:
         p50, p90 = np.quantile(found[key], [0.5, 0.9])
         lines.append(f"  {key:28} {p50:8.2f} {p90:8.2f} {max(found[key]):8.2f}")

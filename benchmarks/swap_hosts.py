@@ -13,7 +13,7 @@ What the readers miss is judged as in `benchmarks.swap`, with a C loop on each c
 row of datagrams tells what the cable itself takes. Ends with status 3 when a goal is
 missed.
 
-    python -m benchmarks.swap_hosts [--swaps 300] [--json FILE]
+    python -m benchmarks.swap_hosts [--swaps 300] [--hz 1000] [--json FILE]
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ from benchmarks.steering import VARIABLE, wait_for_records
 from benchmarks.swap import (
     GAP,
     LOST,
-    PERIOD,
     RATE,
     RMOD,
     STAY,
@@ -230,14 +229,14 @@ class Seen:
         return found
 
 
-def write_files(folder: Path) -> Path:
-    """Write modules and subsystem; return its ``.sbs`` file."""
+def write_files(folder: Path, hz: float) -> Path:
+    """Write modules and subsystem, of writers of `hz`; return its ``.sbs`` file."""
     names = ("Y", *(f"SEEN_{name}" for name in READERS))
     variables = [
         VARIABLE.format(name=name, kind="double", units="none", nelem=2)
         for name in names
     ]
-    common = {"rate": RATE, "invar": "none"}
+    common = {"rate": hz, "invar": "none"}
     files = {
         "counting.py": WRITER,
         "reading.py": READER,
@@ -252,7 +251,7 @@ def write_files(folder: Path) -> Path:
     for name in READERS:
         files[f"{name}.rmod"] = RMOD.format(
             module="reading", aliases=f"SVARALIAS X=Y\nSVARALIAS Y=SEEN_{name}",
-            outvar="Y", local="", **common | {"invar": "X"},
+            outvar="Y", local="", rate=RATE, invar="X",
         ).replace("INCONST   NDOF", "INCONST   none")  # fmt: skip
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -288,8 +287,8 @@ def rings_of(subsystem: Subsystem, machines: Machines) -> dict[str, Ring]:
 
 def swaps(
     subsystem: Subsystem, machines: Machines, make: Callable[[], Apart], count: int
-) -> dict[str, Any]:
-    """Swap a and b again and again; return counts, and times in periods."""
+) -> tuple[dict[str, Any], dict[str, list[int]]]:
+    """Swap a and b again and again; return counts, and times in ns."""
     rings = rings_of(subsystem, machines)
     readers = {name: Seen(rings[name]) for name in READERS}
     wait_for_records(rings["a"])
@@ -324,14 +323,11 @@ def swaps(
         for ring in rings.values():
             ring.close()
     subsystem.reconfig([(task, "off") for task in (old, *READERS)])
-    return {
-        **counts,
-        **{name: [ns / PERIOD for ns in many] for name, many in times.items()},
-        WRONG: {
-            BACK: sum(reader.back for reader in readers.values()),
-            JUMPS: sum(step != 1.0 for step in steps),
-        },
+    wrong = {
+        BACK: sum(reader.back for reader in readers.values()),
+        JUMPS: sum(step != 1.0 for step in steps),
     }
+    return {**counts, WRONG: wrong}, times
 
 
 def counted(record: Record) -> float:
@@ -356,21 +352,21 @@ def ping(machines: Machines, lan: Lan) -> dict[str, float]:
     return {"p50": float(p50), "p99": float(p99)}
 
 
-def goals(found: dict[str, Any], cable: dict[str, float]) -> Iterator[str]:
+def goals(found: dict[str, Any], cable: dict[str, float], hz: float) -> Iterator[str]:
     """Yield a line for each goal."""
     yield rtbench.verdict("cycles that readers lose, but for stalls,", found[LOST], 0)
     for what, count in found[WRONG].items():
         yield rtbench.verdict(f"{what},", count, 0)
-    most = 2 + cable["p50"] / 2 / (PERIOD / 1e6)
+    most = 2 + cable["p50"] / 2 / (1e3 / hz)
     for name in (GAP, *(SEEN.format(READERS[name]) for name in READERS)):
         gap = float(np.median(found[name]))
         yield rtbench.verdict(f"periods from {name}, median,", gap, most)
 
 
-def measure(folder: Path, lan: Lan, count: int) -> dict[str, Any]:
+def measure(folder: Path, lan: Lan, count: int, hz: float) -> dict[str, Any]:
     """Run everything; return what was found."""
     os.environ["PBONET_RUN_DIR"] = str(folder / "run")
-    sbs = write_files(folder)
+    sbs = write_files(folder, hz)
     machines = Machines(lan, folder)
     try:
         found: dict[str, Any] = {CABLE: ping(machines, lan)}
@@ -381,16 +377,18 @@ def measure(folder: Path, lan: Lan, count: int) -> dict[str, Any]:
             start(subsystem)
             make = partial(Apart, machines, folder)
             quiet = undisturbed(subsystem, make(), count * SWAP_TIME)
-            found |= swaps(subsystem, machines, make, count)
+            counts, times = swaps(subsystem, machines, make, count)
     finally:
         machines.close()
-    return {**found, "without swaps": quiet}
+    periods = {name: [ns * hz / 1e9 for ns in many] for name, many in times.items()}
+    return {**found, **counts, **periods, "without swaps": quiet}
 
 
 def main() -> None:
     """Measure and report; status 3 when a goal is missed."""
     parser = argparse.ArgumentParser(description="Swaps between two machines.")
     parser.add_argument("--swaps", type=int, default=300)
+    parser.add_argument("--hz", type=float, default=RATE, help="of the writers")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     if reason := missing():
@@ -399,19 +397,22 @@ def main() -> None:
     lan = Lan()
     try:
         with tempfile.TemporaryDirectory(prefix="pbench-", dir=SHM) as name:
-            found = measure(Path(name), lan, args.swaps)
+            found = measure(Path(name), lan, args.swaps, args.hz)
     finally:
         lan.close()
     quiet, cable = found["without swaps"], found[CABLE]
     aside = {"without swaps", CABLE, WRONG}
     print(rtbench.machine())
-    print(f"{args.swaps} swaps between two machines, {RATE:.0f} Hz; a reader on each:")
+    print(
+        f"{args.swaps} swaps between two machines, {args.hz:g} Hz; "
+        f"a reader of {RATE:g} Hz on each:"
+    )
     shown = {key: value for key, value in found.items() if key not in aside}
-    print("\n".join(report(quiet, shown)))
+    print("\n".join(report(quiet, shown, 1e9 / args.hz)))
     print(f"{CABLE}: median {cable['p50']:.3f}, p99 {cable['p99']:.3f}")
     if args.json:
         args.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
-    rtbench.judge(goals(found, cable))
+    rtbench.judge(goals(found, cable, args.hz))
 
 
 if __name__ == "__main__":
