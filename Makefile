@@ -51,7 +51,10 @@ check: setup  ## Lint, types, layers
 BESIDE := tests/deploy tests/agents tests/scripted tests/unit tests/property tests/typing tests/native
 ALONE := tests/integration tests/hosts
 
+# The tests start thousands of processes that import pbonet. What is compiled here they
+# need not compile, also where PYTHONDONTWRITEBYTECODE forbids them to keep it.
 test: setup  ## Run every test
+	@$(BIN)/python -m compileall -q pbonet
 	@$(BIN)/python -m pytest -n 2 --dist worksteal $(BESIDE); beside=$$?; \
 	$(BIN)/python -m pytest $(ALONE) && exit $$beside
 
