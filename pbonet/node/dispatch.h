@@ -89,7 +89,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     /* A dead one's last word says what it did when it died: nobody came to say more. */
     uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? s->dead
                    : armed_anew && rt_has_recovered(&t->slots[i], s, mode) ? 0
-                   : s->fell || rt_has_fallen(&t->slots[i], s, mode);
+                   : s->fell || rt_has_fallen(&t->slots[i], mode);
     s->word = word;
     s->fell = fell;
     rt_emit(t, RT_MODE, i, word, fell, 0);
@@ -188,12 +188,12 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
     if (life != s->life) {
         /* Freed while it was armed: its task has died, and nobody came to say so. If
          * that was while no turn was taken, its arming was not seen either. */
-        uint8_t died = !(life & 1) && rt_died_on(slot, life - 1);
-        uint8_t fell = !(life & 1) && (s->armed || s->fell || died);
+        uint8_t said = !(life & 1) && rt_fell_in(slot, life - 1);
+        uint8_t fell = !(life & 1) && (s->armed || s->fell || said);
         memset(s, 0, sizeof *s);
         s->life = life;
         s->fell = fell;
-        rt_emit(t, RT_LIFE, i, life, died, 0);
+        rt_emit(t, RT_LIFE, i, life, said, 0);
     }
     if (!(life & 1))
         return;

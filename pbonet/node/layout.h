@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 7,
+    RT_VERSION = 8,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -52,6 +52,7 @@ enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORAD
 enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
 enum rt_failure { RT_DEADLINE = 0, RT_MAXEXEC = 1, RT_MINEXEC = 2, RT_FAILURES = 3 };
 enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended itself */
+enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was it armed before? */
 enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
 
 /* One record of the trace; pbonet/sched/dispatch.py says what the kinds mean. */
@@ -94,7 +95,7 @@ struct rt_post {
     _Atomic uint32_t events;            /* begun and ended: odd while one is served */
     _Atomic uint32_t handled;           /* failures whose handler has ended */
     _Atomic uint32_t locked;            /* in a critical section */
-    _Atomic uint32_t fell;              /* it is in ERROR, and was armed before */
+    _Atomic uint32_t fell;              /* not 0: it is in ERROR; which: above */
     _Atomic uint32_t wish;              /* changes with the two below */
     _Atomic int32_t wish_crit;          /* -1: none */
     _Atomic int64_t wish_dl_ns;         /* absolute; 0: none */

@@ -165,10 +165,17 @@ static inline int rt_leave(struct rt_task *task, int mode)
     return error;
 }
 
-/* The task is in ERROR: whoever stands by for it is engaged, and the flag goes up. */
+/* The task is in ERROR: whoever stands by for it is engaged, and the flag goes up. It says
+ * itself whether it was armed, for the dispatcher may not have seen that. Once more in
+ * ERROR it has not been armed since. */
 static inline int rt_fall(struct rt_task *task)
 {
-    atomic_store(&task->slot->post.fell, 1);
+    struct rt_post *post = &task->slot->post;
+    uint32_t mode = atomic_load(&post->word) & 3;
+    if (mode == RT_ON || mode == RT_COMMAND)
+        atomic_store(&post->fell, RT_FELL_ARMED);
+    else if (!atomic_load(&post->fell))
+        atomic_store(&post->fell, RT_FELL);
     int error = rt_leave(task, RT_OFF);
     atomic_fetch_add(&task->table->fallen, 1);
     rt_futex_wake(&task->table->fallen);

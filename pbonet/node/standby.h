@@ -65,26 +65,26 @@ static inline void rt_latch_after(struct rt_table *t, int i, struct rt_state *s,
     rt_emit(t, RT_AFTER, i, (uint32_t)kind, (int64_t)after[0], (int64_t)after[1]);
 }
 
-/* Whether a task that was armed until now has fallen, as its new mode says. */
-static inline int rt_has_fallen(const struct rt_slot *slot, const struct rt_state *s,
-                                uint32_t mode)
+/* Whether a task with that mode has fallen, armed or not as far as a turn has seen. */
+static inline int rt_has_fallen(const struct rt_slot *slot, uint32_t mode)
 {
-    return mode == RT_OFF && s->armed && atomic_load(&slot->post.fell);
+    return mode == RT_OFF && atomic_load(&slot->post.fell) == RT_FELL_ARMED;
 }
 
-/* Whether the task of a slot died ON in that life, though nobody looked meanwhile. */
-static inline int rt_died_on(const struct rt_slot *slot, uint32_t life)
+/* Whether the task of a slot fell in that life, or died ON, though nobody looked
+ * meanwhile. */
+static inline int rt_fell_in(const struct rt_slot *slot, uint32_t life)
 {
     uint32_t mode = atomic_load(&slot->post.word) & 3;
-    return atomic_load(&slot->config.dead) == life &&
-           (mode == RT_ON || mode == RT_COMMAND);
+    int died = atomic_load(&slot->config.dead) == life;
+    return (died && (mode == RT_ON || mode == RT_COMMAND)) || rt_has_fallen(slot, mode);
 }
 
 /* Whether a task that fell is OFF in order again, as its new mode says. */
 static inline int rt_has_recovered(const struct rt_slot *slot, const struct rt_state *s,
                                    uint32_t mode)
 {
-    return mode == RT_OFF && !s->dead && !atomic_load(&slot->post.fell);
+    return mode == RT_OFF && !s->dead && !rt_has_fallen(slot, mode);
 }
 
 #endif

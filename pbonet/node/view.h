@@ -272,6 +272,8 @@ static inline void rt_play(struct rt_table *t, struct rt_slot *slot,
         rt_arm(&task);
     else if (part->mode == RT_STANDS)
         rt_stand_by_for(&task);
+    else if (part->mode == RT_OFF)
+        rt_rest(&task);
     else if (part->mode >= 0)
         rt_leave(&task, part->mode);
 }

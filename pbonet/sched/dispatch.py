@@ -119,19 +119,19 @@ class Dispatcher:
                 state.level = 0
             return
         if event is Event.LIFE:
-            self._live(record.slot, record.arg, died=bool(record.a))
+            self._live(record.slot, record.arg, said=bool(record.a))
             return
         self._change(now, record.slot, self.slots[record.slot], event, record)
 
-    def _live(self, slot: int, life: int, *, died: bool) -> None:
-        """Take over that a slot was allocated or freed; `died`: its task, while ON."""
+    def _live(self, slot: int, life: int, *, said: bool) -> None:
+        """Take over that a slot was allocated or freed; `said`: its task had fallen."""
         old = self._state(slot)
         self.slots.pop(slot, None)
         self._freed.pop(slot, None)
         if life & 1:
             self.slots[slot] = SlotState(life=life)
         else:  # freed while it was armed: its task has died, and nobody came to say so
-            fell = old.armed or old.fell or died
+            fell = old.armed or old.fell or said
             self._freed[slot] = SlotState(life=life, fell=fell)
 
     def _change(

@@ -12,7 +12,7 @@ class Event(IntEnum):
     """Heads each turn: at instant a; the next event is at b (0: none); arg 1: park."""
     LIFE = 2
     """Input: the slot was allocated (arg odd) or freed (arg even); a is 1 when its task
-    has died while it was ON, which may not have been seen."""
+    has died while it was ON or was in ERROR, which may not have been seen."""
     CONFIG = 3
     """Input: period a, relative deadline b (0: period), arg packed by `pack`; its bit
     31 tells of another process, which holds no level."""

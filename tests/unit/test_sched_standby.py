@@ -152,3 +152,75 @@ def test_a_fallback_takes_over_from_one_that_died_in_what_no_turn_saw(
         assert (Event.ENGAGE, 0, 6 * MS) in one.at(6 * MS)
         assert one.table.free(first) is None
         assert one.at(7 * MS, mode=Mode.ON, begun=True)
+
+
+@pytest.fixture
+def unseen(monkeypatch, tmp_path):
+    """One task that stands by for another one, of which no turn sees more than OFF."""
+    with one_slot(monkeypatch, tmp_path) as make:
+        one = make()
+        one.at(2 * MS, mode=Mode.OFF)
+        one.first = one.table.alloc("r", "first")
+        one.table.configure(one.first, pid=2, period_ns=PERIOD, crit=5)
+        one.table.follow(one.slot, _rt.FALLBACK, [one.first])
+        one.at(3 * MS, mode=Mode.STANDS)
+        yield one
+
+
+def play(one, steps):
+    """Let the original do this between two turns; return the second one's decisions."""
+    for step in steps.split():
+        if step == "falls":
+            one.table.post(one.first, fell=True)
+        elif step in {"died", "free"}:
+            getattr(one.table, step)(one.first)
+        else:
+            one.table.post(one.first, mode=Mode[step])  # OFF: `off`, or `clear`
+    return one.at(6 * MS)
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        "ON falls",
+        "ON COMMAND falls",
+        "ON falls falls",
+        "ON falls died",
+        "ON falls free",
+        "ON falls died free",
+        "ON falls OFF ON falls",
+        "falls OFF ON falls",
+    ],
+)
+def test_a_fallback_takes_over_from_one_that_fell_in_what_no_turn_saw(
+    unseen, steps
+) -> None:
+    """It was ON and went to ERROR since the last turn: it says itself that it was."""
+    assert (Event.ENGAGE, 0, 6 * MS) in play(unseen, steps)
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        "falls",  # in its `on`: it had not come
+        "falls died",
+        "ON OFF falls",
+        "ON OFF died free",
+        "ON falls OFF",  # cleared
+        "ON falls OFF falls",  # cleared, and failed in its `on`
+        "ON falls OFF died free",
+        "ON falls OFF ON",
+        "ON falls OFF ON OFF",
+    ],
+)
+def test_nobody_takes_over_from_one_that_was_not_on_when_it_failed(
+    unseen, steps
+) -> None:
+    assert Event.ENGAGE not in [event for event, _, _ in play(unseen, steps)]
+
+
+def test_an_order_between_two_turns_is_no_fall(unseen) -> None:
+    """Turned off in order it fails in its next `on`; the last turn saw it ON."""
+    unseen.table.post(unseen.first, mode=Mode.ON)
+    unseen.at(5 * MS)
+    assert Event.ENGAGE not in [event for event, _, _ in play(unseen, "OFF falls")]
