@@ -143,7 +143,7 @@ class PbonetError(Exception):
     @staticmethod
     def from_wire(wire: WireError) -> PbonetError:
         """Return the exception that `wire` describes; unknown codes give the base."""
-        kind = _BY_CODE.get(wire.get("code", ""), PbonetError)
+        kind = BY_CODE.get(wire.get("code", ""), PbonetError)
         error = kind.__new__(kind)
         if isinstance(error, SeveralError):
             error.errors = tuple(map(PbonetError.from_wire, wire.get("parts", [])))
@@ -489,7 +489,7 @@ def _tree(kind: type[PbonetError]) -> Iterable[type[PbonetError]]:
         yield from _tree(below)
 
 
-_BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}
+BY_CODE = {kind.code: kind for kind in _tree(PbonetError)}  # as they travel
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

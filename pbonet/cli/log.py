@@ -112,6 +112,8 @@ def events(
     wanted = Choice.of({"task": task, "code": code, "severity": severity})
     found = [msgspec.convert(one, Event) for one in Log(file or last_run()).events()]
     chosen = [event for event in found if wanted(event)]
+    if doubt := wanted.doubt(found):
+        render.print_error(render.warning(doubt))
     if json_:
         print(msgspec.json.encode({"events": chosen}).decode())
         return

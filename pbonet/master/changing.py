@@ -68,6 +68,10 @@ class Opened(Protocol):
         """Its RTPUs."""
         ...
 
+    def _warn(self, text: str) -> None:
+        """Tell a warning."""
+        ...
+
     def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
         """Return what a command that changes it stands in."""
         ...

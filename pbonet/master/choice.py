@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from pbonet.errors import Severity, StateError, did_you_mean
+from pbonet.xm import codes
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from pbonet.xm import messages as m
 
@@ -93,3 +94,19 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
             and self.task in {None, event.task}
             and event.wall >= self.after
         )
+
+    def doubt(self, told: Iterable[m.Event]) -> str:
+        """Return a warning of a code that no event can have; empty for none.
+
+        Args:
+            told: All events that there are; a node of another version may have told
+                codes that are not known here.
+        """
+        if self.code is None or self.code.removeprefix("-").isdecimal():
+            return ""
+        known = codes.KNOWN.union(event.code for event in told)
+        if self.code in known:
+            return ""
+        near = did_you_mean(self.code.upper(), sorted(known))
+        what = f"no event has the code {self.code}"
+        return f"{what}; {near or 'events without --code show theirs'}"

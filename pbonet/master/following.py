@@ -47,12 +47,16 @@ class Follower:
         """RTPUs that do not answer, and why; each is told once."""
         self.left_out = 0
         """Events that an RTPU had forgotten before they could be asked for."""
+        self.doubt: str | None = None
+        """What is odd about the choice, by the first events that were taken."""
 
     def take(self) -> list[m.Event]:
         """Return what has happened since the last call, the oldest first."""
         found: list[m.Event] = []
         for rtpu in self._subsystem.fleet.names:
             found += self._of(rtpu)
+        if self.doubt is None:
+            self.doubt = self._wanted.doubt(found)
         mine = {"", self._subsystem.name}
         chosen = [e for e in found if e.subsystem in mine and self._wanted(e)]
         return sorted(chosen, key=lambda event: (event.wall, event.n))
@@ -134,6 +138,8 @@ def follow(
         last = given.get("last")
         first, _ = since(given.get("since") or 0)
         events = [event for event in follower.take() if event.n >= first]
+        if follower.doubt:
+            render.print_error(render.warning(follower.doubt))
         count = _LAST if last is None else last
         _show(events[max(0, len(events) - count) :], as_data=as_data)
         told: dict[str, str] = {}

@@ -293,6 +293,8 @@ class Signalled(Opened, Protocol):
         results, errors = self.fleet.each(lambda _: request(since=first), list[m.Event])
         rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
         found = [event for events in results.values() for event in events]
+        if doubt := wanted.doubt(found):
+            self._warn(doubt)
         mine = [event for event in found if event.subsystem in {"", self.name}]
         chosen = sorted(filter(wanted, mine), key=lambda event: (event.wall, event.n))
         return chosen if last is None else chosen[max(0, len(chosen) - last) :]

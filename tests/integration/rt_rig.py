@@ -376,7 +376,7 @@ class Host:
             try:
                 self.__getattr__("end")()
                 self.process.stdin.close()
-                self.process.wait(10)
+                self.process.wait(60)
             except (AssertionError, OSError, subprocess.TimeoutExpired):
                 self.kill()
         self.process.stdout.close()

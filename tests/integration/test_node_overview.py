@@ -4,6 +4,7 @@ import os
 import signal
 
 import pytest
+from patience import LIMIT
 from watching import wait_for
 
 from pbonet.errors import ClaimError, SvarError, SvarOwnerError, UnknownTaskError
@@ -55,7 +56,8 @@ def test_a_repeated_write_is_carried_out_once(nodes, held):
     )
 
     def ask():
-        (reply,) = nodes.session.get(key, payload=Codec().pack(request), timeout=5.0)
+        payload = Codec().pack(request)
+        (reply,) = nodes.session.get(key, payload=payload, timeout=LIMIT)
         return reply.ok.payload.to_bytes()
 
     first = ask()

@@ -230,6 +230,12 @@ def test_modules_and_events_are_listed(pbonet):
     assert "RMODs: " in out
     assert "parameters" in pbonet("module", "diff").stdout
     assert pbonet("events").stdout == "no events\n"
+    done = pbonet("events", "--code", "WARNIGN")
+    assert (done.returncode, done.stdout) == (0, "no events\n")
+    told = "WARNING> no event has the code WARNIGN; did you mean WARNING?\n"
+    assert done.stderr == told
+    with_data = json.loads(pbonet("events", "--code", "WARNIGN", "--json").stdout)
+    assert with_data["warnings"] == [told.removeprefix("WARNING> ").strip()]
 
 
 @pytest.mark.usefixtures("standing")

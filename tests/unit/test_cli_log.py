@@ -62,6 +62,13 @@ def test_events_are_chosen(call, path, words, wanted) -> None:
         assert "arm0/" in line
 
 
+def test_a_code_that_no_event_has_is_told_beside_what_was_found(call, path) -> None:
+    status, out, err = call("log", "events", path, "--code", "WARNIGN")
+    assert (status, out) == (0, "")
+    assert err == "WARNING> no event has the code WARNIGN; did you mean WARNING?\n"
+    assert call("log", "events", path, "--code", "RING_FULL")[1:] == ("", "")
+
+
 def test_no_such_severity(call, path) -> None:
     status, _, err = call("log", "events", path, "--severity", "warnign")
     assert status == 1

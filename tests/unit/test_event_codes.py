@@ -1,8 +1,15 @@
-"""The page on the protocol lists the codes of events that the node tells, no others."""
+"""The page on the protocol, and the master, list the codes that the node tells."""
 
 import ast
 import re
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from pbonet.errors import DeviceError
+from pbonet.master.choice import Choice
+from pbonet.xm import codes
 
 ROOT = Path(__file__).parents[2]
 CODE = re.compile(r"[A-Z][A-Z_]+")
@@ -39,4 +46,27 @@ def listed():
 
 
 def test_every_code_is_on_the_page_and_only_those():
-    assert told() == listed()
+    assert told() == listed() == codes.TOLD
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        ("WARNNG", "did you mean WARNING?"),
+        ("warning", "did you mean WARNING?"),
+        ("TASK_DIE", "did you mean TASK_DIED?"),
+        ("OTHER_NEW", "did you mean OTHER_NEWS?"),
+        ("Q", "events without --code show theirs"),
+    ],
+)
+def test_a_code_that_no_event_can_have_is_doubted(code, remedy):
+    told = [SimpleNamespace(code="OTHER_NEWS")]
+    assert Choice(code=code).doubt(told) == f"no event has the code {code}; {remedy}"
+
+
+@pytest.mark.parametrize(
+    "code", [None, "WARNING", "OTHER_NEWS", DeviceError.code, "7", "-7"]
+)
+def test_one_that_an_event_has_or_may_have_is_not(code):
+    """Also one that a node of another version has told, and a number of a module."""
+    assert Choice(code=code).doubt([SimpleNamespace(code="OTHER_NEWS")]) == ""

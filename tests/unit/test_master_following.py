@@ -53,6 +53,17 @@ def texts(found):
     return [event.text for event in found]
 
 
+def test_a_code_that_no_event_has_is_doubted_with_the_first_look(rtpu):
+    rtpu.tell("a", code="NEWS")
+    rtpu.tell("b", subsystem="other", code="OTHER_NEWS")
+    follow = follower(rtpu, code="NEWSS")
+    follow.take()
+    assert follow.doubt == "no event has the code NEWSS; did you mean NEWS?"
+    known = follower(rtpu, code="OTHER_NEWS")
+    known.take()
+    assert known.doubt == ""
+
+
 def test_each_event_comes_once(rtpu):
     follow = follower(rtpu)
     assert follow.take() == []
