@@ -8,7 +8,7 @@ PIP := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o -name '*.h')
 
 .DEFAULT_GOAL := help
-.PHONY: help setup native demo hosts-demo check test bench docs clean
+.PHONY: help setup native demo hosts-demo check lint mypy pyright test bench docs clean
 
 help:  ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
@@ -40,11 +40,17 @@ demo: setup  ## Run the PUMA 560 example for 15 s and plot it
 hosts-demo: setup  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
 	$(BIN)/python examples/two_hosts/demo.py
 
-check: setup  ## Lint, types, layers
+check: lint mypy pyright  ## Lint, types, layers; make -j2 check on two cores
+
+lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
+
+mypy: setup
 	$(BIN)/mypy
+
+pyright: setup
 	$(BIN)/pyright
 
 # Two at a time where nothing runs in real time; the rest has the machine to itself.
