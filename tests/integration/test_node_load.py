@@ -77,8 +77,13 @@ def test_as_many_tasks_as_one_likes(nodes):
     assert len(set(pids)) == TASKS
     for name in names:
         assert arm.on(name).state == "ON"
-    for name in names:
-        arm.wait_cycles(name, 2)
+    first = arm.status()
+    wait_for(
+        lambda: all(
+            one.cycle > first[name].cycle + 1 for name, one in arm.status().items()
+        ),
+        "two cycles of each",
+    )
     for name in names[:8]:
         assert arm.off(name).state == "OFF"
     for name in names[:16]:
