@@ -284,7 +284,8 @@ class _Plan:
         items = [(name, "spawn") for name in transition.spawns]
         items += [(name, "on") for name in transition.stays]  # so the end is demanded
         items += [*transition.items, *((name, "kill") for name in transition.kills)]
-        return verify.reconfig(items, [wanted[name].task for name in transition.spawns])
+        new = [wanted[name].task for name in transition.spawns]
+        return verify.reconfig(items, new, transition.replaces)
 
     def pair(self) -> None:
         """Have standbys stand by.

@@ -25,7 +25,7 @@ from .timing import check_loads, check_traffic
 from .wiring import check_constants, check_readers, check_writers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 ENDING = frozenset({"off", "kill", "stop"})
 """Signals that are never refused for legality."""
@@ -41,6 +41,8 @@ class Change(Struct, frozen=True, kw_only=True):
     """A job or a list, which is judged by its end."""
     tasks: tuple[Task, ...] = ()
     """Tasks to be spawned, and those that get another frequency."""
+    replaced: frozenset[str] = frozenset()
+    """Tasks whose constants others give from then on."""
 
 
 def job(tasks: Sequence[Task]) -> Change:
@@ -50,9 +52,20 @@ def job(tasks: Sequence[Task]) -> Change:
     return Change(items=tuple(items), whole=True, tasks=tuple(tasks))
 
 
-def reconfig(items: Iterable[tuple[str, str]], tasks: Sequence[Task] = ()) -> Change:
-    """Return the change of an ordered list; `tasks` are those that it spawns."""
-    return Change(items=tuple(items), whole=True, tasks=tuple(tasks))
+def reconfig(
+    items: Iterable[tuple[str, str]],
+    tasks: Sequence[Task] = (),
+    replaces: Mapping[str, Sequence[str]] | None = None,
+) -> Change:
+    """Return the change of an ordered list.
+
+    Args:
+        items: Pairs of task and signal, in order.
+        tasks: Those that it spawns.
+        replaces: Tasks, and for each those whose constants it gives from then on.
+    """
+    replaced = frozenset(old for olds in (replaces or {}).values() for old in olds)
+    return Change(items=tuple(items), whole=True, tasks=tuple(tasks), replaced=replaced)
 
 
 def signal(task: str, name: str) -> Change:
@@ -174,7 +187,34 @@ def judge(current: Configuration, change: Change) -> Verdict:
             _told(p) if p.key in before or p.code is Code.NO_WRITER else p
             for p in problems
         ]
+    problems = _unsettled(problems, current, change.replaced - after.on)
     return Verdict(after=after, problems=tuple(problems))
+
+
+def _unsettled(
+    problems: list[Problem], current: Configuration, replaced: frozenset[str]
+) -> list[Problem]:
+    """Leave out tasks that give one constant, where there is nothing to be said of it.
+
+    Of those that stand the table has compared the values, and one that is replaced
+    gives its constants no more.
+    """
+    if not any(problem.code is Code.TWO_CONSTANTS for problem in problems):
+        return problems
+    stood = [
+        ({*one.tasks}, one.variables)
+        for one in check_writers(as_meant(current))
+        if one.code is Code.TWO_CONSTANTS
+    ]
+
+    def settled(problem: Problem) -> bool:
+        left = {*problem.tasks} - replaced
+        return len(left) == 1 or any(
+            left <= tasks and problem.variables == variables
+            for tasks, variables in stood
+        )
+
+    return [p for p in problems if p.code is not Code.TWO_CONSTANTS or not settled(p)]
 
 
 def _told(problem: Problem) -> Problem:

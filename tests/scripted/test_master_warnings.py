@@ -100,6 +100,24 @@ def test_a_change_that_is_not_made_is_told_of_each_time(arm, agents, odd):
     assert heard(arm) == []  # it stands, and nothing is new
 
 
+def test_a_swap_of_two_that_give_a_constant_says_nothing_of_both(arm, puma):
+    """It is what mends it; what stands behind it, no change makes."""
+    text = Library([]).find_rmod("puma_pidg").read_text()
+    (puma.parent / "twin.rmod").write_text(text)
+    arm.start("puma")
+    told = "puma_pidg and twin both produce the constant"
+    arm.heard.clear()
+    arm.swap("puma_pidg", "twin", dry_run=True)
+    arm.swap("puma_pidg", "twin")
+    arm.swap("twin", "puma_pidg")
+    arm.control("twin", "kill")
+    assert told not in str(arm.heard)
+    arm.spawn("twin", "arm0")
+    assert str(arm.heard).count(told) == 2, "NDOF and DH"
+    arm.control("twin", "kill")
+    assert str(arm.heard).count(told) == 2
+
+
 def test_a_change_that_waits_is_told_of_when_it_is_made(arm, world, odd):
     place = world.values["puma"]["Q^_MEZ"]
     place[0] = 1.0  # it is not where it may be left

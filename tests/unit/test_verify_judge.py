@@ -117,6 +117,59 @@ def test_spawning_before_the_constants_producer_is_refused() -> None:
     assert verify.judge(after, verify.spawn(GRAV)).problems == ()
 
 
+GRIP = task("grip", outconst="MASS", outvar="T")
+DRILL = task("drill", outconst="MASS", outvar="T")
+SAW = task("saw", outconst="MASS", outvar="S")
+SWAP = [("drill", "spawn"), ("grip", "off"), ("drill", "on")]
+
+
+def test_a_second_giver_of_a_constant_is_told_when_it_comes() -> None:
+    config = configuration(GRIP, DRILL, on=set())
+    alone = verify.Configuration(svar=config.svar, tasks=(GRIP,))
+    verdict = verify.judge(alone, verify.spawn(DRILL))
+    assert codes(verdict.warnings) == ["two-constants"]
+    verdict = verify.judge(alone, verify.reconfig(SWAP[:1], [DRILL]))
+    assert codes(verdict.warnings) == ["two-constants"]
+    assert codes(verify.check(config)) == ["two-constants"]
+
+
+def test_an_exchange_of_two_givers_mends_what_it_would_warn_of() -> None:
+    config = configuration(GRIP, DRILL, SAW)
+    alone = verify.Configuration(
+        svar=config.svar, tasks=(GRIP,), on=frozenset({"grip"})
+    )
+    change = verify.reconfig(SWAP, [DRILL], {"drill": ["grip"]})
+    verdict = verify.judge(alone, change)
+    assert verdict.problems == ()
+    back = verify.reconfig([("drill", "off"), ("grip", "on")], [], {"grip": ["drill"]})
+    assert verify.judge(verdict.after, back).problems == ()
+    assert verify.judge(verdict.after, verify.signal("grip", "reinit")).problems == ()
+    three = configuration(GRIP, DRILL, SAW)
+    assert verify.judge(three, verify.signal("grip", "kill")).problems == ()
+
+
+def test_a_third_giver_that_stays_is_told_of() -> None:
+    config = configuration(GRIP, DRILL, SAW)
+    two = verify.Configuration(
+        svar=config.svar, tasks=(GRIP, SAW), on=frozenset({"grip", "saw"})
+    )
+    change = verify.reconfig(SWAP, [DRILL], {"drill": ["grip"]})
+    (problem,) = verify.judge(two, change).problems
+    assert problem.code is verify.Code.TWO_CONSTANTS
+    assert "saw" in problem.what
+    assert "drill" in problem.what
+
+
+def test_one_that_is_replaced_and_stays_on_still_gives() -> None:
+    config = configuration(GRIP, SAW)
+    alone = verify.Configuration(
+        svar=config.svar, tasks=(GRIP,), on=frozenset({"grip"})
+    )
+    items = [("saw", "spawn"), ("saw", "on")]
+    change = verify.reconfig(items, [SAW], {"saw": ["grip"]})
+    assert codes(verify.judge(alone, change).problems) == ["two-constants"]
+
+
 def test_a_task_that_is_wrong_by_itself_is_not_spawned() -> None:
     info = module(port("outvar", "X"), critical_ok=False)
     wrong = task("a", outvar="X", critical=True, info=info)
