@@ -112,6 +112,9 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
             go_on(stopped)
             if not crew.picture.find(name).is_on:
                 done.turn_on(name)
+        named = by_name.keys()
+        pairs = unpaired(crew, wanted)
+        part(crew, [(one, of) for one, of in pairs if named & {one.name, of}])
         pair(crew, wanted)
         gate.entered()
     statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
@@ -153,6 +156,27 @@ def pair(crew: Crew, wanted: Sequence[Member]) -> None:
     for member in wanted:
         if member.fallback_of:
             crew.stand_by(member.name, member.fallback_of)
+
+
+def unpaired(crew: Crew, wanted: Sequence[Member]) -> list[tuple[Member, str]]:
+    """Return tasks that are fallbacks, and none in a job, and for whom each is one."""
+    standbys = {member.name for member in wanted if member.fallback_of}
+    return [
+        (member, member.fallback_of)
+        for member in crew.picture
+        if member.fallback_of and member.name not in standbys
+    ]
+
+
+def part(crew: Crew, pairs: Sequence[tuple[Member, str]]) -> None:
+    """Have tasks be the fallbacks of others no more; what fails is a warning."""
+    for member, original in pairs:
+        try:
+            crew.stand_by(member.name, "")
+        except UnknownTaskError:
+            continue  # it has died, or a stop was quicker
+        except PbonetError as error:
+            crew.tell([f"{member.name} is still the fallback of {original}: {error}"])
 
 
 class Done:

@@ -213,6 +213,8 @@ class _Plan:
         """Standbys of tasks that leave."""
         self._originals: list[tuple[Member, str]] = []
         """Tasks, and for whom each is to stand by."""
+        self._parted: list[tuple[Member, str]] = []
+        """Tasks, and whose fallbacks they are no more."""
         self._begun = False
 
     def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
@@ -240,6 +242,17 @@ class _Plan:
     def pair_with(self, member: Member, original: str) -> None:
         """Have a task be the fallback of another one, or with "" of none."""
         self._originals.append((member, original))
+
+    def part(self, member: Member, original: str) -> None:
+        """Have a task be the fallback of another one no more.
+
+        It is until the change is made; who comes in its place waits as long.
+        """
+        other = self._crew.picture.get(original)
+        if other is not None and other.is_on:
+            self._kept |= {one.name for one, of in self._originals if of == original}
+        self._parted.append((member, original))
+        self._originals.append((member, ""))
 
     @contextmanager
     def supposed(self) -> Generator[None]:
@@ -288,11 +301,12 @@ class _Plan:
         return verify.reconfig(items, new, transition.replaces)
 
     def pair(self) -> None:
-        """Have standbys stand by.
+        """Have standbys stand by, and others no longer.
 
         Raises:
             PbonetError: One could not take over.
         """
+        assembly.part(self._crew, self._parted)
         assembly.pair(self._crew, list(self._standbys.values()))
 
     def spawn(
@@ -351,6 +365,8 @@ def _of_job(crew: Crew, job: JobFile) -> _Plan:
             plan.put_in(standing)
         if stands:
             _must_run_at(crew.picture.find(member.name), member)
+    for member, original in assembly.unpaired(crew, wanted):
+        plan.part(member, original)
     return plan
 
 

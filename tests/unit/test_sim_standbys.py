@@ -12,6 +12,7 @@ from pbonet import State
 from pbonet.errors import (
     ConditionError,
     LogError,
+    NoAnswerError,
     ReconfigError,
     Severity,
     StateError,
@@ -314,6 +315,93 @@ def test_a_switch_that_is_not_made_leaves_no_fallback(folder):
         assert not second.fallback_of
         arm.switch("j")
         assert second.fallback_of == "first"
+
+
+@pytest.fixture
+def jobs(folder):
+    """Jobs with the same tasks: nobody stands by, the third one does, or it works."""
+    source(folder, "first")
+    source(folder, "third")
+    for name, lines in {
+        "k": "TASK first",
+        "third": "TASK first FALLBACK third",
+        "other": "TASK second",
+        "kill": "TASK third",
+    }.items():
+        job = JOB.replace("JOB j", f"JOB {name}")
+        job = job.replace("TASK first FALLBACK second", lines)
+        (folder / f"{name}.job").write_text(job)
+    with Subsystem(folder / "j.job", libraries=[str(folder)], virtual=True) as arm:
+        arm.start()
+        yield arm
+
+
+def fallbacks(arm):
+    """Return of each fallback whose it is, and whether it stands by."""
+    return {
+        status.task: (status.fallback_of, bool(status.stands_by))
+        for status in arm.status_all()
+        if status.fallback_of or status.stands_by
+    }
+
+
+def test_a_switch_ends_what_its_job_does_not_name(jobs):
+    assert fallbacks(jobs) == {"second": ("first", True)}
+    jobs.switch("k", dry_run=True)
+    assert fallbacks(jobs) == {"second": ("first", True)}
+    jobs.switch("k")
+    assert fallbacks(jobs) == {}
+    assert jobs.status("second").state == "OFF"
+    jobs.switch("j")
+    assert fallbacks(jobs) == {"second": ("first", True)}
+
+
+def test_another_fallback_comes_in_the_place_of_the_first(jobs):
+    jobs.switch("third")
+    assert fallbacks(jobs) == {"third": ("first", True)}
+
+
+def test_a_fallback_that_becomes_a_task_of_its_own_is_none_any_more(jobs):
+    jobs.switch("other")
+    assert jobs.status("second").state == "ON"
+    jobs.spawn("first")
+    assert fallbacks(jobs) == {}
+    jobs.swap("second", "first")
+    assert fallbacks(jobs) == {}
+
+
+def test_one_that_was_engaged_and_is_killed_does_not_come_back_as_a_fallback(jobs):
+    jobs.swap("first", "second")
+    jobs.switch("kill")
+    assert {one.task for one in jobs.status_all()} == {"third", "first", "sink"}
+    jobs.spawn("second")
+    jobs.swap("third", "first")
+    assert fallbacks(jobs) == {}
+
+
+def test_a_start_ends_those_of_the_tasks_that_its_job_names(jobs):
+    jobs.control("sink", "off")
+    jobs.start("k")
+    assert fallbacks(jobs) == {}
+
+
+def test_what_could_not_be_ended_is_told_and_done_the_next_time(jobs, monkeypatch):
+    told = []
+    jobs.warned = told.append
+    call = jobs.fleet.call
+
+    def mostly(rtpu, request, kind, **more):
+        if isinstance(request, m.Standby):
+            raise NoAnswerError("no answer")
+        return call(rtpu, request, kind, **more)
+
+    monkeypatch.setattr(jobs.fleet, "call", mostly)
+    jobs.switch("k")
+    assert "second is still the fallback of first: no answer" in told[-1]
+    monkeypatch.undo()
+    assert fallbacks(jobs) == {"second": ("first", True)}
+    jobs.switch("k")
+    assert fallbacks(jobs) == {}
 
 
 def test_virtual_time_has_no_prompt(folder):
