@@ -324,6 +324,14 @@ def test_a_standby_obeys_while_it_stands_by(start, tmp_path):
     """Also a switch to a job that does not name it."""
     arm = start("counts")
     wait_standing(arm)
+    alone = JOB.replace("JOB watch", "JOB alone").replace(" FALLBACK second", "")
+    (tmp_path / "alone.job").write_text(alone)
+    arm.switch("alone")
+    second = arm.status("second")
+    assert (second.state, second.fallback_of) == ("OFF", "")
+    assert not second.stands_by
+    arm.switch("watch")
+    wait_standing(arm)
     assert arm.freq("second", 100.0) == 100.0
     assert len(arm.get("second")) == 1
     wait_standing(arm)
@@ -331,13 +339,6 @@ def test_a_standby_obeys_while_it_stands_by(start, tmp_path):
     with pytest.raises(SvarOwnerError):
         arm.fleet.call("arm0", by_hand, m.TaskStatus)
     wait_standing(arm)  # it stands by again
-    alone = JOB.replace("JOB watch", "JOB alone").replace(" FALLBACK second", "")
-    (tmp_path / "alone.job").write_text(alone)
-    arm.switch("alone")
-    second = arm.status("second")
-    assert (second.state, second.fallback_of, second.stands_by) == ("OFF", "", "")
-    arm.switch("watch")
-    wait_standing(arm)
     arm.control("second", "kill")
     assert states(arm) == {"first": "ON", "hold": "ON"}
     arm.control("first", "kill")

@@ -191,6 +191,23 @@ def test_a_handler_that_fails_is_the_error():
     assert asked == ["bench: x"], "it is not asked about its own failure"
 
 
+def test_an_error_that_a_handler_raises_again_is_noted_once():
+    """One exception, raised in each of many cycles, must not grow with them."""
+    kept = OSError("the bus is gone")
+
+    def fails(_error):
+        raise kept
+
+    def cycle(self):
+        with self.task.on_error(None, fails):
+            self.task.fail("x")
+
+    made, _ = bench(cycle, error=Answer.CONTINUE)
+    for _ in range(3):
+        made.step()
+    assert kept.__notes__ == ["this happened in the handler of: x"]
+
+
 def test_a_handler_that_reports_an_error_ends_there():
     def cycle(self):
         def again(_error):

@@ -16,6 +16,7 @@ from pbonet.log import Log, TaskAbout
 from pbonet.node import recorder as recording
 from pbonet.node import rings, wire
 from pbonet.node._ring import Ring
+from pbonet.node.agent import Agent
 from pbonet.node.recorders import BEFORE, RESTARTS, Recorders
 from pbonet.xm import codec
 from pbonet.xm import messages as m
@@ -150,8 +151,29 @@ def test_rings_that_no_recorder_comes_for_are_bounded_and_swept(
     rings.sweep("d", "arm")
     rings.sweep("e", "arm0")
     assert len(files(shared_memory)) == rings.MOST, "they are another one's"
-    Recorders(lambda _: None, AgentConfig(name="arm0", domain="d")).stop()
+    recorders = Recorders(lambda _: None, AgentConfig(name="arm0", domain="d"))
+    agent = SimpleNamespace(
+        _begin_to_stop=lambda: None,
+        _server=None,
+        _recorders=recorders,
+        _leave=lambda: None,
+    )
+    Agent.abandon(agent)
+    assert len(files(shared_memory)) == rings.MOST, "the next agent's recorders come"
+    recorders.stop()
     assert files(shared_memory) == []
+
+
+@pytest.mark.parametrize("size", [0, 100, 1 << 14])
+def test_a_ring_that_its_task_has_not_finished_is_removed(
+    tmp_path, shared_memory, size
+) -> None:
+    """It was killed as it made it."""
+    name = f"pbonet.{os.geteuid()}.d.arm.a.ring"
+    (shared_memory / name).write_bytes(bytes(size))
+    rings.let_ring_go(gone(), wanted(tmp_path))
+    assert files(shared_memory) == []
+    rings.let_ring_go(gone(), wanted(tmp_path))  # it had not begun
 
 
 @pytest.mark.usefixtures("ring")

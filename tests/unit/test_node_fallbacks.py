@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.errors import MethodError, NoAnswerError, StateError
-from pbonet.node import _rt, wire
+from pbonet.node import _rt, control, wire
 from pbonet.node.events import EventLog
 from pbonet.node.fallbacks import LIMIT, Fallbacks
 from pbonet.pbo import State
+from pbonet.sched.records import Mode
 
 ORIGINAL, STANDBY, OTHER = "first", "second", "other"
 
@@ -30,7 +31,10 @@ class Core:
 
     def snapshot(self, slot):
         return SimpleNamespace(
-            fell=slot in self.fell, dead=slot in self.dead, comes=slot in self.coming
+            mode=Mode.OFF,
+            fell=slot in self.fell,
+            dead=slot in self.dead,
+            comes=slot in self.coming,
         )
 
 
@@ -207,3 +211,39 @@ def test_of_one_that_has_died_no_slot_is_touched(home):
         home.turn_off(first=[STANDBY])
     assert stands_by(home) == ("", (_rt.FALLBACK, [3]))
     assert home.prepared == [([ORIGINAL], [STANDBY])]
+
+
+def test_nobody_gets_ready_again_for_a_task_that_is_killed(home, monkeypatch):
+    """It has two fallbacks: while one is sent to rest, the other one's time comes."""
+    third = home.tasks["arm", "third"] = FakeTask("third", 5, State.OFF)
+    home.first.state, home.second.state = State.ON, State.OFF
+    pairs = home.fallbacks
+
+    async def rests(task, what, make):
+        """Answer late; by then the RTPU process has looked at all pairs."""
+        task.heard.append(make(1))
+        if what == "rest":
+            pairs.look_again()
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    for task in (home.second, third):
+        task.command = lambda what, make, _limit, task=task: rests(task, what, make)
+    home.heirs.dismiss = lambda _task: None
+    left = []
+
+    async def killed(*_, **_more):
+        of = home.core.follows
+        left.extend((t.stands_by, of[t.facts.slot]) for t in (home.second, third))
+        return []
+
+    monkeypatch.setattr(control, "kill", killed)
+
+    async def run():
+        await pairs.pair("arm", STANDBY, ORIGINAL)
+        await pairs.pair("arm", "third", ORIGINAL)
+        assert home.second.stands_by == third.stands_by == ORIGINAL
+        await control.control(home, home.first, "kill", 5.0)
+
+    asyncio.run(run())
+    assert left == [ALONE, ALONE]

@@ -10,10 +10,11 @@ import pytest
 from pbonet.config import parse_svar
 from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, TaskDiedError, UnknownTaskError
-from pbonet.node import _rt, reconfig
+from pbonet.node import _rt, reconfig, wire
 from pbonet.node.events import EventLog
 from pbonet.node.flags import Flags
 from pbonet.node.handover import Exchange
+from pbonet.node.state import Rtpu as Process
 from pbonet.pbo import State
 from pbonet.sched.records import Mode
 from pbonet.svar import Table
@@ -272,3 +273,78 @@ def test_an_exchange_is_slow_though_one_of_its_tasks_is_dead(rtpu):
         return exchange.failed
 
     assert list(asyncio.run(asyncio.wait_for(run(), LIMIT))) == ["dead"]
+
+
+def test_an_exchange_that_fails_gives_variables_up_first(rtpu, monkeypatch):
+    """Who stands by may have been engaged all the same: it finds them free then."""
+    monkeypatch.setattr("pbonet.node.handover.TRIP", 0.0)
+    done = []
+
+    class Fails(Played):
+        """Its `on` has failed when it is known to stand by."""
+
+        async def command(self, what, make, limit, **more):
+            done.append((what, self.name))
+            if what == "prepare":
+                error = PbonetError("on raised").to_wire()
+                notice = wire.Notice(severity=40, code="ENGAGED", text="", error=error)
+                self.engaged.set_result(notice)
+            return await super().command(what, make, limit, **more)
+
+    async def spare(task):
+        done.append(("spare", task.name))
+
+    rtpu.fallbacks = SimpleNamespace(
+        turn_off=rtpu.fallbacks.turn_off,
+        withdraw=rtpu._nothing,
+        ready=rtpu._nothing,
+        overtaken=lambda _task: None,
+        spare=spare,
+    )
+
+    async def run():
+        Fails(rtpu, "old", ["Y0"])
+        Fails(rtpu, "new", ["Y0"]).state = State.OFF
+        exchange = Exchange(rtpu, "arm", [("old", "off"), ("new", "on")], LIMIT)
+        await exchange.run(lambda: None)
+        return exchange.failed
+
+    assert list(asyncio.run(asyncio.wait_for(run(), LIMIT))) == ["new"]
+    assert done == [
+        ("prepare", "new"),
+        ("off", "old"),
+        ("disown", "old"),
+        ("spare", "new"),
+        ("rest", "new"),
+    ]
+
+
+def test_a_death_is_marked_before_it_is_judged_who_counts_on_the_task(rtpu):
+    """A caller that came just before the mark was told that the heir is there."""
+    core, judged = rtpu.core, []
+    slot = core.alloc("arm0", "heir")
+    life = core.expect(slot, 7, 2)
+    core.post(slot, mode=Mode.STANDS)
+
+    def died(one):
+        assert core.call(one, life, 7, 0)
+        core.died(one)
+        assert not core.call(one, life, 7, 1)
+
+    nothing = lambda *_: None  # noqa: E731 - as short as what it does
+    facts = SimpleNamespace(subsystem="arm", slot=slot)
+    process = SimpleNamespace(
+        core=SimpleNamespace(died=died, snapshot=core.snapshot, free=core.free),
+        signals=SimpleNamespace(end=nothing),
+        vigil=SimpleNamespace(forget=nothing),
+        fallbacks=SimpleNamespace(look=nothing),
+        tasks={},
+        told={},
+        spawned={},
+        _died=lambda _task, _code, seen: judged.append((seen.dead, seen.called)),
+        **dict.fromkeys(("status_of", "rank", "save", "_reap"), nothing),
+    )
+    task = SimpleNamespace(name="heir", facts=facts, stopping=False)
+    Process.ended(process, task, -9)
+    assert judged == [(True, True)]
+    assert core.slots() == []
