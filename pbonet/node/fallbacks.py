@@ -235,7 +235,8 @@ class Fallbacks:
         standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
         original = self._rtpu.tasks.get((pair.subsystem, pair.original))
         if (
-            standby is None
+            self._pairs.get((pair.subsystem, pair.standby)) is not pair
+            or standby is None
             or original is None
             or pair.engaged >= LIMIT
             or pair.subsystem in self._rtpu.stopping

@@ -213,22 +213,46 @@ def test_of_one_that_has_died_no_slot_is_touched(home):
     assert home.prepared == [([ORIGINAL], [STANDBY])]
 
 
-def test_nobody_gets_ready_again_for_a_task_that_is_killed(home, monkeypatch):
-    """It has two fallbacks: while one is sent to rest, the other one's time comes."""
+@pytest.fixture
+def restless(home):
+    """The RTPU: while a standby is sent to rest, it looks at all pairs once more."""
     third = home.tasks["arm", "third"] = FakeTask("third", 5, State.OFF)
     home.first.state, home.second.state = State.ON, State.OFF
-    pairs = home.fallbacks
 
-    async def rests(task, what, make):
-        """Answer late; by then the RTPU process has looked at all pairs."""
+    async def obeys(task, what, make):
         task.heard.append(make(1))
         if what == "rest":
-            pairs.look_again()
-        for _ in range(5):
-            await asyncio.sleep(0)
+            home.fallbacks.look_again()
+        await turns()
 
     for task in (home.second, third):
-        task.command = lambda what, make, _limit, task=task: rests(task, what, make)
+        task.command = lambda what, make, _limit, task=task: obeys(task, what, make)
+    return home
+
+
+async def turns():
+    """Let everything run that is due."""
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+def test_a_pair_that_is_ended_is_not_arranged_once_more(restless):
+    async def run():
+        await restless.fallbacks.pair("arm", STANDBY, ORIGINAL)
+        assert stands_by(restless) == READY
+        await restless.fallbacks.pair("arm", STANDBY, "")
+        await turns()
+
+    asyncio.run(run())
+    assert stands_by(restless) == ALONE
+    assert restless.prepared[-1] == ([], [])
+    assert restless.fallbacks.of(restless.second) == ""
+
+
+def test_nobody_gets_ready_again_for_a_task_that_is_killed(restless, monkeypatch):
+    """It has two fallbacks: while one is sent to rest, the other one's time comes."""
+    home, third = restless, restless.tasks["arm", "third"]
+    pairs = home.fallbacks
     home.heirs.dismiss = lambda _task: None
     left = []
 
