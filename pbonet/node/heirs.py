@@ -123,7 +123,7 @@ class Heirs:
         life = rtpu.core.expect(slot, ticket, len(after))
         try:
             await task.command(
-                "prepare", lambda n: wire.Prepare(n, after, owners), limit
+                "prepare", lambda n: wire.Prepare(n, after, owners, far=far), limit
             )
             await rtpu.fallbacks.ready(task, [*after, *owners])
         except BaseException:

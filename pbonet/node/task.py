@@ -235,6 +235,7 @@ class Host:
         self.local.given_up = lambda: self.slot.after != kind
         self.time.turned_on()
         try:
+            self.local.have_ended()
             with self.journal.doing(Did("on")):
                 self.executor.signal("on")
         except PbonetError as error:
@@ -388,7 +389,7 @@ class Host:
                 self._signal(message)
                 return self.heralds.gone
             case wire.Prepare():
-                self._prepare(message.after, message.owners)
+                self._prepare(message)
             case wire.Herald():
                 return self.heralds.learn(message.calls)
             case wire.Disown():
@@ -417,19 +418,21 @@ class Host:
             )
         self._after_signal(cede=message.cede)
 
-    def _prepare(self, after: list[str], owners: list[str]) -> None:
+    def _prepare(self, wanted: wire.Prepare) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
-        self.heir_of = []
+        self.heir_of, after = [], wanted.after
         self.local.heir_of([])
         if not after:
             return
         lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)
-        self.local.heir_of([*after, *owners])
+        self.local.heir_of([*after, *wanted.owners])
         try:
             self.local.check_claim()
         except PbonetError:
             self.local.heir_of([])
             raise
+        if wanted.far:
+            self.local.heir_of([])
         self.heir_of = after
         self._engaged = wire.encode(
             wire.Notice(

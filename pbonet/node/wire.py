@@ -288,6 +288,9 @@ class Prepare(Struct, tag="prepare"):
     """Tasks whose out-vars it takes over then; empty: stand by no longer."""
     owners: list[str] = []
     """Tasks that own these variables before those do."""
+    far: bool = False
+    """They are on another machine: it comes on when nobody owns the variables there any
+    more, and takes them from nobody who does again."""
 
 
 class Herald(Struct, tag="herald"):

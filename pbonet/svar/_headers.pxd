@@ -32,6 +32,8 @@ cdef extern from "local.h" nogil:
         pb_static *fixed
         pb_var *vars
         pb_reg *regs
+    struct pb_last:
+        uint64_t uid, number
     struct pb_group:
         pb_reg *reg
         uint64_t bytes, uid
@@ -40,6 +42,7 @@ cdef extern from "local.h" nogil:
         const uint64_t *at
         const char *heir_of
         uint32_t n_heir_of
+        const pb_last *ends
     struct pb_check:
         uint32_t type, rule, var
         uint64_t at, n
@@ -96,6 +99,7 @@ cdef extern from "local.h" nogil:
     int pb_look(pb_table *t, uint32_t v, void *to, pb_view *view)
     int pb_set(pb_table *t, uint32_t v, const void *value, int64_t now_ns, bint wait)
     int pb_enter(pb_table *t, pb_group *g, pb_reg *who, uint8_t *named)
+    int pb_note_ends(pb_table *t, pb_group *g, pb_last *ends)
     int pb_ask(pb_table *t, pb_group *g, const uint8_t *data, bint constants, uint32_t *rival)
     int pb_claim(pb_table *t, pb_group *g, const uint8_t *data, pb_stamp stamp, bint constants,
                  uint32_t *rival)

@@ -336,6 +336,19 @@ cdef class LocalTable:
         self.heirs[which] = heirs       # keeps them where they are
         g.heir_of = <const char *>heirs
         g.n_heir_of = len(names)
+        g.ends = NULL
+
+    def note_ends(self, unsigned which) -> int:
+        """Let only those hand over that commit nothing from here on; returns a code."""
+        cdef pb_group *g = &local(self).outputs[which].group
+        cdef list kept = []
+        cdef pb_last *ends = <pb_last *>room(kept, g.n, sizeof(pb_last))
+        if self.ends is None:
+            self.ends = [None, None]
+        cdef int code = pb_note_ends(table(self.arena), g, ends)
+        if code == 0:
+            self.ends[which] = kept     # keeps them where they are
+        return code
 
     def cede(self) -> None:
         """Write no more, and leave the variables to the heir's claim."""

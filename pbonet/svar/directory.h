@@ -13,6 +13,11 @@
 
 enum { PB_RIVAL = -1, PB_FULL = -2, PB_STUCK = -3, PB_ALIVE = -4 };
 
+/* What a register had committed last. */
+struct pb_last {
+    uint64_t uid, number;
+};
+
 /* The variables that a task writes together, as its process sees them. */
 struct pb_group {
     struct pb_reg *reg;
@@ -23,6 +28,8 @@ struct pb_group {
     const uint64_t *at;   /* their places in the group */
     const char *heir_of;  /* names of PB_NAME bytes: these tasks hand over to it */
     uint32_t n_heir_of;
+    const struct pb_last *ends; /* NULL, or for each variable what its owner had committed
+                                   when those had ended; who goes on comes back */
 };
 
 /* The directory's head, for who holds the lock. */

@@ -237,6 +237,17 @@ class LocalTable(Closing, native.LocalTable):
         self.given_up = _never
         self.succeed(VARS, [name.encode() for name in tasks])
 
+    def have_ended(self) -> None:
+        """Say that those that hand over have ended: they write no more.
+
+        Who of them commits from here on was turned on again, and `claim` takes nothing
+        from it.
+
+        Raises:
+            SvarError: The table cannot be had.
+        """
+        self._check(self.note_ends(VARS))
+
     @contextmanager
     def replacing(self, tasks: Iterable[str]) -> Generator[None]:
         """Let `copy_out_consts` take constants from tasks that live, in the block.

@@ -28,11 +28,38 @@ static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry
 
 enum { PB_TAKE, PB_SHARE, PB_REFUSE };
 
-/* Whether the holder of a register hands over to the group: its variables go from the one
- * to the other in the group's own claim, so that somebody owns them at every instant. */
-static inline bool pb_hands_over(const struct pb_group *g, const struct pb_reg *holder) {
-    for (uint32_t i = 0; i < g->n_heir_of; i++)
-        if (!strncmp(holder->task, g->heir_of + i * PB_NAME, PB_NAME)) return true;
+/* What a register had committed last; for who holds the lock. Its writer may go on. */
+static inline struct pb_last pb_last_of(const struct pb_reg *reg) {
+    return (struct pb_last){atomic_load_explicit(&reg->uid, memory_order_relaxed),
+                            pb_number(pb_read_begin(&reg->head))};
+}
+
+/* Note what the owners of the group's variables have committed, as those that hand over
+ * have ended: who commits from here on has been turned on again, and hands over nothing.
+ * `ends` has room for each variable, and stays where it is. Returns 0 or PB_STUCK. */
+static inline int pb_note_ends(const struct pb_table *t, struct pb_group *g,
+                               struct pb_last *ends) {
+    const struct pb_entry *now;
+    if (pb_lock(t->live)) return PB_STUCK;
+    now = pb_directory(t, pb_generation(t));
+    for (uint32_t i = 0; i < g->n; i++) {
+        const struct pb_entry *e = now + g->vars[i];
+        ends[i] = e->live ? pb_last_of(t->regs + e->reg) : (struct pb_last){0, UINT64_MAX};
+    }
+    pb_unlock(t->live);
+    g->ends = ends;
+    return 0;
+}
+
+/* Whether the holder of a register hands over the group's variable `i`: it goes from the
+ * one to the other in the group's own claim, so that somebody owns it at every instant. */
+static inline bool pb_hands_over(const struct pb_group *g, uint32_t i,
+                                 const struct pb_reg *holder) {
+    struct pb_last last = pb_last_of(holder);
+    if (g->ends && (g->ends[i].uid != last.uid || g->ends[i].number != last.number))
+        return false;
+    for (uint32_t k = 0; k < g->n_heir_of; k++)
+        if (!strncmp(holder->task, g->heir_of + k * PB_NAME, PB_NAME)) return true;
     return false;
 }
 
@@ -42,7 +69,7 @@ static inline int pb_may(const struct pb_table *t, const struct pb_group *g, uin
                          const uint8_t *data, bool constants) {
     const struct pb_entry *e = pb_directory(t, pb_generation(t)) + g->vars[i];
     const struct pb_reg *holder = t->regs + e->reg;
-    if (!e->live || holder == g->reg || pb_hands_over(g, holder) || !pb_alive(holder))
+    if (!e->live || holder == g->reg || pb_hands_over(g, i, holder) || !pb_alive(holder))
         return PB_TAKE;
     if (constants && pb_peek_equal(t, e, data + g->at[i], t->vars[g->vars[i]].bytes))
         return PB_SHARE;
@@ -107,7 +134,7 @@ static inline int pb_ask(const struct pb_table *t, struct pb_group *g, const uin
  * or PB_RIVAL with the variable that another live task owns. */
 static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
                            struct pb_stamp stamp, bool constants, uint32_t *rival) {
-    const struct pb_group old = *g;
+    struct pb_group old;
     uint64_t head;
     struct pb_entry *next;
     if (pb_lock(t->live)) return PB_STUCK;
@@ -115,6 +142,8 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
         pb_unlock(t->live);
         return PB_RIVAL;
     }
+    g->ends = NULL; /* judged once: what an owner commits meanwhile divides no claim */
+    old = *g;
     if (pb_divided(t, g, data, constants) && pb_renew(t, g, true)) {
         pb_unlock(t->live);
         return PB_FULL;

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import pytest
 from nodekit import rmod, svar
@@ -294,11 +294,18 @@ def gate(tmp_path, arm):
     return begun, go_on
 
 
+def releases(ring):
+    """Return when the cycles were due that a task has put on record, not read yet."""
+    with closing(Ring.attach(ring)) as records:
+        return [one.release_ns for one in records.drain() if not one.kind]
+
+
 @pytest.mark.parametrize("killed", ["arm0", "arm1"])
 def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
-    """The RTPUs go on by themselves; a restarted agent says what has become of it."""
+    """The RTPUs go on by themselves; a new master finds what has become of it."""
     begun, go_on = gate
     tids = {status.task: status.tid for status in arm.status_all()}
+    rings = {one.task: one.ring for one in arm.status_all()}
     with ThreadPoolExecutor(1) as pool:
         swap = pool.submit(arm.swap, "old", "d")
         wait_for(begun.exists, "the beginning of off")
@@ -315,9 +322,14 @@ def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
     assert what in str(error)
     assert error.rest == (("old", "off"), ("d", "on"))[-rest:]
     nodes.agent_process(killed)
+    arm.detach()
+    arm.open()
     end = {"a": "ON", "b": "OFF", "c": "OFF", "d": "ON", "old": "OFF"}
     wait_for(lambda: states(arm) == end, "that it came on by itself")
     assert {status.task: status.tid for status in arm.status_all()} == tids
+    assert arm.display(["Y1"])[0].writer == "d"
+    first = wait_for(lambda: releases(rings["d"]), "a cycle of d")[0]
+    assert releases(rings["old"])[-1] < first, "the two wrote one after the other"
     assert arm.swap("old", "d").items == [], "nothing is left to be done"
     assert arm.swap("d", "old").items == [("d", "off"), ("old", "on")]
     wait_for(lambda: not causes(arm), "a legal configuration")

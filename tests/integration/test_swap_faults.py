@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 from nodekit import alive, rmod, svar, wait_gone
+from patience import LIMIT
 from watching import causes, states, wait_for
 
 from pbonet.errors import (
@@ -216,26 +217,46 @@ def test_off_that_hangs_is_given_up_and_killed(arm, gate, briefly):
     assert arm.status("stays").on_ns == before.on_ns
 
 
-def test_a_fallback_that_comes_late_takes_nothing_from_others(
+def test_who_comes_on_late_takes_nothing_from_who_came_back(
     arm, nodes, write, tmp_path
 ):
-    """Its original failed, and while its `on` hung the one before came back."""
+    """An heir, and a fallback: while their `on` hangs the one before is turned on.
+
+    It is on another RTPU, where nobody knows of them.
+    """
     begun, go_on = tmp_path / "begun", tmp_path / "go_on"
     nodes.write_module("waits_in_on", WAITS_IN_ON)
     nodes.write_module("fails", FAILS)
     write("late", "waits_in_on", local={"BEGUN": begun, "GO_ON": go_on})
     write("bad", "fails")
+    write("far", "counts")
+
+    def come_back(task):
+        wait_for(begun.exists, "its on")
+        arm.control(task, "on")
+        go_on.touch()
+        wait_for(lambda: states(arm)["late"] == "ERROR", "the end of on")
+        assert "late cannot write Y0, another task does" in arm.status("late").error
+        assert (states(arm)[task], writer(arm)) == ("ON", task)
+        wait_for(lambda: not causes(arm), "a legal configuration")
+
+    arm.spawn("late", "arm1")
+    arm.control("good", "on")
+    heirs = m.Heirs(after={"late": ["good"]}, timeout=LIMIT)
+    calls = arm.fleet.call("arm1", heirs, dict[str, list[m.Call]])
+    off = m.Reconfig(items=[("good", "off")], handover={"good": ["Y0"]}, calls=calls)
+    assert arm.fleet.call("arm0", off, m.Reconfigured).done == 1
+    come_back("good")  # a second order; the master of the first has gone
+    arm.control("late", "kill")
+    begun.unlink()
+    go_on.unlink()
+
     tasks = "TASK stays arm0\nTASK bad arm0 FALLBACK late"
     (tmp_path / "j.job").write_text(f"JOB j\nDESC\nSBS t.sbs\n{tasks}\nEOF\n")
-    arm.control("good", "on")
+    arm.swap("good", "far", rtpu="arm1")
     with pytest.raises(ReconfigError, match="bad, which has come on, has failed"):
         arm.switch("j")
-    wait_for(begun.exists, "the fallback's on")
-    arm.control("good", "on")
-    go_on.touch()
-    wait_for(lambda: states(arm)["late"] == "ERROR", "the end of on")
-    assert "late cannot write Y0, another task does" in arm.status("late").error
-    assert (states(arm)["good"], writer(arm)) == ("ON", "good")
+    come_back("far")
 
 
 def test_on_that_ends_when_nobody_waits_takes_nothing_from_others(

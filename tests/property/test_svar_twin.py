@@ -189,6 +189,10 @@ class InStep(RuleBasedStateMachine):
     def succeed(self, sides, which, names):
         self.both(lambda side: side.local.succeed(which, sorted(names)), sides)
 
+    @rule(sides=tasks, which=st.sampled_from([0, 1]))
+    def note_ends(self, sides, which):
+        self.both(lambda side: side.local.note_ends(which), sides)
+
     @rule(sides=tasks)
     def cede(self, sides):
         self.both(lambda side: side.local.cede(), sides)

@@ -85,3 +85,58 @@ def test_the_old_one_comes_back_as_if_nothing_had_been(table, old):
     new.release()
     old.claim()
     assert owners(table)[:2] == ["old", "old"]
+
+
+@pytest.fixture
+def heir(table, old):
+    """A task that the old one hands over to; it has not claimed yet."""
+    new = table.local("new", ME, outvar=["V0", "V1"])
+    new.heir_of(["old", "third"])
+    old.cede()
+    new.have_ended()
+    return new
+
+
+def test_who_has_ended_hands_over_as_it_was_told(table, heir):
+    heir.check_claim()
+    assert heir.claim() == 0
+    assert owners(table) == ["new", "new", None, None]
+
+
+def test_who_was_turned_on_again_keeps_its_variables(table, old, heir):
+    """The heir's `on` was slow, and somebody has decided otherwise meanwhile."""
+    assert old.claim() == 0
+    with pytest.raises(SvarOwnerError, match="new cannot write V0"):
+        heir.check_claim()
+    with pytest.raises(SvarOwnerError, match="owner old"):
+        heir.claim()
+    assert owners(table) == ["old", "old", None, None]
+    assert old.commit() == 0
+    old.cede()
+    heir.heir_of(["old"])  # another exchange
+    heir.have_ended()
+    assert heir.claim() == 0
+    assert owners(table) == ["new", "new", None, None]
+
+
+def test_who_owned_nothing_when_those_ended_hands_over_nothing(table, old, heir):
+    """As one on another machine, which had given its variables up, or one before."""
+    third = table.local("third", ME, outvar=["V0"])
+    old.release()
+    third.claim()
+    with pytest.raises(SvarOwnerError, match="owner third"):
+        heir.claim()
+    third.release()
+    assert heir.claim() == 0
+    assert owners(table) == ["new", "new", None, None]
+
+
+def test_two_heirs_of_one_that_has_ended(table, old):
+    """The claim of the first is no commit of the one that they follow."""
+    old.cede()
+    for name in ("V0", "V1"):
+        new = table.local(f"of {name}", ME, outvar=[name])
+        new.heir_of(["old"])
+        new.have_ended()
+        assert new.claim() == 0
+    assert owners(table) == ["of V0", "of V1", None, None]

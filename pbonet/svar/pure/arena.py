@@ -21,8 +21,6 @@ from .flag import FLAG_BYTES, Flag, identity
 from .process import lives, process_start, space
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from numpy.typing import NDArray
 
     from .local import Group
@@ -284,31 +282,29 @@ class Arena(Flag):
             at = max(at, end)
         return at if at + size <= self.size else 0
 
-    def _may(
-        self,
-        r: int,
-        v: int,
-        value: bytes,
-        *,
-        constants: bool,
-        heir_of: Collection[str] = (),
-    ) -> str:
-        """Return whether a variable is taken, shared or refused."""
+    def last_of(self, r: int) -> tuple[int, int]:
+        """Return the uid of a register and the number of its last commit."""
+        return self.uid(r), self.reg(r, 0) >> 8
+
+    def _hands_over(self, group: Group, v: int, holder: int) -> bool:
+        if group.ends is not None and group.ends[v] != self.last_of(holder):
+            return False
+        return self._task(holder) in group.heir_of
+
+    def _asked(self, group: Group, r: int, v: int, to: int, *, constants: bool) -> str:
+        """Return what becomes of a variable of a group that stands in `r`.
+
+        It is taken, shared or refused; `to` is its place in the group.
+        """
         holder, live, at = self.entry(v)
-        if not live or holder == r or self._task(holder) in heir_of:
+        if not live or holder == r or self._hands_over(group, v, holder):
             return "take"
         if not self._alive(holder):
             return "take"
+        value = group.value(to, self.size_of(v))
         where = self.slot(holder, self.reg(holder, 0)) + LINE + at
         same = bytes(self.map[where : where + len(value)]) == value
         return "share" if constants and same else "refuse"
-
-    def _asked(
-        self, group: Group, reg: int, v: int, at: int, *, constants: bool
-    ) -> str:
-        """Return what becomes of one variable of a group that stands in `reg`."""
-        value = group.value(at, self.size_of(v))
-        return self._may(reg, v, value, constants=constants, heir_of=group.heir_of)
 
     def refused(self, group: Group, *, constants: bool) -> int | None:
         """Return the first variable that a claim would be refused for."""
@@ -324,6 +320,7 @@ class Arena(Flag):
         rival = self.refused(group, constants=constants)
         if rival is not None:
             return RIVAL, rival
+        group.ends = None
         old = group.reg
         if self.divided(group, constants=constants) and not self._renew(group):
             return FULL, 0

@@ -39,6 +39,8 @@ class Group:
         self.checks: list[Check] = []
         self.live = False
         self.heir_of: set[str] = set()
+        self.ends: dict[int, tuple[int, int] | None] | None = None
+        """What the owner of each variable had committed when those had ended."""
         self.data = memoryview(b"")
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
@@ -131,6 +133,17 @@ class LocalTable:
     def succeed(self, which: int, names: list[bytes]) -> None:
         """Let claims of a group take its variables from these tasks."""
         self.groups[which].heir_of = {name[:63].decode() for name in names}
+        self.groups[which].ends = None
+
+    def note_ends(self, which: int) -> int:
+        """Let only those hand over that commit nothing from here on."""
+        arena, group = self.arena, self.groups[which]
+        entries = {v: arena.entry(v) for v in group.vars}
+        group.ends = {
+            v: arena.last_of(reg) if live else None
+            for v, (reg, live, _) in entries.items()
+        }
+        return 0
 
     def cede(self) -> None:
         """Write no more, and leave the variables to the heir's claim."""
