@@ -15,6 +15,8 @@ KEPT = 1 << 20
 """Bytes of answers that are kept; the oldest go first."""
 OVERHEAD = 256
 """Bytes that an answer counts beside its own."""
+REQUESTS = 4096
+"""Requests of which it is known that they stand on record; the oldest go first."""
 
 
 class Repeats:
@@ -54,3 +56,24 @@ class Repeats:
                 self._size -= len(old) + OVERHEAD
         for reply in waiting:
             reply(data)
+
+
+class Noted:
+    """Which requests stand on record: what is repeated is only answered again."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._noted: OrderedDict[tuple[str, str], None] = OrderedDict()
+
+    def first(self, client: str, request_id: str) -> bool:
+        """Tell whether a request is to be put on record, and take it that it is."""
+        if not request_id:
+            return True
+        who = client, request_id
+        with self._guard:
+            new = who not in self._noted
+            self._noted[who] = None
+            self._noted.move_to_end(who)
+            if len(self._noted) > REQUESTS:
+                self._noted.popitem(last=False)
+        return new

@@ -29,7 +29,7 @@ from pbonet.xm.callbacks import direct
 from pbonet.xm.resources import XmRequest
 
 from .overview import HANDLED
-from .repeats import Repeats
+from .repeats import Noted, Repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -151,7 +151,7 @@ class Server:
         self._keys = [keys.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
         self._event_key = keys.rtpu(domain, name, "event")
         self._codec = codec.Codec()
-        self._repeats = Repeats()
+        self._repeats, self._noted = Repeats(), Noted()
         self._count = itertools.count(1)
         self._pending: dict[int, _Waiting] = {}
         self._guard = threading.Lock()
@@ -210,8 +210,10 @@ class Server:
             )
 
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
-        """Have a command put on record."""
-        if not roles.only_looks(request):
+        """Have a command put on record, however often it was asked for."""
+        if roles.only_looks(request):
+            return
+        if self._noted.first(request.client, request.id):
             self._book.commanded(request, answer, begun_ns, time.monotonic_ns())
 
     def publish(self, data: bytes) -> None:

@@ -211,3 +211,31 @@ def test_a_write_overtakes_no_write_that_waits():
         assert done == [[1.0], [2.0], [3.0]]
     finally:
         one.stop()
+
+
+def test_a_command_that_is_repeated_stands_on_record_once():
+    """Who hears nothing for a while asks again, under the same id."""
+    booked, forwarded = [], []
+    one = server.Server(
+        *(None, "d", "arm0"),
+        node=SimpleNamespace(
+            forward=lambda n, *_: forwarded.append(n),
+            spread=lambda _, done, **__: done(),
+        ),
+        mail=None,
+        overview=None,
+        book=SimpleNamespace(commanded=lambda request, *_: booked.append(request.id)),
+    )
+    asked = [
+        Query(m.Stop(subsystem="arm", client="m", id=number), "sbs")
+        for number in ("1", "1", "2", "", "")
+    ]
+    try:
+        for query in asked:
+            one._take(query)
+        for n in forwarded:
+            one.answer(n, b"stopped")
+    finally:
+        one.stop()
+    assert [query.answers for query in asked] == [[b"stopped"]] * 5
+    assert booked == ["1", "2", "", ""]
