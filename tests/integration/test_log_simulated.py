@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import dropwhile
 from pathlib import Path
 
@@ -85,11 +84,11 @@ def test_their_cycles_have_the_same_parts(logs) -> None:
             # The recorder asks for all inputs when it takes up a ring.
             late = list(dropwhile(lambda one: not life.schema.rest(one)[1], cycles))  # noqa: B023
             assert all(head(one)["register"] for one in late)
-            parts = Counter(tuple(map(len, life.schema.rest(one)[:2])) for one in late)
+            parts = {tuple(map(len, life.schema.rest(one)[:2])) for one in late}
             one_commit = 16, size(life.about.invar)
-            assert parts.most_common(1)[0][0] == one_commit
+            assert one_commit in parts, "a machine that is slow has writers that are late"
             if log is sim_of(logs):  # where no writer is late
-                assert set(parts) == {one_commit}
+                assert parts == {one_commit}
             commits = [int(head(one)["number"]) for one in life.commits]
             assert commits == list(range(commits[0], commits[0] + len(commits)))
 
