@@ -86,7 +86,7 @@ def test_their_cycles_have_the_same_parts(logs) -> None:
             assert all(head(one)["register"] for one in late)
             parts = {tuple(map(len, life.schema.rest(one)[:2])) for one in late}
             one_commit = 16, size(life.about.invar)
-            assert one_commit in parts, "a machine that is slow has writers that are late"
+            assert one_commit in parts, "on a slow machine writers are late"
             if log is sim_of(logs):  # where no writer is late
                 assert parts == {one_commit}
             commits = [int(head(one)["number"]) for one in life.commits]
