@@ -53,9 +53,10 @@ mypy: setup
 pyright: setup
 	$(BIN)/pyright
 
-# Two at a time where nothing runs in real time; the rest has the machine to itself.
-BESIDE := tests/deploy tests/agents tests/scripted tests/unit tests/property tests/typing tests/native
-ALONE := tests/integration tests/hosts
+# Two at a time where nothing is judged by how long it takes, those that wait long first;
+# the rest has the machine to itself.
+BESIDE := tests/deploy tests/hosts tests/agents tests/scripted tests/unit tests/property tests/typing tests/native
+ALONE := tests/integration
 
 # The tests start thousands of processes that import pbonet. What is compiled here they
 # need not compile, also where PYTHONDONTWRITEBYTECODE forbids them to keep it.
