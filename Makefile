@@ -40,7 +40,8 @@ demo: setup  ## Run the PUMA 560 example for 15 s and plot it
 hosts-demo: setup  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
 	$(BIN)/python examples/two_hosts/demo.py
 
-check: lint mypy pyright  ## Lint, types, layers; make -j2 check on two cores
+check: setup  ## Lint, types, layers
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync lint mypy pyright
 
 lint: setup
 	$(BIN)/ruff check .
