@@ -112,11 +112,9 @@ def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStat
             go_on(stopped)
             if not crew.picture.find(name).is_on:
                 done.turn_on(name)
-        named = by_name.keys()
-        pairs = unpaired(crew, wanted)
-        part(crew, [(one, of) for one, of in pairs if named & {one.name, of}])
         pair(crew, wanted)
         gate.entered()
+    part(crew, [two for two in unpaired(crew, wanted) if replaced(wanted, *two)])
     statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
     return [status for status in statuses if status.task in by_name]
 
@@ -166,6 +164,16 @@ def unpaired(crew: Crew, wanted: Sequence[Member]) -> list[tuple[Member, str]]:
         for member in crew.picture
         if member.fallback_of and member.name not in standbys
     ]
+
+
+def replaced(wanted: Sequence[Member], standby: Member, original: str) -> bool:
+    """Return whether a job has a standby as a task, or another one for its original.
+
+    A job that comes beside others takes no fallback from a task by not naming it.
+    """
+    return any(
+        standby.name == one.name or original == one.fallback_of for one in wanted
+    )
 
 
 def part(crew: Crew, pairs: Sequence[tuple[Member, str]]) -> None:

@@ -109,9 +109,10 @@ class Carried:
     @property
     def alone(self) -> bool:
         """Whether no other machine is there: what it will ask for then stands here."""
-        if self.mirror is None or not self._settled:
+        mirror = self.mirror  # asked for in any thread, while the carrier's may end it
+        if mirror is None or not self._settled:
             return False
-        return not (self._there or self.mirror.others)
+        return not (self._there or mirror.others)
 
     def turn(self, now: float) -> None:
         """Do what is due, and say when the next time is."""

@@ -24,6 +24,8 @@ F_SETPIPE_SZ = 1031
 FORK_TIME = 10.0
 ORPHANED = 256
 """Stands for the exit code of a child that outlived the fork server: nobody tells."""
+ROUSE_PERIOD = 0.1
+"""Seconds between signals to a child that may wait; without `off` it ends in one."""
 START_TIME = 20.0
 """Seconds that a fork server may take to import everything, on a busy machine."""
 
@@ -68,6 +70,12 @@ class Child:
         if self._pidfd >= 0:
             with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._pidfd, which)
+
+    def rouse(self, which: signal.Signals) -> None:
+        """Send a signal again and again until the end: one may come just too early."""
+        if not self.exited.done():
+            self.send_signal(which)
+            asyncio.get_running_loop().call_later(ROUSE_PERIOD, self.rouse, which)
 
     def watch(self) -> None:
         """Resolve `exited` at its end: its parent is gone, nobody tells its code."""

@@ -469,7 +469,7 @@ class Rtpu:
         )
         for task in self.tasks.values():
             if task.facts.rmod.tasktype is not TaskType.PERIODIC:
-                task.child.send_signal(INTERRUPT)  # it may wait in `sync`
+                task.child.rouse(INTERRUPT)  # it may wait in `sync`
 
     async def _watch_quietly(self) -> None:
         """Look after what nobody reports."""

@@ -45,12 +45,10 @@ from .telling import Telling
 if TYPE_CHECKING:
     from pbonet.config.model import Rmod
 
-ORPHAN_SIGNAL = signal.SIGUSR1
-
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     """Be the task that the specification describes; return the exit code."""
-    orphan_fd = _rt.orphan_guard(ORPHAN_SIGNAL, server)
+    orphan_fd = _rt.orphan_guard(tasktalk.ORPHAN_SIGNAL, server)
     # Only its own stack: reading those of threads that run can end the process.
     faulthandler.register(DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 LONGEST_TEXT = 5000
 """Characters of each text that are told when a notice is too long."""
 INTERRUPT = signal.SIGUSR2
+ORPHAN_SIGNAL = signal.SIGUSR1
+"""Sent by the kernel when the parent has ended; taken in native code."""
 F_SETSIG = 10
 
 
@@ -48,6 +50,8 @@ def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
             `Interrupted` to end it.
     """
     signal.signal(INTERRUPT, lambda _number, _frame: arrived())
+    # If both come at once the first one tells the kernel whether the wait begins again.
+    signal.siginterrupt(ORPHAN_SIGNAL, True)  # noqa: FBT003 - the library's
     fcntl.fcntl(sock, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(sock, F_SETSIG, int(INTERRUPT))
     flags = fcntl.fcntl(sock, fcntl.F_GETFL)

@@ -242,7 +242,7 @@ def test_an_error_in_the_very_first_cycle_is_told(run, nodes, puma):
     job = folder / "fails.job"
     job.write_text(f"JOB fails\nDESC fails\nSBS {puma.name}\nTASK fails arm0\nEOF\n")
     process = run("--library", nodes.library, "--seconds", 1, job=job)
-    said, _ = process.communicate(timeout=60)
+    said, _ = process.communicate(timeout=200)
     told = [line for line in said.splitlines() if " METHOD " in line]
     assert len(told) == 1, said
     assert "arm0/fails" in told[0]

@@ -2,11 +2,13 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
 from nodekit import alive, rmod, wait_gone
 from watching import wait_for
 
+from pbonet.node.tasktalk import INTERRUPT, ORPHAN_SIGNAL
 from pbonet.xm import messages as m
 
 
@@ -83,3 +85,22 @@ def test_end_of_others_ends_the_wait(waiting, nodes, victim):
     wait_gone([tid])
     if victim != "rtpu":
         assert waiting.value("Y0").values == [0.0, -1.0]  # `off` has run
+
+
+def pending(tid):
+    """Return the signals that wait for a process to take them."""
+    text = Path(f"/proc/{tid}/status").read_text(encoding="ascii")
+    lines = dict(line.split(":", 1) for line in text.splitlines())
+    bits = int(lines["ShdPnd"], 16) | int(lines["SigPnd"], 16)
+    return {signal.Signals(n) for n in range(1, 32) if bits >> (n - 1) & 1}
+
+
+def test_both_words_of_a_lost_fork_server_may_come_at_once(waiting, nodes):
+    """The kernel's and the RTPU process's: one alone would begin the wait again."""
+    tid = waiting.status("w").tid
+    os.kill(tid, signal.SIGSTOP)
+    os.kill(nodes.fork_server("arm0"), signal.SIGKILL)
+    wait_for(lambda: {ORPHAN_SIGNAL, INTERRUPT} <= pending(tid), "both signals")
+    os.kill(tid, signal.SIGCONT)
+    wait_gone([tid])
+    assert waiting.value("Y0").values == [0.0, -1.0]  # `off` has run

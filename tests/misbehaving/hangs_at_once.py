@@ -1,5 +1,6 @@
-"""Hangs in its first `cycle`, in Python code."""
+"""Hangs in its first `cycle`, in Python code that leaves others the processor."""
 
+import time
 from pathlib import Path
 from typing import Annotated as A
 
@@ -20,4 +21,4 @@ class Hangs(PortBasedObject[Where]):
     def cycle(self, dt: float) -> None:
         Path(self.params.begun).touch()
         while True:
-            pass
+            time.sleep(0.005)

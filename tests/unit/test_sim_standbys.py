@@ -379,10 +379,23 @@ def test_one_that_was_engaged_and_is_killed_does_not_come_back_as_a_fallback(job
     assert fallbacks(jobs) == {}
 
 
-def test_a_start_ends_those_of_the_tasks_that_its_job_names(jobs):
+def test_a_start_takes_no_fallback_from_a_task_by_saying_nothing(jobs):
+    """Its job comes beside the one that named it, unlike that of a switch."""
     jobs.control("sink", "off")
     jobs.start("k")
-    assert fallbacks(jobs) == {}
+    assert fallbacks(jobs) == {"second": ("first", True)}
+
+
+@pytest.mark.parametrize(
+    ("job", "left"), [("third", {"third": ("first", True)}), ("other", {})]
+)
+def test_a_start_ends_a_fallback_that_its_job_replaces_or_has_as_a_task(
+    jobs, job, left
+):
+    for task in ("first", "sink"):
+        jobs.control(task, "off")
+    jobs.start(job)
+    assert fallbacks(jobs) == left
 
 
 def test_what_could_not_be_ended_is_told_and_done_the_next_time(jobs, monkeypatch):
