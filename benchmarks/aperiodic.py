@@ -7,7 +7,7 @@ that the exact test allows, with what a cycle of each task costs beyond its work
 into account (`SPARE`). Under MUF the tasks are the critical set and EDF orders them;
 under RM their rates do. Every policy gets the same events, from a fixed seed.
 
-*simulated* is `pbonet.sched.simulate`. *real* are processes under the dispatcher on one
+*simulated* is `pbonet.analysis.schedule.simulate`. *real* are processes under the dispatcher on one
 core, which spend their CPU time in Python; another process, on another core, writes the
 events into a pipe when their time has come, and a response time runs from that to the
 end of the event's cycle. Polling has no task type of its own: it is a periodic task
@@ -34,13 +34,18 @@ import numpy as np
 from msgspec import structs
 
 from benchmarks import rtbench
-from pbonet.node import _rt
-from pbonet.sched import criticality
-from pbonet.sched.analysis import Demand, largest_server
-from pbonet.sched.records import Kind
-from pbonet.sched.servers import Server, ServerKind
-from pbonet.sched.simtasks import BACKGROUND, SERVER
-from pbonet.sched.simulate import PeriodicTask, ServerTask, poisson, simulate
+from pbonet.analysis.schedule import criticality
+from pbonet.analysis.schedule.analysis import Demand, largest_server
+from pbonet.analysis.schedule.records import Kind
+from pbonet.analysis.schedule.servers import Server, ServerKind
+from pbonet.analysis.schedule.simtasks import BACKGROUND, SERVER
+from pbonet.analysis.schedule.simulate import (
+    PeriodicTask,
+    ServerTask,
+    poisson,
+    simulate,
+)
+from pbonet.node.rt import _rt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks import rtbench
 from pbonet.errors import StateError
 from pbonet.master import Subsystem
-from pbonet.master.embedded import Embedded
+from pbonet.master.subsystem.embedded_agents import Embedded
 from pbonet.svar.layout import group_of
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.node import _rt
-from pbonet.node.slotwatch import SlotWatch
+from pbonet.node.rt import _rt
+from pbonet.node.task.slot_timing import SlotWatch
 from pbonet.pbo import TaskContext
 
 if TYPE_CHECKING:

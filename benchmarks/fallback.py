@@ -29,12 +29,12 @@ import numpy as np
 from benchmarks import rtbench
 from benchmarks.steering import VARIABLE
 from benchmarks.swap import PERIOD, RATE, RMOD
+from pbonet.analysis.schedule.events import Event
 from pbonet.master import Subsystem
-from pbonet.master.embedded import Embedded
-from pbonet.node import _rt
-from pbonet.node._ring import Record, Ring
-from pbonet.sched.events import Event
-from pbonet.xm.messages import AgentInfo, Hello
+from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.node.ring._ring import Record, Ring
+from pbonet.node.rt import _rt
+from pbonet.xm.net.messages import AgentInfo, Hello
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -36,9 +36,9 @@ from benchmarks.plain import raw
 from pbonet.config.model import AgentConfig
 from pbonet.svar import Table
 from pbonet.testing.lan import Lan, missing
-from pbonet.xm import keys, session
-from pbonet.xm import messages as m
-from pbonet.xm.rpc import Client
+from pbonet.xm.net import key_expressions, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.rpc import Client
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -182,7 +182,9 @@ class Pair:
         self.client = Client(self.link, DOMAIN, "bench")
         wait(lambda: len(self.client.rtpus()) == len(names), "both agents")
         self._tokens = [
-            self.link.liveliness().declare_token(keys.master(DOMAIN, name, "bench"))
+            self.link.liveliness().declare_token(
+                key_expressions.master(DOMAIN, name, "bench")
+            )
             for name in (SUBSYSTEM, SOLO)
         ]
         self.epochs: dict[tuple[str, str], int] = {}

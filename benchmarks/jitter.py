@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.node import _rt
+from pbonet.node.rt import _rt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import rtbench
-from pbonet.node import _rt
+from pbonet.node.rt import _rt
 
 
 class Load(NamedTuple):

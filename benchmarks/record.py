@@ -35,8 +35,9 @@ from benchmarks import rtbench
 from pbonet.config.model import Variable
 from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run
 from pbonet.log.schema import HEAD_DTYPE, RECORD
-from pbonet.master.player import Span, play
-from pbonet.node import _rt, wire
+from pbonet.master.tools.playback import Span, play
+from pbonet.node.rt import _rt
+from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Table
 from pbonet.testing import verify
 
@@ -58,7 +59,7 @@ MOST_ADDED, MOST_CORE, MOST_OPEN, LEAST_SPEED = 1.0, 0.5, 1.0, 20.0
 @contextlib.contextmanager
 def recording(core: int, folder: str) -> Generator[subprocess.Popen[bytes]]:
     """Have a recorder follow the rings of subsystem ``rec``, and finish its log."""
-    wanted = wire.Recording(
+    wanted = rtpu_messages.Recording(
         domain="bench",
         rtpu="r0",
         subsystem="rec",
@@ -71,9 +72,9 @@ def recording(core: int, folder: str) -> Generator[subprocess.Popen[bytes]]:
         tasks={"all": "all"},
     )
     memory = os.memfd_create("recording")
-    os.write(memory, wire.encode(wanted))
+    os.write(memory, rtpu_messages.encode(wanted))
     process = subprocess.Popen(
-        [sys.executable, "-m", "pbonet.node.recorder", str(memory)],
+        [sys.executable, "-m", "pbonet.node.recorder.recorder_process", str(memory)],
         pass_fds=[memory],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,

@@ -28,10 +28,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.node import _rt
-from pbonet.sched.dispatch import turns
-from pbonet.sched.events import Event
-from pbonet.sched.records import Decision
+from pbonet.analysis.schedule.dispatch import turns
+from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.records import Decision
+from pbonet.node.rt import _rt
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pbonet.config.model import Variable
-from pbonet.node import _rt
+from pbonet.node.rt import _rt
 from pbonet.svar import LocalTable, Table
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LEVEL = 44
-"""What a task alone on its core gets (`pbonet.sched.urgency.assign_levels`)."""
+"""What a task alone on its core gets (`pbonet.analysis.schedule.urgency.assign_levels`)."""
 
 
 class Loop(NamedTuple):

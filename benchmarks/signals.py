@@ -24,10 +24,10 @@ import numpy as np
 from benchmarks import rtbench
 from pbonet.errors import NoAnswerError
 from pbonet.master import Subsystem
-from pbonet.master.choice import Choice
-from pbonet.master.embedded import Embedded
-from pbonet.master.following import Follower
-from pbonet.node._ring import Ring
+from pbonet.master.console.follow_events import Follower
+from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.master.subsystem.event_filter import Choice
+from pbonet.node.ring._ring import Ring
 
 TASKS = 8
 TOTAL = 5000

@@ -1,8 +1,8 @@
 """How fast virtual time passes: seconds simulated by seconds taken.
 
-Measures `pbonet.sched.simulate` (segments and response times kept) on sets of ten tasks
+Measures `pbonet.analysis.schedule.simulate` (segments and response times kept) on sets of ten tasks
 at and around 100 Hz, without module code; beside it the twin of the dispatcher, which
-keeps every decision (`pbonet.sched.inline`), and the whole of `simulate_job`. The
+keeps every decision (`pbonet.analysis.schedule.inline`), and the whole of `simulate_job`. The
 median of five runs; the goal is 100 for the first line.
 
     python -m benchmarks.simulate [--seconds 20] [--json FILE]
@@ -17,10 +17,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbonet import verify
+from pbonet.analysis import legality
+from pbonet.analysis.schedule.inline import Inline
+from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 from pbonet.config.model import Rmod, RtpuEntry, SvarFile
-from pbonet.sched.inline import Inline
-from pbonet.sched.simulate import PeriodicTask, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -63,19 +63,19 @@ def twin(spread_ns: int, seconds: int) -> None:
 def job(seconds: float) -> None:
     """Run a configuration of ten tasks, from its verification data to the text."""
     made = [
-        verify.Task(
+        legality.Task(
             rmod=Rmod(name=f"t{k}", file="t.rmod", module="m", freq=100.0, maxc=0.0007),
             rtpu="arm0",
         )
         for k in range(10)
     ]
-    configuration = verify.Configuration(
+    configuration = legality.Configuration(
         svar=SvarFile(file="a.svar", defines={}, variables=()),
         tasks=tuple(made),
         on=frozenset(task.name for task in made),
         rtpus=(RtpuEntry(name="arm0"),),
     )
-    verify.simulate_job(configuration, seconds=seconds).as_text()
+    legality.simulate_job(configuration, seconds=seconds).as_text()
 
 
 def speeds(seconds: int) -> dict[str, float]:

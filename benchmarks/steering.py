@@ -21,8 +21,8 @@ import numpy as np
 
 from benchmarks import rtbench
 from pbonet.master import Subsystem
-from pbonet.master.embedded import Embedded
-from pbonet.node._ring import Record, Ring
+from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.node.ring._ring import Record, Ring
 
 RATE = 1000.0
 GOALS = {

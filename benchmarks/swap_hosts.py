@@ -45,14 +45,14 @@ from benchmarks.swap import (
     report,
 )
 from pbonet.master import Subsystem
-from pbonet.node._ring import Ring
+from pbonet.node.ring._ring import Ring
 from pbonet.testing.lan import Lan, missing
-from pbonet.xm import session
+from pbonet.xm.net import session
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pbonet.node._ring import Record
+    from pbonet.node.ring._ring import Record
 
 READERS: dict[str, str] = dict(zip(STAY, ("one", "two"), strict=True))
 """Of these each has one: the machine by the reader's name."""

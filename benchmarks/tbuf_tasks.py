@@ -30,8 +30,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks import hosts, rtbench, tbuf
-from pbonet.node._ring import Ring
-from pbonet.xm import messages as m
+from pbonet.node.ring._ring import Ring
+from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks import rtbench
 from pbonet.master import Subsystem
-from pbonet.master.embedded import Embedded
+from pbonet.master.subsystem.embedded_agents import Embedded
 
 JOB = Path(__file__).resolve().parents[1] / "examples" / "puma" / "puma.job"
 TABLE_1 = {"puma_pidg": 14.0, "grav_comp": 7.8, "qrdiff": 43.0, "jttrace": 24.0}

@@ -2,7 +2,7 @@
 
 ``python docs/draw_lifecycle.py`` renews ``lifecycle.svg`` and the table between the two
 marks in ``lifecycle.md``; a test fails when they are not in step with
-`pbonet.node.lifecycle`.
+`pbonet.node.wire.lifecycle`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from pathlib import Path
 from xml.sax.saxutils import escape
 
-from pbonet.node import lifecycle
+from pbonet.node.wire import lifecycle
 from pbonet.pbo import State
 
 HERE = Path(__file__).parent

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.sched import chart, dataflow, servers
-from pbonet.sched.criticality import Timing, edf, muf, rate_monotonic
-from pbonet.sched.servers import ServerKind
-from pbonet.sched.simulate import PeriodicTask, simulate
+from pbonet.analysis.schedule import chart, dataflow, servers
+from pbonet.analysis.schedule.criticality import Timing, edf, muf, rate_monotonic
+from pbonet.analysis.schedule.servers import ServerKind
+from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,8 +4,7 @@ These are the names that the author of a module imports. Programs that steer a s
 import `pbonet.master`; tests of modules import `pbonet.testing`.
 """
 
-from .errors import PbonetError
-from .pbo import (
+from pbonet.pbo import (
     Answer,
     Handling,
     Params,
@@ -18,7 +17,9 @@ from .pbo import (
     UserSignal,
     param,
 )
-from .ports import InConst, InVar, Matrix, OutConst, OutVar, Vector
+from pbonet.ports import InConst, InVar, Matrix, OutConst, OutVar, Vector
+
+from .errors import PbonetError
 
 __all__ = [
     "Answer",

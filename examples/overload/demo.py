@@ -24,19 +24,19 @@ import seen
 from judged import CONDUCTOR, SHARE, TASKS, UNIT_NS
 from msgspec import Struct, structs
 
+from pbonet.analysis.schedule import chart
+from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 from pbonet.config import parse_rmod, write_rmod
 from pbonet.errors import NodeError, PbonetError
-from pbonet.master.embedded import assign_cores
-from pbonet.master.oneshot import Place
-from pbonet.master.run import Run
-from pbonet.node import _rt  # noqa: PLC2701 - its rights
-from pbonet.sched import chart
-from pbonet.sched.simulate import PeriodicTask, simulate
+from pbonet.master.console.oneshot import Place
+from pbonet.master.console.run import Run
+from pbonet.master.subsystem.embedded_agents import assign_cores
+from pbonet.node.rt import _rt  # noqa: PLC2701 - its rights
 
 if TYPE_CHECKING:
+    from pbonet.analysis.schedule.outcome import Outcome
+    from pbonet.analysis.schedule.records import SlotStatus
     from pbonet.log import Cycles
-    from pbonet.sched.outcome import Outcome
-    from pbonet.sched.records import SlotStatus
 
 HERE: Final = Path(__file__).parent
 SCHEDULERS: Final = ("MUF", "RM", "EDF")

@@ -17,18 +17,18 @@ from typing import TYPE_CHECKING, Self
 
 from msgspec import Struct, field
 
+from pbonet.analysis.schedule.dispatch import Dispatcher, turns
+from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.outcome import Account, Outcome, Segment
+from pbonet.analysis.schedule.records import Mode
 from pbonet.errors import NodeError
-from pbonet.node import _rt  # noqa: PLC2701 - the trace of the core
-from pbonet.sched.dispatch import Dispatcher, turns
-from pbonet.sched.events import Event
-from pbonet.sched.outcome import Account, Outcome, Segment
-from pbonet.sched.records import Mode
+from pbonet.node.rt import _rt  # noqa: PLC2701 - the trace of the core
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from pbonet.analysis.schedule.records import Decision, SlotStatus
     from pbonet.log import Cycles
-    from pbonet.sched.records import Decision, SlotStatus
 
 _LOOK = 0.05
 """Seconds between two looks; the trace holds seconds."""

@@ -2,7 +2,15 @@
 
 from typing import Annotated as A
 
-from pbonet import InConst, InVar, Matrix, OutVar, Params, PortBasedObject, Vector
+from pbonet import (
+    InConst,
+    InVar,
+    Matrix,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+)
 
 
 class Tip(PortBasedObject[Params]):

@@ -21,7 +21,7 @@ import numpy as np
 
 from pbonet.errors import PbonetError
 from pbonet.master import Subsystem
-from pbonet.xm import session
+from pbonet.xm.net import session
 
 HERE = Path(__file__).parent
 RTPUS = {"arm0", "arm1", "eye0"}

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import typer
 from typer.core import TyperGroup
 
-from pbonet.cli import options
 from pbonet.errors import PbonetError
+
+from . import options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """``python -m pbonet.cli``: the same as the command ``pbonet``."""
 
-from pbonet.cli import main
+from . import main
 
 if __name__ == "__main__":
     main()

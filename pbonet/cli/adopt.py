@@ -6,7 +6,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -33,8 +33,8 @@ def command(
 
     import msgspec
 
-    from pbonet.master import render
-    from pbonet.master.adopt import adopt
+    from pbonet.master.configuration.adopt import adopt
+    from pbonet.master.console import render
 
     found, warnings = adopt(
         file, rmod or (), library or (), margin=margin, host=host, dry_run=dry_run

@@ -11,7 +11,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 class Backend(enum.StrEnum):
@@ -86,13 +86,16 @@ def command(
 ) -> None:
     """Be the agent of one RTPU: register, take commands, run tasks."""
     from pbonet.config.agent import told_agent
-    from pbonet.node import life, runtime
+    from pbonet.node.agent import agent_main
+    from pbonet.node.wire import process_setup
 
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(name)s: %(message)s",
     )
-    if with_parent and not runtime.set_parent_death_signal(signal.SIGTERM, with_parent):
+    if with_parent and not process_setup.set_parent_death_signal(
+        signal.SIGTERM, with_parent
+    ):
         raise typer.Exit(0)
     told = {
         "name": name,
@@ -111,4 +114,4 @@ def command(
     }
     given = {key: value for key, value in told.items() if value is not None}
     read = partial(told_agent, config, given)
-    raise typer.Exit(life.main(read(), backend=backend.value, again=read))
+    raise typer.Exit(agent_main.main(read(), backend=backend.value, again=read))

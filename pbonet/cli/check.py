@@ -7,7 +7,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -24,7 +24,7 @@ def command(
     """
     import msgspec
 
-    from pbonet.master.checking import check_file
+    from pbonet.master.configuration.check_files import check_file
 
     found = [check_file(path, library or (), host) for path in file]
     if json_:

@@ -6,7 +6,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(

@@ -6,8 +6,8 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
-from pbonet.cli.table import show
+from . import options
+from .table import show
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show variables of the table with unit, age and writer."""
-    from pbonet.master import oneshot, watching
+    from pbonet.master.console import oneshot, watch_values
 
     place = oneshot.Place(
         domain=domain,
@@ -43,4 +43,4 @@ def command(
         show(reply.command, reply.data, reply.warnings, as_data=json_)
         return
     form = "csv" if csv else "json" if json_ else "text"
-    watching.display(file, given, place, form=form, every=every, count=count)
+    watch_values.display(file, given, place, form=form, every=every, count=count)

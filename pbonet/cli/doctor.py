@@ -6,7 +6,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -23,18 +23,18 @@ def command(
     """Look at real-time rights, cores, memory, agents, leftovers. Status 1: FAIL."""
     import msgspec
 
-    from pbonet.master import doctor
-    from pbonet.node import leftovers
-    from pbonet.node._rt import probe
-    from pbonet.xm import rundir
+    from pbonet.master.tools import doctor
+    from pbonet.node.rt._rt import probe
+    from pbonet.node.rtpu import cleanup
+    from pbonet.xm.net import run_folder
 
     states = {
-        rundir.Places(path.parent.name, path.stem): leftovers.read(path)
-        for path in rundir.folder().glob("*/*.state")
+        run_folder.Places(path.parent.name, path.stem): cleanup.read(path)
+        for path in run_folder.folder().glob("*/*.state")
     }
     dead = [at for at, state in states.items() if state and not state.alive]
     if clean:
-        done = [text for places in dead for text in leftovers.clean_after(places)]
+        done = [text for places in dead for text in cleanup.clean_after(places)]
         removed = [*done, *(f"{name} was removed" for name in doctor.clean())]
         print(
             msgspec.json.encode(removed).decode()

@@ -6,7 +6,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -34,9 +34,10 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show what happened lately."""
-    from pbonet.cli.table import show
     from pbonet.errors import StateError
-    from pbonet.master import following, oneshot
+    from pbonet.master.console import follow_events, oneshot
+
+    from .table import show
 
     place = oneshot.Place(
         domain=domain,
@@ -48,7 +49,7 @@ def command(
     if follow and count:
         raise StateError("--follow and --count do not go together", remedy="choose one")
     if follow:
-        following.follow(file, given, place, as_data=json_)
+        follow_events.follow(file, given, place, as_data=json_)
         return
     if count:
         tasks: dict[str, object] = {"task": [task] if task else []}

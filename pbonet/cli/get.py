@@ -1,5 +1,5 @@
 """``pbonet get``, made of the command table."""
 
-from pbonet.cli.table import verb
+from .table import verb
 
 command = verb("get")

@@ -7,7 +7,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 command = typer.Typer(
     help="Make certificates for agents, masters and observers.", no_args_is_help=True
@@ -35,7 +35,7 @@ def authority(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the authority that signs for a laboratory; keep its ca.key to yourself."""
-    from pbonet.xm import pki
+    from pbonet.xm.net import pki
 
     options.show_files([pki.make_authority(folder, name)], as_data=json_)
 
@@ -55,7 +55,7 @@ def agent(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of a machine that runs agents."""
-    from pbonet.xm import credentials, pki
+    from pbonet.xm.net import credentials, pki
 
     made = pki.issue(
         folder, credentials.Role.AGENT, name, hosts=host or (), days=days, folder=out
@@ -74,7 +74,7 @@ def master(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of somebody who may steer."""
-    from pbonet.xm import credentials, pki
+    from pbonet.xm.net import credentials, pki
 
     made = pki.issue(folder, credentials.Role.MASTER, name, days=days, folder=out)
     options.show_files([made], as_data=json_)
@@ -91,7 +91,7 @@ def observer(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make the keys of somebody who may look, and steer nothing."""
-    from pbonet.xm import credentials, pki
+    from pbonet.xm.net import credentials, pki
 
     made = pki.issue(folder, credentials.Role.OBSERVER, name, days=days, folder=out)
     options.show_files([made], as_data=json_)
@@ -107,7 +107,7 @@ def show(
     """Show whose keys these are, and how long they are good for."""
     import msgspec
 
-    from pbonet.xm import pki
+    from pbonet.xm.net import pki
 
     found = [pki.read(folder) for folder in folders]
     if json_:

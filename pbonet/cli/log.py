@@ -8,7 +8,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 command = typer.Typer(help="Look at what was recorded.", no_args_is_help=True)
 
@@ -105,9 +105,9 @@ def events(
     import msgspec
 
     from pbonet.log import Log, last_run
-    from pbonet.master import render
-    from pbonet.master.choice import Choice
-    from pbonet.xm.messages import Event
+    from pbonet.master.console import render
+    from pbonet.master.subsystem.event_filter import Choice
+    from pbonet.xm.net.messages import Event
 
     wanted = Choice.of({"task": task, "code": code, "severity": severity})
     found = [msgspec.convert(one, Event) for one in Log(file or last_run()).events()]
@@ -165,9 +165,9 @@ def plot(
 ) -> None:
     """Draw variables over time."""
     from pbonet.log import Log
-    from pbonet.master import logplot
+    from pbonet.master.tools import log_plot
 
-    logplot.draw(Log(file), variables, out)
+    log_plot.draw(Log(file), variables, out)
     _written(out, json_)
 
 

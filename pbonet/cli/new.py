@@ -7,7 +7,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 command = typer.Typer(
     help="Write the beginning of something new.", no_args_is_help=True
@@ -60,7 +60,7 @@ def module(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Write a module, its RMOD and its test from a list of ports."""
-    from pbonet.master import writing
+    from pbonet.master.tools import write_new_files
 
     ports = {
         "in": inputs or [],
@@ -68,7 +68,7 @@ def module(
         "inconst": inconst or [],
         "outconst": outconst or [],
     }
-    paths = writing.new_module(
+    paths = write_new_files.new_module(
         name,
         ports,
         svar=svar,
@@ -94,9 +94,9 @@ def svar(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Write the table that tasks need: every variable, as their modules say it is."""
-    from pbonet.master import writing
+    from pbonet.master.tools import write_new_files
 
-    paths, told = writing.new_svar(
+    paths, told = write_new_files.new_svar(
         name,
         rmods,
         sizes=sizes or (),
@@ -124,9 +124,9 @@ def job(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Write a job of tasks, and the subsystem with its table if there is none."""
-    from pbonet.master import writing
+    from pbonet.master.tools import write_new_files
 
-    paths, told = writing.new_job(
+    paths, told = write_new_files.new_job(
         name,
         rmods,
         sbs=sbs,

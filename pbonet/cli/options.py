@@ -10,7 +10,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.xm import credentials
+from pbonet.xm.net import credentials
 
 
 class Chosen:

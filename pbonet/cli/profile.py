@@ -7,7 +7,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -31,8 +31,9 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show how long cycles take: every figure, and the execution profile."""
-    from pbonet.cli.table import show
-    from pbonet.master import curve, oneshot
+    from pbonet.master.console import oneshot, profile_plot
+
+    from .table import show
 
     place = oneshot.Place(
         domain=domain,
@@ -45,5 +46,5 @@ def command(
         shown = reply
         if save:
             shown = oneshot.run(file, "profile", {"task": task or []}, place)
-        curve.draw(plot, shown.data["tasks"])
+        profile_plot.draw(plot, shown.data["tasks"])
     show(reply.command, reply.data, reply.warnings, as_data=json_)

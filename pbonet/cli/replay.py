@@ -8,7 +8,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -58,9 +58,9 @@ def command(
 
     from pbonet import testing
     from pbonet.errors import StateError
-    from pbonet.master import player
+    from pbonet.master.tools import playback
 
-    span = player.Span(rate=rate, start=start, end=end, loop=loop)
+    span = playback.Span(rate=rate, start=start, end=end, loop=loop)
     names = [name for task in (play or "").split(",") if (name := task.strip())]
     if play is not None and (verify or tasks or out or not names):
         raise StateError(
@@ -68,7 +68,7 @@ def command(
             expected="pbonet replay RUN --play TASK,...",
             remedy=f"pbonet replay {run} --play {','.join(names) or 'TASK'}",
         )
-    if play is None and (span != player.Span() or subsystem):
+    if play is None and (span != playback.Span() or subsystem):
         raise StateError(
             "--rate, --start, --end, --loop and --subsystem go with --play only",
             expected="pbonet replay RUN --play TASK,... --rate 2",
@@ -86,7 +86,7 @@ def command(
     if play is not None:
         for one in (signal.SIGINT, signal.SIGTERM):  # a shell may have ignored one
             signal.signal(one, signal.default_int_handler)
-        result = player.play(run, names, span, domain=domain, subsystem=subsystem)
+        result = playback.play(run, names, span, domain=domain, subsystem=subsystem)
     elif verify:
         result = testing.verify(run, tasks or (), libraries=libraries, rtol=rtol)
         status = int(not all(one.good for one in result))

@@ -7,7 +7,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -51,8 +51,8 @@ def command(
     """Run a job: assemble it, watch it, end it in order."""
     import msgspec
 
-    from pbonet.master import oneshot
-    from pbonet.master.run import run
+    from pbonet.master.console import oneshot
+    from pbonet.master.console.run import run
 
     outcome = run(
         file,

@@ -7,7 +7,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -39,7 +39,7 @@ def command(
     debug: options.Debug = False,
 ) -> None:
     """Be the master of a subsystem: prompt, script, network."""
-    from pbonet.master import interfaces, oneshot
+    from pbonet.master.console import interfaces, oneshot
 
     scripts = script or ([] if sys.stdin.isatty() or network else [interfaces.STDIN])
     place = oneshot.Place(

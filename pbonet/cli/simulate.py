@@ -7,8 +7,9 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
-from pbonet.verify import Times
+from pbonet.analysis.legality import Times
+
+from . import options
 
 
 def command(
@@ -48,10 +49,11 @@ def command(
 
     import msgspec
 
-    from pbonet.master import render, simjob
-    from pbonet.sched import chart
+    from pbonet.analysis.schedule import chart
+    from pbonet.master.console import render
+    from pbonet.master.tools import schedule_job
 
-    outcome, told = simjob.simulate(
+    outcome, told = schedule_job.simulate(
         file,
         seconds,
         library or (),
@@ -62,7 +64,7 @@ def command(
         code=code,
     )
     show_ns = round(show * 1e9)
-    files = simjob.write_svg(outcome, svg, show_ns) if svg else []
+    files = schedule_job.write_svg(outcome, svg, show_ns) if svg else []
     if json_:
         data = outcome.as_data() | {"warnings": told, "files": list(map(str, files))}
         print(msgspec.json.encode(data).decode())

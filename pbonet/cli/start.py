@@ -1,5 +1,5 @@
 """``pbonet start``, made of the command table."""
 
-from pbonet.cli.table import verb
+from .table import verb
 
 command = verb("start")

@@ -1,5 +1,5 @@
 """``pbonet status``, made of the command table."""
 
-from pbonet.cli.table import verb
+from .table import verb
 
 command = verb("status")

@@ -6,8 +6,8 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
-from pbonet.cli.table import show
+from . import options
+from .table import show
 
 
 def command(
@@ -25,7 +25,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Turn everything OFF and end it, now."""
-    from pbonet.master import oneshot
+    from pbonet.master.console import oneshot
 
     name = oneshot.subsystem_name(subsystem) if subsystem else None
     data = oneshot.stop(name, domain=domain, connect=connect or (), timeout=timeout)

@@ -11,8 +11,9 @@ from typing import Any
 
 import typer
 
-from pbonet.cli import options
-from pbonet.master.commands import Arg, Command, Kind, Use, find
+from pbonet.master.console.commands import Arg, Command, Kind, Use, find
+
+from . import options
 
 
 def verb(name: str) -> Callable[..., None]:
@@ -20,7 +21,7 @@ def verb(name: str) -> Callable[..., None]:
     command = find(name)
 
     def run(file: Path, **given: Any) -> None:  # noqa: ANN401 - what the table says
-        from pbonet.master import oneshot
+        from pbonet.master.console import oneshot
 
         place = oneshot.Place(
             domain=given.pop("domain"),
@@ -50,7 +51,7 @@ def show(
     """Print what a command gave: data as JSON, or text with warnings beside it."""
     import msgspec
 
-    from pbonet.master import render
+    from pbonet.master.console import render
 
     if as_data:
         print(msgspec.json.encode({**data, "warnings": warnings}).decode())

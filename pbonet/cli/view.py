@@ -6,7 +6,7 @@ from typing import Annotated as A
 
 import typer
 
-from pbonet.cli import options
+from . import options
 
 
 def command(
@@ -30,13 +30,19 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show the table, states and events in Foxglove as they are now."""
-    from pbonet.master import oneshot, view
+    from pbonet.master.console import oneshot
+    from pbonet.master.tools import foxglove_server
 
     place = oneshot.Place(
         domain=domain,
         connect=tuple(connect or ()),
         libraries=tuple(map(str, library or ())),
     )
-    view.view(
-        file, place, view.Where(host, port), hz=hz, insecure=insecure, as_data=json_
+    foxglove_server.view(
+        file,
+        place,
+        foxglove_server.Where(host, port),
+        hz=hz,
+        insecure=insecure,
+        as_data=json_,
     )

@@ -38,7 +38,7 @@ def read_timing(reader: Reader, block: Block, tasktype: TaskType) -> Timing:
     """Return the times that a file gives, after looking whether they fit together.
 
     Whether an execution time fits the period is judged when the task's frequency is
-    known, which may be the job's (`pbonet.verify`).
+    known, which may be the job's (`pbonet.analysis.legality`).
 
     Raises:
         ConfigError: One is missing, means nothing for the task type, or is too large.

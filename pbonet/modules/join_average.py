@@ -2,7 +2,15 @@
 
 from typing import Annotated as A
 
-from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
+from pbonet import (
+    InConst,
+    InVar,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+    param,
+)
 
 
 class Weights(Params):

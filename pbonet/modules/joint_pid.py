@@ -4,7 +4,15 @@ from typing import Annotated as A
 
 import numpy as np
 
-from pbonet import InConst, InVar, OutVar, Params, PortBasedObject, Vector, param
+from pbonet import (
+    InConst,
+    InVar,
+    OutVar,
+    Params,
+    PortBasedObject,
+    Vector,
+    param,
+)
 
 
 class Gains(Params):

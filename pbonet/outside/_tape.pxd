@@ -3,7 +3,7 @@
 from libc.stdint cimport uint32_t, uint64_t, uint8_t
 
 
-cdef extern from "../outside/tape.h" nogil:
+cdef extern from "pbonet/outside/tape.h" nogil:
     enum:
         TAPE_RAW, TAPE_PACKED, TAPE_TUPLE, TAPE_RAISED, TAPE_BROKEN, TAPE_NAME, TAPE_LOST
     struct tape_entry:

@@ -17,7 +17,15 @@ from typing import Annotated as A
 from msgspec import Struct
 
 from pbonet.errors import DeclarationError, did_you_mean
-from pbonet.ports import MARKS, Declared, Declaring, Port, attribute, here, make_port
+from pbonet.ports import (
+    MARKS,
+    Declared,
+    Declaring,
+    Port,
+    attribute,
+    here,
+    make_port,
+)
 
 from ._params import Params
 from ._signals import SignalInfo, UserSignal, refusal

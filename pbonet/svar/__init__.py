@@ -1,11 +1,12 @@
 """The state variable table: how tasks exchange values (Stewart 1994, section 5.5)."""
 
-from .codes import Flags
+from pbonet.svar.mirror.mirror_outbox import MARK
+
 from .local import LocalTable
 from .native import survive_cuts
-from .outbox import MARK
-from .records import Cause, Counts, Register, VarInfo
+from .result_codes import Flags
 from .table import SPARE, Table
+from .table_records import Cause, Counts, Register, VarInfo
 
 __all__ = [
     "MARK",

@@ -15,11 +15,11 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
+from pbonet.shm.closeable import Closing
 
-from . import files, guards, layout, native
-from .closing import Closing
-from .codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
-from .records import Counts
+from . import guards, layout, native, table_files
+from .result_codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
+from .table_records import Counts
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
@@ -358,7 +358,7 @@ class LocalTable(Closing, native.LocalTable):
 
     def _check(self, code: int) -> None:
         if code == STUCK:
-            raise files.stuck(self._table)
+            raise table_files.stuck(self._table)
         if code == FULL:
             raise SvarFullError(
                 f"no register is left for {self._task}",

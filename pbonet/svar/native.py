@@ -26,7 +26,7 @@ if TYPE_CHECKING or os.environ.get("PBONET_PURE") != "1":
         survive_cuts,
     )
 else:
-    from .pure import (
+    from pbonet.svar.pure import (
         CAUSES,
         CAUSES_EACH,
         STATIC_BYTES,

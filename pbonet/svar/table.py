@@ -14,14 +14,14 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
+from pbonet.shm.closeable import Closing
 
-from . import files, guards
+from . import guards, table_files
 from . import layout as lay
-from .closing import Closing
-from .codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .local import LocalTable
 from .native import CAUSES, CAUSES_EACH, STATIC_BYTES, Arena, Blueprint, now_ns
-from .records import Cause, Register, VarInfo
+from .result_codes import ALIVE, FULL, RIVAL, STUCK, Verdict
+from .table_records import Cause, Register, VarInfo
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,7 +80,7 @@ class Table(Closing):
             SvarFullError: There is no room in shared memory.
         """
         lay.check_variables(variables)
-        path = files.path_of(name)
+        path = table_files.path_of(name)
         maxages = [round((v.maxage or 0.0) * 1e9) for v in variables]
         plan = Blueprint(
             np.array([lay.var_bytes(v) for v in variables], np.uint64),
@@ -91,17 +91,17 @@ class Table(Closing):
             spare,
         )
         values = lay.initial_values(variables)
-        fd, fresh = files.make(path, plan.size, mode)
+        fd, fresh = table_files.make(path, plan.size, mode)
         try:
-            arena = files.map_whole(path, fd, plan.size)
+            arena = table_files.map_whole(path, fd, plan.size)
         except BaseException:
             fresh.unlink(missing_ok=True)
             raise
         if error := arena.format(plan, values):
             fresh.unlink(missing_ok=True)
-            raise files.no_lock(path, error)
-        files.publish(fresh, path)
-        files.verify(path, arena, plan.size)
+            raise table_files.no_lock(path, error)
+        table_files.publish(fresh, path)
+        table_files.verify(path, arena, plan.size)
         return cls(name, path, arena)
 
     @classmethod
@@ -119,18 +119,18 @@ class Table(Closing):
             SvarLayoutError: It is of another version or another layout.
             SvarFullError: It cannot be mapped.
         """
-        path = files.path_of(name)
-        fd, size = files.open_file(path, STATIC_BYTES)
-        arena = files.map_whole(path, fd, size)
-        files.verify(path, arena, size)
-        files.check_mode(path, arena.fileno, arena.mode)
+        path = table_files.path_of(name)
+        fd, size = table_files.open_file(path, STATIC_BYTES)
+        arena = table_files.map_whole(path, fd, size)
+        table_files.verify(path, arena, size)
+        table_files.check_mode(path, arena.fileno, arena.mode)
         try:
             table = cls(name, path, arena)
         except msgspec.MsgspecError:
-            raise files.damaged(path, Verdict.DAMAGED) from None
+            raise table_files.damaged(path, Verdict.DAMAGED) from None
         table.check_moving_part()
         if layout is not None and table.layout != layout:
-            raise files.other_layout(str(path), layout, table.layout)
+            raise table_files.other_layout(str(path), layout, table.layout)
         return table
 
     def check_moving_part(self) -> None:
@@ -141,7 +141,7 @@ class Table(Closing):
         """
         for index, variable in enumerate(self._variables):
             if self._open().look(index, _room(variable)) is None:
-                raise files.damaged(self.path, Verdict.MOVING_PART)
+                raise table_files.damaged(self.path, Verdict.MOVING_PART)
 
     @staticmethod
     def layout_of(variables: Sequence[Variable]) -> str:
@@ -322,7 +322,7 @@ class Table(Closing):
         """
         found = self._open().registers()
         if found is None:
-            raise files.stuck(self.name)
+            raise table_files.stuck(self.name)
         return [Register(*fields) for fields in found]
 
     def reap(self, owner: int | str) -> list[str]:
@@ -397,7 +397,11 @@ class Table(Closing):
             SvarFullError: There is no room; the refusal is counted. The flag is up, but
                 not by this cause: raise it again when others have gone.
         """
-        words = (cause.encode(), raiser.encode(), machine.encode() or files.machine())
+        words = (
+            cause.encode(),
+            raiser.encode(),
+            machine.encode() or table_files.machine(),
+        )
         if self._open().raise_illegal(*words) == FULL:
             raise SvarFullError(
                 f"too many causes stand, this one was not added: {cause}",
@@ -412,7 +416,11 @@ class Table(Closing):
         Raises:
             SvarOwnerError: Another process has raised it, and lives.
         """
-        words = (cause.encode(), raiser.encode(), machine.encode() or files.machine())
+        words = (
+            cause.encode(),
+            raiser.encode(),
+            machine.encode() or table_files.machine(),
+        )
         if (code := self._open().clear_illegal(*words)) == ALIVE:
             raise SvarOwnerError(
                 f"what {raiser} raised is not cleared, its process lives",
@@ -428,7 +436,7 @@ class Table(Closing):
         Raises:
             SvarDamagedError: Bytes that are mapped are not there any more.
         """
-        files.must_be_whole(self.path, self.arena.fileno, self.arena.size)
+        table_files.must_be_whole(self.path, self.arena.fileno, self.arena.size)
 
     @property
     def arena(self) -> Arena:
@@ -444,12 +452,12 @@ class Table(Closing):
 
         A file that took this one's place, after somebody removed it, is left alone.
         """
-        files.remove(self.path, self._open().fileno)
+        table_files.remove(self.path, self._open().fileno)
         self.close()
 
     def _open(self) -> Arena:
         if self._arena is None:
-            raise files.closed(self.name)
+            raise table_files.closed(self.name)
         return self._arena
 
     def _number(self, which: str | int) -> int:
@@ -482,7 +490,7 @@ class Table(Closing):
 
     def _check_stuck(self, code: int) -> None:
         if code == STUCK:
-            raise files.stuck(self.name)
+            raise table_files.stuck(self.name)
 
 
 def _room(variable: Variable) -> NDArray[np.uint8]:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbonet.outside import Outside, active
-from pbonet.svar.closing import Closing
-from pbonet.xm import files
+from pbonet.shm.closeable import Closing
+from pbonet.xm.ipc import shm_object_files
 
 from . import layout, places
 from ._tbuf import READER, WRITER, End, In, Out
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import DTypeLike, NDArray
 
-    from pbonet.xm.names import Name
+    from pbonet.xm.ipc.names import Name
 
 
 class _Attached(Closing, End):
@@ -35,7 +35,7 @@ class _Attached(Closing, End):
         """Remove the buffer; who else uses it is told (``tbufDestroy``)."""
         if self.outside is not None and self.outside.plays:
             return
-        files.unlink_same(Path(self.path), self.fileno)
+        shm_object_files.unlink_same(Path(self.path), self.fileno)
         self.mark_destroyed()
         self.unmap()
 

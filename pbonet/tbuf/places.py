@@ -24,7 +24,7 @@ from pbonet.errors import (
     XmNameError,
     XmTakenError,
 )
-from pbonet.xm import files, folders, names
+from pbonet.xm.ipc import folder_watch, names, shm_object_files
 
 from . import _tbuf, layout
 from ._tbuf import CARER, READER, WRITER, Buffer
@@ -32,7 +32,7 @@ from ._tbuf import CARER, READER, WRITER, Buffer
 if TYPE_CHECKING:
     import numpy as np
 
-    from pbonet.xm.names import Name
+    from pbonet.xm.ipc.names import Name
 
 KIND = "tbuf"
 PATIENCE = 1.0
@@ -106,7 +106,7 @@ def _open(name: Name, dtype: np.dtype[Any] | None, end: Buffer) -> np.dtype[Any]
     path = name.path(KIND)
     while True:
         try:
-            fd, size = files.open_file(name, KIND)
+            fd, size = shm_object_files.open_file(name, KIND)
         except XmMissingError:
             if dtype is None:
                 raise
@@ -123,18 +123,18 @@ def _open(name: Name, dtype: np.dtype[Any] | None, end: Buffer) -> np.dtype[Any]
         if dtype is None or layout.same_values(dtype, found):
             return found
         end.unmap()
-        if not files.remove_unused(path):
+        if not shm_object_files.remove_unused(path):
             raise layout.refuse(str(name), dtype, found)
 
 
 def _make(path: Path, dtype: np.dtype[Any], end: Buffer) -> np.dtype[Any]:
     text = layout.describe(dtype)
     size = _tbuf.size_for(dtype.itemsize)
-    fd, fresh = files.make(path, size)
+    fd, fresh = shm_object_files.make(path, size)
     try:
         end.map(fd, size, str(path))
         end.make(dtype.itemsize, secrets.randbits(63), text)
-        files.publish(fresh, path)
+        shm_object_files.publish(fresh, path)
     except BaseException:
         end.unmap()
         fresh.unlink(missing_ok=True)
@@ -180,7 +180,7 @@ def leave(end: Buffer) -> None:
     if end.fileno >= 0:
         end.unmap()
         with contextlib.suppress(XmError):
-            files.remove_unused(Path(end.path))
+            shm_object_files.remove_unused(Path(end.path))
 
 
 def standing(domain: str) -> list[str]:
@@ -197,7 +197,7 @@ class Standing:
 
     def __init__(self, domain: str) -> None:
         self.domain = domain
-        self._changes = folders.Changes(str(names.folder()))
+        self._changes = folder_watch.Changes(str(names.folder()))
         self._found: list[str] = []
 
     def names(self) -> list[str]:
@@ -214,6 +214,6 @@ def sweep(domain: str) -> list[str]:
         place, _, resource = text.partition(":")
         path = names.Name(domain, place, resource).path(KIND)
         with contextlib.suppress(XmError):
-            if files.remove_unused(path):
+            if shm_object_files.remove_unused(path):
                 swept.append(text)
     return swept

@@ -7,8 +7,8 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import XmError
-from pbonet.xm import files, names
-from pbonet.xm.messages import TbufStatus
+from pbonet.xm.ipc import names, shm_object_files
+from pbonet.xm.net.messages import TbufStatus
 
 from . import places
 from ._tbuf import READER, WRITER, Buffer
@@ -34,7 +34,7 @@ def seen(domain: str, links: Iterable[str]) -> list[TbufStatus]:
 def _look(text: str, domain: str) -> TbufStatus:
     place, _, resource = text.partition(":")
     name = names.Name(domain, place, resource)
-    fd, size = files.open_file(name, places.KIND)
+    fd, size = shm_object_files.open_file(name, places.KIND)
     buffer = Buffer()
     buffer.map(fd, size, str(name.path(places.KIND)))
     try:

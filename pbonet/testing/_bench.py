@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from pbonet.analysis.schedule.criticality import INSIDE
 from pbonet.config.library import Library
 from pbonet.errors import MethodError, PortError, did_you_mean
-from pbonet.node.executor import Executor
-from pbonet.node.failures import RAISED
+from pbonet.node.task.executor import Executor
+from pbonet.node.task.step_failures import RAISED
 from pbonet.pbo import (
     METHODS,
     BoundedOutbox,
@@ -32,7 +33,6 @@ from pbonet.pbo import (
     make_params,
 )
 from pbonet.ports import Kind, Port, solve_shapes
-from pbonet.sched.criticality import INSIDE
 
 from ._clock import FakeClock
 from ._table import BenchTable, PortValues, structures
@@ -184,7 +184,7 @@ class Bench(Generic[M]):
         return self.executor.state
 
     def on(self, arg: str = "") -> State:
-        """Send on; see `pbonet.node.executor.Executor.signal` for errors."""
+        """Send on; see `pbonet.node.task.executor.Executor.signal` for errors."""
         self._skips, self._passed = False, 0.0
         return self.executor.signal("on", arg)
 

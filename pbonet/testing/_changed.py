@@ -12,7 +12,7 @@ from pbonet.config import parse_rmod
 from pbonet.config.library import Library
 from pbonet.errors import PbonetError
 from pbonet.log.code import code_of
-from pbonet.node.journal import files_of
+from pbonet.node.task.journal import files_of
 
 from ._verdict import Changed
 

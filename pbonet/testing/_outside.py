@@ -23,7 +23,7 @@ from pbonet.pbo import (
     check_criticality,
     check_deadline,
 )
-from pbonet.xm import names
+from pbonet.xm.ipc import names
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator

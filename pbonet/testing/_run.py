@@ -19,10 +19,10 @@ from pbonet.errors import PbonetError, SvarOwnerError
 from pbonet.log import STABLE, Step
 from pbonet.log.groups import size, unpack
 from pbonet.log.schema import CDR, StepSchema
-from pbonet.node.executor import Executor
-from pbonet.node.failures import RAISED
-from pbonet.node.taskparams import set_param
-from pbonet.node.taskports import check_ports
+from pbonet.node.task.executor import Executor
+from pbonet.node.task.parameters_in_task import set_param
+from pbonet.node.task.step_failures import RAISED
+from pbonet.node.task.task_ports import check_ports
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
 from pbonet.pbo import PythonWatch, bind, decode_params
 from pbonet.svar.guards import Blamed

@@ -15,10 +15,11 @@ from pbonet.errors import LogError
 from pbonet.log import Log
 from pbonet.log.cycles import COLUMNS
 from pbonet.log.rewrite import merge
-from pbonet.master import live, simlog
-from pbonet.master.oneshot import Place
-from pbonet.master.runsim import simulate
-from pbonet.master.sim import BEGIN_NS
+from pbonet.master.console import live_status
+from pbonet.master.console.oneshot import Place
+from pbonet.master.console.run_simulated import simulate
+from pbonet.master.sim import sim_log
+from pbonet.master.sim.simulation import BEGIN_NS
 
 from ._changed import changed
 from ._records import alike, must_have_cycles
@@ -85,13 +86,13 @@ def simulated(
 
 def _again(job: Path, place: Place, seconds: float, out: Path | None) -> Cycles:
     """Simulate a job, and write its log where one is wanted."""
-    view = live.view(quiet=True)
+    view = live_status.view(quiet=True)
     if out is None:
         now = simulate(job, place, view, seconds).recording
         assert now is not None  # noqa: S101 - a simulation has one
         return now
     runs = job.parent / "runs"
-    book = simlog.begin(job, place, record="outputs", runs=runs, seconds=seconds)
+    book = sim_log.begin(job, place, record="outputs", runs=runs, seconds=seconds)
     outcome = simulate(job, place, view, seconds, book)
     if not outcome.log:
         raise LogError(

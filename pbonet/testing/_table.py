@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pbonet.errors import PortError, did_you_mean
-from pbonet.node.lifecycle import Step
+from pbonet.node.wire.lifecycle import Step
 from pbonet.ports import Kind, Port
 from pbonet.svar.guards import Blamed
 

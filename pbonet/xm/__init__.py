@@ -5,13 +5,13 @@ import from here. Keys, messages, sessions and the request layer stand in files 
 own, and everything over zenoh is opened there: importing this loads no network.
 """
 
-from ._ipc import Full, Policy, Queue, Semaphore, Taken
-from .carriers import alive
-from .files import sweep
-from .mailboxes import Mailbox, interrupt
-from .names import live_on
-from .open import queue, segment, semaphore
-from .segments import Segment
+from pbonet.xm.ipc._ipc import Full, Policy, Queue, Semaphore, Taken
+from pbonet.xm.ipc.attach_or_create import queue, segment, semaphore
+from pbonet.xm.ipc.mailboxes import Mailbox, interrupt
+from pbonet.xm.ipc.names import live_on
+from pbonet.xm.ipc.remote_channel import alive
+from pbonet.xm.ipc.segments import Segment
+from pbonet.xm.ipc.shm_object_files import sweep
 
 __all__ = [
     "Full",

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from watching import wait_for
 
-from pbonet.master import doctor
-from pbonet.sched.records import Probe
-from pbonet.xm import rundir, session
+from pbonet.analysis.schedule.records import Probe
+from pbonet.master.tools import doctor
+from pbonet.xm.net import run_folder, session
 
 ROOT = Path(__file__).parents[2]
 CORE = str(max(os.sched_getaffinity(0)))
@@ -119,7 +119,7 @@ def test_agent_without_a_name_or_with_a_wrong_file_says_so(pbonet, tmp_path):
 def test_agent_whose_parent_is_gone_does_not_begin(pbonet, nodes):
     done = pbonet("agent", "--name", "arm0", "--with-parent", "1")
     assert done.returncode == 0
-    assert rundir.live_agents(nodes.domain) == []
+    assert run_folder.live_agents(nodes.domain) == []
 
 
 def test_doctor_tells_of_a_killed_rtpu_and_cleans_up(nodes, pbonet, agent):
@@ -137,7 +137,7 @@ def test_doctor_tells_of_a_killed_rtpu_and_cleans_up(nodes, pbonet, agent):
     again = pbonet("doctor")
     assert "was killed" not in again.stdout
     assert "nobody uses" not in again.stdout
-    rundir.Places(nodes.domain, "arm0").remove(
+    run_folder.Places(nodes.domain, "arm0").remove(
         *(nodes.folder / nodes.domain).glob("arm0.*")
     )
 

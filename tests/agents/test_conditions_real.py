@@ -13,9 +13,9 @@ from watching import wait_for
 
 from pbonet import cli
 from pbonet.errors import ConditionError, StateError, VerificationError
-from pbonet.master import oneshot
-from pbonet.master.desk import Desk
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.console import oneshot
+from pbonet.master.console.command_session import Desk
+from pbonet.master.subsystem.subsystem import Subsystem
 
 VARIABLE = "NAME {}\nTYPE double\nDESC a level\nUNITS m\nNELEM {}\n"
 LEVEL = """

@@ -11,7 +11,7 @@ import tools
 from watching import wait_for
 
 from pbonet.errors import MethodError, PbonetError, ReconfigError, VerificationError
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.subsystem.subsystem import Subsystem
 
 SIZED = """
     from typing import Annotated as A

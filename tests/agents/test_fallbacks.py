@@ -11,9 +11,9 @@ from nodekit import rmod, svar, wait_gone
 from watching import states, wait_for
 
 from pbonet.errors import PbonetError, SvarOwnerError
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.svar import Table
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
 JOB = """

@@ -12,8 +12,8 @@ from watching import wait_for
 
 from pbonet.errors import PbonetError
 from pbonet.svar import Table
-from pbonet.xm import codec, keys
-from pbonet.xm import messages as m
+from pbonet.xm.net import codec, key_expressions
+from pbonet.xm.net import messages as m
 
 KINDS = get_args(codec.AnyMessage)
 SLOW = {m.Modules, m.Links}
@@ -85,8 +85,11 @@ def test_an_agent_outlives_what_is_sent_to_it(nodes, tmp_path):
     before = client.call("arm0", m.Hello(), m.AgentInfo)
     grown = {pid: size(pid) for pid in (before.pid, before.rtpu_pid)}
     leaves = ["sbs", "status", "clock", "alive", "event"]
-    other = [keys.svar(nodes.domain, "s", leaf) for leaf in ("news", "sync", "flush")]
-    other.append(keys.link(nodes.domain, "arm0:x", "data", "arm0", "arm1"))
+    other = [
+        key_expressions.svar(nodes.domain, "s", leaf)
+        for leaf in ("news", "sync", "flush")
+    ]
+    other.append(key_expressions.link(nodes.domain, "arm0:x", "data", "arm0", "arm1"))
     ended, sent = [], 0
     rng = random.Random(5)
     for number, data in enumerate(requests(rng)):
@@ -94,7 +97,7 @@ def test_an_agent_outlives_what_is_sent_to_it(nodes, tmp_path):
             continue
         leaf = leaves[0] if number % 3 else rng.choice(leaves)
         nodes.session.get(
-            keys.rtpu(nodes.domain, "arm0", leaf),
+            key_expressions.rtpu(nodes.domain, "arm0", leaf),
             zenoh.handlers.Callback(
                 lambda _: None, lambda n=number: ended.append(n), indirect=False
             ),

@@ -11,7 +11,7 @@ import pytest
 from watching import wait_for
 
 from pbonet.errors import ParameterError, VerificationError
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.subsystem.subsystem import Subsystem
 
 VARIABLE = "NAME {}\nTYPE double\nDESC a value\nUNITS rad\nNELEM 2\n{}\n"
 NDOF = "NAME NDOF\nTYPE int\nDESC size\nUNITS none\nNELEM 1\nINIT 2\n\n"

@@ -6,10 +6,10 @@ import pytest
 from watching import free_port, wait_for
 
 from pbonet.errors import ConfigFileError, UnreachableError
-from pbonet.xm import messages as m
-from pbonet.xm import pki, session
-from pbonet.xm.credentials import Role
-from pbonet.xm.rpc import Client
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import pki, session
+from pbonet.xm.net.credentials import Role
+from pbonet.xm.net.rpc import Client
 
 SHORT = 6.0 / 86400
 """Days."""

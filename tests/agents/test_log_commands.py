@@ -8,7 +8,7 @@ from logkit import TEXT, begin, end
 
 from pbonet.config import parse_agent
 from pbonet.errors import PbonetError
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 
 def test_every_command_and_its_answer_are_on_record(nodes):

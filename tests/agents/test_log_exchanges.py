@@ -11,7 +11,7 @@ from watching import wait_for
 
 from pbonet.log import Log, is_complete
 from pbonet.testing import verify
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 GLIDES = '''
 from typing import Annotated as A

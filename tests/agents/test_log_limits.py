@@ -12,7 +12,7 @@ from watching import wait_for
 from pbonet.errors import LogError
 from pbonet.log import Log, is_complete
 from pbonet.testing import verify
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 FAILS = "\n        if self.params.gain > 99.0:\n            raise OSError"
 RAISES = ADDS.replace("self.age += dt / 3.0", f"self.age += dt / 3.0{FAILS}")

@@ -30,7 +30,7 @@ from watching import wait_for
 from pbonet.errors import LogError, ModuleLoadError, PbonetError
 from pbonet.log import Log, is_complete
 from pbonet.testing import DivergedError, replay, verify
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 
 @pytest.fixture

@@ -17,13 +17,13 @@ import pytest
 from rich.console import Console
 from watching import processes_of, wait_for
 
-from pbonet.master import crew
-from pbonet.master import run as run_module
-from pbonet.master.embedded import assign_cores
-from pbonet.master.live import Screen
-from pbonet.master.oneshot import Place
-from pbonet.master.sim import Simulation
-from pbonet.xm import rundir, session
+from pbonet.master.console import run as run_module
+from pbonet.master.console.live_status import Screen
+from pbonet.master.console.oneshot import Place
+from pbonet.master.sim.simulation import Simulation
+from pbonet.master.subsystem import subsystem_tasks
+from pbonet.master.subsystem.embedded_agents import assign_cores
+from pbonet.xm.net import run_folder, session
 
 ROOT = Path(__file__).parents[2]
 
@@ -263,8 +263,8 @@ def test_a_task_that_never_ends_its_first_cycle_has_failed(
 
     def watch(*given):
         wait_for(begun.exists, "that the first cycle begins")
-        monkeypatch.setattr(crew, "CONTROL_TIME", 0.5)
-        monkeypatch.setattr(crew, "STOP_TIME", 0.5)
+        monkeypatch.setattr(subsystem_tasks, "CONTROL_TIME", 0.5)
+        monkeypatch.setattr(subsystem_tasks, "STOP_TIME", 0.5)
         return whole(*given)
 
     monkeypatch.setattr(run_module.Run, "_watch", watch)
@@ -286,7 +286,7 @@ def test_run_in_virtual_time_needs_no_agents(run, nodes):
     out, _ = process.communicate(timeout=200)
     assert process.returncode == 0
     assert "virtual time" in out
-    assert rundir.live_agents(nodes.domain) == []
+    assert run_folder.live_agents(nodes.domain) == []
 
 
 def test_first_core_is_left_to_housekeeping():

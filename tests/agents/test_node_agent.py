@@ -28,20 +28,24 @@ from pbonet.errors import (
     UnknownTaskError,
     UnknownVariableError,
 )
-from pbonet.node.agent import Agent
-from pbonet.xm import codec, dialling, keys, rundir, session
-from pbonet.xm import messages as m
+from pbonet.node.agent.agent import Agent
+from pbonet.xm.net import codec, dialling, key_expressions, run_folder, session
+from pbonet.xm.net import messages as m
 
 
 def raw(nodes, rtpu, payload):
     """Send bytes and return the one answer, decoded by msgpack alone."""
     replies = list(
         nodes.session.get(
-            keys.rtpu(nodes.domain, rtpu, "sbs"), payload=payload, timeout=30.0
+            key_expressions.rtpu(nodes.domain, rtpu, "sbs"),
+            payload=payload,
+            timeout=30.0,
         )
     )
     assert len(replies) == 1
-    assert str(replies[0].ok.key_expr) == keys.rtpu(nodes.domain, rtpu, "sbs")
+    assert str(replies[0].ok.key_expr) == key_expressions.rtpu(
+        nodes.domain, rtpu, "sbs"
+    )
     return msgpack.unpackb(replies[0].ok.payload.to_bytes())
 
 
@@ -50,7 +54,7 @@ def test_hello_says_who_and_where(nodes):
     info = nodes.client().call("arm0", m.Hello(), m.AgentInfo)
     assert (info.name, info.domain, info.core) == ("arm0", nodes.domain, CORE)
     assert info.pid == os.getpid() != info.rtpu_pid
-    assert info.machine == rundir.machine()
+    assert info.machine == run_folder.machine()
     assert info.backend in {"fifo", "park"}
     assert info.python == sys.version.split()[0]
     assert info.claims == {}
@@ -256,14 +260,14 @@ def test_second_master_needs_take_over(arm, nodes):
 def test_master_that_is_gone_is_replaced(arm, nodes):
     arm.spawn("a", "counts")
     arm.token.undeclare()
-    key = keys.masters(nodes.domain, "arm")
+    key = key_expressions.masters(nodes.domain, "arm")
     wait_for(lambda: not session.alive(nodes.session, key), "the token's end")
     assert Master(nodes, "arm0", "arm").claimed.tasks == ["a"]
 
 
 def test_claim_of_a_dead_master_without_tasks_lapses(arm, nodes, shared_memory):
     arm.token.undeclare()
-    key = keys.masters(nodes.domain, "arm")
+    key = key_expressions.masters(nodes.domain, "arm")
     wait_for(lambda: not session.alive(nodes.session, key), "the token's end")
     leg = nodes.master("arm0", "leg")
     info = leg.client.call("arm0", m.Hello(), m.AgentInfo)
@@ -383,7 +387,7 @@ def test_modules_are_described_in_a_process_of_their_own(arm):
 def test_events_are_numbered_kept_and_published(arm, nodes):
     heard = []
     nodes.session.declare_subscriber(
-        keys.rtpu(nodes.domain, "arm0", "event"),
+        key_expressions.rtpu(nodes.domain, "arm0", "event"),
         lambda sample: heard.append(
             msgspec.msgpack.decode(sample.payload.to_bytes(), type=m.Event)
         ),

@@ -8,9 +8,9 @@ from patience import LIMIT
 from watching import wait_for
 
 from pbonet.errors import ClaimError, SvarError, SvarOwnerError, UnknownTaskError
-from pbonet.xm import keys
-from pbonet.xm import messages as m
-from pbonet.xm.codec import Codec
+from pbonet.xm.net import key_expressions
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.codec import Codec
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_who_may_not_write_is_refused_by_the_agent_too(nodes, held):
 
 
 def test_a_repeated_write_is_carried_out_once(nodes, held):
-    key = keys.rtpu(nodes.domain, "arm0", "sbs")
+    key = key_expressions.rtpu(nodes.domain, "arm0", "sbs")
     request = m.Write(
         subsystem="arm", epoch=held.epoch, id="1", client="c", name="X", values=[5, 6]
     )

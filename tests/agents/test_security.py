@@ -16,11 +16,11 @@ from nodekit import Master, rmod
 from watching import free_port, wait_for
 
 from pbonet.errors import AccessError, UnreachableError
-from pbonet.xm import codec, keys, pki, session
-from pbonet.xm import messages as m
-from pbonet.xm import resources as r
-from pbonet.xm.credentials import Role
-from pbonet.xm.rpc import Client
+from pbonet.xm.net import codec, key_expressions, pki, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import resource_messages as r
+from pbonet.xm.net.credentials import Role
+from pbonet.xm.net.rpc import Client
 
 SBS = """
 SUBSYSTEM arm
@@ -138,7 +138,10 @@ def test_resources_and_files_are_a_masters_and_observers_read(cell, come, edge):
     boss, watcher = (
         Client(come(f"lab {who}", where), domain, who) for who in ("master", "observer")
     )
-    tokens = [one.announce(keys.customer(domain, one.name)) for one in (boss, watcher)]
+    tokens = [
+        one.announce(key_expressions.customer(domain, one.name))
+        for one in (boss, watcher)
+    ]
     grip = boss.call("arm0", made, r.Attached)
     assert boss.call("arm0", r.Take(handle=grip.handle, take="t"), r.Took).code == 1
     for request in (
@@ -180,7 +183,7 @@ def test_observer_cannot_steer_on_the_key_for_looking(cell, come):
     """Access control lets the request through; the agent looks at what it asks."""
     watcher = come("lab observer", cell.near)
     asked = codec.Codec().pack(m.Stop(id="1", client="w"))
-    key = keys.rtpu(cell.nodes.domain, "arm0", "status")
+    key = key_expressions.rtpu(cell.nodes.domain, "arm0", "status")
     replies = list(watcher.get(key, payload=asked, timeout=30.0))
     answer = codec.Codec().answer(replies[0].ok.payload.to_bytes())
     assert (answer.ok, answer.error["code"]) == (False, "ACCESS")
@@ -192,18 +195,19 @@ def test_observer_cannot_speak_for_others(cell, come):
     heard = []
     boss = come("lab master", cell.near)
     boss.declare_subscriber(
-        keys.all_rtpus(domain, "event"), zenoh.handlers.Callback(heard.append)
+        key_expressions.all_rtpus(domain, "event"),
+        zenoh.handlers.Callback(heard.append),
     )
     watcher = come("lab observer", cell.near)
-    watcher.liveliness().declare_token(keys.rtpu(domain, "fake", "alive"))
-    watcher.declare_queryable(keys.rtpu(domain, "fake", "sbs"), heard.append)
-    watcher.put(keys.rtpu(domain, "arm0", "event"), b"false alarm")
-    boss.put(keys.rtpu(domain, "arm0", "event"), b"from the master")
+    watcher.liveliness().declare_token(key_expressions.rtpu(domain, "fake", "alive"))
+    watcher.declare_queryable(key_expressions.rtpu(domain, "fake", "sbs"), heard.append)
+    watcher.put(key_expressions.rtpu(domain, "arm0", "event"), b"false alarm")
+    boss.put(key_expressions.rtpu(domain, "arm0", "event"), b"from the master")
     wait_for(lambda: heard, "the master's own event")
     assert [one.payload.to_bytes() for one in heard] == [b"from the master"]
     both = ["arm0", "arm1"]
     wait_for(lambda: session.rtpus(boss, domain) == both, "both agents, no other")
-    assert not list(boss.get(keys.rtpu(domain, "fake", "sbs"), timeout=1.0))
+    assert not list(boss.get(key_expressions.rtpu(domain, "fake", "sbs"), timeout=1.0))
 
 
 @pytest.mark.parametrize("who", ["other agent", "other master"])

@@ -11,9 +11,9 @@ from nodekit import rmod
 from watching import wait_for
 
 from pbonet.errors import ClaimError, NoAnswerError, StateError, UnknownTaskError
-from pbonet.master import oneshot
-from pbonet.master.subsystem import Subsystem
-from pbonet.xm import messages as m
+from pbonet.master.console import oneshot
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.xm.net import messages as m
 
 TASKS = 8
 TOTAL = 1252
@@ -266,8 +266,8 @@ class TestSigwait:
             over.set()
             turning.join()
         assert reply.data["sent"]["task"] == "talks"
-        from pbonet.master import render
-        from pbonet.master.desk import Desk
+        from pbonet.master.console import render
+        from pbonet.master.console.command_session import Desk
 
         reply = Desk(program).execute("sigwait HALFWAY task=talks timeout=30")
         assert render.text(reply.command, reply.data).startswith("talks HALFWAY")

@@ -20,10 +20,10 @@ from pbonet.errors import (
     SeveralError,
     SvarOwnerError,
 )
-from pbonet.master.subsystem import Subsystem
-from pbonet.node._ring import Ring
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.node.ring._ring import Ring
 from pbonet.svar import Table
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 SBS = "SUBSYSTEM t\nSVARFILE t.svar\nRTPU arm0\nRTPU arm1\nEOF\n"
 RATE = 100.0

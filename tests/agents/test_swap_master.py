@@ -9,7 +9,7 @@ import pytest
 from nodekit import rmod, svar
 from watching import causes, states, wait_for
 
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.subsystem.subsystem import Subsystem
 
 MASTER = """
 import sys

@@ -12,7 +12,8 @@ import pytest
 from tbuf_rig import END, Pair, flows
 from watching import wait_for
 
-from pbonet.node import _rt, runtime
+from pbonet.node.rt import _rt
+from pbonet.node.wire import process_setup
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -72,13 +73,13 @@ def test_who_carries_records_goes_before_all_but_tasks_and_commands(pair):
     pair.a.writer()
     flows(pair.b.reader("vision0:x"))
     with ThreadPoolExecutor(1) as pool:
-        allowed = pool.submit(runtime.go_before_others).result()
-    expected = {runtime.LINK_LEVEL} if allowed else set()
+        allowed = pool.submit(process_setup.go_before_others).result()
+    expected = {process_setup.LINK_LEVEL} if allowed else set()
     for machine in (pair.a, pair.b):
         wait_for(
             lambda pid=machine.agent.pid: levels(pid) == expected, "the carrier's level"
         )
-    assert runtime.LINK_LEVEL < _rt.COMMAND_LEVEL
+    assert process_setup.LINK_LEVEL < _rt.COMMAND_LEVEL
 
 
 def test_killed_agents_come_back_without_anybody(pair):

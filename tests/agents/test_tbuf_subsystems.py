@@ -11,7 +11,7 @@ from watching import wait_for
 
 from pbonet.errors import NodeError
 from pbonet.tbuf.native import parts
-from pbonet.xm import keys
+from pbonet.xm.net import key_expressions
 
 pytestmark = pytest.mark.timeout(300)
 TABLE = """
@@ -144,7 +144,7 @@ def test_a_cycle_wakes_the_agent_when_it_is_over(linked):
     vision.on("to_arm")
     fresh(arm)
     numbers = []
-    key = keys.link(pair.domain, "vision:count", "data", "vision0", "arm0")
+    key = key_expressions.link(pair.domain, "vision:count", "data", "vision0", "arm0")
     subscriber = vision.nodes.session.declare_subscriber(
         key, lambda one: numbers.append(parts(one.payload.to_bytes())[0])
     )

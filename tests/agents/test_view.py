@@ -11,7 +11,7 @@ import sys
 import pytest
 from websockets.sync.client import connect
 
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.subsystem.subsystem import Subsystem
 
 LEVEL = """
     from typing import Annotated as A

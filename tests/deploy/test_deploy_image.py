@@ -1,6 +1,6 @@
 """The image's own steps and the host's set-up, really run, in a chroot.
 
-There is no container engine here: `tests/dockerfile.py` runs each step of the
+There is no container engine here: `tests/support/dockerfile.py` runs each step of the
 Dockerfile over this machine's root, and nothing of it stays. That the base image has
 what the steps expect is all that it cannot show.
 """

@@ -8,7 +8,7 @@ import pytest
 from hostkit import LEASE_MS, OWN_PORT, Lab
 
 from pbonet.testing.lan import Lan, missing
-from pbonet.xm import session
+from pbonet.xm.net import session
 
 _missing = functools.cache(missing)
 

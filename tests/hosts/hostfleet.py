@@ -11,8 +11,8 @@ from nodekit import rmod, svar
 from patience import LIMIT
 
 from pbonet.errors import PbonetError
-from pbonet.xm import keys
-from pbonet.xm import messages as m
+from pbonet.xm.net import key_expressions
+from pbonet.xm.net import messages as m
 
 AGED = """
 NAME Z0
@@ -67,7 +67,7 @@ class Desk:
         self.rtpus = list(rtpus)
         self.name = f"m{secrets.token_hex(3)}"
         self.epochs: dict[str, int] = {}
-        key = keys.master(lab.domain, subsystem, self.name)
+        key = key_expressions.master(lab.domain, subsystem, self.name)
         self.token = lab.session(host).liveliness().declare_token(key)
         self._text = svar().replace("\nEOF\n", AGED)
         for rtpu in self.rtpus:

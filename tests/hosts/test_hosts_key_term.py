@@ -12,9 +12,9 @@ from hostkit import OWN_PORT, PORT, Lab
 from watching import wait_for
 
 from pbonet.errors import PbonetError
-from pbonet.xm import messages as m
-from pbonet.xm import pki
-from pbonet.xm.credentials import FILES, Role
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import pki
+from pbonet.xm.net.credentials import FILES, Role
 
 SHORT = 20.0 / 86400
 """Days of a certificate that runs out in a test: some seconds behind the start."""

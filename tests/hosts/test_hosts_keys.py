@@ -11,9 +11,9 @@ from hostkit import Lab
 from tbuf_rig import READER, WRITER, flows
 from watching import wait_for
 
-from pbonet.xm import keys as names
-from pbonet.xm import pki
-from pbonet.xm.credentials import CA, CERT, KEY, Role
+from pbonet.xm.net import key_expressions as names
+from pbonet.xm.net import pki
+from pbonet.xm.net.credentials import CA, CERT, KEY, Role
 
 STRANGER = """
 import json, sys, zenoh

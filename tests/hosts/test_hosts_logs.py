@@ -13,7 +13,7 @@ from pbonet.errors import PbonetError
 from pbonet.log import Log, is_complete
 from pbonet.log.clocks import MEASURED, SAME
 from pbonet.log.rewrite import merge
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 AHEAD = 7000
 """Seconds by which the clock of host b is ahead."""

@@ -19,7 +19,7 @@ from nodekit import alive, fork_server_of
 from watching import wait_for
 
 from pbonet.testing.lan import Lan
-from pbonet.xm import messages as m
+from pbonet.xm.net import messages as m
 
 GRACE = 30.0
 RTPUS = ("arm0", "arm1")
@@ -226,10 +226,13 @@ def test_processes_are_killed_in_turn(cell, lab, lost, other):
 def test_the_recorder_is_killed(cell, lab):
     """Another one goes on, and control is not touched."""
     cell.ask("arm0", m.Record(run="lost"), m.Recorded)
-    (recorder,) = lab.processes("a", "pbonet.node.recorder")
+    (recorder,) = lab.processes("a", "pbonet.node.recorder.recorder_process")
     os.kill(recorder, signal.SIGKILL)
     wait_for(lambda: cell.events("arm0", "RECORDER_DIED"), "news of its end")
-    wait_for(lambda: lab.processes("a", "pbonet.node.recorder"), "another recorder")
+    wait_for(
+        lambda: lab.processes("a", "pbonet.node.recorder.recorder_process"),
+        "another recorder",
+    )
     wait_healed(cell)
     cell.ask("arm0", m.Record(mode="off"), m.Recorded)
 

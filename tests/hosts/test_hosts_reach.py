@@ -11,9 +11,9 @@ from watching import wait_for
 
 import pbonet
 from pbonet.errors import PbonetError, ProtocolError, UnreachableError
-from pbonet.xm import dialling, session
-from pbonet.xm import messages as m
-from pbonet.xm.rpc import Client
+from pbonet.xm.net import dialling, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.rpc import Client
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -12,8 +12,8 @@ from patience import LIMIT
 from watching import wait_for
 
 from pbonet.errors import PbonetError, SvarOwnerError
-from pbonet.node._ring import Ring
-from pbonet.xm import messages as m
+from pbonet.node.ring._ring import Ring
+from pbonet.xm.net import messages as m
 
 
 @pytest.fixture(scope="module")

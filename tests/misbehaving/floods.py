@@ -2,7 +2,15 @@
 
 from typing import Annotated as A
 
-from pbonet import OutVar, Params, PortBasedObject, Signal, UserSignal, Vector, param
+from pbonet import (
+    OutVar,
+    Params,
+    PortBasedObject,
+    Signal,
+    UserSignal,
+    Vector,
+    param,
+)
 
 
 class Amount(Params):

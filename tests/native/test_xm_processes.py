@@ -11,7 +11,8 @@ from xm_rig import LONG, Line, words
 
 from pbonet import xm
 from pbonet.errors import XmDestroyedError, XmQueueFullError
-from pbonet.xm import Queue, Semaphore, Taken, names
+from pbonet.xm import Queue, Semaphore, Taken
+from pbonet.xm.ipc import names
 
 PRIORITIES = [3, 9, 3, 7, 9]
 SERVED = [1, 4, 3, 0, 2]

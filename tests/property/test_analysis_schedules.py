@@ -8,7 +8,7 @@ from math import lcm
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pbonet.sched.analysis import (
+from pbonet.analysis.schedule.analysis import (
     Demand,
     critical_set,
     edf_schedulable,
@@ -19,16 +19,11 @@ from pbonet.sched.analysis import (
     transform,
     utilization,
 )
-from pbonet.sched.dispatch import LEAD_NS
-from pbonet.sched.inline import Inline
-from pbonet.sched.servers import (
-    Server,
-    ServerKind,
-    safe_size,
-    server_size,
-)
-from pbonet.sched.simulate import PeriodicTask, ServerTask, simulate
-from pbonet.sched.soft import every
+from pbonet.analysis.schedule.dispatch import LEAD_NS
+from pbonet.analysis.schedule.inline import Inline
+from pbonet.analysis.schedule.servers import Server, ServerKind, safe_size, server_size
+from pbonet.analysis.schedule.simulate import PeriodicTask, ServerTask, simulate
+from pbonet.analysis.schedule.soft import every
 
 PERIODS = [4, 5, 6, 8, 10, 12, 15, 20, 24, 30]
 """Whose least common multiple is 120."""

@@ -13,8 +13,8 @@ from oracle_lifecycle import ABORT, MEANWHILE, METHODS, SIGNALS, Note, Oracle, P
 from oracle_probe import OracleProbe, Told
 
 from pbonet.errors import MethodError, StateError
-from pbonet.node import lifecycle
-from pbonet.node.executor import Executor
+from pbonet.node.task.executor import Executor
+from pbonet.node.wire import lifecycle
 from pbonet.pbo import CycleAborted, State, TaskContext, bind
 from pbonet.testing import BenchTable
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pbonet.sched.dispatch import Dispatcher
-from pbonet.sched.events import Event, pack, pack_limits
-from pbonet.sched.records import Decision, Kind, Mode
-from pbonet.sched.watch import HOLD_OFF_NS
+from pbonet.analysis.schedule.dispatch import Dispatcher
+from pbonet.analysis.schedule.events import Event, pack, pack_limits
+from pbonet.analysis.schedule.records import Decision, Kind, Mode
+from pbonet.analysis.schedule.watch import HOLD_OFF_NS
 
 MS = 1_000_000
 PERIOD, CAPACITY = 10 * MS, 2 * MS

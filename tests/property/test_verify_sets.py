@@ -7,7 +7,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pbonet import verify
+from pbonet.analysis import legality
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
 
@@ -18,7 +18,7 @@ subsets = st.lists(st.sampled_from(VARIABLES), unique=True, max_size=3).map(" ".
 
 
 @st.composite
-def tasks(draw: st.DrawFn, constants: bool = False) -> list[verify.Task]:
+def tasks(draw: st.DrawFn, constants: bool = False) -> list[legality.Task]:
     first, second = ("inconst", "outconst") if constants else ("invar", "outvar")
     return [
         task(
@@ -32,7 +32,7 @@ def tasks(draw: st.DrawFn, constants: bool = False) -> list[verify.Task]:
 
 
 @given(tasks(), st.sets(st.integers(0, 5)))
-def test_equations_1_and_2(chosen: list[verify.Task], numbers: set[int]) -> None:
+def test_equations_1_and_2(chosen: list[legality.Task], numbers: set[int]) -> None:
     on = {f"t{n}" for n in numbers}
     running = [t for t in chosen if t.name in on]
     disjoint = all(
@@ -40,22 +40,22 @@ def test_equations_1_and_2(chosen: list[verify.Task], numbers: set[int]) -> None
     )
     read = {name for t in running for name in t.inputs}
     written = {name for t in running for name in t.outputs}
-    codes = {p.code.value for p in verify.check(configuration(*chosen, on=on))}
+    codes = {p.code.value for p in legality.check(configuration(*chosen, on=on))}
     assert ("two-writers" not in codes) == disjoint
     assert ("no-writer" not in codes) == (read <= written)
     assert codes <= {"two-writers", "no-writer"}
 
 
 @given(tasks(constants=True))
-def test_spawning_order_or_a_circle(chosen: list[verify.Task]) -> None:
+def test_spawning_order_or_a_circle(chosen: list[legality.Task]) -> None:
     config = configuration(*chosen, on=set())
-    circle = [p for p in verify.check(config) if p.code == "init-cycle"]
+    circle = [p for p in legality.check(config) if p.code == "init-cycle"]
     if circle:
         names = circle[0].got.split(" --")
         assert names[0] == circle[0].tasks[0]
         assert circle[0].got.endswith(f"> {names[0]}")
         return
-    order = verify.spawn_order(chosen)
+    order = legality.spawn_order(chosen)
     assert sorted(order) == sorted(t.name for t in chosen)
     for giver in chosen:
         for user in chosen:
@@ -64,8 +64,10 @@ def test_spawning_order_or_a_circle(chosen: list[verify.Task]) -> None:
 
 
 @given(tasks())
-def test_the_flow_order_breaks_no_more_than_circles(chosen: list[verify.Task]) -> None:
-    order = verify.flow_order(chosen)
+def test_the_flow_order_breaks_no_more_than_circles(
+    chosen: list[legality.Task],
+) -> None:
+    order = legality.flow_order(chosen)
     assert sorted(order) == sorted(t.name for t in chosen)
     feeds = {
         a.name: {b.name for b in chosen if a != b and set(a.outputs) & set(b.inputs)}
@@ -84,26 +86,26 @@ def test_the_flow_order_breaks_no_more_than_circles(chosen: list[verify.Task]) -
         for consumer in consumers:
             if not reaches(consumer, producer):
                 assert order.index(producer) < order.index(consumer)
-    ranks = verify.user_priorities(chosen)
+    ranks = legality.user_priorities(chosen)
     assert sorted(ranks.values()) == list(range(1, len(chosen) + 1))
     assert sorted(order, key=lambda name: -ranks[name]) == order
 
 
 @given(tasks())
-def test_off_is_the_reverse_of_on(chosen: list[verify.Task]) -> None:
-    order = verify.on_order(chosen)
-    assert verify.off_order(chosen) == order[::-1]
+def test_off_is_the_reverse_of_on(chosen: list[legality.Task]) -> None:
+    order = legality.on_order(chosen)
+    assert legality.off_order(chosen) == order[::-1]
     critical = [t.name for t in chosen if t.rmod.critical]
     assert set(order[len(order) - len(critical) :]) == set(critical)
 
 
 @given(tasks(), st.data())
-def test_ending_is_never_refused(chosen: list[verify.Task], data) -> None:
+def test_ending_is_never_refused(chosen: list[legality.Task], data) -> None:
     names = [t.name for t in chosen] + ["nobody"]
     items = data.draw(
         st.lists(
-            st.tuples(st.sampled_from(names), st.sampled_from(sorted(verify.ENDING)))
+            st.tuples(st.sampled_from(names), st.sampled_from(sorted(legality.ENDING)))
         )
     )
-    verdict = verify.judge(configuration(*chosen), verify.reconfig(items))
+    verdict = legality.judge(configuration(*chosen), legality.reconfig(items))
     assert verdict.refused == ()

@@ -8,8 +8,8 @@ import time
 import pytest
 from patience import LEASE_MS
 
-from pbonet.master.subsystem import Subsystem
-from pbonet.xm import session
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.xm.net import session
 
 
 @pytest.fixture

@@ -25,8 +25,15 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.pbo import ModuleInfo
-from pbonet.xm import codec, dialling, keys, roles, rundir, session
-from pbonet.xm import messages as m
+from pbonet.xm.net import (
+    codec,
+    dialling,
+    key_expressions,
+    roles,
+    run_folder,
+    session,
+)
+from pbonet.xm.net import messages as m
 
 MOVES = {
     ("OFF", "on"): "ON",
@@ -88,7 +95,7 @@ class Link:
     """
 
     def __init__(self, world: World, *names: str) -> None:
-        places = [rundir.Places(world.domain, name) for name in names]
+        places = [run_folder.Places(world.domain, name) for name in names]
         endpoints = [one.endpoint for one in places[1:]]
         near = dialling.neighbours(places[0])
         self.session = session.agent(places[0], listen=endpoints, dial=near)
@@ -104,8 +111,8 @@ class FakeAgent:
     def __init__(self, world: World, name: str, link: Link) -> None:
         self.world = world
         self.name = name
-        self.places = rundir.Places(world.domain, name)
-        self.lock = rundir.NameLock(self.places.lock, "fake")
+        self.places = run_folder.Places(world.domain, name)
+        self.lock = run_folder.NameLock(self.places.lock, "fake")
         self.claims: dict[str, tuple[int, str]] = {}
         self.exclusive = ""
         self.tasks: dict[str, FakeTask] = {}
@@ -140,7 +147,7 @@ class FakeAgent:
             worker.start()
 
     def key(self, leaf: str) -> str:
-        return keys.rtpu(self.world.domain, self.name, leaf)
+        return key_expressions.rtpu(self.world.domain, self.name, leaf)
 
     def neighbours(self) -> list[str]:
         """Return the agents that this one sees, itself among them."""
@@ -236,7 +243,7 @@ class FakeAgent:
             )
         epoch, holder = self.claims.get(request.subsystem, (0, ""))
         if holder and holder != request.client and not request.take_over:
-            key = keys.master(self.world.domain, request.subsystem, holder)
+            key = key_expressions.master(self.world.domain, request.subsystem, holder)
             if session.alive(self.session, key):
                 raise ClaimError(
                     "another master steers the subsystem",

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from pbonet.master.network import Port
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.console.network_interface import Port
+from pbonet.master.subsystem.subsystem import Subsystem
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pbonet.errors import NoAnswerError
-from pbonet.master import constants
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.subsystem import constants
+from pbonet.master.subsystem.subsystem import Subsystem
 
 OLD, NEW = [0.0], [6.0]
 

@@ -14,11 +14,11 @@ import pytest
 from watching import wait_for
 
 from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
-from pbonet.master import oneshot
-from pbonet.master.interfaces import Script
-from pbonet.master.network import Port
-from pbonet.xm import codec, keys, rpc, rundir, session
-from pbonet.xm import messages as m
+from pbonet.master.console import oneshot
+from pbonet.master.console.interfaces import Script
+from pbonet.master.console.network_interface import Port
+from pbonet.xm.net import codec, key_expressions, rpc, run_folder, session
+from pbonet.xm.net import messages as m
 
 FOREIGN = textwrap.dedent(
     """
@@ -71,7 +71,7 @@ def caller(arm, world):  # noqa: ARG001 - it must stand first
         return call.raw(msgspec.msgpack.encode(order))
 
     def raw(payload):
-        key = keys.network(world.domain, "chimera")
+        key = key_expressions.network(world.domain, "chimera")
         replies = wait_for(
             lambda: list(opened.get(key, payload=payload, timeout=10.0)), "a reply"
         )
@@ -80,7 +80,7 @@ def caller(arm, world):  # noqa: ARG001 - it must stand first
     call.raw = raw
 
     call.token = lambda client: opened.liveliness().declare_token(
-        keys.network_client(world.domain, "chimera", client)
+        key_expressions.network_client(world.domain, "chimera", client)
     )
     yield call
     opened.close()
@@ -93,7 +93,7 @@ def foreign(world, *commands, hang=False):
             sys.executable,
             "-c",
             FOREIGN,
-            rundir.Places(world.domain, "arm0").endpoint,
+            run_folder.Places(world.domain, "arm0").endpoint,
             world.domain,
             "chimera",
             json.dumps(commands),
@@ -110,7 +110,10 @@ def foreign_when_served(world, *commands):
     def start():
         opened = session.client(world.domain)
         wait_for(
-            lambda: session.alive(opened, keys.network(world.domain, "chimera")), "port"
+            lambda: session.alive(
+                opened, key_expressions.network(world.domain, "chimera")
+            ),
+            "port",
         )
         opened.close()
         client = foreign(world, *commands)

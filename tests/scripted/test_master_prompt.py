@@ -15,9 +15,9 @@ from prompt_toolkit.history import InMemoryHistory
 from prompt_toolkit.input import create_pipe_input
 from prompt_toolkit.output import DummyOutput
 
-from pbonet.master.profile import Window
-from pbonet.master.prompt import Prompt, summary
-from pbonet.xm import messages as m
+from pbonet.master.console.prompt import Prompt, summary
+from pbonet.master.subsystem.status_fields import Window
+from pbonet.xm.net import messages as m
 
 F12 = "\x1b[24~"
 

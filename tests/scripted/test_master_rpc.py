@@ -16,8 +16,8 @@ from pbonet.errors import (
     UnknownTaskError,
     UnreachableError,
 )
-from pbonet.xm import messages as m
-from pbonet.xm import rpc, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import rpc, session
 
 
 @pytest.fixture

@@ -22,9 +22,9 @@ from pbonet.errors import (
     UnreachableError,
     VerificationError,
 )
-from pbonet.master.subsystem import Subsystem
-from pbonet.master.unfed import UNFED
-from pbonet.xm import rpc
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.master.subsystem.unwritten_inputs import UNFED
+from pbonet.xm.net import rpc
 
 ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
 

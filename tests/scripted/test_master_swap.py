@@ -19,10 +19,10 @@ from pbonet.errors import (
     UnreachableError,
     VerificationError,
 )
-from pbonet.master import oneshot, render
-from pbonet.master.desk import Desk
-from pbonet.master.network import Port
-from pbonet.master.subsystem import Subsystem
+from pbonet.master.console import oneshot, render
+from pbonet.master.console.command_session import Desk
+from pbonet.master.console.network_interface import Port
+from pbonet.master.subsystem.subsystem import Subsystem
 
 ON = {"puma_pidg": "ON", "grav_comp": "ON", "qrdiff": "ON", "jttrace": "ON"}
 OTHER_JOB = """

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.svar.codes import CONSTS, IN, ON, OUT_CONSTS, RIVAL, VARS, Flags
+from pbonet.svar.result_codes import CONSTS, IN, ON, OUT_CONSTS, RIVAL, VARS, Flags
 
 from .arena import LINE, Arena, kept
 from .process import now_ns

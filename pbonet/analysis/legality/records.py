@@ -1,0 +1,190 @@
+"""What is verified, and what is found: plain records, no files and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from msgspec import Struct
+
+from pbonet.analysis.schedule.soft import Profile
+from pbonet.config.model import Place, Rmod, RtpuEntry, SvarFile, Variable
+from pbonet.pbo import ModuleInfo
+
+COPY_SPEED = 1e9
+"""Bytes a second that all tasks together may move between table and local tables.
+
+A tenth of what a slow machine's memory moves, so that modules keep the rest.
+"""
+
+
+class Severity(StrEnum):
+    """What becomes of a change that has the problem."""
+
+    REFUSE = "refuse"
+    WARN = "warn"
+
+
+class Code(StrEnum):
+    """What kind of problem it is; for programs."""
+
+    TWO_WRITERS = "two-writers"
+    """Equation 1 is broken."""
+    NO_WRITER = "no-writer"
+    """Equation 2 is broken."""
+    PARTS = "parts"
+    """The parts of a combination do not fit each other."""
+    PORTS = "ports"
+    """The RMOD and the module's class name different ports."""
+    UNKNOWN_VARIABLE = "unknown-variable"
+    TYPE = "type"
+    SHAPE = "shape"
+    UNIT = "unit"
+    CONSTANT_SIZE = "constant-size"
+    """Two tasks see two sizes behind one constant."""
+    NO_CONSTANT = "no-constant"
+    TWO_CONSTANTS = "two-constants"
+    INIT_CYCLE = "init-cycle"
+    NO_STABLE = "no-stable"
+    """A CRITICAL task's module has no `stable`."""
+    NO_METHOD = "no-method"
+    """The RMOD counts on a method that its module does not have."""
+    UNKNOWN_RTPU = "unknown-rtpu"
+    UNKNOWN_TASK = "unknown-task"
+    TIMES = "times"
+    """An execution time or a capacity does not fit into the period."""
+    UNDERSTATED = "understated"
+    """A cycle took longer than the RMOD's MAXC."""
+    OVERLOAD = "overload"
+    SERVER = "server"
+    """A server is larger than the tasks below it allow."""
+    NOT_GUARANTEED = "not-guaranteed"
+    """Some deadlines may be missed."""
+    NO_MAXAGE = "no-maxage"
+    """A join connector that goes by age reads a variable that never grows old."""
+    RATE = "rate"
+    """A frequency is outside MINFREQ and MAXFREQ."""
+    BANDWIDTH = "bandwidth"
+    CONDITION = "condition"
+    """A PRE or POST that has no answer."""
+
+
+class Problem(Struct, frozen=True, kw_only=True):
+    """Something that is or would be wrong with a configuration."""
+
+    code: Code
+    what: str
+    where: str = ""
+    expected: str = ""
+    got: str = ""
+    remedy: str
+    severity: Severity = Severity.REFUSE
+    tasks: tuple[str, ...] = ()
+    ports: tuple[str, ...] = ()
+    variables: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """What makes two problems the same one, before and after a change."""
+        return (self.code, self.tasks, self.ports, self.variables)
+
+
+class Task(Struct, frozen=True, kw_only=True):
+    """One task of a configuration."""
+
+    rmod: Rmod
+    info: ModuleInfo | None = None
+    """Of the module's class; None when it is not known here, then it is not checked."""
+    rtpu: str
+    freq: float | None = None
+    """Hz, in place of the RMOD's."""
+    minc: float | None = None
+    """Least CPU seconds a cycle as measured, where the RMOD has none."""
+    maxc: float | None = None
+    """Worst CPU seconds a cycle as measured, where the RMOD has none."""
+    profile: Profile | None = None
+    """Execution profile as measured (section 6.4); its end is MAXC if none is given."""
+    task: str = ""
+    """Its name, when that is not the RMOD's."""
+    fallback_of: str = ""
+    """The task that it stands by for, OFF until that one fails."""
+    told: Mapping[str, Place] = {}
+    """Where a job says something in place of the RMOD, such as its RTPU."""
+
+    @property
+    def name(self) -> str:
+        """The task's name in the subsystem."""
+        return self.task or self.rmod.name
+
+    @property
+    def hz(self) -> float | None:
+        """How often it runs; None for a server that no frequency is known of."""
+        return self.freq if self.freq is not None else self.rmod.freq
+
+    @property
+    def worst(self) -> float | None:
+        """The worst CPU seconds a cycle, None while unknown; the RMOD's goes first."""
+        return self.measured if self.rmod.maxc is None else self.rmod.maxc
+
+    @property
+    def measured(self) -> float | None:
+        """The worst CPU seconds a cycle as measured, None where nothing was."""
+        if self.maxc is None and self.profile is not None:
+            return self.profile.worst_ns / 1e9
+        return self.maxc
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Variables it reads every cycle (X of section 3.3.1)."""
+        return tuple(map(self.rmod.svar_name, self.rmod.invar))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Variables it writes every cycle (Y of section 3.3.1)."""
+        return tuple(map(self.rmod.svar_name, self.rmod.outvar))
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Constants that it reads before `init`."""
+        return tuple(map(self.rmod.svar_name, self.rmod.inconst))
+
+    @property
+    def gives(self) -> tuple[str, ...]:
+        """Constants that it writes after `init`."""
+        return tuple(map(self.rmod.svar_name, self.rmod.outconst))
+
+    def port(self, keyword: str, variable: str) -> str:
+        """Return the port of list `keyword` behind which `variable` stands."""
+        ports: tuple[str, ...] = getattr(self.rmod, keyword.lower())
+        return next(port for port in ports if self.rmod.svar_name(port) == variable)
+
+    def place(self, keyword: str) -> str:
+        """Return where the job or the RMOD says `keyword`, or the RMOD's file."""
+        said = self.told.get(keyword) or self.rmod.places.get(keyword)
+        return str(said or self.rmod.file)
+
+
+class Configuration(Struct, frozen=True, kw_only=True):
+    """A subsystem at one moment: its tasks, and which of them are ON."""
+
+    svar: SvarFile
+    tasks: tuple[Task, ...] = ()
+    """All tasks that stand, ON or not, in the order in which they were spawned."""
+    on: frozenset[str] = frozenset()
+    rtpus: tuple[RtpuEntry, ...] = ()
+    """Of the ``.sbs`` file."""
+    producers: Mapping[str, tuple[str, ...]] = {}
+    """RMODs of the library that write a variable, by variable; for remedies."""
+    limit: float = 1.0
+    """Share of a core that tasks may use, at most 1."""
+    copy_speed: float = COPY_SPEED
+
+    @property
+    def running(self) -> tuple[Task, ...]:
+        """The tasks that are ON."""
+        return tuple(task for task in self.tasks if task.name in self.on)
+
+    @property
+    def table(self) -> dict[str, Variable]:
+        """The variables by name."""
+        return {variable.name: variable for variable in self.svar.variables}

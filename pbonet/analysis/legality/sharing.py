@@ -1,0 +1,80 @@
+"""RTPUs that stand on one core: what the analysis of each is still worth.
+
+Each RTPU is judged as the owner of its core. Several on one core have one dispatcher,
+which ranks all their tasks together (section 6.2.3), but each gives criticalities to
+its own tasks only.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.analysis.schedule.criticality import INSIDE, PLANNED
+from pbonet.config.model import Scheduler, TaskType
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .reports import RtpuReport
+
+_EXACT = 1 + 1e-9
+
+
+class Sharing(Struct, frozen=True, kw_only=True):
+    """What several RTPUs ask of the core that they share."""
+
+    rtpus: tuple[str, ...]
+    utilization: float
+    """Equation 8 over all their tasks, servers included."""
+    known: bool
+    """Every MAXC is known; else `utilization` is the least that it can be."""
+    kept: bool
+    """What was promised of each still holds."""
+
+    def as_text(self, core: int) -> str:
+        """Return what is to be said of it."""
+        text = (
+            f"{', '.join(self.rtpus)} share core {core}, and each was judged as its "
+            f"owner; together they ask for {'' if self.known else 'at least '}"
+            f"{self.utilization:.1%} of at most {PLANNED:.1%}"
+        )
+        if self.kept:
+            so = "" if self.known else ", if tasks of unknown MAXC take no time"
+            return f"{text}: what was said of each holds{so}"
+        return (
+            f"{text}: nothing is promised; give each a core of its own (pbonet agent "
+            "--core), or judge their tasks on one RTPU"
+        )
+
+
+def sharing(reports: Sequence[RtpuReport]) -> Sharing:
+    """Return what RTPUs ask of one core together.
+
+    Where all their tasks have the criticality of the critical set, deadlines alone
+    decide among them, and a utilization within what may be planned keeps them all
+    (section 6.2.2). Nothing is proven of servers, rates, and a CRIT of an RMOD.
+
+    Args:
+        reports: The analysis of each of them.
+    """
+    used = sum(one.utilization for one in reports)
+    tasks = [
+        task
+        for one in reports
+        for task in one.tasks
+        if task.type is not TaskType.BACKGROUND
+    ]
+    kept = (
+        used <= PLANNED * _EXACT
+        and all(one.scheduler is not Scheduler.RM for one in reports)
+        and not any(one.servers for one in reports)
+        and all(task.guaranteed and task.crit == INSIDE for task in tasks)
+    )
+    return Sharing(
+        rtpus=tuple(sorted(one.rtpu for one in reports)),
+        utilization=used,
+        known=not any(one.unknown for one in reports),
+        kept=kept,
+    )

@@ -1,0 +1,492 @@
+"""Can every RTPU keep its deadlines, and the table its traffic? (eq. 6 to 9)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct, structs
+
+from pbonet.analysis.schedule import criticality, transfers
+from pbonet.analysis.schedule.analysis import (
+    critical_set,
+    edf_schedulable,
+    largest_server,
+    level_guaranteed,
+    transform,
+)
+from pbonet.analysis.schedule.criticality import Assigned, Timing
+from pbonet.config.model import RtpuEntry, Scheduler
+from pbonet.config.types import element_type
+
+from .demands import demands, is_periodic, is_server, reserve, servers
+from .records import Code, Configuration, Problem, Severity, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from pbonet.analysis.schedule.servers import Server
+
+SERVER = 6
+"""Criticality of a server with capacity left (section 6.5.2.1)."""
+BACKGROUND = 1
+"""Criticality of a task that is not real-time (section 6.5.2)."""
+MAX_FAULT = 1e-9
+
+
+class Load(Struct, frozen=True, kw_only=True):
+    """What the tasks that are ON ask of one RTPU."""
+
+    rtpu: str
+    scheduler: Scheduler
+    utilization: float
+    """Equation 8, over the tasks whose MAXC is known, with E for soft ones."""
+    bound: float
+    """Up to which all deadlines are kept: equation 9 under RM, else the limit."""
+    unknown: tuple[str, ...]
+    """Tasks without MAXC; with any of them `utilization` is a lower bound."""
+    critical_set: tuple[str, ...]
+    outside: tuple[str, ...]
+    """Tasks that may miss deadlines in an overload, shortest period first."""
+    guaranteed: tuple[str, ...]
+    """Tasks of which a test proves that they keep every deadline: the critical set of
+    MUF, all or none under EDF, response times under RM beside equation 9."""
+
+
+def criticalities(
+    tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float = 1.0
+) -> dict[str, Assigned]:
+    """Return the criticality of each task that runs on one RTPU (6.2.3, 4.5.1).
+
+    It rests on what RMODs declare, and on E of soft tasks; what else was measured does
+    not count before it is adopted (decision 0096), here as on the RTPU itself.
+
+    Under MUF the critical set is what EDF schedules below the servers, whose demand
+    may come at the worst moment (section 6.5.2).
+
+    Args:
+        tasks: The tasks on that RTPU.
+        rtpu: Says which scheduler it has, and its range of frequencies.
+        limit: Share of the core that the critical set of MUF may use.
+
+    Returns:
+        By name; `assumed` where it rests on a MAXC that is not known.
+    """
+    tasks = [_as_declared(task) for task in tasks]
+    periodic = [timing for task in tasks if (timing := _timing(task))]
+    if rtpu.scheduler is Scheduler.EDF:
+        found = criticality.edf(periodic)
+    elif rtpu.scheduler is Scheduler.RM:
+        found = criticality.rate_monotonic(periodic, rtpu.minfreq, rtpu.maxfreq)
+    else:
+        found = _muf(tasks, periodic, limit)
+    for task in tasks:
+        if task.name not in found:
+            found[task.name] = _aperiodic(task, rtpu)
+    return {task.name: found[task.name] for task in tasks}
+
+
+def _as_declared(task: Task) -> Task:
+    """Return a task without measured times; of a soft one its profile stays, for E."""
+    profile = task.profile if task.rmod.softness else None
+    return structs.replace(task, minc=None, maxc=None, profile=profile)
+
+
+def _muf(
+    tasks: Sequence[Task], periodic: list[Timing], limit: float
+) -> dict[str, Assigned]:
+    """Return MUF's rule with the critical set that is left beside the servers."""
+    inside = set(critical_set(demands(tasks), servers(tasks), limit=limit))
+    fixed = {timing.name for timing in periodic if timing.crit is not None}
+    return {
+        name: structs.replace(
+            assigned,
+            in_set=name in inside,
+            crit=assigned.crit
+            if name in fixed
+            else criticality.INSIDE
+            if name in inside
+            else criticality.OUTSIDE,
+        )
+        for name, assigned in criticality.muf(periodic, limit).items()
+    }
+
+
+def _timing(task: Task) -> Timing | None:
+    """Return what the rules need of a periodic task, None for another one."""
+    if task.hz is None or is_server(task):
+        return None
+    return Timing(
+        name=task.name, period=1.0 / task.hz, maxc=reserve(task), crit=task.rmod.crit
+    )
+
+
+def _aperiodic(task: Task, rtpu: RtpuEntry) -> Assigned:
+    """Return the criticality of a server or of a background task."""
+    if not is_server(task):
+        rule = BACKGROUND
+    elif rtpu.scheduler is Scheduler.RM:
+        rule = criticality.RM_LEVELS
+    else:
+        rule = SERVER if rtpu.scheduler is Scheduler.MUF else criticality.INSIDE
+    crit = rule if task.rmod.crit is None else task.rmod.crit
+    used = (task.rmod.capacity or 0.0) * (task.hz or 0.0)
+    return Assigned(crit=crit, assumed=False, in_set=False, utilization=used)
+
+
+def loads(configuration: Configuration) -> list[Load]:
+    """Return what is asked of each RTPU of the subsystem."""
+    return [_load(configuration, rtpu) for rtpu in configuration.rtpus]
+
+
+def load_without_servers(configuration: Configuration, rtpu: str) -> Load:
+    """Return what is asked of an RTPU by all but its servers."""
+    here = [task for task in configuration.running if task.rtpu == rtpu]
+    others = configuration.on - {server.name for server in servers(here)}
+    entry = next(one for one in configuration.rtpus if one.name == rtpu)
+    return _load(structs.replace(configuration, on=others), entry)
+
+
+def _load(configuration: Configuration, rtpu: RtpuEntry) -> Load:
+    tasks = [task for task in configuration.running if task.rtpu == rtpu.name]
+    assigned = criticalities(tasks, rtpu, limit=configuration.limit)
+    periodic = {task.name: task for task in tasks if is_periodic(task)}
+    used = sum((reserve(t) or 0.0) * (t.hz or 0.0) for t in periodic.values())
+    used += sum(assigned[t.name].utilization for t in tasks if is_server(t))
+    bound = configuration.limit
+    if rtpu.scheduler is Scheduler.RM and periodic:
+        bound = min(bound, criticality.liu_layland(len(periodic)))
+    inside = {name for name in periodic if assigned[name].in_set}
+    if rtpu.scheduler is Scheduler.EDF and used <= bound * (1 + MAX_FAULT):
+        inside = set(periodic)
+    proven = _guaranteed(tasks, rtpu, assigned, inside, configuration.limit)
+    order = sorted(periodic, key=lambda name: (-(periodic[name].hz or 0.0), name))
+    return Load(
+        rtpu=rtpu.name,
+        scheduler=rtpu.scheduler,
+        utilization=used,
+        bound=bound,
+        unknown=tuple(name for name in order if periodic[name].worst is None),
+        critical_set=tuple(name for name in order if name in inside),
+        outside=tuple(name for name in order if name not in inside),
+        guaranteed=tuple(name for name in order if name in proven),
+    )
+
+
+def _guaranteed(
+    tasks: Sequence[Task],
+    rtpu: RtpuEntry,
+    assigned: dict[str, Assigned],
+    inside: set[str],
+    limit: float,
+) -> set[str]:
+    """Return the periodic tasks that are proven to keep their deadlines."""
+    asked, reserved = demands(tasks), servers(tasks)
+    levels = {name: given.crit for name, given in assigned.items()}
+    by_rule = rtpu.scheduler is not Scheduler.RM and _by_rule(tasks, levels, inside)
+    if not by_rule:
+        proven = level_guaranteed(asked, levels, reserved)
+        return {name for name in proven if _room(name, tasks, levels, limit)}
+    if rtpu.scheduler is Scheduler.EDF and not edf_schedulable(asked, reserved):
+        return set()
+    return inside
+
+
+def _by_rule(tasks: Sequence[Task], levels: dict[str, int], inside: set[str]) -> bool:
+    """Return whether the set has one criticality and all others a lower one.
+
+    A CRIT in an RMOD may make it otherwise, and measured times may be more than what
+    the set was made for; then each level has to be looked at.
+    """
+    if any(t.measured is not None for t in tasks):
+        return False
+    if not any(t.rmod.crit is not None for t in tasks if is_periodic(t)):
+        return True
+    lowest = min((levels[name] for name in inside), default=0)
+    return (
+        all(
+            levels[task.name] < lowest
+            for task in tasks
+            if is_periodic(task) and task.name not in inside
+        )
+        and len({levels[name] for name in inside}) <= 1
+    )
+
+
+def _room(
+    name: str, tasks: Sequence[Task], levels: dict[str, int], limit: float
+) -> bool:
+    """Return whether a task, those level with it and those above are within `limit`."""
+    used = 0.0
+    for task in tasks:
+        if is_server(task):
+            used += (task.rmod.capacity or 0.0) * (task.hz or 0.0)
+        elif levels[task.name] >= levels[name]:
+            used += (reserve(task) or 0.0) * (task.hz or 0.0)
+    return used <= limit * (1 + MAX_FAULT)
+
+
+def check_loads(configuration: Configuration) -> Iterator[Problem]:
+    """Yield RTPUs that cannot keep their tasks' deadlines, as far as MAXC is known.
+
+    A refusal rests on what files declare. What follows from measured times only is a
+    warning, until they are adopted (decision 0096).
+    """
+    declared = _declared(configuration)
+    refused = {
+        (problem.code, problem.where)
+        for problem in (_load_problems(declared) if declared else ())
+        if problem.severity is Severity.REFUSE
+    }
+    for problem in _load_problems(configuration):
+        firm = declared is None or (problem.code, problem.where) in refused
+        if firm or problem.severity is Severity.WARN:
+            yield problem
+        else:
+            yield structs.replace(
+                problem,
+                severity=Severity.WARN,
+                got=f"{problem.got} with measured times",
+            )
+
+
+def _declared(configuration: Configuration) -> Configuration | None:
+    """Return the configuration without measured times; None where none count."""
+    if not any(task.measured is not None for task in configuration.running):
+        return None
+    tasks = tuple(map(_as_declared, configuration.tasks))
+    return structs.replace(configuration, tasks=tasks)
+
+
+def _load_problems(configuration: Configuration) -> Iterator[Problem]:
+    tasks = {task.name: task for task in configuration.running}
+    for load in loads(configuration):
+        yield from _overload(load, tasks, configuration)
+    for rtpu in configuration.rtpus:
+        if rtpu.scheduler is Scheduler.RM:
+            for task in configuration.running:
+                if task.rtpu == rtpu.name:
+                    yield from _rate(task, rtpu)
+
+
+def _overload(
+    load: Load, tasks: dict[str, Task], configuration: Configuration
+) -> Iterator[Problem]:
+    limit = configuration.limit
+    late = [
+        name
+        for name in (*load.critical_set, *load.outside)
+        if name not in load.guaranteed
+        and not (load.unknown and load.scheduler is Scheduler.RM)
+        and not tasks[name].rmod.softness
+    ]
+    critical = [name for name in late if tasks[name].rmod.critical]
+    over = load.utilization > limit * (1 + MAX_FAULT)
+    if (late or over) and (found := _too_large(load, tasks, configuration, late)):
+        yield found
+    elif critical and load.scheduler is not Scheduler.EDF:
+        yield _not_critical(load, configuration, critical, _raised(load, tasks, late))
+    elif over and not _known_victims(load, late):
+        yield _too_much(load, limit)
+    elif late:
+        yield Problem(
+            code=Code.NOT_GUARANTEED,
+            severity=Severity.WARN,
+            what=f"on RTPU {load.rtpu} {' and '.join(late)} may miss deadlines",
+            where=load.rtpu,
+            expected=_promise(load),
+            got=_used(load),
+            remedy=f"{_raised(load, tasks, late)}lower a frequency, or move a task to "
+            "another RTPU",
+            tasks=tuple(late),
+        )
+
+
+def _raised(load: Load, tasks: dict[str, Task], late: list[str]) -> str:
+    """Return the remedy where a CRIT takes from the critical set what it needs."""
+    names = [
+        name
+        for name in load.outside
+        if (tasks[name].rmod.crit or 0) >= criticality.INSIDE
+    ]
+    harmed = load.scheduler is Scheduler.MUF and {*late} & {*load.critical_set}
+    if not harmed or not names:
+        return ""
+    return f"take CRIT out of the RMOD of {' and '.join(names)}, "
+
+
+def _known_victims(load: Load, late: list[str]) -> bool:
+    """Return whether it is known who misses in an overload, and who does not.
+
+    Under EDF it may be anybody (section 6.2.2). Under RM it is those of low rate, as
+    far as all execution times are known.
+    """
+    if load.scheduler is Scheduler.RM:
+        return bool(late and load.guaranteed)
+    return load.scheduler is Scheduler.MUF
+
+
+def _promise(load: Load) -> str:
+    if load.utilization > load.bound * (1 + MAX_FAULT):
+        return f"a utilization of at most {load.bound:.1%} under {load.scheduler.value}"
+    return (
+        f"deadlines that hold under {load.scheduler.value} when servers use their "
+        "whole capacity at the worst moment and each CRIT is as given"
+    )
+
+
+def _too_large(
+    load: Load, tasks: dict[str, Task], configuration: Configuration, late: list[str]
+) -> Problem | None:
+    """Return the refusal of servers for which tasks would miss that else would not."""
+    there = [t for t in configuration.running if t.rtpu == load.rtpu]
+    reserved = servers(there)
+    alone = load_without_servers(configuration, load.rtpu)
+    fits = alone.utilization <= configuration.limit * (1 + MAX_FAULT)
+    every = {*alone.critical_set, *alone.outside}
+    if not reserved or not fits or set(alone.guaranteed) != every:
+        return None
+    names = " and ".join(server.name for server in reserved)
+    who = f"server {names} is" if len(reserved) == 1 else f"servers {names} are"
+    victims = f": {' and '.join(late)} may miss deadlines" if late else ""
+    return Problem(
+        code=Code.SERVER,
+        what=f"the {who} larger than RTPU {load.rtpu} can bear{victims}",
+        where=tasks[reserved[0].name].place("CAPACITY"),
+        expected=_largest(load, reserved, there, configuration.limit),
+        got=" and ".join(f"{server.capacity_ns / 1e9:g} s" for server in reserved),
+        remedy="lower CAPACITY, lower a frequency, or move a task to another RTPU",
+        tasks=tuple(server.name for server in reserved),
+    )
+
+
+def _largest(
+    load: Load, reserved: list[Server], there: list[Task], limit: float
+) -> str:
+    if len(reserved) > 1:
+        return "servers that leave the tasks what they need"
+    asked = demands(there)
+    most = largest_server(
+        reserved[0], asked, rm=load.scheduler is Scheduler.RM, limit=limit
+    )
+    return f"at most {most / 1e9:.6g} s, once in {reserved[0].period_ns / 1e9:g} s"
+
+
+def _not_critical(
+    load: Load, configuration: Configuration, critical: list[str], hint: str
+) -> Problem:
+    """Return the refusal of CRITICAL tasks that the critical set does not hold."""
+    names = " and ".join(critical)
+    there = [t for t in configuration.running if t.rtpu == load.rtpu]
+    changes = (
+        transform(demands(there), critical, servers(there), limit=configuration.limit)
+        if load.scheduler is Scheduler.MUF
+        else ()
+    )
+    if changes:
+        remedy = " and ".join(
+            f"run {c.name} at {c.factor} times its frequency, with at most "
+            f"{c.cost_ns / 1e9:.6g} s a cycle (period transformation)"
+            for c in changes
+        )
+    else:
+        remedy = f"lower the frequency of {names}"
+    muf = "within the critical set, the shortest periods whose utilization is at most"
+    return Problem(
+        code=Code.OVERLOAD,
+        what=f"RTPU {load.rtpu} is too busy for the CRITICAL {names}",
+        where=load.rtpu,
+        expected=f"CRITICAL tasks {muf} {configuration.limit:.1%}"
+        if load.scheduler is Scheduler.MUF
+        else "CRITICAL tasks whose longest response is within their deadline",
+        got=_used(load),
+        remedy=f"{hint}{remedy}, lower another task's frequency, or move one to "
+        "another RTPU",
+        tasks=tuple(critical),
+    )
+
+
+def _too_much(load: Load, limit: float) -> Problem:
+    return Problem(
+        code=Code.OVERLOAD,
+        what=f"RTPU {load.rtpu} is asked for more than it has",
+        where=load.rtpu,
+        expected=f"a utilization of at most {limit:.1%}",
+        got=_used(load),
+        remedy="lower a frequency, or move a task to another RTPU",
+        tasks=load.outside,
+    )
+
+
+def _used(load: Load) -> str:
+    least = "at least " if load.unknown else ""
+    return f"{least}{load.utilization:.1%}"
+
+
+def _rate(task: Task, rtpu: RtpuEntry) -> Iterator[Problem]:
+    hz = task.hz
+    if hz is None or rtpu.minfreq <= hz <= rtpu.maxfreq:
+        return
+    keyword = "MINFREQ" if hz < rtpu.minfreq else "MAXFREQ"
+    yield Problem(
+        code=Code.RATE,
+        severity=Severity.WARN,
+        what=f"task {task.name} runs at {hz:g} Hz, beyond {keyword} of RTPU "
+        f"{rtpu.name}, and gets the criticality of that",
+        where=task.name,
+        expected=f"{rtpu.minfreq:g} to {rtpu.maxfreq:g} Hz",
+        got=f"{hz:g} Hz",
+        remedy=f"correct {keyword} in the .sbs file, or the task's frequency",
+        tasks=(task.name,),
+    )
+
+
+def traffic(configuration: Configuration) -> dict[str, float]:
+    """Return the bytes a second that each task that is ON moves (equation 6).
+
+    The locking overhead of the equation is zero here, as the table has no lock. Tasks
+    without a frequency count as nothing.
+    """
+    size = _sizes(configuration)
+    return {
+        task.name: transfers.rate(
+            [size.get(name, 0) for name in (*task.inputs, *task.outputs)],
+            1.0 / task.hz,
+        )
+        if task.hz
+        else 0.0
+        for task in configuration.running
+    }
+
+
+def _sizes(configuration: Configuration) -> dict[str, int]:
+    """Return the bytes of each variable."""
+    return {
+        variable.name: variable.nelem * kind.size
+        for variable in configuration.svar.variables
+        if (kind := element_type(variable.type))
+    }
+
+
+def read_sizes(configuration: Configuration, tasks: Iterable[Task]) -> list[int]:
+    """Return the bytes that each task copies in before a cycle."""
+    size = _sizes(configuration)
+    return [sum(size.get(name, 0) for name in task.inputs) for task in tasks]
+
+
+def check_traffic(configuration: Configuration) -> Iterator[Problem]:
+    """Yield a problem when all tasks together move more than the table can (eq. 7)."""
+    moved = traffic(configuration)
+    total = transfers.bandwidth(moved.values())
+    if total <= configuration.copy_speed:
+        return
+    most = max(moved, key=lambda name: (moved[name], name))
+    yield Problem(
+        code=Code.BANDWIDTH,
+        what="the tasks move more data than the table is allowed to",
+        where=most,
+        expected=f"at most {configuration.copy_speed / 1e6:.6g} MB/s (equation 7)",
+        got=f"{total / 1e6:.6g} MB/s, of which {most} {moved[most] / 1e6:.6g} MB/s",
+        remedy=f"lower the frequency of {most}, or combine it with the tasks it talks "
+        "to",
+        tasks=(most,),
+    )

@@ -1,0 +1,222 @@
+"""Judging files where they stand: no agent is asked and nothing is run.
+
+A ``.job`` is judged as a master would judge it, with the modules of the libraries on
+this machine; the other files are read, and what they name is looked up.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.analysis import legality
+from pbonet.analysis.schedule.criticality import PLANNED
+from pbonet.config import info_of, read_any
+from pbonet.config.library import Library, absent
+from pbonet.config.model import AgentConfig, JobFile, JobTask, Rmod, SbsFile, SvarFile
+from pbonet.errors import PbonetError
+from pbonet.pbo import decode_params
+
+from .saved_profiles import here, unused, with_times
+from .subsystem_files import Files
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from pbonet.errors import WireError
+
+
+_BY_ITSELF = {
+    legality.Code.PORTS,
+    legality.Code.PARTS,
+    legality.Code.TWO_WRITERS,
+    legality.Code.TYPE,
+    legality.Code.UNIT,
+    legality.Code.SHAPE,
+    legality.Code.NO_STABLE,
+    legality.Code.NO_METHOD,
+    legality.Code.TIMES,
+}
+"""What can be said of an RMOD without the table and the other tasks."""
+
+
+class Findings(Struct, kw_only=True):
+    """What is wrong with a file."""
+
+    file: str
+    kind: str
+    about: str = ""
+    """What the file says, in one line."""
+    rtpus: list[legality.RtpuReport] = []
+    """Of a job: what the analysis finds about each RTPU."""
+    errors: list[WireError] = []
+    warnings: list[str] = []
+
+    @property
+    def legal(self) -> bool:
+        """Whether the file may be used."""
+        return not self.errors
+
+    def lines(self) -> list[str]:
+        """Return the findings as lines for a terminal."""
+        lines = legality.report_text(self.rtpus).splitlines()
+        lines += [f"ERROR> {PbonetError.from_wire(error)}" for error in self.errors]
+        lines += [f"WARNING> {text}" for text in self.warnings]
+        verdict = "legal"
+        if self.errors:
+            count = len(self.errors)
+            verdict = "1 fault" if count == 1 else f"{count} faults"
+        return [*lines, f"{self.file}: {self.about or self.kind}: {verdict}"]
+
+
+def check_file(
+    path: str | Path, libraries: Iterable[str | Path] = (), host: str = ""
+) -> Findings:
+    """Return what is wrong with a file of any kind.
+
+    Args:
+        path: A ``.svar``, ``.rmod``, ``.sbs``, ``.job`` or ``.toml`` file.
+        libraries: Folders with modules beside those that pbonet brings.
+        host: The machine whose saved profiles count; this one if empty.
+    """
+    found = Findings(file=str(path), kind=Path(path).suffix.lstrip(".") or "file")
+    library = Library(libraries)
+    library.beside = (Path(path).parent,)
+    try:
+        rmod = Path(path).suffix == ".rmod"
+        record = library.read_rmod(path) if rmod else read_any(path)
+        if isinstance(record, Rmod):
+            found.about = f"RMOD {record.name} of module {record.module}"
+            _check_rmod(found, record, library)
+        elif isinstance(record, SbsFile):
+            rtpus = ", ".join(entry.name for entry in record.rtpus)
+            found.about = f"subsystem {record.subsystem} on {rtpus}"
+            Files(path, library)  # reads the .svar file that it names
+        elif isinstance(record, JobFile):
+            found.about = f"job {record.name} of {len(record.tasks)} tasks"
+            _check_job(found, Files(path, library), host or here())
+        elif isinstance(record, AgentConfig):
+            found.about = f"agent {record.name or 'without a name'}"
+            found.warnings += _not_here(record)
+        else:
+            found.about = f"table of {len(record.variables)} variables"
+    except PbonetError as error:
+        found.errors.append(error.to_wire())
+    return found
+
+
+def _not_here(agent: AgentConfig) -> list[str]:
+    """Return what of an agent's file this machine, and this folder, does not have."""
+    told = absent(agent.libraries)
+    if agent.core is not None and agent.core not in os.sched_getaffinity(0):
+        cores = " ".join(map(str, sorted(os.sched_getaffinity(0))))
+        told.append(f"core {agent.core} cannot be used here (expected one of {cores})")
+    return told
+
+
+def _check_rmod(found: Findings, rmod: Rmod, library: Library) -> None:
+    """Compare an RMOD with its module: ports, parameters, CRITICAL."""
+    try:
+        info = info_of(rmod, lambda module: library.load(module).info)
+    except PbonetError as error:
+        first = "COMBINE" if rmod.parts else "MODULE"
+        error.where = error.where or str(rmod.places[first])
+        raise
+    task = legality.Task(rmod=rmod, info=info, rtpu="")
+    table = SvarFile(file="", defines={}, variables=())
+    alone = legality.check(legality.Configuration(svar=table, tasks=(task,)))
+    _take(found, [problem for problem in alone if problem.code in _BY_ITSELF])
+    if rmod.parts and found.errors:
+        return  # there is no module to ask for its parameters
+    try:
+        cls = library.load_rmod(rmod).cls
+        decode_params(cls, rmod.settings, where=_local(rmod))
+    except PbonetError as error:
+        found.errors.append(error.to_wire())
+
+
+def _local(rmod: Rmod) -> str:
+    """Return the place where parameters that are missing should stand."""
+    return str(rmod.places.get("LOCAL", rmod.file))
+
+
+def planned(files: Files, host: str) -> tuple[legality.Verdict | None, Findings]:
+    """Return what becomes of a job, and what is wrong with its parts.
+
+    Args:
+        files: Its files.
+        host: The machine whose saved profiles count.
+
+    Returns:
+        None in place of the verdict where a part is so wrong that there is none.
+    """
+    job = files.read_job()
+    found = Findings(file=job.file, kind="job")
+    _take(
+        found, legality.check_conditions([*job.pre, *job.post], files.table.variables)
+    )
+    tasks: list[legality.Task] = []
+    lines = [line for task in job.tasks for line in _lines(task)]
+    for wanted, original in lines:
+        try:
+            rmod = files.rmod(wanted.rmod).record
+            loaded = files.library.load_rmod(rmod)
+            decode_params(loaded.cls, rmod.settings, where=_local(rmod))
+        except PbonetError as error:
+            error.where = error.where or str(wanted.place or job.file)
+            found.errors.append(error.to_wire())
+            continue
+        rtpu = wanted.rtpu or rmod.rtpu or files.sbs.rtpus[0].name
+        if original:
+            rtpu = next((t.rtpu for t in tasks if t.name == original), rtpu)
+        saved, note = files.profiles.find(rmod, host, loaded.info)
+        found.warnings += [note] if note else []
+        task = legality.Task(
+            rmod=rmod,
+            info=loaded.info,
+            rtpu=rtpu,
+            freq=wanted.freq,
+            told=wanted.told,
+            fallback_of=original,
+        )
+        tasks.append(with_times(task, saved))
+    found.warnings += unused(files.profiles, tasks, host)
+    empty = legality.Configuration(
+        svar=files.table,
+        rtpus=files.sbs.rtpus,
+        producers=files.producers(),
+        limit=PLANNED,
+    )
+    if len(tasks) < len(lines):  # else one fault would be told as many
+        return None, found
+    return legality.judge(empty, legality.job(tasks)), found
+
+
+def _lines(task: JobTask) -> list[tuple[JobTask, str]]:
+    """Return what a TASK line makes: its task, and perhaps a standby for that."""
+    made = [(task, "")]
+    if task.fallback is not None:
+        standby = JobTask(rmod=task.fallback, rtpu=task.rtpu, place=task.place)
+        made.append((standby, task.rmod))
+    return made
+
+
+def _check_job(found: Findings, files: Files, host: str) -> None:
+    """Judge a job as its start would be judged."""
+    verdict, parts = planned(files, host)
+    found.errors += parts.errors
+    found.warnings += parts.warnings
+    if verdict is not None:
+        found.rtpus = legality.report(verdict.after)
+        _take(found, verdict.problems)
+
+
+def _take(found: Findings, problems: Sequence[legality.Problem]) -> None:
+    for problem in problems:
+        if problem.severity is legality.Severity.REFUSE:
+            found.errors.append(legality.as_error([problem]).to_wire())
+        else:
+            found.warnings.append(legality.as_text(problem))

@@ -1,0 +1,95 @@
+"""What is raised when a change was carried out in part, or a task stands already."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.errors import PbonetError, ReconfigError, SeveralError, StateError
+from pbonet.pbo import State
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.xm.net import messages as m
+
+    from .task_model import Member
+
+_ANEW = {
+    State.OFF: "'on {0}' turns it on, 'kill {0}' removes it",
+    State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
+    State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
+}
+"""What to do about a task that is there already."""
+
+
+def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
+    """Raise the errors of a stop; they say what was stopped all the same.
+
+    Raises:
+        SeveralError: An RTPU did not confirm; the parts say which, and why.
+    """
+    if not errors:
+        return
+    count = "an RTPU" if len(errors) == 1 else f"{len(errors)} RTPUs"
+    done = " ".join([*stopped.off, *stopped.killed]) or "nothing, for nothing was ON"
+    raise SeveralError(
+        f"{count} did not confirm the stop; on the others was turned off: {done}",
+        errors,
+        remedy="see to the others by hand, and stop again when they answer",
+    )
+
+
+def forced(task: Member) -> PbonetError:
+    """Return the error for a task that did not turn OFF, and was ended by force."""
+    return StateError(
+        f"the task {task.name} hung and was ended by force",
+        where=f"{task.rtpu}/{task.name}",
+        expected="'off' between two of its cycles",
+        got=f"a method of module {task.rmod.module} that does not come back",
+        remedy="see what its cycle() or its off() waits for",
+    )
+
+
+def stuck(
+    items: Sequence[tuple[str, str]], done: int, error: PbonetError, *, unsure: int = 0
+) -> ReconfigError:
+    """Return the error that says which item failed, what was done, and what was not.
+
+    Args:
+        items: All items.
+        done: How many were carried out.
+        error: What came of the next one.
+        unsure: How many from there on were sent without an answer.
+    """
+    task, signal = items[done]
+    rest = done + max(unsure, 1)
+    parts = [
+        f"{what}: " + ", ".join(f"{signal} {task}" for task, signal in some)
+        for what, some in (
+            ("done", items[:done]),
+            ("sent, and not known whether done", items[done : done + unsure]),
+            ("not sent", items[rest:]),
+        )
+        if some
+    ]
+    stuck = ReconfigError(
+        f"item {done + 1} of {len(items)}, {signal} {task}: {error.what}",
+        where=error.where,
+        expected=error.expected,
+        got=error.got,
+        remedy="; ".join(filter(None, (error.remedy, *parts))),
+        debug=error.debug,
+    )
+    stuck.done = done
+    stuck.rest = tuple(items[done:])
+    return stuck
+
+
+def already(task: Member) -> StateError:
+    """Return the error for a task that is to be spawned, and is there."""
+    return StateError(
+        f"there is a task {task.name} already",
+        where=f"{task.rtpu}/{task.name}",
+        got=f"state {task.state}",
+        remedy=_ANEW[task.state].format(task.name),
+    )

@@ -1,0 +1,233 @@
+"""Where the master finds its files, and what it reads from them.
+
+Files travel by content (DESIGN, section 4): the master reads them where it stands and
+sends their text. An RMOD is looked for beside the ``.job``, then beside the ``.sbs``,
+then in the library.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.config import (
+    Section,
+    bundled,
+    parse_rmod,
+    parse_sbs,
+    parse_svar,
+    read_job,
+)
+from pbonet.config.reader import load
+from pbonet.errors import (
+    ConfigError,
+    ConfigFileError,
+    UnknownVariableError,
+    did_you_mean,
+)
+from pbonet.xm.net.run_folder import NAME, check_name
+
+from .saved_profiles import Store
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.config.library import Library
+    from pbonet.config.model import JobFile, Rmod, SbsFile, SvarFile
+
+
+class RmodSource(Struct, frozen=True):
+    """An RMOD with the text it was read from."""
+
+    record: Rmod
+    text: str
+
+
+class Files:
+    """The files of one subsystem.
+
+    Args:
+        path: The ``.sbs`` file, or a ``.job`` file that names it.
+        library: Where RMODs are found that stand beside neither.
+
+    Raises:
+        ConfigError: One of the files is missing or wrong.
+    """
+
+    def __init__(self, path: str | Path, library: Library) -> None:
+        path = Path(path)
+        self.job: JobFile | None = None
+        if path.suffix == ".job":
+            self.job = read_job(path)
+            path = path.parent / self.job.sbs
+        self.path = path
+        self.library = library
+        text = _named(path, self.job.file, "SBS") if self.job else load(path)
+        self.sbs: SbsFile = parse_sbs(text, str(path))
+        svar = path.parent / self.sbs.svarfile
+        self.table_text = _named(svar, str(path), "SVARFILE")
+        self.table: SvarFile = parse_svar(self.table_text, str(svar))
+        self.profiles = Store(path, self.table)
+        """What was measured of its tasks."""
+        self._folders: list[Path] = []
+        self._look_in(path.parent)
+        if self.job is not None:
+            self._look_in(Path(self.job.file).parent)
+
+    def read_job(self, path: str | Path | None = None) -> JobFile:
+        """Return a job of this subsystem; its RMODs are looked for beside it first.
+
+        Args:
+            path: The file; a name without a folder is looked for beside the ``.sbs``
+                too, and ``.job`` may be left out. None means the job that the
+                subsystem was opened with.
+
+        Raises:
+            ConfigError: It is missing, wrong, of another subsystem, or not named.
+        """
+        if path is None:
+            if self.job is None:
+                raise self._no_job()
+            return self.job
+        job = read_job(self._job_path(Path(path)))
+        folder = Path(job.file).parent
+        named = (folder / job.sbs).resolve()
+        if named != self.path.resolve():
+            raise ConfigError(
+                "the job is of another subsystem",
+                where=job.file,
+                expected=f"SBS {self.path.resolve()}, which this master steers",
+                got=f"SBS {named}",
+                remedy="start it with its own subsystem",
+            )
+        self._look_in(folder)
+        return job
+
+    def rmod(self, name: str) -> RmodSource:
+        """Return the RMOD `name`, as its file says today.
+
+        Raises:
+            NodeError: No task can have that name.
+            ConfigFileError: There is none of that name.
+            ConfigError: Its file is wrong.
+        """
+        name = check_name("a task", name.removesuffix(".rmod"))
+        path = self._find(name)
+        text = bundled(load(path), self.part)
+        return RmodSource(parse_rmod(text, str(path)), text)
+
+    def part(self, name: str) -> Section:
+        """Return the file of a part of a combination.
+
+        Raises:
+            ConfigFileError: There is none of that name.
+        """
+        path = self._find(name)
+        return Section(load(path), str(path))
+
+    def is_own(self, path: Path) -> bool:
+        """Tell whether a file stands beside the subsystem's own, not in a library."""
+        return path.parent in self._folders
+
+    def must_have(self, variable: str) -> None:
+        """Refuse the name of a variable that the table does not have.
+
+        Raises:
+            UnknownVariableError: It has none of that name.
+        """
+        known = [one.name for one in self.table.variables]
+        if variable not in known:
+            raise UnknownVariableError(
+                f"the table has no variable {variable}",
+                where=self.table.file,
+                remedy=did_you_mean(variable, known) or "'display' shows them all",
+            )
+
+    def rmods(self) -> list[str]:
+        """Return the names of the RMODs that can be spawned, sorted."""
+        beside = {
+            path.stem for folder in self._folders for path in folder.glob("*.rmod")
+        }
+        found = beside | set(self.library.rmods())
+        return sorted(name for name in found if NAME.fullmatch(name))
+
+    def producers(self) -> dict[str, tuple[str, ...]]:
+        """Return, by variable, the RMODs that write it; for remedies in refusals."""
+        found: dict[str, list[str]] = {}
+        for name in self.rmods():
+            with contextlib.suppress(ConfigError):  # it is told when somebody wants it
+                record = self.rmod(name).record
+                for port in (*record.outvar, *record.outconst):
+                    found.setdefault(record.svar_name(port), []).append(name)
+        return {variable: tuple(names) for variable, names in found.items()}
+
+    def jobs(self) -> list[str]:
+        """Return the jobs that stand beside the ``.sbs``, sorted."""
+        return sorted(path.stem for path in self.path.parent.glob("*.job"))
+
+    def _no_job(self) -> ConfigError:
+        jobs = ", ".join(self.jobs())
+        return ConfigError(
+            "no job is named",
+            where=self.sbs.subsystem,
+            expected="the name of a .job file",
+            remedy=f"there are: {jobs}" if jobs else f"write one beside {self.path}",
+        )
+
+    def _look_in(self, folder: Path) -> None:
+        """Make `folder` the first in which RMODs are looked for."""
+        self._folders = [folder, *(f for f in self._folders if f != folder)]
+        self.library.beside = tuple(self._folders)
+
+    def _job_path(self, path: Path) -> Path:
+        if not path.name:
+            raise self._no_job()
+        wanted = path if path.suffix == ".job" else path.with_name(path.name + ".job")
+        beside = self.path.parent / wanted
+        if _is_there(wanted) or not _is_there(beside):
+            return wanted
+        return beside
+
+    def _find(self, name: str) -> Path:
+        for folder in self._folders:
+            path = folder / f"{name}.rmod"
+            if path.exists():
+                return path
+        with contextlib.suppress(ConfigFileError):
+            return self.library.find_rmod(name)
+        raise self._unknown(name, self.rmods())
+
+    def _unknown(self, name: str, known: Iterable[str]) -> ConfigFileError:
+        places = [str(folder) for folder in self._folders]
+        return ConfigFileError(
+            f"there is no RMOD {name}",
+            expected=f"{name}.rmod in {' or '.join(places)}, or in the library",
+            remedy=did_you_mean(name, known) or "see 'module' for what there is",
+        )
+
+
+def _named(path: Path, by: str, keyword: str) -> str:
+    """Return the text of a file that a line of another one names.
+
+    Raises:
+        ConfigFileError: It cannot be read; the error says which line names it.
+    """
+    try:
+        return load(path)
+    except ConfigFileError as error:
+        for number, line in enumerate(load(by).splitlines(), 1):
+            if line.split()[:1] == [keyword]:
+                error.where = f"{by}:{number}: {error.where}"
+                break
+        raise
+
+
+def _is_there(path: Path) -> bool:
+    """Tell whether a file is there; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False

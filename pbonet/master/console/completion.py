@@ -1,0 +1,135 @@
+"""What the prompt offers while a command is typed; from the command table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from pbonet.errors import PbonetError
+from pbonet.master.subsystem import status_fields
+from pbonet.master.subsystem.subsystem_tasks import SIGNALS
+from pbonet.pbo import PREDEFINED, State
+
+from .commands import BY_NAME, Arg, Command, Kind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from .command_session import Desk
+
+_STATES: Final = {
+    "on": {State.OFF},
+    "off": {State.ON},
+    "clear": {State.ERROR},
+}
+"""In which states a task is offered to a signal; the others take every task."""
+
+
+def complete(desk: Desk, text: str) -> list[str]:
+    """Return the words that may stand in the place of the last one in `text`.
+
+    Args:
+        desk: The interface.
+        text: The line up to the cursor.
+    """
+    words = text.split()
+    if not words or text[-1].isspace():
+        words.append("")
+    *before, last = words
+    return sorted(word for word in _offers(desk, before, last) if word.startswith(last))
+
+
+def _offers(desk: Desk, before: list[str], last: str) -> Iterable[str]:
+    if not before:
+        return {name.split()[0] for name in BY_NAME}
+    both = " ".join(before[:2])
+    command = BY_NAME.get(both) or BY_NAME.get(before[0])
+    if command is None:
+        return ()
+    given = before[2:] if command.name == both and " " in both else before[1:]
+    offers = set(_arguments(desk, command, given, last))
+    offers |= {
+        name.split()[1]
+        for name in BY_NAME
+        if " " in name and name.split()[0] == before[0] and len(before) == 1
+    }
+    return offers
+
+
+def _arguments(
+    desk: Desk, command: Command, given: list[str], last: str
+) -> Iterable[str]:
+    named = command.named
+    name, equals, _ = last.partition("=")
+    if equals and name in named:
+        return [f"{name}={word}" for word in _words(desk, command, named[name], "")]
+    names = [word.partition("=")[0] for word in given if "=" in word]
+    plain = [
+        word for word in given if "=" not in word or word.split("=")[0] not in named
+    ]
+    places = [a for a in command.args if not a.option and a.name not in names]
+    task = desk.default
+    for word in plain:
+        if places and not places[0].many:
+            arg = places.pop(0)
+            if arg.last and word not in desk.subsystem.picture and places:
+                arg = places.pop(0)  # the task was left out
+            task = word if arg.kind is Kind.TASK else task
+    found = [f"{arg.name}=" for arg in command.args if arg.option]
+    if places and not places[0].need:
+        found += [f"{arg.name}=" for arg in places[1:] if arg.name in named]
+    for arg in places[:1] if places and not places[0].last else places[:2]:
+        found += _words(desk, command, arg, task)
+    return found
+
+
+def _words(desk: Desk, command: Command, arg: Arg, task: str) -> Iterable[str]:
+    """Return the words that stand for an argument."""
+    if arg.kind is Kind.TASK:
+        states = _STATES.get(command.name)
+        return [
+            member.name
+            for member in desk.subsystem.picture
+            if states is None or member.state in states
+        ]
+    if arg.kind is Kind.PARAM:
+        return _params(desk, task)
+    make = _KINDS.get(arg.kind)
+    return make(desk) if make else ()
+
+
+def _params(desk: Desk, task: str) -> Iterable[str]:
+    member = desk.subsystem.picture.get(task)
+    if member is None:
+        return ()
+    try:
+        info = member.info or desk.subsystem.crew.info(member.rtpu, member.rmod)
+    except PbonetError:
+        return list(member.rmod.local)
+    return [param.name for param in info.params]
+
+
+def _variables(desk: Desk) -> Iterable[str]:
+    return [variable.name for variable in desk.subsystem.files.table.variables]
+
+
+def _signals(desk: Desk) -> Iterable[str]:
+    own = [name for task in desk.subsystem.status_all() for name in task.signals]
+    return dict.fromkeys([*PREDEFINED, *own])
+
+
+def _items(desk: Desk) -> Iterable[str]:
+    return [f"{t}:{signal}" for t in desk.subsystem.picture.names for signal in SIGNALS]
+
+
+_KINDS: Final[dict[Kind, Callable[[Desk], Iterable[str]]]] = {
+    Kind.RMOD: lambda desk: desk.subsystem.files.rmods(),
+    Kind.RTPU: lambda desk: desk.subsystem.fleet.names,
+    Kind.VARIABLE: _variables,
+    Kind.MODULE: lambda desk: desk.subsystem.files.library.modules(),
+    Kind.JOB: lambda desk: desk.subsystem.files.jobs(),
+    Kind.FIELD: lambda _: [*status_fields.NAMES, "all", "default"],
+    Kind.COMMAND: lambda _: BY_NAME,
+    Kind.SIGNAL: _signals,
+    Kind.ITEM: _items,
+    Kind.FLAG: lambda _: ("yes", "no"),
+}

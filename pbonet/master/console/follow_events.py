@@ -1,0 +1,185 @@
+"""Events as they happen, none left out: ``pbonet events --follow``.
+
+What is published only wakes; the events themselves are asked for by their numbers, so
+that a sample which the network drops, or an agent that is restarted, costs nothing.
+"""
+
+from __future__ import annotations
+
+import select
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from pbonet.errors import PbonetError
+from pbonet.master.subsystem.event_filter import Choice, since
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.xm.net import messages as m
+
+from . import render
+from .run import Interrupts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from .oneshot import Place
+
+LOOK_TIME: Final = 0.5
+"""Seconds after which events are asked for though none was announced."""
+_LAST: Final = 20
+
+
+class Follower:
+    """Hands out the events of a subsystem's RTPUs, each one once.
+
+    Args:
+        subsystem: It is open.
+        wanted: Which events.
+    """
+
+    def __init__(self, subsystem: Subsystem, wanted: Choice) -> None:
+        self._subsystem = subsystem
+        self._wanted = wanted
+        self._next: dict[str, int] = {}
+        self._time: dict[str, int] = {}
+        self._silent: dict[str, str] = {}
+        """RTPUs that do not answer, and why; each is told once."""
+        self.left_out = 0
+        """Events that an RTPU had forgotten before they could be asked for."""
+        self.doubt: str | None = None
+        """What is odd about the choice, by the first events that were taken."""
+
+    def take(self) -> list[m.Event]:
+        """Return what has happened since the last call, the oldest first."""
+        found: list[m.Event] = []
+        for rtpu in self._subsystem.fleet.names:
+            found += self._of(rtpu)
+        if self.doubt is None:
+            self.doubt = self._wanted.doubt(found)
+        mine = {"", self._subsystem.name}
+        chosen = [e for e in found if e.subsystem in mine and self._wanted(e)]
+        return sorted(chosen, key=lambda event: (event.wall, event.n))
+
+    def complaints(self) -> dict[str, str]:
+        """Return the RTPUs that do not answer now, and why."""
+        return dict(self._silent)
+
+    def _of(self, rtpu: str) -> list[m.Event]:
+        found: list[m.Event] = []
+        while True:
+            since = self._next.get(rtpu, 0)
+            try:
+                events = self._ask(rtpu, since)
+            except PbonetError as error:
+                self._silent[rtpu] = str(error)
+                return found
+            self._silent.pop(rtpu, None)
+            if not events:
+                return found
+            if since > 1 and events[0].n > since:
+                self.left_out += events[0].n - since
+            found += events
+            self._next[rtpu] = events[-1].n + 1
+            self._time[rtpu] = events[-1].time
+
+    def _ask(self, rtpu: str, since: int) -> list[m.Event]:
+        """Return events from number `since` on, of an RTPU begun anew from its first.
+
+        The event before the first one wanted is asked for too: an RTPU that has
+        another one under its number, or none, is another process.
+        """
+        fleet = self._subsystem.fleet
+        request = m.Events(since=max(since - 1, 0))
+        events = fleet.call(rtpu, request, list[m.Event])
+        if since <= 1:
+            return events
+        if events and events[0].n == since - 1:
+            if events[0].time == self._time[rtpu]:
+                return events[1:]
+        elif events:
+            return events  # what lay between is forgotten
+        self._next[rtpu] = 0
+        return fleet.call(rtpu, m.Events(), list[m.Event])
+
+
+def follow(
+    path: str | Path,
+    given: Mapping[str, Any],
+    place: Place,
+    *,
+    as_data: bool,
+) -> None:
+    """Print the last events and then each new one, until interrupted.
+
+    Args:
+        path: The subsystem's file.
+        given: Arguments of `events`.
+        place: Where the subsystem is.
+        as_data: Print JSON, one object a line.
+
+    Raises:
+        PbonetError: An argument is wrong, or no agent can be reached.
+        BrokenPipeError: Nobody reads any more.
+    """
+    wanted = Choice.of(given)
+    subsystem = Subsystem(
+        path,
+        domain=place.domain,
+        connect=place.connect,
+        libraries=place.libraries,
+        kind="events",
+        watch=True,
+    )
+    # A KeyboardInterrupt may be swallowed where Python ignores what a callback raises.
+    interrupts = Interrupts(once=True)
+    with subsystem, subsystem.news() as news, interrupts.caught():
+        follower = Follower(subsystem, wanted)
+        last = given.get("last")
+        first, _ = since(given.get("since") or 0)
+        events = [event for event in follower.take() if event.n >= first]
+        if follower.doubt:
+            render.print_error(render.warning(follower.doubt))
+        count = _LAST if last is None else last
+        _show(events[max(0, len(events) - count) :], as_data=as_data)
+        told: dict[str, str] = {}
+        while not interrupts.wished.is_set():
+            _must_be_read()
+            news.wait(LOOK_TIME)
+            news.clear()
+            _show(follower.take(), as_data=as_data)
+            told = _complain(told, follower)
+    raise KeyboardInterrupt
+
+
+def _must_be_read() -> None:
+    """Raise when the reader of a pipe is gone, which else the next event would show."""
+    if not hasattr(select, "poll"):  # not on every system that a master runs on
+        return
+    ends = select.poll()
+    ends.register(sys.stdout.fileno(), 0)
+    if any(what & select.POLLERR for _, what in ends.poll(0)):
+        raise BrokenPipeError
+
+
+def _complain(told: dict[str, str], follower: Follower) -> dict[str, str]:
+    """Tell beside the events which RTPUs have fallen silent, and what is missing."""
+    now = follower.complaints()
+    for rtpu in now.keys() - told.keys():
+        render.print_error(render.warning(now[rtpu]))
+    for rtpu in told.keys() - now.keys():
+        render.print_error(render.warning(f"{rtpu} answers again"))
+    if follower.left_out:
+        text = f"{follower.left_out} events came faster than they could be read"
+        render.print_error(render.warning(f"{text}; 'events --count' has them counted"))
+        follower.left_out = 0
+    return now
+
+
+def _show(events: Iterable[m.Event], *, as_data: bool) -> None:
+    for event in events:
+        text = render.event(event)
+        data = msgspec.json.encode(event).decode() if as_data else text
+        sys.stdout.write(f"{data}\n")
+    sys.stdout.flush()

@@ -1,0 +1,459 @@
+"""A whole job from one command: agents, verification, assembly, watch, orderly end."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+
+from pbonet.analysis import legality
+from pbonet.config.library import Library
+from pbonet.errors import PbonetError, SeveralError, Severity, StateError
+from pbonet.master.configuration.subsystem_files import Files
+from pbonet.master.subsystem import profiling
+from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.master.subsystem.recording_control import Logbook
+from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.xm.net import messages as m
+
+from . import live_status, render, summary
+from .network_interface import Port
+from .watch_values import Listener
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+    from pathlib import Path
+    from types import FrameType
+
+    from pbonet.log import Cycles
+    from pbonet.xm.net.messages import RtpuStatus
+
+    from .live_status import View
+    from .oneshot import Place
+
+_PERIOD: Final = 0.5
+"""Seconds between two looks at the status."""
+_PATIENCE: Final = 10
+"""For so many looks an RTPU may be out of reach: its agent may be restarted."""
+_ELSEWHERE: Final = "stopped from elsewhere"
+_FORCE: Final = 2
+"""At this many interrupts everything is stopped at once."""
+
+
+class Outcome(Struct, kw_only=True):
+    """How a run went."""
+
+    job: str
+    seconds: float
+    tasks: list[summary.TaskSummary]
+    reason: str
+    """Why it ended."""
+    faults: list[str] = []
+    """What went wrong at the end."""
+    log: str = ""
+    """The run's folder, with its log; empty when nothing was recorded here."""
+    recording: Cycles | None = None
+    """The same, to be read."""
+
+    @property
+    def status(self) -> int:
+        """The exit status: 1 when a task ended in ERROR or something was left."""
+        return int(bool(self.faults) or any(task.error for task in self.tasks))
+
+
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupts:
+    """Turns SIGINT and SIGTERM into the wish to end; a second one stops at once.
+
+    Args:
+        once: A second one acts as if nobody caught signals, which ends a module that
+            hangs in this very process.
+    """
+
+    def __init__(self, *, once: bool = False) -> None:
+        self.wished = threading.Event()
+        self.count = 0
+        self._once = once
+        self._before: list[Any] = []
+        self.force: Callable[[], object] | None = None
+        """Called in a thread of its own by the second interrupt."""
+
+    def take(self, _number: int, _frame: FrameType | None) -> None:
+        """Take a signal."""
+        self.count += 1
+        self.wished.set()
+        if self._once:
+            self._give_back()
+        if self.count == _FORCE and self.force is not None:
+            threading.Thread(target=self.force, daemon=True).start()
+
+    @contextlib.contextmanager
+    def caught(self) -> Generator[None]:
+        """Catch the signals, in the main thread; elsewhere they are its matter."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        self._before = [signal.signal(one, self.take) for one in _SIGNALS]
+        try:
+            yield
+        finally:
+            self._give_back()
+
+    def _give_back(self) -> None:
+        for one, handler in zip(_SIGNALS, self._before, strict=True):
+            signal.signal(one, handler)
+
+
+class Run:
+    """One run of a job in real time.
+
+    Args:
+        path: The ``.job`` file.
+        place: Domain, endpoints, libraries.
+        view: Where it is shown.
+        seconds: How long; None: until interrupted, or stopped from elsewhere.
+        embed: Start agents for RTPUs that nobody runs.
+        wait: Wait so many seconds for these instead; None: not at all.
+        record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
+        runs: Folder of the logs of embedded agents; None for theirs.
+        profile: Save the tasks' execution profiles at the end.
+
+    Raises:
+        ConfigError: A file is missing or wrong.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        place: Place,
+        view: View,
+        *,
+        seconds: float | None = None,
+        embed: bool = True,
+        wait: float | None = None,
+        record: str | None = None,
+        runs: str | Path | None = None,
+        profile: bool = False,
+    ) -> None:
+        self._path = path
+        self._place = place
+        self._view = view
+        self._seconds = seconds
+        self._embed = embed
+        self._wait = wait
+        self._logbook = Logbook(record)
+        self._record = record
+        self._runs = runs
+        self._profile = profile
+        self._missing = 0
+        self._interrupts = Interrupts()
+        self._reason = ""
+        self._faults: list[str] = []
+        self._unfinished: list[PbonetError] = []
+        self.files = Files(path, Library(place.libraries))
+        self.job = self.files.read_job()
+
+    def run(self) -> Outcome:
+        """Do it all; when this returns nothing of it is left.
+
+        Raises:
+            PbonetError: The job could not be started; nothing of it is left.
+        """
+        agents = Embedded(
+            self._place.domain,
+            libraries=self._place.libraries,
+            connect=self._place.connect,
+            runs=self._runs,
+        )
+        with self._interrupts.caught(), agents:
+            names = [entry.name for entry in self.files.sbs.rtpus]
+            if self._wait is not None:
+                agents.await_others(
+                    names, self._wait, self._interrupts.wished, self._view.say
+                )
+            elif self._embed:
+                self._start_agents(agents, names)
+            outcome = self._steer()
+            ours = {child.rtpu for child in agents.children}
+            killed = agents.stop()
+        self._read_log(outcome)
+        outcome.faults += [
+            f"the embedded agent of {rtpu} had to be killed" for rtpu in killed
+        ]
+        for error in self._unfinished:
+            if error.where in ours and error.where not in killed:
+                # Its agent has ended, which turns off and gives back what is there.
+                self._view.say(render.warning(str(error)))
+            else:
+                outcome.faults.append(str(error))
+        return outcome
+
+    def _start_agents(self, agents: Embedded, names: list[str]) -> None:
+        missing = agents.missing(names)
+        if missing:
+            cores = agents.start(missing)
+            for rtpu, core in cores.items():
+                self._view.say(f"nobody runs {rtpu}: embedded agent on core {core}")
+
+    def _steer(self) -> Outcome:
+        subsystem = Subsystem(
+            self._path,
+            domain=self._place.domain,
+            connect=self._place.connect,
+            libraries=self._place.libraries,
+            take_over=self._place.take_over,
+            kind="run",
+            warned=lambda text: self._view.say(render.warning(text)),
+            record=self._record,
+        )
+        self._logbook = subsystem.logbook
+        subsystem.open()
+        infos = self._tell_limits(subsystem)
+        statuses: list[RtpuStatus] = []
+        begin = time.monotonic()
+        listener = Listener(subsystem)
+        try:
+            self._interrupts.force = subsystem.stop
+            listener.open()  # before a task may fail
+            begin = self._start(subsystem, infos)
+            statuses = self._watch(subsystem, begin, listener)
+        except BaseException:
+            with contextlib.suppress(PbonetError):  # the first error is the one to tell
+                subsystem.finish()
+            raise
+        passed = time.monotonic() - begin
+        if self._profile:
+            self._save_profiles(subsystem)
+        try:
+            self._unfinished += subsystem.finish()
+        except SeveralError as error:
+            self._unfinished += error.errors
+        except PbonetError as error:
+            self._unfinished.append(error)
+        return Outcome(
+            job=self.job.name,
+            seconds=passed,
+            tasks=summary.summarize(statuses),
+            reason=self._reason,
+            faults=self._faults,
+        )
+
+    def _read_log(self, outcome: Outcome) -> None:
+        """Read what was recorded on this machine, for the exact delays."""
+        try:
+            log = self._logbook.log()
+        except PbonetError as error:
+            self._view.say(render.warning(f"the log cannot be read: {error}"))
+            return
+        if log is None:
+            return
+        outcome.log, outcome.recording = str(log.path), log
+        outcome.tasks = summary.refined(outcome.tasks, log)
+        for task, lost in log.lost().items():
+            text = f"{lost} records of {task} did not fit its ring"
+            self._view.say(render.warning(text))
+
+    def _save_profiles(self, subsystem: Subsystem) -> None:
+        """Save what was measured; that it cannot be is no fault of the run."""
+        try:
+            saved = profiling.save(subsystem.crew, [])
+        except PbonetError as error:
+            self._view.say(render.warning(f"no profiles were saved: {error}"))
+            return
+        for one, path in saved:
+            self._view.say(f"profile of {one.rmod}, {one.cycles} cycles: {path}")
+
+    def _tell_limits(self, subsystem: Subsystem) -> dict[str, m.AgentInfo]:
+        """Say what the RTPUs cannot guarantee, each thing once; return who they are."""
+        infos, _ = subsystem.fleet.each(lambda _: m.Hello(), m.AgentInfo)
+        lacking: dict[str, list[str]] = {}
+        for rtpu, info in infos.items():
+            for limit in info.limits:
+                lacking.setdefault(limit, []).append(rtpu)
+        for limit, rtpus in lacking.items():
+            self._view.say(render.warning(f"{', '.join(rtpus)}: {limit}"))
+        return infos
+
+    def _tell_loads(
+        self, reports: list[legality.RtpuReport], infos: dict[str, m.AgentInfo]
+    ) -> None:
+        """Say what is promised of each RTPU, and of those that share a core."""
+        cores: dict[tuple[str, int], list[legality.RtpuReport]] = {}
+        for one in reports:
+            self._view.say(legality.report_head(one))
+            if one.tasks and (info := infos.get(one.rtpu)):
+                cores.setdefault((info.machine, info.core), []).append(one)
+        for (_, core), sharers in cores.items():
+            if len(sharers) > 1:
+                found = legality.sharing(sharers)
+                text = found.as_text(core)
+                self._view.say(text if found.kept else render.warning(text))
+
+    def _start(self, subsystem: Subsystem, infos: dict[str, m.AgentInfo]) -> float:
+        """Assemble the job; an interrupt meanwhile gives it up. Return the time."""
+        done = threading.Event()
+
+        def give_up() -> None:
+            while not done.is_set():
+                if self._interrupts.wished.wait(0.05):
+                    subsystem.stopped.set()
+                    return
+
+        watcher = threading.Thread(target=give_up, daemon=True)
+        watcher.start()
+        try:
+            self._tell_loads(subsystem.report(), infos)
+            statuses = subsystem.start()
+        finally:
+            done.set()
+            watcher.join()
+        told = ", ".join(one.task for one in statuses if not one.stands_by)
+        standing = [
+            f"{one.task} stands by for {one.fallback_of}"
+            for one in statuses
+            if one.stands_by
+        ]
+        self._view.say("; ".join([f"job {self.job.name} is ON: {told}", *standing]))
+        return time.monotonic()
+
+    def _watch(
+        self, subsystem: Subsystem, begin: float, listener: Listener
+    ) -> list[RtpuStatus]:
+        """Show the status until it is time to end; return the last of each task."""
+        seen = summary.Seen()
+        with self._port(subsystem), self._view:
+            while True:
+                passed = time.monotonic() - begin
+                statuses = self._look(subsystem)
+                seen.look(statuses)
+                events = listener.take()
+                self._view.show(passed, statuses, events)
+                fatal = [e.text for e in events if e.severity >= Severity.FATAL]
+                self._faults += fatal
+                if self._over(statuses, passed):
+                    break
+                left = _PERIOD
+                if self._seconds is not None:
+                    left = min(left, max(0.0, self._seconds - passed))
+                self._interrupts.wished.wait(left)
+        listener.close()
+        return seen.last(subsystem.crew.picture.killed)
+
+    @contextlib.contextmanager
+    def _port(self, subsystem: Subsystem) -> Generator[None]:
+        """Serve verbs of the command line meanwhile, under the subsystem's name."""
+        port = Port(subsystem, subsystem.name, handover=False)
+        try:
+            port.open()
+        except PbonetError as error:
+            self._view.say(render.warning(f"no verb can steer this run: {error}"))
+            yield
+            return
+        try:
+            yield
+        finally:
+            port.close()
+
+    def _look(self, subsystem: Subsystem) -> list[RtpuStatus]:
+        """Return the status; an RTPU that stays away ends the run."""
+        try:
+            statuses = subsystem.rtpu_status()
+        except PbonetError as error:
+            statuses = []
+            self._view.say(render.warning(str(error)))
+        there = {rtpu.rtpu for rtpu in statuses}
+        lost = [name for name in subsystem.fleet.names if name not in there]
+        self._missing = self._missing + 1 if lost else 0
+        if self._missing > _PATIENCE:
+            self._reason = f"{' and '.join(lost)} cannot be reached"
+            self._faults.append(self._reason)
+        return statuses
+
+    def _over(self, statuses: list[RtpuStatus], passed: float) -> bool:
+        """Tell whether the run is over, and note why."""
+        if self._reason:
+            return True
+        if self._interrupts.wished.is_set():
+            self._reason = "interrupted"
+        elif self._seconds is not None and passed >= self._seconds:
+            self._reason = f"{self._seconds:g} s are over"
+        elif not self._missing and not any(rtpu.tasks for rtpu in statuses):
+            self._reason = "its tasks are gone" if self._faults else _ELSEWHERE
+        return bool(self._reason)
+
+
+def run(
+    path: str | Path,
+    place: Place,
+    *,
+    seconds: float | None = None,
+    sim: bool = False,
+    embed: bool = True,
+    wait: float | None = None,
+    record: str | None = None,
+    runs: str | Path | None = None,
+    profile: bool = False,
+    quiet: bool = False,
+) -> Outcome:
+    """Run a job, in real or virtual time, and say what it came to.
+
+    Args:
+        path: The ``.job`` file.
+        place: Domain, endpoints, libraries.
+        seconds: How long; None: until interrupted, or 10 s of virtual time.
+        sim: In virtual time.
+        embed: Start agents for RTPUs that nobody runs.
+        wait: Wait so many seconds for these instead; None: not at all.
+        record: ``off``, ``outputs``, ``all``, ``last SECONDS``; None: as the job says.
+        runs: Folder of the logs; None for PBONET_RUNS, else ``runs`` here.
+        profile: Save the tasks' execution profiles at the end, in real time.
+        quiet: Leave standard output to the caller.
+
+    Raises:
+        PbonetError: The job could not be started.
+    """
+    if sim and profile:
+        raise StateError(
+            "a simulation measures no execution times",
+            expected="--sim or --profile",
+            got="both",
+            remedy="run the job without --sim to measure its tasks",
+        )
+    if sim and wait is not None:
+        raise StateError(
+            "a simulation waits for no agents",
+            expected="--sim or --wait, not both",
+            remedy="leave one of them out",
+        )
+    view = live_status.view(quiet=quiet)
+    if sim:
+        from . import run_simulated
+
+        outcome = run_simulated.recorded(
+            path, place, view, seconds, record=record, runs=runs
+        )
+    else:
+        outcome = Run(
+            path,
+            place,
+            view,
+            seconds=seconds,
+            embed=embed,
+            wait=wait,
+            record=record,
+            runs=runs,
+            profile=profile,
+        ).run()
+    view.say(f"job {outcome.job} ended after {outcome.seconds:.1f} s: {outcome.reason}")
+    view.say(summary.text(outcome.tasks))
+    for fault in outcome.faults:
+        view.say(f"ERROR> {fault}")
+    if outcome.log:
+        view.say(f"every cycle is in {outcome.log}")
+    return outcome

@@ -1,0 +1,318 @@
+"""Assembling a whole job in two phases, undoing it when a step fails, and its end.
+
+First every task is spawned, in the order that constants demand (Stewart 1994, section
+3.5), until all are OFF; then they are turned ON: sensors, computation, and at last the
+CRITICAL tasks, which drive hardware and so find their inputs flowing.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from pbonet.analysis import legality
+from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
+from pbonet.master.configuration.failures import forced
+from pbonet.pbo import State
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import rpc
+
+from . import constants
+from .conditions import Gate
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Collection, Generator, Sequence
+
+    from pbonet.config.model import JobFile, JobTask
+    from pbonet.master.configuration.task_model import Member
+
+    from .subsystem_tasks import Crew
+
+
+def plan(crew: Crew, job: JobFile) -> list[Member]:
+    """Return the job's tasks as they would be spawned.
+
+    Raises:
+        PbonetError: RMODs, RTPUs or modules are missing or wrong; all are named.
+    """
+    members: list[Member] = []
+    errors: list[PbonetError] = []
+    for task in job.tasks:
+        try:
+            member = crew.plan(crew.files.rmod(task.rmod), task.rtpu, task.freq)
+        except PbonetError as error:
+            if not error.where or task.rtpu not in {None, *crew.fleet.names}:
+                error.where = str(task.place or job.file)
+            errors.append(error)
+            continue
+        members.append(member)
+        try:
+            members += _fallback(crew, task, member)
+        except PbonetError as error:
+            error.where = error.where or str(task.place or job.file)
+            errors.append(error)
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise SeveralError(f"the job {job.name} cannot be assembled", errors)
+    return members
+
+
+def _fallback(crew: Crew, task: JobTask, original: Member) -> list[Member]:
+    """Return the standby of a task as it would be spawned, beside its original.
+
+    Raises:
+        PbonetError: Its RMOD or module is missing or wrong.
+    """
+    if task.fallback is None:
+        return []
+    member = crew.plan(crew.files.rmod(task.fallback), original.rtpu, None)
+    member.fallback_of = original.name
+    return [member]
+
+
+def change(crew: Crew, job: JobFile) -> legality.Change:
+    """Return the change that a start of the job makes, to be judged.
+
+    Raises:
+        PbonetError: RMODs, RTPUs or modules are missing or wrong; all are named.
+    """
+    return legality.job([member.task for member in plan(crew, job)])
+
+
+def start(crew: Crew, job: JobFile, stopped: threading.Event) -> list[m.TaskStatus]:
+    """Assemble a job; return the status of its tasks.
+
+    Args:
+        crew: The subsystem.
+        job: What to assemble; its PRE must hold, before and when all tasks are there.
+        stopped: When it is set, the assembly gives up and is undone.
+
+    Raises:
+        VerificationError: It would be illegal; nothing was done.
+        ConditionError: A condition does not hold; nothing was done.
+        PbonetError: A step failed; what was done was undone.
+    """
+    gate = Gate(crew, job, leaves=False)
+    wanted = plan(crew, job)
+    tasks = [member.task for member in wanted]
+    problems = crew.legal(legality.job(tasks))
+    gate.must_hold()
+    crew.say(problems)
+    by_name = {member.name: member for member in wanted}
+    done = Done(crew)
+    with done.undone_on_error(f"the job {job.name} did not start"):
+        for name in legality.spawn_order(tasks):
+            go_on(stopped)
+            if not stands(crew, by_name[name]):
+                done.spawn(by_name[name])
+        crew.rank()
+        gate.must_hold()
+        pair(crew, wanted)  # before a task may fail for which somebody stands by
+        for name in legality.on_order([one for one in tasks if not one.fallback_of]):
+            go_on(stopped)
+            if not crew.picture.find(name).is_on:
+                done.turn_on(name)
+        pair(crew, wanted)
+        gate.entered()
+    part(crew, [two for two in unpaired(crew, wanted) if replaced(wanted, *two)])
+    statuses = [status for rtpu in crew.refresh() for status in rtpu.tasks]
+    return [status for status in statuses if status.task in by_name]
+
+
+def end(crew: Crew, name: str) -> list[PbonetError]:
+    """Turn OFF in order, end every task, give everything back.
+
+    Args:
+        crew: The subsystem.
+        name: Its name, for errors.
+
+    Returns:
+        An error for each task that hung: it is ended, but by force.
+
+    Raises:
+        SeveralError: Parts of it could not be done, the rest was; of one part, its own
+            error.
+    """
+    crew.off()
+    still_on = [member for member in crew.picture if member.is_on]
+    stopped, errors = crew.stop()
+    told = {str(error) for error in errors}
+    errors += [error for error in crew.leave() if str(error) not in told]
+    hung = [forced(one) for one in still_on if one.name in stopped.killed]
+    if errors:
+        what = f"the end of subsystem {name} left something behind"
+        rpc.raise_all(what, [*errors, *hung])
+    return hung
+
+
+def pair(crew: Crew, wanted: Sequence[Member]) -> None:
+    """Have the standbys of a job stand by for their originals.
+
+    Raises:
+        PbonetError: One could not take over.
+    """
+    for member in wanted:
+        if member.fallback_of:
+            crew.stand_by(member.name, member.fallback_of)
+
+
+def unpaired(crew: Crew, wanted: Sequence[Member]) -> list[tuple[Member, str]]:
+    """Return tasks that are fallbacks, and none in a job, and for whom each is one."""
+    standbys = {member.name for member in wanted if member.fallback_of}
+    return [
+        (member, member.fallback_of)
+        for member in crew.picture
+        if member.fallback_of and member.name not in standbys
+    ]
+
+
+def replaced(wanted: Sequence[Member], standby: Member, original: str) -> bool:
+    """Return whether a job has a standby as a task, or another one for its original.
+
+    A job that comes beside others takes no fallback from a task by not naming it.
+    """
+    return any(
+        standby.name == one.name or original == one.fallback_of for one in wanted
+    )
+
+
+def part(crew: Crew, pairs: Sequence[tuple[Member, str]]) -> None:
+    """Have tasks be the fallbacks of others no more; what fails is a warning."""
+    for member, original in pairs:
+        try:
+            crew.stand_by(member.name, "")
+        except UnknownTaskError:
+            continue  # it has died, or a stop was quicker
+        except PbonetError as error:
+            crew.tell([f"{member.name} is still the fallback of {original}: {error}"])
+
+
+class Done:
+    """What was done so far, and how it is undone."""
+
+    def __init__(self, crew: Crew) -> None:
+        self._crew = crew
+        self._spawned: list[str] = []
+        self._on: list[str] = []
+        self._robbed: dict[str, str] = {}
+
+    @contextmanager
+    def undone_on_error(self, what: str) -> Generator[None]:
+        """Undo what was done when the block fails.
+
+        Args:
+            what: What has failed then, for the error.
+
+        Raises:
+            SeveralError: It failed, and not all could be undone.
+        """
+        try:
+            yield
+        except BaseException as error:
+            left = self.undo()
+            if left and isinstance(error, PbonetError):
+                raise SeveralError(
+                    f"{what}, and not all could be undone",
+                    [error, *left],
+                    remedy="'stop' ends what is left",
+                ) from error
+            raise
+
+    def spawn(
+        self,
+        member: Member,
+        replaces: Sequence[str] = (),
+        leaving: Collection[str] = (),
+    ) -> None:
+        """Create a task.
+
+        Args:
+            member: The task.
+            replaces: Tasks whose constants it takes over.
+            leaving: Tasks that are about to be killed, and need no new constants.
+        """
+        freq = member.freq if member.freq != member.rmod.freq else None
+        constants.at_hand(self._crew, member)
+        self._crew.create(member, freq, replaces)
+        self._spawned.append(member.name)
+        self._robbed |= dict.fromkeys(replaces, member.name)
+        constants.given(self._crew, member.name, leaving)
+
+    def give(
+        self, name: str, replaces: Sequence[str], leaving: Collection[str]
+    ) -> None:
+        """Let a task that stands give constants in the place of others; as `spawn`."""
+        self._crew.control(name, "reinit", "", replaces)
+        self._robbed |= dict.fromkeys(replaces, name)
+        constants.given(self._crew, name, leaving)
+
+    def turn_on(self, name: str) -> None:
+        """Turn a task on."""
+        self._crew.control(name, "on", "")
+        self._on.append(name)
+
+    def undo(self) -> list[PbonetError]:
+        """Turn off and kill, the last first; return what could not be done."""
+        errors: list[PbonetError] = []
+        steps = [(name, "off") for name in reversed(self._on)]
+        steps += [(name, "kill") for name in reversed(self._spawned)]
+        for name, signal in steps:
+            try:
+                self._crew.refresh()
+                member = self._crew.picture.get(name)
+                if member is not None and (signal == "kill" or member.is_on):
+                    self._crew.control(name, signal, "")
+            except UnknownTaskError:
+                continue  # a stop was quicker
+            except PbonetError as error:
+                errors.append(error)
+        return [*errors, *self._restore()]
+
+    def _restore(self) -> list[PbonetError]:
+        """Have those give their constants again that lost them; return what failed."""
+        errors: list[PbonetError] = []
+        for old, new in reversed(self._robbed.items()):
+            try:
+                self._crew.control(old, "reinit", "", [new])
+                constants.given(self._crew, old)
+            except PbonetError as error:
+                errors.append(error)
+        return errors
+
+
+def stands(crew: Crew, member: Member) -> bool:
+    """Tell whether the task is there already, made from the same RMOD on its RTPU.
+
+    Raises:
+        StateError: A task of that name is there, but another one, or in ERROR.
+    """
+    old = crew.picture.get(member.name)
+    if old is None:
+        return False
+    same = old.source.text == member.source.text
+    if same and old.rtpu == member.rtpu and old.state is not State.ERROR:
+        return True
+    raise StateError(
+        f"the task {old.name} stands in the way",
+        where=f"{old.rtpu}/{old.name}",
+        expected=f"none, or one of the same RMOD on {member.rtpu} without error",
+        got=f"state {old.state}, {'the same' if same else 'another'} RMOD "
+        f"on {old.rtpu}",
+        remedy=f"'clear {old.name}' mends it, " * (same and old.state is State.ERROR)
+        + f"'kill {old.name}' removes it",
+    )
+
+
+def go_on(stopped: threading.Event) -> None:
+    """Go on, unless a stop came in between.
+
+    Raises:
+        StateError: One did.
+    """
+    if stopped.is_set():
+        raise StateError(
+            "the start was given up because a stop came in between",
+            remedy="start it again when nobody stops it; what was begun was undone",
+        )

@@ -1,0 +1,78 @@
+"""What the parts of `Subsystem` have of each other, and what changes stand in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    import threading
+
+    from pbonet.master.configuration.clock import Clock
+    from pbonet.master.configuration.subsystem_files import Files
+
+    from .rtpu_clients import Fleet
+    from .subsystem_tasks import Crew
+
+
+class Changing:
+    """One command at a time, by a master that holds the claim, on a fresh picture.
+
+    Args:
+        crew: The subsystem's tasks.
+        busy: Held meanwhile.
+        strict: Whether every RTPU must say how its tasks stand.
+        claimed: False for a command that only tells what it would do.
+    """
+
+    def __init__(
+        self, crew: Crew, busy: threading.RLock, *, strict: bool, claimed: bool = True
+    ) -> None:
+        self._crew = crew
+        self._busy = busy
+        self._strict = strict
+        self._claimed = claimed
+
+    def __enter__(self) -> Crew:
+        if self._claimed:
+            self._crew.fleet.must_be_claimed()
+        self._busy.acquire()
+        try:
+            self._crew.refresh(strict=self._strict)
+        except BaseException:
+            self._busy.release()
+            raise
+        return self._crew
+
+    def __exit__(self, *_: object) -> None:
+        self._busy.release()
+
+
+class Opened(Protocol):
+    """An open subsystem, as the parts that `Subsystem` is made of see it."""
+
+    files: Files
+    clock: Clock
+    stopped: threading.Event
+
+    @property
+    def name(self) -> str:
+        """The subsystem's name."""
+        ...
+
+    @property
+    def crew(self) -> Crew:
+        """Its tasks."""
+        ...
+
+    @property
+    def fleet(self) -> Fleet:
+        """Its RTPUs."""
+        ...
+
+    def _warn(self, text: str) -> None:
+        """Tell a warning."""
+        ...
+
+    def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
+        """Return what a command that changes it stands in."""
+        ...

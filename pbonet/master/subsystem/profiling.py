@@ -1,0 +1,170 @@
+"""What `profile` shows: every figure of section 6.7.1, for tasks and for RTPUs.
+
+Stewart 1994, section 6.7.1, defines the figures; decision 0040 says where ours divide
+by something else. They run since the task was turned on, the execution profile Psi(t)
+since it was spawned.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from pbonet.analysis.schedule import histogram, soft
+from pbonet.errors import StateError
+from pbonet.master.configuration.saved_profiles import profile_of
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.messages import TaskProfile
+
+from . import status_fields
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from pathlib import Path
+
+    from pbonet.config.model import Rmod
+    from pbonet.master.configuration.saved_profiles import Saved
+    from pbonet.xm.net.messages import RtpuStatus
+
+    from .subsystem_tasks import Crew
+
+Data = dict[str, Any]
+QUANTILES: Final = (0.5, 0.9, 0.99, 0.999)
+OF_RTPU: Final[dict[str, Callable[[list[float]], float]]] = {
+    **dict.fromkeys(("cycle", "miss", "mezF", "totC", "nowC"), sum),
+    **dict.fromkeys(("minU", "avgU", "maxU"), sum),
+    "minC": min,
+    **dict.fromkeys(("maxC", "firstC", "ptime", "tick"), max),
+}
+"""How figures of tasks make a figure of their RTPU; means are made from these."""
+FAILURES: Final = ("failures", "overruns", "aborted", "skipped", "delivery_max")
+"""What a status says about timing failures (section 6.3)."""
+
+
+def ask(crew: Crew, tasks: Sequence[str]) -> list[TaskProfile]:
+    """Return the profiles of tasks, of all if none is named, RTPU by RTPU.
+
+    Raises:
+        UnknownTaskError: There is no such task.
+    """
+    crew.refresh(strict=False)
+    for task in tasks:
+        crew.picture.find(task)
+    results, errors = crew.fleet.each(lambda _: m.Profile(), list[TaskProfile])
+    crew.tell(map(str, errors))
+    found = [one for name in crew.fleet.names for one in results.get(name, [])]
+    return [one for one in found if not tasks or one.status.task in tasks]
+
+
+def save(crew: Crew, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
+    """Save profiles beside the ``.sbs`` file, for later starts; return them.
+
+    Where no task is named, those that have run too few cycles are told as warnings.
+
+    Raises:
+        UnknownTaskError: There is no such task.
+        StateError: One that was named has run too few cycles.
+        ConfigFileError: A file cannot be written.
+    """
+    saved: list[tuple[Saved, Path]] = []
+    for found in ask(crew, tasks):
+        rmod = crew.picture.find(found.status.task).rmod
+        host = crew.fleet.host(found.status.rtpu)
+        when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+        try:
+            saved.append(crew.files.profiles.keep(found, rmod, host=host, when=when))
+        except StateError as error:
+            if tasks:
+                raise
+            crew.warned(str(error))
+    return saved
+
+
+def task_data(found: TaskProfile, rmod: Rmod | None) -> Data:
+    """Return everything that is known of one task's execution times; seconds.
+
+    Args:
+        found: Its profile.
+        rmod: Its RMOD, for what is declared; None where it is not known.
+    """
+    fields = status_fields.profile(found.status).fields
+    counts = _counts(found.cpu)
+    psi = profile_of(tuple(found.cpu), found.most) if found.cpu else None
+    softness = rmod.softness if rmod else None
+    reserve = None
+    if rmod is not None and softness:
+        reserve = soft.effective(
+            softness,
+            given_ns=None if rmod.effc is None else round(rmod.effc * 1e9),
+            profile=psi,
+            worst_ns=None if rmod.maxc is None else round(rmod.maxc * 1e9),
+        )
+    return {
+        "task": found.status.task,
+        "rtpu": found.status.rtpu,
+        "figures": fields,
+        "counted": sum(counts),
+        "least": found.least if psi else None,
+        "most": found.most if psi else None,
+        "quantiles": _quantiles(counts, found.most),
+        "delays": _quantiles(_counts(found.jitter), found.status.jitter_max),
+        "late": found.late,
+        "failed": found.failed,
+        **{name: getattr(found.status, name) for name in FAILURES},
+        "sections": msgspec.to_builtins(found.status.sections),
+        "declared": {
+            key: getattr(rmod, key) if rmod else None
+            for key in ("minc", "maxc", "effc", "softness")
+        },
+        "effective": reserve.time_ns / 1e9 if reserve and reserve.time_ns else None,
+        "psi": [
+            [time / 1e9, share]
+            for time, share in zip(psi.times_ns, psi.shares, strict=True)
+        ]
+        if psi
+        else [],
+    }
+
+
+def rtpu_data(status: RtpuStatus, tasks: Iterable[Data]) -> Data:
+    """Return the figures of one RTPU: its own, and the sums over its tasks."""
+    here = [task["figures"] for task in tasks if task["rtpu"] == status.rtpu]
+    joined: Data = {
+        name: join(values)
+        if (values := [t[name] for t in here if t[name] is not None])
+        else None
+        for name, join in OF_RTPU.items()
+    }
+    cycles = joined["cycle"] or 0
+    released = cycles + (joined["miss"] or 0)
+    return {
+        "rtpu": status.rtpu,
+        "backend": status.backend,
+        "scheduler": status.scheduler,
+        "util": status.util,
+        "dispatcher": status.dispatcher,
+        "tasks": len(here),
+        **joined,
+        "avgC": joined["totC"] / cycles if cycles else None,
+        "mezT": joined["ptime"] / released if released else None,
+    }
+
+
+def _counts(bins: Sequence[tuple[int, int]]) -> list[int]:
+    counts = [0] * histogram.BINS
+    for index, count in bins:
+        counts[index] = count
+    return counts
+
+
+def _quantiles(counts: Sequence[int], most: float) -> dict[str, float | None]:
+    """Return quantiles; none is beyond the greatest value, which is known exactly."""
+    known = any(counts)
+    return {
+        f"p{100 * share:g}": min(histogram.quantile_ns(counts, share) / 1e9, most)
+        if known
+        else None
+        for share in QUANTILES
+    }

@@ -1,0 +1,74 @@
+"""What the agents' libraries hold: module descriptions, asked for over the network."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from pbonet.config.library import no_module
+from pbonet.errors import ModuleLoadError
+from pbonet.pbo import ModuleInfo
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import rpc
+
+if TYPE_CHECKING:
+    from pbonet.config.library import Library
+
+    from .rtpu_clients import Fleet
+
+_MODULES: Final = list[ModuleInfo]
+msgspec.msgpack.Decoder(_MODULES)  # before several threads decode; see xm/prepared.py
+_LOAD_TIME = 10.0
+"""Seconds in which an agent imports and describes the modules of its libraries."""
+
+
+def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
+    """Return the description of a module as an RTPU's library has it.
+
+    Args:
+        fleet: The agents.
+        library: The master's own, which says what to do where the agent lacks one.
+        rtpu: Whose library.
+        module: Its name.
+
+    Raises:
+        ModuleLoadError: The library has no such module, or it does not load.
+    """
+    request = m.Modules(name=module)
+    try:
+        found = fleet.call(rtpu, request, _MODULES, timeout=_LOAD_TIME)
+    except ModuleLoadError as error:
+        if error.what == no_module(module):
+            error.remedy = library.for_agent(module, rtpu) or error.remedy
+        raise
+    if not found:
+        raise ModuleLoadError(
+            no_module(module),
+            where=rtpu,
+            remedy=library.for_agent(module, rtpu)
+            or "see 'module', or name its folder in agent.toml",
+        )
+    return found[0]
+
+
+def of(fleet: Fleet, name: str | None = None) -> list[ModuleInfo]:
+    """Return the modules of all libraries of a subsystem, each version once.
+
+    Raises:
+        ModuleLoadError: No library has a module `name`, or it does not load.
+        SeveralError: Several agents do not answer; of one, its own error.
+    """
+    results, errors = fleet.each(
+        lambda _: m.Modules(name=name), _MODULES, timeout=_LOAD_TIME
+    )
+    if not results and len({error.what for error in errors}) == 1:
+        raise errors[0]  # the same everywhere
+    if not results or (errors and name is None):
+        rpc.raise_all(f"{len(errors)} RTPUs do not describe their modules", errors)
+    found = {(i.name, i.version): i for infos in results.values() for i in infos}
+    if name is not None and not found:
+        raise ModuleLoadError(
+            f"no library has a module {name}", remedy="see 'module' for what there is"
+        )
+    return [found[key] for key in sorted(found)]

@@ -1,0 +1,240 @@
+"""The RTPUs of one subsystem: claims on them, and requests under those claims.
+
+Claiming stands for what `sbsInit` does in Stewart 1994, section 4.5.1: the master asks
+every RTPU of the ``.sbs`` file for its use, exclusive or shared. A claim carries an
+epoch into every command, so that a master that was replaced is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import socket
+from types import NoneType
+from typing import TYPE_CHECKING, TypeVar
+
+import msgspec
+import zenoh
+
+from pbonet.errors import (
+    ClaimError,
+    NoAnswerError,
+    NodeError,
+    PbonetError,
+    UnreachableError,
+    did_you_mean,
+)
+from pbonet.xm.net import key_expressions, rpc
+from pbonet.xm.net import messages as m
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from pbonet.config.model import RtpuEntry, SbsFile
+
+T = TypeVar("T")
+
+log = logging.getLogger("pbonet.master")
+
+
+def client_name(kind: str) -> str:
+    """Return a unique name for a master or tool: its kind, host, process, and luck."""
+    host = "".join(c if c.isalnum() else "-" for c in socket.gethostname())[:24]
+    return f"{kind}-{host}-{os.getpid()}-{secrets.token_hex(2)}"
+
+
+class Fleet:
+    """The RTPUs that a ``.sbs`` file names, as one master sees them.
+
+    Args:
+        client: How they are asked.
+        sbs: What the file says.
+    """
+
+    def __init__(self, client: rpc.Client, sbs: SbsFile) -> None:
+        self.client = client
+        self.sbs = sbs
+        self.entries: dict[str, RtpuEntry] = {entry.name: entry for entry in sbs.rtpus}
+        self.epochs: dict[str, int] = {}
+        self._hosts: dict[str, str] = {}
+        self._token: rpc.Declared | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The RTPUs in the order of the file."""
+        return list(self.entries)
+
+    @property
+    def keeper_first(self) -> list[str]:
+        """The RTPUs, the one that keeps the table before the others."""
+        return sorted(self.entries, key=lambda name: name != self.sbs.keeper)
+
+    @property
+    def claimed(self) -> bool:
+        """Whether this master holds the subsystem."""
+        return bool(self.epochs)
+
+    def host(self, rtpu: str) -> str:
+        """Return the name of the machine that an RTPU is on.
+
+        Raises:
+            PbonetError: Its agent does not say.
+        """
+        if rtpu not in self._hosts:
+            self._hosts[rtpu] = self.call(rtpu, m.Hello(), m.AgentInfo).host
+        return self._hosts[rtpu]
+
+    def entry(self, rtpu: str) -> RtpuEntry:
+        """Return what the file says about an RTPU.
+
+        Raises:
+            NodeError: The file does not name it.
+        """
+        if rtpu not in self.entries:
+            raise NodeError(
+                f"the subsystem {self.sbs.subsystem} has no RTPU {rtpu}",
+                where=self.sbs.file,
+                expected="one of " + ", ".join(self.entries),
+                remedy=did_you_mean(rtpu, self.entries) or "add an RTPU line for it",
+            )
+        return self.entries[rtpu]
+
+    def claim(
+        self, *, take_over: bool = False, partly: bool = False
+    ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
+        """Reserve every RTPU; on failure none stays reserved by this call.
+
+        Args:
+            take_over: Replace a master that lives.
+            partly: Be content with those that answer.
+
+        Returns:
+            The claims, and the errors of the RTPUs that do not answer.
+
+        Raises:
+            SeveralError: Several RTPUs cannot be had; of one, its own error.
+            ClaimError: An RTPU belongs to another subsystem or another master.
+            UnreachableError: An agent is not there.
+            NoAnswerError: One is there, and does not answer.
+        """
+        self._declare()
+        claims: dict[str, m.Request] = {
+            name: m.Claim(
+                subsystem=self.sbs.subsystem,
+                usage=entry.usage,
+                scheduler=entry.scheduler,
+                errprint=entry.errprint,
+                minfreq=entry.minfreq,
+                maxfreq=entry.maxfreq,
+                take_over=take_over,
+            )
+            for name, entry in self.entries.items()
+        }
+        results, errors = self.client.call_all(claims, m.Claimed)
+        self.epochs = {name: claimed.epoch for name, claimed in results.items()}
+        unheard = [
+            one for one in errors if isinstance(one, (UnreachableError, NoAnswerError))
+        ]
+        if errors and not (partly and results and len(unheard) == len(errors)):
+            self.give_back(results)
+            rpc.raise_all(
+                f"{len(errors)} of {len(claims)} RTPUs of the subsystem "
+                f"{self.sbs.subsystem} cannot be had",
+                errors,
+            )
+        return results, errors
+
+    def call(
+        self,
+        rtpu: str,
+        request: m.Request,
+        result: type[T],
+        *,
+        timeout: float = rpc.ANSWER_TIME,
+    ) -> T:
+        """Send a request to one RTPU, under the claim on it if there is one.
+
+        Raises:
+            PbonetError: As `rpc.Client.call` and the agent say.
+        """
+        return self.client.call(
+            rtpu, self._signed(rtpu, request), result, timeout=timeout
+        )
+
+    def each(
+        self,
+        make: Callable[[str], m.Request],
+        result: type[T],
+        *,
+        rtpus: Iterable[str] | None = None,
+        timeout: float = rpc.ANSWER_TIME,
+    ) -> tuple[dict[str, T], list[PbonetError]]:
+        """Send a request to each RTPU at once; return results and errors."""
+        wanted = self.entries if rtpus is None else rtpus
+        requests = {rtpu: self._signed(rtpu, make(rtpu)) for rtpu in wanted}
+        return self.client.call_all(requests, result, timeout=timeout)
+
+    def release(self) -> list[PbonetError]:
+        """Give every RTPU back; return what went wrong."""
+        errors: list[PbonetError] = []
+        if self.epochs:
+            _, errors = self.each(
+                lambda _: m.Release(), NoneType, rtpus=list(self.epochs)
+            )
+        self.drop()
+        return errors
+
+    def give_back(self, claims: dict[str, m.Claimed]) -> None:
+        """Undo a claim in vain; RTPUs with tasks of the subsystem stay as they were."""
+        free = [name for name, claimed in claims.items() if not claimed.tasks]
+        if free:
+            _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
+            for error in errors:
+                log.warning("cannot give back: %s", error)
+        self.drop()
+
+    def drop(self) -> None:
+        """Stop being a master without telling the agents; claims stand open to others.
+
+        The agents go on; the next master of the subsystem finds the tasks running.
+        """
+        self.epochs = {}
+        if self._token is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._token.undeclare()
+            self._token = None
+
+    def masters(self) -> list[str]:
+        """Return the names of the subsystem's masters that live."""
+        key = key_expressions.masters(self.client.domain, self.sbs.subsystem)
+        return [key_expressions.last(token) for token in self.client.tokens(key)]
+
+    def must_be_claimed(self) -> None:
+        """Refuse what only a master may do.
+
+        Raises:
+            ClaimError: The subsystem was opened for watching, or is closed.
+        """
+        if not self.epochs:
+            raise ClaimError(
+                "this changes the subsystem, which is open for watching only",
+                where=self.sbs.subsystem,
+                remedy="open it as its master",
+            )
+
+    def _signed(self, rtpu: str, request: m.Request) -> m.Request:
+        """Return the request to one RTPU; the same one may be meant for others, too."""
+        return msgspec.structs.replace(
+            request, subsystem=self.sbs.subsystem, epoch=self.epochs.get(rtpu, 0)
+        )
+
+    def _declare(self) -> None:
+        """Show a token as long as this master lives; agents look for it."""
+        if self._token is not None:
+            return
+        key = key_expressions.master(
+            self.client.domain, self.sbs.subsystem, self.client.name
+        )
+        self._token = self.client.announce(key)

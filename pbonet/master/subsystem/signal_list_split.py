@@ -1,0 +1,142 @@
+"""Ordered lists of signals, cut into what one RTPU is sent at once."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+from pbonet.pbo import State
+from pbonet.xm.net.messages import MOST_CALLERS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from pbonet.master.configuration.task_model import Picture
+
+
+def handed_over(
+    picture: Picture, items: Sequence[tuple[str, str]]
+) -> dict[str, list[str]]:
+    """Return for tasks that go off which of their outputs a later item takes over."""
+    found: dict[str, list[str]] = {}
+    taken: set[str] = set()
+    for task, signal in reversed(items):
+        outputs = picture.find(task).task.outputs
+        if signal == "on":
+            taken.update(outputs)
+        elif signal == "off" and (theirs := [one for one in outputs if one in taken]):
+            found[task] = theirs
+    return found
+
+
+def across(picture: Picture, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
+    """Return tasks that take over from tasks on other RTPUs, and from which.
+
+    They can be called by these as soon as all of them have ended. So can heirs on the
+    RTPU of their predecessors that share one of them with such a task. Left out are
+    those whose predecessors do not stand side by side in the list, and those that share
+    a predecessor with one of these.
+    """
+    olds = _predecessors(picture, items)
+    far = {heir for heir in olds if len(_rtpus(picture, [heir, *olds[heir]])) > 1}
+    called = _sharing(olds, far)
+    direct = {heir for heir in olds if _direct(picture, items, heir, olds[heir])}
+    called -= _sharing(olds, called - direct)
+    return {heir: olds[heir] for heir in olds if heir in called}
+
+
+def _rtpus(picture: Picture, tasks: Iterable[str]) -> set[str]:
+    return {picture.find(task).rtpu for task in tasks}
+
+
+def _sharing(olds: Mapping[str, list[str]], heirs: set[str]) -> set[str]:
+    """Return these heirs and all that share a predecessor with one of them."""
+    found = set(heirs)
+    while more := {
+        heir
+        for heir in olds.keys() - found
+        if any(set(olds[heir]) & set(olds[other]) for other in found)
+    }:
+        found |= more
+    return found
+
+
+def bound(heirs: Mapping[str, list[str]], heir: str) -> list[tuple[str, list[str]]]:
+    """Return an heir and those that share tasks with it, each with whom it follows."""
+    return [(one, heirs[one]) for one in heirs if one in _sharing(heirs, {heir})]
+
+
+def _predecessors(
+    picture: Picture, items: Sequence[tuple[str, str]]
+) -> dict[str, list[str]]:
+    """Return from which of those before it each task that comes on takes over."""
+    gone: dict[str, set[str]] = {}
+    found: dict[str, list[str]] = {}
+    for task, signal in items:
+        outputs = set(picture.find(task).task.outputs)
+        if signal == "off":
+            gone[task] = outputs
+        elif signal == "on":
+            found[task] = [old for old, theirs in gone.items() if theirs & outputs]
+    return {task: olds for task, olds in found.items() if olds}
+
+
+def _direct(
+    picture: Picture, items: Sequence[tuple[str, str]], heir: str, olds: list[str]
+) -> bool:
+    """Tell whether a task can stand by for others that call it."""
+    names = [task for task, _ in items]
+    first = names.index(olds[0])
+    return (
+        picture.find(heir).state is State.OFF
+        and all(picture.find(old).is_on for old in olds)
+        and all(names.count(task) == 1 for task in (heir, *olds))
+        and names[first : first + len(olds)] == olds
+        and len(olds) <= MOST_CALLERS
+    )
+
+
+def steps(
+    picture: Picture,
+    items: Sequence[tuple[str, str]],
+    heirs: Mapping[str, list[str]],
+) -> Iterator[dict[str, list[tuple[str, str]]]]:
+    """Yield what is sent at once, in order: for each RTPU its part.
+
+    Tasks of several RTPUs that leave for the same heirs do so together; everything else
+    is cut wherever the next item is for another RTPU.
+    """
+    begin = 0
+    for first, last in _together(items, heirs):
+        parts: dict[str, list[tuple[str, str]]] = {}
+        for task, signal in items[first:last]:
+            parts.setdefault(picture.find(task).rtpu, []).append((task, signal))
+        if len(parts) > 1:
+            yield from _runs(picture, items[begin:first])
+            yield parts
+            begin = last
+    yield from _runs(picture, items[begin:])
+
+
+def _together(
+    items: Sequence[tuple[str, str]], heirs: Mapping[str, list[str]]
+) -> list[tuple[int, int]]:
+    """Return where those begin and end that leave together, in order."""
+    names = [task for task, _ in items]
+    spans: list[tuple[int, int]] = []
+    for olds in sorted(heirs.values(), key=lambda olds: names.index(olds[0])):
+        first = names.index(olds[0])
+        last = first + len(olds)
+        if spans and first < spans[-1][1]:
+            spans[-1] = spans[-1][0], max(last, spans[-1][1])
+        else:
+            spans.append((first, last))
+    return spans
+
+
+def _runs(
+    picture: Picture, items: Sequence[tuple[str, str]]
+) -> Iterator[dict[str, list[tuple[str, str]]]]:
+    """Yield the items cut wherever the next is for another RTPU."""
+    for rtpu, part in groupby(items, key=lambda item: picture.find(item[0]).rtpu):
+        yield {rtpu: list(part)}

@@ -1,0 +1,503 @@
+"""The tasks of an open subsystem, and the steps that commands are made of.
+
+Everything that changes a task goes through here and keeps the picture true, so that the
+next judgement rests on what is, not on what was asked for.
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import cache, partial
+from types import NoneType
+from typing import TYPE_CHECKING
+
+from pbonet.analysis import legality
+from pbonet.analysis.schedule.criticality import PLANNED
+from pbonet.config import info_of, parse_rmod
+from pbonet.errors import PbonetError
+from pbonet.master.configuration.failures import already
+from pbonet.master.configuration.subsystem_files import RmodSource
+from pbonet.master.configuration.task_model import Member, Picture
+from pbonet.pbo import State
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import rpc
+
+from . import remote_modules, send_signal_list, warning_dedup
+from .unwritten_inputs import Unfed
+from .warning_dedup import Standing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from pbonet.config.model import Rmod
+    from pbonet.master.configuration.subsystem_files import Files
+    from pbonet.pbo import ModuleInfo
+
+    from .recording_control import Logbook
+    from .rtpu_clients import Fleet
+    from .task_signal_inbox import Inbox
+
+    Warned = Callable[[str], None]
+    Problems = Sequence[legality.Problem]
+    News = Callable[[Problems], Sequence[legality.Problem]]
+
+CONTROL_TIME = 5.0
+SPAWN_TIME = 10.0
+STOP_TIME = 2.0
+SIGNALS = {
+    "on": State.ON,
+    "off": State.OFF,
+    "kill": State.NOT_CREATED,
+    "clear": State.OFF,
+    "reinit": None,
+}
+"""What may be sent to a task, and the state that it leads to; None: as before."""
+
+log = logging.getLogger("pbonet.master")
+
+
+class Crew:
+    """The tasks of a subsystem and the RTPUs they stand on.
+
+    Args:
+        files: The subsystem's files.
+        fleet: Its RTPUs.
+        warned: Called with each warning.
+        logbook: Has the run recorded.
+        inbox: Hears what tasks have sent.
+    """
+
+    def __init__(
+        self,
+        files: Files,
+        fleet: Fleet,
+        warned: Warned,
+        logbook: Logbook,
+        inbox: Inbox,
+    ) -> None:
+        self.files = files
+        self.fleet = fleet
+        self.warned = warned
+        self.logbook = logbook
+        self._inbox = inbox
+        self.picture = Picture()
+        self._info = cache(partial(remote_modules.on, fleet, files.library))
+        self._standing = Standing()
+        self._producers: dict[str, tuple[str, ...]] = {}  # as last read
+        self._unfed = Unfed(
+            lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self.say
+        )
+        self._noted: set[str] = set()  # told already, of saved profiles
+
+    # -- the picture ------------------------------------------------------------------
+
+    def take(self, *, take_over: bool, partly: bool) -> None:
+        """Claim the RTPUs, open the table, and take in the tasks that stand there.
+
+        The table is opened on its keeper first; the others attach or mirror it.
+
+        Args:
+            take_over: Replace a master that lives.
+            partly: Be content with the RTPUs that answer, and tell of the others.
+
+        Raises:
+            ClaimError: An RTPU belongs to another subsystem or another master.
+            SvarError: The table cannot be opened; the claims were given back.
+            SeveralError: Several RTPUs cannot be had.
+        """
+        claims, errors = self.fleet.claim(take_over=take_over, partly=partly)
+        self.tell(map(str, errors))
+        try:
+            for rtpu in self.fleet.keeper_first:
+                if rtpu not in claims:
+                    continue
+                request = m.OpenTable(
+                    svar=self.files.table_text,
+                    svar_name=self.files.table.file,
+                    keep=rtpu == self.files.sbs.keeper,
+                )
+                self.fleet.call(rtpu, request, m.TableInfo)
+        except PbonetError:
+            self.fleet.give_back(claims)
+            raise
+        for rtpu, claimed in claims.items():
+            for task in claimed.tasks:
+                source = self._source(task, claimed.rmods.get(task))
+                freq = source.record.freq or 0.0
+                self.picture.add(Member(source=source, rtpu=rtpu, freq=freq))
+
+    def refresh(self, *, strict: bool = True) -> list[m.RtpuStatus]:
+        """Ask the RTPUs how the tasks stand now; return their status.
+
+        Args:
+            strict: Whether every RTPU must answer, because a judgement is to rest on
+                it. Else those that do not are told as warnings, and their tasks stay
+                as they were last seen.
+
+        Raises:
+            SeveralError: Several agents do not answer; of one, its own error.
+        """
+        known, dead = set(self.picture.names), self._inbox.dead()
+        results, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus)
+        if strict or not results:
+            rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
+        self.tell(map(str, errors))
+        statuses = [results[name] for name in self.fleet.names if name in results]
+        there = [task for rtpu in statuses for task in rtpu.tasks]
+        for status in there:
+            self.note(status)
+        names = {status.task for status in there}
+        self._inbox.bury({t for t, rtpu in dead.items() if rtpu in results} - names)
+        for member in self.picture:
+            gone = member.rtpu in results and member.name not in names
+            if gone and member.name in known:  # else it was spawned meanwhile
+                self.picture.remove(member.name)
+        self._unfed.seen(cause for rtpu in statuses for cause in rtpu.illegal)
+        return statuses
+
+    def note(self, status: m.TaskStatus) -> None:
+        """Take a task's status into the picture, and its signals."""
+        self._inbox.note(status)
+        member = self.picture.get(status.task)
+        if member is None:
+            try:
+                source = self._source(status.rmod, None)
+            except PbonetError as error:  # spawned from elsewhere; it is only watched
+                log.debug("task %s: %s", status.task, error)
+                return
+            member = Member(source=source, rtpu=status.rtpu, freq=status.ref_f)
+            self.picture.add(member)
+        member.rtpu, member.freq = status.rtpu, status.ref_f
+        member.fallback_of = status.fallback_of or member.fallback_of
+        self.picture.move(status.task, State(status.state))
+
+    def locate(self, task: str) -> str:
+        """Return the RTPU of a task, asking the agents when it is not known.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        member = self.picture.get(task)
+        if member is None:
+            self.refresh(strict=False)
+            member = self.picture.find(task)
+        return member.rtpu
+
+    def _source(self, task: str, text: str | None) -> RmodSource:
+        """Return the RMOD of a task: as it was spawned, else as its file says."""
+        if text:
+            return RmodSource(parse_rmod(text, f"{task}.rmod"), text)
+        return self.files.rmod(task)
+
+    # -- judging ----------------------------------------------------------------------
+
+    def info(self, rtpu: str, rmod: Rmod) -> ModuleInfo:
+        """Return the description of what an RMOD runs, as the RTPU's library has it.
+
+        Raises:
+            ModuleLoadError: The library has no such module, or it does not load.
+        """
+        return info_of(rmod, partial(self._info, rtpu))
+
+    def plan(self, source: RmodSource, rtpu: str | None, freq: float | None) -> Member:
+        """Return the task that an RMOD would become.
+
+        Raises:
+            NodeError: The subsystem has no such RTPU.
+            ModuleLoadError: The agent there has no such module, or it does not load.
+        """
+        where = rtpu or source.record.rtpu or self.fleet.names[0]
+        self.fleet.entry(where)
+        member = Member(
+            source=source, rtpu=where, freq=freq or source.record.freq or 0.0
+        )
+        self._describe(member)
+        return member
+
+    def _describe(self, member: Member) -> None:
+        """Get what is known of a task's module, and what was measured of the task.
+
+        Raises:
+            ModuleLoadError: The agent there has no such module, or it does not load.
+        """
+        member.info = self.info(member.rtpu, member.rmod)
+        store = self.files.profiles
+        if store.hosts(member.name):
+            host = self.fleet.host(member.rtpu)
+            member.saved, note = store.find(member.rmod, host, member.info)
+            if note and note not in self._noted:
+                self._noted.add(note)
+                self.warned(note)
+
+    def must_be_new(self, member: Member) -> None:
+        """Refuse to spawn a task twice.
+
+        Raises:
+            StateError: The subsystem has a task of this name.
+        """
+        old = self.picture.get(member.name)
+        if old is not None:
+            raise already(old)
+
+    def judge(self, change: legality.Change) -> None:
+        """Refuse a change that would be illegal; tell what is new of it else.
+
+        Raises:
+            VerificationError: It would be illegal.
+        """
+        self.say(self.legal(change))
+
+    def legal(self, change: legality.Change, *, only_asked: bool = False) -> Problems:
+        """Return what there is to `say` of a change; of one that is `only_asked`, all.
+
+        Raises:
+            VerificationError: It would be illegal.
+        """
+        return self._legal(
+            change, list if only_asked else self._standing.new_or_refused
+        )
+
+    def verdict(self, change: legality.Change | None = None) -> list[str]:
+        """Return the warnings for a change, or for the tasks as they stand.
+
+        Raises:
+            VerificationError: It would be, or is, illegal.
+        """
+        return list(map(legality.as_text, self._legal(change, list)))
+
+    def _legal(self, change: legality.Change | None, news: News) -> Problems:
+        self.with_infos(self.picture)
+        problems = self._problems(change, news)
+        if refused := warning_dedup.refused(problems):
+            raise legality.as_error(refused)
+        return problems
+
+    def _problems(self, change: legality.Change | None, news: News) -> Problems:
+        """Return what is to be said of a change, or of the tasks as they stand.
+
+        The library, which a remedy may name, is read again only when there are `news`:
+        that takes longer than everything else of a change.
+        """
+        problems = self._judged(change)
+        if not news(problems):
+            return problems
+        self._producers = self.files.producers()
+        return self._judged(change)
+
+    def _judged(self, change: legality.Change | None) -> Problems:
+        now = self.configuration()
+        return legality.judge(now, change).problems if change else legality.check(now)
+
+    def report(
+        self, change: legality.Change | None = None
+    ) -> list[legality.RtpuReport]:
+        """Return what the analysis finds for a change, or for what stands.
+
+        Raises:
+            ModuleLoadError: A task's module is not there any more.
+        """
+        self.with_infos(self.picture)
+        now = self.configuration()
+        return legality.report(legality.judge(now, change).after if change else now)
+
+    def configuration(self) -> legality.Configuration:
+        """Return the subsystem as it stands."""
+        return legality.Configuration(
+            svar=self.files.table,
+            tasks=tuple(member.task for member in self.picture),
+            on=frozenset(member.name for member in self.picture if member.is_on),
+            rtpus=self.files.sbs.rtpus,
+            producers=self._producers,
+            limit=PLANNED,
+        )
+
+    def with_infos(self, members: Iterable[Member]) -> None:
+        """Get the description of each task's module, where it is not known yet."""
+        for member in members:
+            if member.info is None:
+                self._describe(member)
+
+    def say(self, problems: Problems) -> None:
+        """Tell those that are not told already; `settle` follows."""
+        self.tell(self._standing.say(problems))
+
+    def tell(self, warnings: Iterable[str]) -> None:
+        """Hand on warnings."""
+        for text in warnings:
+            self.warned(text)
+
+    def create(
+        self, member: Member, freq: float | None, replaces: Sequence[str] = ()
+    ) -> m.TaskStatus:
+        """Spawn one task and take it into the picture.
+
+        Args:
+            member: The task.
+            freq: Hz; None: as its RMOD says.
+            replaces: Tasks that leave, whose constants it takes over.
+
+        Raises:
+            PbonetError: It could not be created; nothing of it stays.
+        """
+        priorities = self.priorities([*self.picture, member])
+        soft = legality.effective(member.task)
+        request = m.Spawn(
+            task=member.name,
+            rmod=member.source.text,
+            rmod_name=f"{member.name}.rmod",
+            freq=freq,
+            crit=member.rmod.crit,
+            priority=priorities[member.name],
+            effc=soft.seconds if soft else None,
+            timeout=SPAWN_TIME,
+            replaces=list(replaces),
+        )
+        if not len(self.picture):
+            self.logbook.begin(self.fleet, self.files, self.warned)
+        limit = SPAWN_TIME + 1.0
+        status = self.fleet.call(member.rtpu, request, m.TaskStatus, timeout=limit)
+        self.picture.spawned(member)
+        self.note(status)
+        return status
+
+    def stand_by(self, standby: str, original: str) -> None:
+        """Make a task the fallback of another one on its RTPU; "" ends that.
+
+        Raises:
+            PbonetError: It could not take over.
+        """
+        member = self.picture.find(standby)
+        request = m.Standby(task=standby, original=original)
+        member.fallback_of = original
+        self.note(self.fleet.call(member.rtpu, request, m.TaskStatus))
+
+    def control(
+        self, task: str, signal: str, arg: str, replaces: Sequence[str] = ()
+    ) -> m.TaskStatus:
+        """Send one signal.
+
+        Args:
+            task: To whom.
+            signal: Which.
+            arg: Text for the module.
+            replaces: For ``reinit``: tasks that leave, whose constants it takes over.
+
+        Raises:
+            PbonetError: It was refused, or a method of the module failed.
+        """
+        rtpu = self.home(task, signal)
+        request = m.Control(task=task, signal=signal, arg=arg, timeout=CONTROL_TIME)
+        request.replaces = list(replaces)
+        status = self.fleet.call(rtpu, request, m.TaskStatus, timeout=CONTROL_TIME)
+        self.picture.ordered(task, signal)
+        self.note(status)
+        if signal == "kill":
+            self._inbox.bury([task])
+        return status
+
+    def home(self, task: str, signal: str) -> str:
+        """Return the RTPU of a task to send a signal to; the dead may be killed.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        died = "" if task in self.picture else self._inbox.dead().get(task, "")
+        return died if died and signal == "kill" else self.picture.find(task).rtpu
+
+    def send(
+        self, items: Sequence[tuple[str, str]], before: Sequence[tuple[str, str]] = ()
+    ) -> dict[str, str]:
+        """Send signals in order, in as few messages as the order allows.
+
+        Args:
+            items: Pairs of task and signal.
+            before: What of the same list was carried out already, for errors.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            ReconfigError: An item failed; the rest was not sent.
+        """
+        states = send_signal_list.send(
+            self.picture, self.fleet, items, CONTROL_TIME, before=before
+        )
+        self._inbox.bury(task for task, signal in items if signal == "kill")
+        return states
+
+    def settle(self) -> None:
+        """After a change: tell priorities, raise or clear the flag of equation 2.
+
+        Inputs that have no writer any more are told. What goes wrong here is a warning
+        too: the change has its own outcome.
+        """
+        try:
+            problems = self._problems(None, self._standing.new_unfed)
+            self._unfed.settle(warning_dedup.unfed(problems))
+            self._standing.keep(problems)
+            self.rank()
+        except PbonetError as error:
+            self.warned(f"after the change: {error}")
+
+    @staticmethod
+    def priorities(members: Iterable[Member]) -> dict[str, int]:
+        """Return the user priorities that follow from the data flow (6.2.4)."""
+        return legality.user_priorities([member.task for member in members])
+
+    def rank(self) -> None:
+        """Tell the RTPUs the user priorities; criticalities are their own rule's."""
+        priorities = self.priorities(self.picture)
+        ranks: dict[str, dict[str, tuple[int | None, int]]] = {}
+        for member in self.picture:
+            rank = (member.rmod.crit, priorities[member.name])
+            ranks.setdefault(member.rtpu, {})[member.name] = rank
+        _, errors = self.fleet.each(
+            lambda rtpu: m.Rank(tasks=ranks[rtpu]), NoneType, rtpus=ranks
+        )
+        self.tell(map(str, errors))
+
+    # -- ending -----------------------------------------------------------------------
+
+    def leave(self) -> list[PbonetError]:
+        """Close the table, its keeper last, and give the RTPUs back."""
+        errors: list[PbonetError] = []
+        for rtpu in reversed(self.fleet.keeper_first):
+            try:
+                self.fleet.call(rtpu, m.CloseTable(), NoneType)
+            except PbonetError as error:
+                errors.append(error)
+        return errors or self.fleet.release()
+
+    def order_of_off(self) -> list[str]:
+        """Return the order in which the tasks are turned off."""
+        stated = self.files.job.off_order if self.files.job else ()
+        return legality.off_order([member.task for member in self.picture], stated)
+
+    def off(self) -> None:
+        """Turn OFF task by task in order; what refuses is left to `stop`."""
+        for name in self.order_of_off():
+            member = self.picture.get(name)
+            if member is None or not member.is_on:
+                continue
+            try:
+                self.send([(name, "off")])
+            except PbonetError as error:
+                log.debug("off %s: %s", name, error)
+
+    def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
+        """Stop every RTPU at once; return what it did and what went wrong."""
+        order = self.order_of_off()
+        results, errors = self.fleet.each(
+            lambda _: m.Stop(timeout=STOP_TIME, order=order),
+            m.Stopped,
+            timeout=STOP_TIME + rpc.ANSWER_TIME,
+        )
+        self.logbook.end()
+        stopped = m.Stopped(
+            off=[task for one in results.values() for task in one.off],
+            killed=[task for one in results.values() for task in one.killed],
+        )
+        for member in self.picture:
+            if member.rtpu in results:
+                self.picture.remove(member.name)
+        return stopped, errors

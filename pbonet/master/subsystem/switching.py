@@ -1,0 +1,437 @@
+"""From one configuration to another while it runs (Stewart 1994, section 3.10).
+
+What is to be done follows from the two configurations: tasks that both have stay ON, as
+A and D do in Figure 3.1; tasks that only the new one has are spawned first, which takes
+longest and disturbs nobody; then one list of signals exchanges the others, and at the
+end those are killed that nobody wants any more.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
+
+from msgspec import Struct
+
+from pbonet.analysis import legality
+from pbonet.errors import StateError, VerificationError
+from pbonet.pbo import State
+
+from . import assembly, constants
+from .argument_text import check_signal
+from .change_transaction import Opened
+from .conditions import Gate, in_time
+from .first_cycle_check import prove
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Generator, Sequence
+    from pathlib import Path
+
+    from pbonet.config.model import JobFile
+    from pbonet.master.configuration.task_model import Member
+
+    from .subsystem_tasks import Crew
+
+_RATE = 1e-6
+"""Relative difference below which two frequencies are the same."""
+
+
+class Transition(Struct, kw_only=True):
+    """What leads from one configuration to another, and what has come of it."""
+
+    stays: list[str]
+    """Tasks that stay ON, untouched."""
+    spawns: dict[str, str]
+    """Tasks that are created, and on which RTPU, in the order constants demand."""
+    items: list[tuple[str, str]]
+    """Pairs of task and signal, in order."""
+    kills: list[str]
+    """Tasks that are destroyed at the end."""
+    replaces: dict[str, list[str]] = {}
+    """Tasks that come, and those whose constants they give from then on; who uses them
+    is re-initialized."""
+    conditions: list[str] = []
+    """What was seen of the conditions under which jobs are left and entered."""
+    states: dict[str, str] = {}
+    """Where the tasks concerned stand behind it; empty while nothing was done."""
+
+
+class Switching(Opened, Protocol):
+    """The part of `Subsystem` that goes from one configuration to another."""
+
+    def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
+        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
+
+        Tasks that have died may be killed, which forgets them and their ERROR; that is
+        done before the list is sent.
+
+        Args:
+            item: Pairs of task and signal.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            UnknownTaskError: There is no such task; nothing was sent.
+            VerificationError: The end would be illegal; nothing was sent.
+            ReconfigError: An item failed; it says which, and what was not sent.
+        """
+        items = [(task, signal) for task, signal in item]
+        for _, signal in items:
+            check_signal(signal)
+        judged = any(signal == "on" for _, signal in items)
+        with self._changing(strict=judged) as crew:
+            for task, signal in items:
+                crew.home(task, signal)
+            names = crew.picture.names
+            living = [item for item in items if item[0] in names]
+            if judged:
+                crew.judge(legality.reconfig(living))
+            try:
+                dead = dict.fromkeys(task for task, _ in items if task not in names)
+                states = {task: crew.control(task, "kill", "").state for task in dead}
+                with constants.signals(crew, living):
+                    return states | crew.send(living)
+            finally:
+                crew.settle()
+
+    def swap(
+        self,
+        old: str | Sequence[str],
+        new: str | Sequence[str],
+        *,
+        rtpu: str | None = None,
+        dry_run: bool = False,
+    ) -> Transition:
+        """Put tasks into the place of others while everything else goes on.
+
+        The old ones stay OFF, so that one can swap back. Tasks that both name are not
+        touched. Given again behind a failure, it does what is left.
+
+        Args:
+            old: The tasks that leave, by name.
+            new: The tasks that come, by name; RMODs that are no tasks yet are spawned.
+            rtpu: Where to spawn; by default where the RMOD says, else where the first
+                of the old ones runs.
+            dry_run: Verify, and only return what would be done.
+
+        Raises:
+            UnknownTaskError: There is no such old task; nothing was done.
+            StateError: A new task stands in ERROR, or on another RTPU than `rtpu`;
+                nothing was done.
+            VerificationError: The end would be illegal; nothing was done.
+            ReconfigError: A signal failed; it says which, and what was not sent.
+            PbonetError: A new task could not be spawned; nothing else was done.
+        """
+        olds, news = _names(old), _names(new)
+        with self._changing(claimed=not dry_run) as crew:
+            plan = _Plan(crew)
+            plan.take_out([crew.picture.find(name) for name in olds], but=news)
+            for name in news:
+                plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
+            self.stopped.clear()
+            return self._carry_out(crew, plan, dry_run=dry_run)
+
+    def switch(
+        self,
+        job: str | Path | None = None,
+        *,
+        dry_run: bool = False,
+        wait: float | None = None,
+    ) -> Transition:
+        """Go over to the configuration of another job while shared tasks go on.
+
+        POST of the job that stands and PRE of the one to come must hold, before
+        anything is done and again when all its tasks are there; not where the job
+        stands already and is only completed. Tasks that are ON or in ERROR and not in
+        the job are turned off, and killed when those that came have done a cycle; tasks
+        that are OFF stand by, and stay so.
+
+        Args:
+            job: The ``.job`` file or its name; None where the subsystem was opened with
+                one.
+            dry_run: Verify, and only return what would be done.
+            wait: Seconds that conditions have to come true; None: they must hold now.
+
+        Raises:
+            ConfigError: The job is missing, wrong, or of another subsystem.
+            StateError: A task of the job stands, but is another one; nothing was done.
+            VerificationError: The end would be illegal, or a condition cannot be
+                answered; nothing was done.
+            ConditionError: One does not hold, and says what was seen; nothing was done.
+            ReconfigError: A signal failed, or a new task in its first cycle; it says
+                which, and what was not sent.
+            PbonetError: A new task could not be spawned; nothing else was done.
+        """
+
+        def attempt() -> Transition:
+            with self._changing(claimed=not dry_run) as crew:
+                wanted = self.files.read_job(job)
+                gate = Gate(crew, wanted, leaves=True)
+                return self._carry_out(
+                    crew, _of_job(crew, wanted), gate, dry_run=dry_run
+                )
+
+        return in_time(attempt, wait, self.clock, self.stopped)
+
+    def _carry_out(
+        self, crew: Crew, plan: _Plan, gate: Gate | None = None, *, dry_run: bool
+    ) -> Transition:
+        with plan.supposed():
+            transition = plan.transition()
+            problems = crew.legal(plan.change(transition), only_asked=dry_run)
+            if gate is not None:
+                transition.conditions = gate.must_hold()
+        if dry_run:
+            crew.tell(map(legality.as_text, problems))
+            return transition
+        try:
+            crew.say(problems)
+            with plan.supposed():
+                plan.spawn(transition, self.stopped, gate)
+            items = transition.items
+            transition.states = crew.send(items)
+            plan.pair()
+            if kills := [(name, "kill") for name in transition.kills]:
+                came = prove(crew, items, kills, self.clock, self.stopped)
+                transition.states |= came
+                transition.states |= crew.send(kills, before=items)
+        finally:
+            crew.settle()
+        return transition
+
+
+class _Plan:
+    """Which tasks leave and which come."""
+
+    def __init__(self, crew: Crew) -> None:
+        self._crew = crew
+        self._going: dict[str, Member] = {}
+        self._coming: dict[str, Member] = {}
+        self._killed: list[str] = []
+        self._standbys: dict[str, Member] = {}
+        self._kept: set[str] = set()
+        """Standbys of tasks that leave."""
+        self._originals: list[tuple[Member, str]] = []
+        """Tasks, and for whom each is to stand by."""
+        self._parted: list[tuple[Member, str]] = []
+        """Tasks, and whose fallbacks they are no more."""
+        self._begun = False
+
+    def take_out(self, members: Sequence[Member], *, but: Sequence[str] = ()) -> None:
+        """Turn tasks off, except those that are named."""
+        self._going |= {one.name: one for one in members if one.name not in but}
+
+    def put_in(self, member: Member) -> None:
+        """Turn a task on, which stands or is to be spawned; harmless if it is ON."""
+        if not member.is_on:
+            self._coming[member.name] = member
+
+    def have_ready(self, member: Member, original: str) -> None:
+        """Have a standby ready, which stands or is to be spawned.
+
+        Args:
+            member: The standby. Whose fallback it has been until now keeps it as long
+                as that one is ON.
+            original: Whose fallback it is to be.
+        """
+        self._standbys[member.name] = member
+        other = self._crew.picture.get(member.fallback_of)
+        if member.fallback_of != original and other is not None and other.is_on:
+            self._kept.add(member.name)
+
+    def pair_with(self, member: Member, original: str) -> None:
+        """Have a task be the fallback of another one, or with "" of none."""
+        self._originals.append((member, original))
+
+    def part(self, member: Member, original: str) -> None:
+        """Have a task be the fallback of another one no more.
+
+        It is until the change is made; who comes in its place waits as long.
+        """
+        other = self._crew.picture.get(original)
+        if other is not None and other.is_on:
+            self._kept |= {one.name for one, of in self._originals if of == original}
+        self._parted.append((member, original))
+        self._originals.append((member, ""))
+
+    @contextmanager
+    def supposed(self) -> Generator[None]:
+        """Have the picture say who is to stand by; not any more if nothing is begun."""
+        before = [(member, member.fallback_of) for member, _ in self._originals]
+        _set_fallbacks(self._originals)
+        try:
+            yield
+        finally:
+            if not self._begun:
+                _set_fallbacks(before)
+
+    def kill_all(self, *, but: Sequence[str]) -> None:
+        """Kill those that are turned off, except those that are to stand by."""
+        self._killed = [name for name in self._going if name not in but]
+
+    def transition(self) -> Transition:
+        """Return what is to be done."""
+        picture = self._crew.picture
+        stays = [one for one in picture if one.is_on and one.name not in self._going]
+        wanted = {**self._coming, **self._standbys}
+        new = [one for one in wanted.values() if one.name not in picture]
+        order = legality.spawn_order([one.task for one in (*picture, *new)])
+        spawns = {one.name: one.rtpu for one in new}
+        spawns = {name: spawns[name] for name in order if name in spawns}
+        items = legality.change_order(
+            [one.task for one in self._going.values() if one.is_on],
+            [one.task for one in self._coming.values()],
+            [one.task for one in stays],
+        )
+        return Transition(
+            stays=[one.name for one in stays],
+            spawns=spawns,
+            items=items,
+            kills=self._killed,
+            replaces=constants.taken_over(wanted.values(), self._going.values()),
+        )
+
+    def change(self, transition: Transition) -> legality.Change:
+        """Return the change that this makes, to be judged."""
+        wanted = {**self._coming, **self._standbys}
+        items = [(name, "spawn") for name in transition.spawns]
+        items += [(name, "on") for name in transition.stays]  # so the end is demanded
+        items += [*transition.items, *((name, "kill") for name in transition.kills)]
+        new = [wanted[name].task for name in transition.spawns]
+        return legality.reconfig(items, new, transition.replaces)
+
+    def pair(self) -> None:
+        """Have standbys stand by, and others no longer.
+
+        Raises:
+            PbonetError: One could not take over.
+        """
+        assembly.part(self._crew, self._parted)
+        assembly.pair(self._crew, list(self._standbys.values()))
+
+    def spawn(
+        self, transition: Transition, stopped: threading.Event, gate: Gate | None
+    ) -> None:
+        """Create the tasks that do not stand; a failure leaves none of them.
+
+        Those that give constants in the place of others do so from here on.
+
+        Raises:
+            ConditionError: A condition does not hold any more.
+            PbonetError: One could not be created.
+        """
+        done = assembly.Done(self._crew)
+        replaces, kills = transition.replaces, transition.kills
+        with done.undone_on_error("the change was not begun"):
+            for name in replaces.keys() - transition.spawns:
+                done.give(name, replaces[name], kills)
+            for name in transition.spawns:
+                assembly.go_on(stopped)
+                member = (self._coming | self._standbys)[name]
+                done.spawn(member, replaces.get(name, ()), kills)
+            if gate is not None:
+                if transition.spawns:
+                    gate.must_hold()
+                # Before a task may fail for which somebody stands by.
+                free = self._standbys.keys() - self._kept
+                assembly.pair(self._crew, [self._standbys[name] for name in free])
+                gate.entered()
+        self._begun = True
+        if transition.spawns:
+            self._crew.rank()
+
+
+def _of_job(crew: Crew, job: JobFile) -> _Plan:
+    """Return the plan that leads to a job.
+
+    Raises:
+        PbonetError: RMODs, RTPUs or modules are missing or wrong.
+        StateError: A task of the job stands, but is another one.
+    """
+    plan = _Plan(crew)
+    wanted = assembly.plan(crew, job)
+    plan.take_out(
+        [one for one in crew.picture if one.state is not State.OFF],
+        but=[member.name for member in wanted if not member.fallback_of],
+    )
+    plan.kill_all(but=[member.name for member in wanted])
+    for member in wanted:
+        stands = assembly.stands(crew, member)
+        standing = crew.picture.find(member.name) if stands else member
+        plan.pair_with(standing, member.fallback_of)
+        if member.fallback_of:
+            plan.have_ready(standing, member.fallback_of)
+        else:
+            plan.put_in(standing)
+        if stands:
+            _must_run_at(crew.picture.find(member.name), member)
+    for member, original in assembly.unpaired(crew, wanted):
+        plan.part(member, original)
+    return plan
+
+
+def _set_fallbacks(pairs: Sequence[tuple[Member, str]]) -> None:
+    for member, original in pairs:
+        member.fallback_of = original
+
+
+def _newcomer(crew: Crew, name: str, rtpu: str | None, old: Member) -> Member:
+    """Return a task that comes: the one that stands, else the one to be spawned.
+
+    Raises:
+        StateError: It stands, but in ERROR or on another RTPU.
+        PbonetError: Its RMOD, RTPU or module is missing or wrong.
+    """
+    member = crew.picture.get(name)
+    if member is None:
+        source = crew.files.rmod(name)
+        member = crew.plan(source, rtpu or source.record.rtpu or old.rtpu, None)
+        crew.must_be_new(member)
+        return member
+    place = f"{member.rtpu}/{name}"
+    if member.state is State.ERROR:
+        raise StateError(
+            f"the task {name} cannot be turned on",
+            where=place,
+            expected="state OFF",
+            got="state ERROR",
+            remedy=f"'clear {name}' mends it, 'kill {name}' removes it",
+        )
+    if rtpu not in {None, member.rtpu}:
+        raise StateError(
+            f"the task {name} stands on another RTPU",
+            where=place,
+            expected=str(rtpu),
+            got=member.rtpu,
+            remedy=f"leave the RTPU out, or 'kill {name}' first",
+        )
+    return member
+
+
+def _must_run_at(standing: Member, wanted: Member) -> None:
+    if abs(standing.freq - wanted.freq) > _RATE * wanted.freq:
+        raise StateError(
+            f"the task {standing.name} stands with another frequency",
+            where=f"{standing.rtpu}/{standing.name}",
+            expected=f"{wanted.freq:g} Hz, as the job says",
+            got=f"{standing.freq:g} Hz",
+            remedy=f"'freq {standing.name} {wanted.freq:g}' first",
+        )
+
+
+def _names(given: str | Sequence[str]) -> list[str]:
+    """Return task names without repetition.
+
+    Raises:
+        VerificationError: There is none.
+    """
+    names = [given] if isinstance(given, str) else list(given)
+    if not names:
+        raise VerificationError(
+            "no task is named",
+            expected="the tasks that leave and those that come",
+            remedy="name them, such as swap('old', 'new')",
+        )
+    return [name.removesuffix(".rmod") for name in dict.fromkeys(names)]

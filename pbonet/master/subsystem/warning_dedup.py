@@ -1,0 +1,55 @@
+"""Warnings of what stands: each is told once for as long as it holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.analysis import legality
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+
+class Standing:
+    """What was said already of the tasks of a subsystem.
+
+    A change is judged with all that stands, and so finds again what was found before.
+    Said again at each command, it would hide what is new.
+    """
+
+    def __init__(self) -> None:
+        self._told: set[str] = set()
+
+    def new(self, problems: Iterable[legality.Problem]) -> list[legality.Problem]:
+        """Return what is not said already."""
+        return [one for one in problems if legality.as_text(one) not in self._told]
+
+    def new_or_refused(
+        self, problems: Sequence[legality.Problem]
+    ) -> list[legality.Problem]:
+        """Return the same, and everything for which a change is refused."""
+        return [*self.new(problems), *refused(problems)]
+
+    def new_unfed(self, problems: Iterable[legality.Problem]) -> list[legality.Problem]:
+        """Return the same of inputs that nobody writes."""
+        return self.new(unfed(problems))
+
+    def say(self, problems: Iterable[legality.Problem]) -> list[str]:
+        """Return what is new, as texts; from here on it is said."""
+        new = list(map(legality.as_text, self.new(problems)))
+        self._told |= set(new)
+        return new
+
+    def keep(self, problems: Sequence[legality.Problem]) -> None:
+        """Forget what does not hold any more: should it come back, it is said again."""
+        self._told &= set(map(legality.as_text, problems))
+
+
+def refused(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
+    """Return those for which a change is refused."""
+    return [one for one in problems if one.severity is legality.Severity.REFUSE]
+
+
+def unfed(problems: Iterable[legality.Problem]) -> list[legality.Problem]:
+    """Return those that are about inputs which nobody writes (equation 2)."""
+    return [one for one in problems if one.code is legality.Code.NO_WRITER]

@@ -1,0 +1,462 @@
+"""What a machine and a domain lack, each with a remedy (``pbonet doctor``)."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import os
+import platform
+import shutil
+import time
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+from msgspec import Struct
+
+import pbonet
+from pbonet.analysis.schedule.criticality import PLANNED
+from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
+from pbonet.master.console import render
+from pbonet.master.subsystem.rtpu_clients import client_name
+from pbonet.svar import table_files as shared
+from pbonet.xm.net import credentials, rpc, run_folder, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import unreachable_reason as out
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from pbonet.analysis.schedule.records import Probe
+
+_LEAST_SHM: Final = 64 << 20
+"""Bytes of shared memory that a subsystem with a few rings needs."""
+_PACKAGES: Final = ("eclipse-zenoh", "numpy", "msgspec", "mcap")
+_EXTRAS: Final = {
+    "pinocchio": "robot dynamics: pip install 'pbonet[robot]'",
+    "serial": "serial devices: pip install 'pbonet[devices]'",
+}
+_WAYS_TIME: Final = 10.0
+"""Seconds in which an agent measures the ways to all others."""
+_QUIET: Final = 1.0
+"""A link whose last record is older, in seconds, is told."""
+_SLOW: Final = 0.05
+"""A round trip to an agent of one machine should take no longer, in seconds."""
+
+
+class Level(StrEnum):
+    """How bad a finding is."""
+
+    PASS = "PASS"  # noqa: S105 - no password
+    WARN = "WARN"
+    FAIL = "FAIL"
+
+
+class Finding(Struct, frozen=True):
+    """One thing that was looked at."""
+
+    level: Level
+    what: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        """Return it as one line."""
+        tail = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.level:4} {self.what}{tail}"
+
+
+class Leftover(Struct, frozen=True):
+    """An RTPU whose process was killed, as its state file tells."""
+
+    domain: str
+    rtpu: str
+
+
+class Neighbour(Struct, frozen=True):
+    """An RTPU of another domain on this machine, as its state file tells."""
+
+    domain: str
+    rtpu: str
+    core: int
+
+    def __str__(self) -> str:
+        """Return which one it is."""
+        return f"{self.rtpu} of domain {self.domain}"
+
+
+def examine(
+    domain: str,
+    *,
+    probe: Probe,
+    leftovers: Sequence[Leftover] = (),
+    neighbours: Sequence[Neighbour] = (),
+    connect: Sequence[str] = (),
+) -> list[Finding]:
+    """Return what was found.
+
+    Args:
+        domain: Whose agents are asked.
+        probe: The real-time rights of this process.
+        leftovers: RTPUs that were killed and not cleaned up after.
+        neighbours: RTPUs of other domains on this machine.
+        connect: Endpoints of agents on other machines.
+    """
+    found = [*versions(), *rights(probe), *memory()]
+    found += [
+        Finding(
+            Level.WARN,
+            f"RTPU {left.rtpu} of domain {left.domain} was killed and left files",
+            "'pbonet doctor --clean' removes them",
+        )
+        for left in leftovers
+    ]
+    found += [
+        Finding(
+            Level.WARN,
+            f"nobody uses the shared memory {path.name}",
+            "'pbonet doctor --clean' removes it",
+        )
+        for path in abandoned()
+    ]
+    found += own_keys()
+    infos: list[m.AgentInfo] = []
+    found += agents(domain, connect, infos)
+    return [*found, *cores(infos, probe.cores, neighbours)]
+
+
+def versions() -> Iterator[Finding]:
+    """Look at what is installed."""
+    parts = [f"pbonet {pbonet.__version__}", f"Python {platform.python_version()}"]
+    parts += [f"{name} {version(name)}" for name in _PACKAGES if _installed(name)]
+    kernel = f"{platform.system()} {platform.release()}"
+    yield Finding(Level.PASS, f"{', '.join(parts)} on {kernel} ({platform.machine()})")
+    for name in _PACKAGES:
+        if not _installed(name):
+            yield Finding(Level.FAIL, f"{name} is not installed", f"pip install {name}")
+    for name, remedy in _EXTRAS.items():
+        if importlib.util.find_spec(name) is None:
+            yield Finding(Level.WARN, f"{name} is not installed", remedy)
+
+
+def _installed(name: str) -> bool:
+    try:
+        version(name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def rights(probe: Probe) -> Iterator[Finding]:
+    """Look at real-time rights and cores."""
+    if probe.fifo:
+        yield Finding(Level.PASS, f"real time by SCHED_FIFO, kernel {probe.preempt}")
+        share = 1.0
+        if 0 <= probe.rt_runtime_us < probe.rt_period_us:
+            share = probe.rt_runtime_us / probe.rt_period_us
+        text = f"real-time tasks may take {share:.0%} of each core"
+        yield Finding(Level.PASS, f"{text}, verification plans with {PLANNED:.0%}")
+    else:
+        yield Finding(
+            Level.WARN,
+            "no SCHED_FIFO: tasks are ranked without real-time guarantees",
+            "the next lines say why",
+        )
+    for reason in probe.reasons:
+        yield Finding(Level.WARN, reason)
+    if not probe.lock_memory:
+        yield Finding(
+            Level.WARN,
+            "memory cannot be locked, so a page fault may delay a cycle",
+            "raise the memlock limit (ulimit -l unlimited, --ulimit memlock=-1)",
+        )
+    cores = ", ".join(map(str, probe.cores))
+    if len(probe.cores) > 1:
+        yield Finding(Level.PASS, f"cores {cores}; {probe.cores[0]} for housekeeping")
+
+
+def memory() -> Iterator[Finding]:
+    """Look at shared memory and the runtime folder."""
+    folder = shared.folder()
+    try:
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        yield Finding(Level.FAIL, f"{folder}: {error.strerror}", "mount a tmpfs there")
+    else:
+        mib = free >> 20
+        if free < _LEAST_SHM:
+            yield Finding(
+                Level.FAIL,
+                f"{mib} MiB are free in {folder}",
+                "make room, or give the machine more shared memory (--shm-size)",
+            )
+        else:
+            yield Finding(Level.PASS, f"{mib} MiB of shared memory free in {folder}")
+    try:
+        yield Finding(Level.PASS, f"runtime folder {run_folder.folder()}")
+    except PbonetError as error:
+        yield Finding(Level.FAIL, error.what, error.remedy)
+
+
+def abandoned() -> list[Path]:
+    """Return shared memory files of this user that no process has mapped."""
+    mine = sorted(shared.folder().glob(f"pbonet.{os.getuid()}.*"))
+    used = _mapped(mine)
+    return [path for path in mine if str(path) not in used]
+
+
+def _mapped(paths: Iterable[Path]) -> set[str]:
+    """Return which files are mapped by a process of this user."""
+    wanted = {str(path) for path in paths}
+    used: set[str] = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        try:
+            text = maps.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            continue  # another user's, or gone
+        used |= {path for path in wanted - used if path in text}
+    return used
+
+
+def agents(
+    domain: str, connect: Sequence[str], infos: list[m.AgentInfo]
+) -> Iterator[Finding]:
+    """Ask every agent of the domain, and time it; `infos` takes who answers."""
+    try:
+        opened = session.client(domain, connect=connect)
+    except ConfigFileError:  # told of the keys
+        return
+    except UnreachableError as error:
+        alone = not connect and not run_folder.agent_processes(domain)
+        level = Level.PASS if alone else Level.FAIL
+        where = "" if alone else f"{error.where}: "
+        yield Finding(level, f"{where}{error.what}", error.remedy)
+        return
+    client = rpc.Client(opened, domain, client_name("doctor"))
+    try:
+        names = client.rtpus()
+        if not names:
+            where = f"at {' '.join(connect)}" if connect else "on this machine"
+            yield Finding(
+                Level.FAIL,
+                f"who answers {where} has no agent of domain {domain}",
+                "name the domain of its agents with --domain",
+            )
+        for name in names:
+            try:
+                infos.append(client.call(name, m.Hello(), m.AgentInfo))
+                begin = time.perf_counter()
+                client.call(name, m.Hello(), m.AgentInfo)
+                passed = time.perf_counter() - begin
+            except PbonetError as error:
+                yield Finding(Level.FAIL, f"{name}: {error.what}", error.remedy)
+            else:
+                yield from _agent(infos[-1], passed)
+        yield from _tbufs(client, infos)
+        yield from _pairs(client, [info.name for info in infos])
+        yield from losses(infos)
+    finally:
+        client.close()
+
+
+def _tbufs(client: rpc.Client, infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+    """Tell the links between subsystems, those of each machine once."""
+    machines = {info.machine: info for info in infos}
+    asked: dict[str, m.Request] = {info.name: m.Status() for info in machines.values()}
+    found, _ = client.call_all(asked, m.RtpuStatus)  # who is silent was told before
+    for rtpu, status in sorted(found.items()):
+        for link in status.tbufs:
+            text = f"{rtpu}: link {render.link_line(msgspec.to_builtins(link))}"
+            yield Finding(*_judged(link, text))
+
+
+def _judged(link: m.TbufStatus, text: str) -> tuple[Level, str, str]:
+    """Return what is to be thought of a link."""
+    if not link.writer:
+        return Level.WARN, text, f"start who writes {link.name}, or its agent"
+    if not link.reader:
+        return Level.WARN, text, "start who reads it, or its agent"
+    if link.age is None or link.age > _QUIET:
+        return (
+            Level.WARN,
+            text,
+            "look whether its writer is ON, and its input not stale",
+        )
+    return Level.PASS, text, ""
+
+
+def _pairs(client: rpc.Client, names: Sequence[str]) -> Iterator[Finding]:
+    """Prove every pair of agents by a round trip between the two."""
+    asked: dict[str, m.Request] = {name: m.Links() for name in names}
+    reports, errors = client.call_all(asked, m.LinkReport, timeout=_WAYS_TIME)
+    for error in errors:
+        yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
+    ways = {
+        (report.rtpu, way.rtpu): way
+        for report in reports.values()
+        for way in report.ways
+    }
+    for one, other in itertools.combinations(sorted(reports), 2):
+        yield _pair(one, other, ways.get((one, other)) or ways.get((other, one)))
+    for name, report in sorted(reports.items()):
+        for news in report.tables:
+            yield Finding(
+                Level.WARN if news.lost else Level.PASS,
+                f"{name} has {news.commits} commits of {news.subsystem} from "
+                f"{news.host}, passed over {news.gaps}, refused {news.refused}"
+                + (f", lost {news.lost} packets" if news.lost else ""),
+                "its agent was kept from running: see what else runs there"
+                if news.lost
+                else "",
+            )
+        for other in report.unseen:
+            yield Finding(
+                Level.WARN,
+                f"{name} has a link to {other}, and does not see it",
+                "the agent makes the link anew within some seconds; look again then",
+            )
+        for other in report.double:
+            yield Finding(
+                Level.WARN,
+                f"{name} has two links to {other}: cuts elsewhere make them stall",
+                "let one of the two name the other with --connect, not both, and "
+                "start it again",
+            )
+
+
+def _pair(one: str, other: str, way: m.Way | None) -> Finding:
+    """Return what was found about the way between two agents."""
+    if way is None:
+        return Finding(
+            Level.FAIL,
+            f"{one} - {other}: they do not see each other",
+            "let one of them --connect to the other, or both to a third",
+        )
+    if way.error:
+        return Finding(
+            Level.FAIL,
+            f"{one} - {other}: {way.error}",
+            "a link that was lost is restored within some seconds: look again; if it "
+            f"stays so, start {other} anew (kill -HUP, docs/hosts.md)",
+        )
+    text = f"{one} - {other}: round trip {render.seconds(way.trip)}"
+    if way.hops:
+        text += (
+            f", clocks {way.offset:+.6f} s apart within {render.seconds(way.spread)}"
+        )
+    if way.hops > 1:
+        text += ", by way of another agent"
+    return Finding(Level.PASS, text)
+
+
+def losses(infos: Sequence[m.AgentInfo]) -> Iterator[Finding]:
+    """Tell which machines have lost sight of each other, and since when."""
+    for info in infos:
+        for lost, more in out.grouped(info.lost):
+            behind = ", ".join(f"{one.rtpu} of {one.host}" for one in more)
+            yield Finding(
+                Level.WARN,
+                out.loss(info, lost) + (f", and with it {behind}" if behind else ""),
+                out.remedy(info, lost),
+            )
+
+
+def _agent(info: m.AgentInfo, passed: float) -> Iterator[Finding]:
+    text = f"{info.name}: core {info.core} of {info.host}, {info.backend}"
+    text += f", answers in {render.seconds(passed)}"
+    slow = info.machine == run_folder.machine() and passed > _SLOW
+    yield Finding(
+        Level.WARN if slow else Level.PASS,
+        text,
+        "the machine is overloaded" if slow else "",
+    )
+    for limit in info.limits:
+        yield Finding(Level.WARN, f"{info.name}: {limit}")
+    if info.keys_left is not None:
+        yield _term(
+            f"{info.name}: its keys",
+            info.keys_left,
+            "make others with `pbonet keys agent`, put them where the old ones are, "
+            f"and `kill -HUP {info.pid}` on {info.host}; its tasks go on",
+        )
+    if info.version != pbonet.__version__:
+        yield Finding(
+            Level.WARN,
+            f"{info.name} runs pbonet {info.version}, this is {pbonet.__version__}",
+            "run the same version on every machine",
+        )
+
+
+def _term(whose: str, left: float, remedy: str) -> Finding:
+    """Judge how long keys are good for."""
+    if left <= 0:
+        return Finding(Level.FAIL, f"{whose} have run out", remedy)
+    text = f"{whose} are good for {credentials.days(left)}"
+    if left < credentials.SOON:
+        return Finding(Level.WARN, text, remedy)
+    return Finding(Level.PASS, text)
+
+
+def own_keys() -> Iterator[Finding]:
+    """Look at the key folder that the environment names."""
+    folder = credentials.named()
+    if folder is None:
+        return
+    try:
+        left = credentials.left(credentials.prove(folder))
+    except PbonetError as error:
+        yield Finding(Level.FAIL, f"{error.where}: {error.what}", error.remedy)
+    else:
+        remedy = "make others with `pbonet keys master|observer`"
+        yield _term(f"your keys in {folder}", left, remedy)
+
+
+def cores(
+    infos: Sequence[m.AgentInfo],
+    allowed: Sequence[int],
+    neighbours: Sequence[Neighbour] = (),
+) -> Iterator[Finding]:
+    """Look whether RTPUs have cores of their own, and leave one to housekeeping."""
+    for one in neighbours:
+        yield Finding(Level.PASS, f"{one} has core {one.core} of this machine")
+    yield from _shared(infos, neighbours)
+    here = [info for info in infos if info.machine == run_folder.machine()]
+    used = {info.core for info in here} | {one.core for one in neighbours}
+    if used and not set(allowed) - used:
+        yield Finding(
+            Level.WARN,
+            "RTPUs own every core of this machine; none is left for housekeeping",
+            "let RTPUs share a core (pbonet agent --core)",
+        )
+
+
+def _shared(
+    infos: Sequence[m.AgentInfo], neighbours: Sequence[Neighbour]
+) -> Iterator[Finding]:
+    """Tell RTPUs on one core: the analysis takes each for the owner of its core."""
+    owners: dict[tuple[str, int], list[str]] = {}
+    hosts = {run_folder.machine(): "this machine"}
+    for info in infos:
+        owners.setdefault((info.machine, info.core), []).append(info.name)
+        hosts[info.machine] = info.host
+    for one in neighbours:
+        owners.setdefault((run_folder.machine(), one.core), []).append(str(one))
+    for (machine, core), sharers in owners.items():
+        if len(sharers) > 1:
+            yield Finding(
+                Level.WARN,
+                f"{', '.join(sorted(sharers))} share core {core} of {hosts[machine]}; "
+                "`pbonet check` judges each as the owner of a core",
+                "add their utilizations up, or give each a core of its own "
+                "(pbonet agent --core)",
+            )
+
+
+def clean() -> list[str]:
+    """Remove shared memory that nobody uses; return what was removed."""
+    removed: list[str] = []
+    for path in abandoned():
+        path.unlink(missing_ok=True)
+        removed.append(path.name)
+    return removed

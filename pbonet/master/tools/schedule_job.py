@@ -1,0 +1,207 @@
+"""A job's schedule in virtual time, with given execution times (section 6.2).
+
+No agent is asked. With `code` the modules run too: a cycle reads its inputs when it
+begins, its outputs appear when it ends, and what lies between is the given time. So a
+control law meets the delays and missed cycles of its schedule, the same ones each time.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from msgspec import structs
+
+from pbonet.analysis import legality
+from pbonet.config.library import Library
+from pbonet.config.model import TaskType
+from pbonet.errors import ConfigFileError, PbonetError, SeveralError
+from pbonet.io.policy import no_devices
+from pbonet.master.configuration.check_files import planned
+from pbonet.master.configuration.saved_profiles import here
+from pbonet.master.configuration.subsystem_files import Files
+from pbonet.master.sim.simulation import BEGIN_NS, REASON, Simulation
+from pbonet.pbo import State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.config.model import JobTask
+    from pbonet.master.configuration.task_model import Member
+
+_LOADS = frozenset({
+    legality.Code.OVERLOAD,
+    legality.Code.SERVER,
+    legality.Code.TIMES,
+    legality.Code.BANDWIDTH,
+})
+"""What a start is refused for, and what a simulation is there to show."""
+
+
+def simulate(
+    path: str | Path,
+    seconds: float,
+    folders: Iterable[str | Path] = (),
+    *,
+    host: str = "",
+    times: legality.Times = legality.Times.WORST,
+    seed: int = 0,
+    assume: float | None = None,
+    code: bool = False,
+) -> tuple[legality.JobOutcome, list[str]]:
+    """Run a job in virtual time; return its schedule and what is to be said.
+
+    Args:
+        path: The ``.job`` file.
+        seconds: How much virtual time passes, above 0.
+        folders: Of module libraries.
+        host: The machine whose saved profiles count; this one if empty.
+        times: Which execution times cycles take.
+        seed: Of random ones.
+        assume: Share of its period that a cycle of unknown MAXC takes.
+        code: Run the modules too.
+
+    Raises:
+        ConfigError: A file is missing or wrong.
+        VerificationError: The job is illegal in other ways than by its load, or an
+            execution time is not known.
+        PbonetError: A module does not load, or fails in `init` or `on`.
+    """
+    folders = list(folders)
+    files = Files(path, Library(folders))
+    verdict, parts = planned(files, host or here())
+    errors = [PbonetError.from_wire(error) for error in parts.errors]
+    if len(errors) > 1:
+        raise SeveralError("the job cannot be simulated", errors)
+    if errors or verdict is None:
+        raise errors[0]
+    verdict = without_loads(verdict)
+    verdict.check()
+    told = [*parts.warnings, *map(legality.as_text, verdict.warnings)]
+    told += [_no_work(task) for task in verdict.after.running if _is_idle(task)]
+    run = Timed(path, folders) if code else None
+    with no_devices(REASON):
+        if run is not None:
+            run.start()
+        try:
+            outcome = legality.simulate_job(
+                verdict.after,
+                seconds=seconds,
+                times=times,
+                seed=seed,
+                assume=assume,
+                code=run,
+            )
+        finally:
+            if run is not None:
+                run.stop()
+    return outcome, [*told, *(run.events if run else [])]
+
+
+def _is_idle(task: legality.Task) -> bool:
+    return task.rmod.tasktype is TaskType.BACKGROUND and task.worst is None
+
+
+def _no_work(task: legality.Task) -> str:
+    return (
+        f"background task {task.name} has nothing to do here: MAXC of its cycles is "
+        "not known; declare it, and it works in what the others leave"
+    )
+
+
+def without_loads(verdict: legality.Verdict) -> legality.Verdict:
+    """Return a verdict that only warns of what a schedule will show."""
+    problems = tuple(
+        structs.replace(problem, severity=legality.Severity.WARN)
+        if problem.code in _LOADS
+        else problem
+        for problem in verdict.problems
+    )
+    return structs.replace(verdict, problems=problems)
+
+
+class Timed(Simulation):
+    """The modules of a job, run when the schedule says so; a `verify.ModuleCode`.
+
+    A server's cycle runs for each event that the schedule has, and that of a background
+    task for each piece of work; its `sync`, as that of a synchronous task, waits for
+    nothing here and is not called.
+    """
+
+    simulated: ClassVar[tuple[TaskType, ...]] = (
+        *Simulation.simulated,
+        TaskType.DEFERRABLE,
+        TaskType.SPORADIC,
+        TaskType.BACKGROUND,
+    )
+
+    def _members(self, task: JobTask) -> list[Member]:
+        """Return a task; nothing of a schedule depends on its fallback."""
+        if task.fallback is not None:
+            told = f"the fallback {task.fallback} of {task.rmod} is not simulated"
+            self.events.append(told)
+        return [self._member(task)]
+
+    def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
+        """Run a cycle on the inputs of this instant; its outputs are held."""
+        del now_ns  # a cycle is told its release, as on an RTPU
+        if not self._is_on(task):
+            return False
+        found = self.task(task)
+        self.now_ns = BEGIN_NS + release_ns
+        found.copies.hold = True
+        self._cycle(found)
+        if not self._is_on(task):
+            self._let_go(task)
+        return self._is_on(task)
+
+    def end(self, task: str, now_ns: int) -> None:
+        """Publish the outputs of the cycle that ends."""
+        self.now_ns = BEGIN_NS + now_ns
+        self._let_go(task)
+
+    def _is_on(self, task: str) -> bool:
+        return self.task(task).executor.state is State.ON
+
+    def _let_go(self, task: str) -> None:
+        copies = self.task(task).copies
+        copies.publish()
+        copies.hold = False
+
+    def _judged(self, change: legality.Change, *, producers: bool) -> legality.Verdict:
+        """Judge the job but for its load; its warnings are told by `simulate`."""
+        verdict = without_loads(super()._judged(change, producers=producers))
+        return structs.replace(verdict, problems=verdict.refused)
+
+
+def write_svg(outcome: legality.JobOutcome, path: Path, show_ns: int = 0) -> list[Path]:
+    """Write a picture of each RTPU's schedule; of several, one file each.
+
+    Args:
+        outcome: The schedules.
+        path: The file; of several RTPUs each one's name is put before the suffix.
+        show_ns: How much of the schedule is shown; 0 for four times the longest
+            period.
+
+    Returns:
+        The files.
+
+    Raises:
+        ConfigFileError: A file cannot be written.
+    """
+    pictures = outcome.svg(show_ns=show_ns)
+    written: list[Path] = []
+    for rtpu, text in pictures.items():
+        name = path.name if len(pictures) == 1 else f"{path.stem}-{rtpu}{path.suffix}"
+        file = path.with_name(name)
+        try:
+            file.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ConfigFileError(
+                "the picture cannot be written",
+                where=str(file),
+                got=error.strerror or str(error),
+                remedy="name a folder that is there and writable",
+            ) from None
+        written.append(file)
+    return written

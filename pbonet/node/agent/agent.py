@@ -1,0 +1,501 @@
+"""The agent: the network side of an RTPU (Stewart 1994, section 4.5).
+
+It registers by a liveliness token, takes requests over zenoh and hands them to its RTPU
+process, which carries them out; it publishes what happens there. It holds no state of
+its own that matters: when it is killed, control goes on for the declared grace, and an
+agent that starts within it takes over.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import platform
+import socket
+import threading
+import time
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import msgspec
+import zenoh
+
+import pbonet
+from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
+from pbonet.node.mirror.table_carrier import Mirrors
+from pbonet.node.rtpu import cleanup
+from pbonet.node.wire import rtpu_messages
+from pbonet.svar import survive_cuts
+from pbonet.xm.net import dialling, key_expressions, run_folder, session
+from pbonet.xm.net.messages import AgentInfo, LinkReport
+
+from . import restart_check
+from .certificate_expiry import KeyTerm
+from .duplicate_agents import Twins
+from .ipc_facade import Mail
+from .key_subscriptions import Ears
+from .peer_latency import Ways
+from .recorder_supervisor import Recorders
+from .rtpu_link import RtpuLink
+from .shared_memory_status import Overview, restarting
+from .shutdown_event import Ending
+from .start_rtpu import choose_core
+from .subsystem_links import Links
+from .zenoh_server import Server
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.config.model import AgentConfig
+    from pbonet.node.rtpu.rtpu_snapshot import Known
+
+log = logging.getLogger("pbonet.node")
+
+STOP_TIME = 2.0
+"""Seconds that turning everything OFF may take."""
+ANEW_TIME = 10.0
+"""Seconds in which an agent that starts anew takes its RTPU process over, at least."""
+TOKEN_TIME = 1.0
+"""Seconds for which the token of a predecessor that was killed may linger."""
+LOCK_TIME = 0.3
+"""Seconds for which an RTPU process that ends may hold the name, to clean up."""
+LET_GO_TIME = 2.0
+"""Seconds in which tables are let go."""
+RESTARTS = 5
+RESTART_WINDOW = 60.0
+"""An RTPU process that is lost more often than this many times in so many seconds is
+not started again."""
+
+
+class Agent:
+    """An agent and its RTPU process.
+
+    Args:
+        config: What belongs to the machine; `name` must be there.
+        backend: ``auto``, ``fifo`` or ``park``; see `pbonet.node.rt._rt.Dispatcher`.
+    """
+
+    def __init__(self, config: AgentConfig, *, backend: str = "auto") -> None:
+        if config.name is None:
+            raise NodeError(
+                "an agent needs a name",
+                remedy='say --name NAME, or name = "NAME" in agent.toml',
+            )
+        self.config = config
+        self.places = run_folder.Places(config.domain, config.name)
+        self._machine = run_folder.machine()
+        self._key_folder = keys_in = Path(config.keys) if config.keys else None
+        for one in config.listen:
+            session.check_endpoint(one, insecure=config.insecure, key_folder=keys_in)
+        core = choose_core(self.places) if config.core is None else config.core
+        self._rtpu_config = rtpu_messages.RtpuConfig(
+            domain=config.domain,
+            name=config.name,
+            core=core,
+            libraries=tuple(os.path.abspath(p) for p in config.libraries),  # noqa: PTH100
+            grace=config.grace,
+            backend=backend,
+            awake=config.awake,
+            runs=os.path.abspath(config.runs or os.environ.get("PBONET_RUNS", "runs")),  # noqa: PTH100
+        )
+        self._recorders = Recorders(self._note, config)
+        fares = self._recorders.fares
+        self._overview = Overview(config.domain, config.name, self._note, fares)
+        self._lock: run_folder.NameLock | None = None
+        self._session: zenoh.Session | None = None
+        self._dials: list[str] = []
+        self._server: Server | None = None
+        self._twins: Twins | None = None
+        self._ways: Ways | None = None
+        self._mirrors: Mirrors | None = None
+        self._token: zenoh.LivelinessToken | None = None
+        self._ears: Ears | None = None
+        self._links: Links | None = None
+        self._mail: Mail | None = None
+        self._term: KeyTerm | None = None
+        self._link: RtpuLink | None = None
+        self._about: AgentInfo | None = None
+        self._over = Ending()
+        self._stopping = False
+        self._restarts: list[float] = []
+        self._restarter: threading.Thread | None = None
+        self._guard = threading.Lock()
+        self.reason = ""
+        """Why the agent has ended by itself."""
+
+    @property
+    def name(self) -> str:
+        """The RTPU's name."""
+        return self._rtpu_config.name
+
+    # -- start and end -----------------------------------------------------------------
+
+    def start(self) -> Self:
+        """Take the name, find or start the RTPU process, and answer requests.
+
+        Raises:
+            DuplicateNameError: Another agent of the domain has the name.
+            PbonetError: Something that is needed cannot be had.
+        """
+        survive_cuts()  # it carries tables between machines
+        text = f"agent {self.name}, process {os.getpid()}"
+        self._lock = run_folder.NameLock(self.places.lock, text, patience=LOCK_TIME)
+        try:
+            self._open()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def _open(self) -> None:
+        dialled = dialling.Dialled(
+            self.places,
+            listen=self.config.listen,
+            connect=self.config.connect,
+            multicast=self.config.multicast,
+            key_folder=self._key_folder,
+        )
+        self._session = dialled.session
+        dialled.settle()
+        self._session, self._dials = dialled.session, dialled.dials
+        self._refuse_duplicate()
+        self._link = RtpuLink(self.places, self._rtpu_config, self)
+        info = self._link.open()
+        self._about = self._describe()
+        self._mail = Mail(self._session, self.places, self.config.files)
+        self._server = Server(
+            self._session,
+            *(self.config.domain, self.name),
+            node=self,
+            mail=self._mail,
+            overview=self._overview,
+            book=self._recorders,
+        )
+        self._server.start()
+        self._refuse_duplicate()
+        self._twins = Twins(
+            self._session,
+            key_expressions.rtpu(self.config.domain, self.name, "sbs"),
+            os.getpid(),
+            self._met_twin,
+        )
+        self._twins.start()
+        self._ways = Ways(self._session, self.info, self._recorders.tell, self._note)
+        self._ways.start()
+        where = self._session, self.config.domain
+        self._mirrors = Mirrors(*where, self._ways.offset, self._note)
+        self._mirrors.start()
+        self._mirrors.carry(info.tables)
+        self._ears = Ears(self._session, self.config.events, self._arrived)
+        self._links = Links(*where, self.name, self._offset, self._note)
+        unlinked = partial(self._ways.unlinked, self._dials)
+        self._term = KeyTerm(self._key_folder, self.name, self._note, unlinked)
+        self._term.start()
+        self._token = self._session.liveliness().declare_token(
+            key_expressions.rtpu(self.config.domain, self.name, "alive")
+        )
+        how = "took over" if self._link.taken_over else "started"
+        log.info(
+            "%s: %s RTPU process %d on core %d", self.name, how, info.pid, info.core
+        )
+
+    def _refuse_duplicate(self) -> None:
+        """Raise when an agent of that name is alive anywhere in the domain."""
+        if self._session is None:
+            return
+        key = key_expressions.rtpu(self.config.domain, self.name, "alive")
+        deadline = time.monotonic() + TOKEN_TIME
+        while session.alive(self._session, key):
+            if time.monotonic() > deadline:
+                raise DuplicateNameError(
+                    f"domain {self.config.domain} has an agent {self.name} already",
+                    where=key,
+                    remedy="choose another name, or stop that agent",
+                )
+            time.sleep(0.05)
+
+    def stop(self, timeout: float = STOP_TIME) -> bool:
+        """Turn everything OFF in order, end the RTPU process, and give the name back.
+
+        Args:
+            timeout: Seconds for turning everything OFF.
+
+        Returns:
+            Whether everything ended by itself.
+        """
+        link = self._begin_to_stop()
+        try:
+            return link.shut_down(timeout) if link is not None else True
+        finally:
+            self._recorders.stop()
+            self._leave()
+
+    def abandon(self) -> None:
+        """Leave, and let the RTPU process go on for the agent that comes next."""
+        link = self._begin_to_stop()
+        if link is not None:
+            link.leave(ANEW_TIME)
+        if self._server is not None:
+            self._server.fail_pending("the agent starts anew; what was begun goes on")
+        self._recorders.stop(sweep=False)
+        self._leave()
+
+    def _begin_to_stop(self) -> RtpuLink | None:
+        """Let nothing be started any more; return what there is to end."""
+        with self._guard:
+            self._stopping = True
+            link, self._link = self._link, None
+        self._over.set()
+        if self._mail is not None:
+            self._mail.end_waits()
+        return link
+
+    def _met_twin(self, other: AgentInfo) -> None:
+        """Report another agent of this name, which a new link has brought to sight."""
+        text = (
+            f"another agent {other.name} runs on {other.host}, process {other.pid}; "
+            "requests reach either: stop one of them"
+        )
+        log.error("%s: %s", self.name, text)
+        self._note(rtpu_messages.Note(int(Severity.ERROR), "DUPLICATE_NAME", text))
+
+    def _offset(self, agent: str) -> int | None:
+        """Return nanoseconds from the clock of an agent's machine to this one's."""
+        ahead = self._ways.ahead(agent) if self._ways is not None else None
+        return None if ahead is None else -ahead
+
+    def _note(self, note: msgspec.Struct) -> None:
+        """Have something numbered among the events, if there is an RTPU process."""
+        link = self._link
+        if link is not None:
+            with contextlib.suppress(NodeError):
+                link.send(note)
+
+    def _arrived(self, message: rtpu_messages.Arrived | rtpu_messages.Note) -> None:
+        link = self._link
+        if link is not None:
+            link.send(message)
+
+    def _leave(self) -> None:
+        network = self._mail, self._links, self._ears, self._mirrors, self._ways
+        for part in (*network, self._twins, self._term):
+            if part is not None:
+                part.stop()
+        self._mail = self._links = self._ears = None
+        self._mirrors = self._ways = self._twins = self._term = None
+        if self._restarter is not None:
+            self._restarter.join()
+        self._overview.let_go()
+        if self._server is not None:
+            self._server.stop()
+            self._server = None
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+            self._session = None
+        if self._lock is not None:
+            self.places.remove(*self.places.agents_files)
+            self._lock.release()
+            self._lock = None
+        self._over.set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the agent has ended or must end; return whether that is so."""
+        return self._over.wait(timeout)
+
+    def heed_signals(self) -> None:
+        """Have `wait` look up at signals; to be called by the main thread."""
+        self._over.heed_signals()
+
+    def ask_to_end(self) -> None:
+        """Make `wait` return; may be called from a signal handler."""
+        self._over.set()
+
+    def may_start_anew(self, again: Callable[[], AgentConfig] | None = None) -> bool:
+        """Tell whether one that goes by what `again` returns could come; say if not."""
+        try:
+            config = self.config if again is None else again()
+            restart_check.check(self.config, config, self._rtpu_config.core)
+        except Exception as error:  # noqa: BLE001 - whatever it is, this one goes on
+            why = error if isinstance(error, PbonetError) else repr(error)
+            text = f"the agent does not start anew: {why}"
+            log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
+            self._note(rtpu_messages.Note(int(Severity.ERROR), "NOT_ANEW", text))
+            return False
+        for what in restart_check.kept(self.config, config):
+            log.warning(restart_check.LATER, self.name, what)
+        return True
+
+    def go_on(self) -> bool:
+        """Take `ask_to_end` back; return whether nothing else ends the agent."""
+        self._over.clear()
+        return not self.reason
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(self, *exc: object) -> None:
+        self.stop()
+
+    # -- what the server needs ---------------------------------------------------------
+
+    def forward(
+        self, n: int, data: bytes, masters: list[tuple[str, str]] | None
+    ) -> None:
+        """Hand a request to the RTPU process.
+
+        Raises:
+            NodeError: There is none just now.
+        """
+        link = self._link
+        if link is None:
+            raise restarting(self.name)
+        link.send(rtpu_messages.Forward(n, data, masters))
+
+    def info(self) -> AgentInfo:
+        """Return who this is and what it can do."""
+        info = self._link.info if self._link is not None else None
+        if self._about is None or info is None:
+            return self._describe()
+        term, ways = self._term, self._ways
+        return msgspec.structs.replace(
+            self._about,
+            rtpu_pid=info.pid,
+            backend=info.backend,
+            limits=info.limits,
+            claims=info.claims,
+            now_ns=time.monotonic_ns(),
+            keys_left=term.left if term is not None else None,
+            lost=ways.lost() if ways is not None else [],
+        )
+
+    def _describe(self) -> AgentInfo:
+        """Return what does not change about this agent while its session stands."""
+        return AgentInfo(
+            name=self.name,
+            domain=self.config.domain,
+            host=socket.gethostname(),
+            machine=self._machine,
+            core=self._rtpu_config.core,
+            cores=os.cpu_count() or 1,
+            pid=os.getpid(),
+            rtpu_pid=0,
+            backend="",
+            version=pbonet.__version__,
+            python=platform.python_version(),
+            libraries=list(self._rtpu_config.libraries),
+            zid=str(self._session.info.zid()) if self._session is not None else "",
+            dials=self._dials,
+            listens=list(self.config.listen),
+            now_ns=time.monotonic_ns(),
+        )
+
+    def ways(self) -> LinkReport:
+        """Return the ways to the other agents, measured now."""
+        ways = self._ways
+        report = LinkReport(rtpu=self.name) if ways is None else ways.report()
+        if self._mirrors is not None:
+            report.tables = self._mirrors.report()
+        return report
+
+    # -- what the RTPU process says ----------------------------------------------------
+
+    def answered(self, n: int, data: bytes) -> None:
+        """Pass an answer on to whoever asked."""
+        if self._server is not None:
+            self._server.answer(n, data)
+
+    def published(self, data: bytes) -> None:
+        """Publish an event, and put it on record."""
+        self._recorders.tell(rtpu_messages.Happened(data))
+        if self._server is not None:
+            self._server.publish(data)
+
+    def called(self, call: rtpu_messages.Called) -> None:
+        """Have heirs on other machines called."""
+        if self._mirrors is not None:
+            self._mirrors.call(call)
+
+    def informed(self, info: rtpu_messages.RtpuInfo) -> None:
+        """Carry the tables that are open now, and record what is to be recorded."""
+        self._recorders.update(info.recordings, info.claims)
+        self._overview.informed(info)
+        if self._mirrors is not None:
+            self._mirrors.carry(info.tables)
+
+    def learned(self, news: Known) -> None:
+        """Take what the RTPU process knows now."""
+        self._overview.learn(news)
+
+    def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
+        """Call `done` when the other machines know the table; see `Mirrors.spread`."""
+        if subsystem and self._mirrors is not None:
+            self._mirrors.spread(subsystem, done, **how)
+        else:
+            done()
+
+    def broke(self, reason: str) -> None:
+        """Answer what waits: the answers may have got lost with the link."""
+        if self._server is not None:
+            self._server.fail_pending(f"the link to the RTPU process broke: {reason}")
+
+    def let_go(self) -> None:
+        """Carry no table any more, so that whoever comes next may make them anew."""
+        self._overview.let_go()
+        if self._mirrors is not None:
+            self._mirrors.carry({}, wait=LET_GO_TIME)
+
+    def lost(self, how: str, *, again: bool) -> None:
+        """Start the RTPU process again if it was killed; end if there is none to be."""
+        self._recorders.update({})
+        if self._server is not None:
+            self._server.fail_pending(how)
+        with self._guard:
+            if self._stopping:
+                return
+            self._link = None
+        if not again:
+            self._give_up(how)
+            return
+        log.error("%s: %s", self.name, how)
+        self._restarter = threading.Thread(
+            target=self._restart, args=(how,), name="pbonet restart", daemon=True
+        )
+        self._restarter.start()
+
+    def _restart(self, how: str) -> None:
+        """Start the RTPU process again, or end."""
+        try:
+            self._start_again(how)
+        except Exception as error:
+            log.debug("starting again has failed", exc_info=True)
+            self._give_up(f"the RTPU process does not start again: {error}")
+
+    def _start_again(self, how: str) -> None:
+        now = time.monotonic()
+        self._restarts = [t for t in self._restarts if now - t < RESTART_WINDOW] + [now]
+        if len(self._restarts) > RESTARTS:
+            self._give_up(f"the RTPU process was lost {len(self._restarts)} times")
+            return
+        cleaned = cleanup.clean_after(self.places)
+        if self._over.is_set():
+            return
+        link = RtpuLink(self.places, self._rtpu_config, self)
+        link.open()
+        with self._guard:
+            stopping = self._stopping
+            if not stopping:
+                self._link = link
+        if stopping:
+            link.shut_down(STOP_TIME)
+            return
+        text = f"{how}; its tasks turned themselves off, its claims are void"
+        self._note(rtpu_messages.Note(int(Severity.FATAL), "RTPU_DIED", text))
+        for text in cleaned:
+            self._note(rtpu_messages.Note(int(Severity.WARNING), "CLEANED", text))
+
+    def _give_up(self, reason: str) -> None:
+        self.reason = reason
+        log.error("%s: %s", self.name, reason)
+        self._over.set()

@@ -1,0 +1,149 @@
+"""An agent's life as a process: its signals, its manager, and how it starts anew."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING
+
+from pbonet.config.library import absent
+from pbonet.node.rt import _rt
+
+from . import systemd_notify
+from .agent import Agent
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+
+    from pbonet.config.model import AgentConfig
+    from pbonet.xm.net.messages import AgentInfo
+
+log = logging.getLogger("pbonet.node")
+
+ENDS = (signal.SIGTERM, signal.SIGINT)
+HEEDED = (*ENDS, signal.SIGHUP)
+
+
+class Life:
+    """One agent, until it ends or starts anew.
+
+    Args:
+        agent: The agent, before its start.
+        again: Returns what it would go by if it started anew; the same if left out.
+    """
+
+    def __init__(
+        self, agent: Agent, again: Callable[[], AgentConfig] | None = None
+    ) -> None:
+        self.agent = agent
+        self._again = again
+        self._anew = self._ends = False
+        self._on_terminal = _has_terminal()
+        self._stays = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+    def heed_signals(self) -> None:
+        """End by SIGTERM and SIGINT, start anew by SIGHUP."""
+        for which in ENDS:
+            signal.signal(which, self._on_end)
+        signal.signal(signal.SIGHUP, self._on_hangup)
+        self.agent.heed_signals()
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, HEEDED)
+
+    def leave_signals(self) -> None:
+        """Leave what comes from now on, and an end that was asked for, to the next.
+
+        Threads of zenoh outlive their session and would take signals for this process.
+        """
+        signal.pthread_sigmask(signal.SIG_BLOCK, HEEDED)
+        for which in ENDS:
+            _rt.leave_to_next(which)
+        if self._stays:  # what else a hangup asks for, the next does anyway
+            signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        if self._ends:
+            signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
+
+    def wait(self) -> bool:
+        """Wait for the end; return whether the agent is to start anew."""
+        while True:
+            self.agent.wait()
+            if self._ends or not self._anew:
+                return False
+            if self.agent.may_start_anew(self._again):
+                return True
+            self._anew = False
+            if not self.agent.go_on() or self._ends:
+                return False
+
+    def _on_end(self, number: int, _frame: FrameType | None) -> None:
+        log.info("%s: %s", self.agent.name, signal.Signals(number).name)
+        self._ends = True
+        self.agent.ask_to_end()
+
+    def _on_hangup(self, number: int, frame: FrameType | None) -> None:
+        """Start anew, or end when it came because the terminal has gone."""
+        if not self._on_terminal or _has_terminal():
+            self._anew = True
+            self.agent.ask_to_end()
+        elif not self._stays:  # nohup
+            self._on_end(number, frame)
+
+
+def _has_terminal() -> bool:
+    """Tell whether this process has a terminal that is there."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY | os.O_CLOEXEC))
+    except OSError:
+        return False
+    return True
+
+
+def announce(info: AgentInfo) -> None:
+    """Say on standard output that the RTPU takes commands, and what is reduced."""
+    lines = [f"{info.name}: ready on core {info.core}, scheduling by {info.backend}"]
+    lines += [f"{info.name}: {limit}" for limit in info.limits]
+    with contextlib.suppress(OSError):  # nobody reads it
+        sys.stdout.write("\n".join([*lines, ""]))
+        sys.stdout.flush()
+
+
+def main(
+    config: AgentConfig,
+    *,
+    backend: str = "auto",
+    again: Callable[[], AgentConfig] | None = None,
+) -> int:
+    """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
+
+    At SIGHUP the program is started anew in its place, as it was called: it reads its
+    configuration and keys again, and takes over the RTPU process, which goes on. What
+    would keep it from that is looked for before.
+
+    Args:
+        config: What the agent goes by.
+        backend: See `Agent`.
+        again: Returns what it would go by if it started anew; the same if left out.
+
+    Returns:
+        The exit status: 0, or 1 when it ended by itself or something had to be forced.
+    """
+    agent = Agent(config, backend=backend)
+    life = Life(agent, again)
+    life.heed_signals()
+    agent.start()
+    for text in absent(config.libraries):
+        log.warning("%s: %s", agent.name, text)
+    announce(agent.info())
+    systemd_notify.tell("READY=1")
+    if life.wait():
+        log.warning("%s: starts anew", agent.name)
+        agent.abandon()
+        life.leave_signals()
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])  # noqa: S606 - itself
+    systemd_notify.tell("STOPPING=1")
+    in_order = agent.stop()
+    return 0 if in_order and not agent.reason else 1

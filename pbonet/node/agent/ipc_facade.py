@@ -1,0 +1,50 @@
+"""What an agent does for express mail: its RTPU's server, and its tasks' letters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .file_server import Filer
+from .resource_server import Office
+from .task_gateway import Relay
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import zenoh
+
+    from pbonet.xm.net import run_folder
+    from pbonet.xm.net.resource_messages import XmRequest
+
+
+class Mail:
+    """Both halves.
+
+    Args:
+        session: The agent's.
+        places: The agent's files.
+        files: The folder of files for others, if it declares one.
+
+    Raises:
+        NodeError: That folder is not there.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, places: run_folder.Places, files: str | None
+    ) -> None:
+        domain, name = places.domain, places.name
+        self._office = Office(session, domain, name, Filer(files, name))
+        self._relay = Relay(session, domain, name, places.post)
+
+    def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
+        """Carry a request out and have its answer sent; comes back at once."""
+        self._office.take(request, reply)
+
+    def end_waits(self) -> None:
+        """Let go of all resources, which can then be removed."""
+        self._office.stop()
+
+    def stop(self) -> None:
+        """End for good."""
+        self._office.stop()
+        self._relay.stop()

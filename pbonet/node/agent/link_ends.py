@@ -1,0 +1,174 @@
+"""An agent's two kinds of ends of a link: records go out, and come in.
+
+Both use buffers as tasks do, each as the one reader or the one writer on its machine;
+so a task notices no difference, and nothing of it runs in a task's process.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zenoh
+
+from pbonet.errors import PbonetError, XmError
+from pbonet.node.wire import process_setup
+from pbonet.tbuf import layout, places
+from pbonet.tbuf.native import READER, WRITER, In, Out, parts
+from pbonet.xm.net.callbacks import direct
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pbonet.xm.ipc.names import Name
+
+LOOK_NS = 100_000_000
+"""How long a sender sleeps at most before it looks whether it shall end."""
+CLOCKS_NS = 200_000_000
+"""For so long a receiver goes by what it knows of the other machine's clock."""
+
+
+class Sender:
+    """Sends every new record of a link; of those it comes too late for, the newest.
+
+    Args:
+        session: The agent's.
+        name: The link.
+        key: Where records go.
+        who: What the buffer notes, for messages.
+
+    Raises:
+        XmError: The buffer has a reader, or cannot be used.
+    """
+
+    def __init__(self, session: zenoh.Session, name: Name, key: str, who: str) -> None:
+        self._end = In()
+        kept = places.attach(name, None, READER, self._end)
+        self._end.enter(READER, who)
+        raw = layout.room(kept)
+        self._end.hold(raw, raw, raw)
+        self._publisher = session.declare_publisher(
+            key,
+            priority=zenoh.Priority.REAL_TIME,
+            congestion_control=zenoh.CongestionControl.DROP,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+        )
+        self._over = False
+        self._thread = threading.Thread(
+            target=self._work, name=f"link {name}", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def works(self) -> bool:
+        """Whether records are sent: not when the buffer was destroyed."""
+        return self._thread.is_alive()
+
+    def stop(self) -> None:
+        """Send no more, and let another reader have the buffer."""
+        self._over = True
+        self._thread.join()
+        with contextlib.suppress(zenoh.ZError):
+            self._publisher.undeclare()  # type: ignore[no-untyped-call]
+        places.leave(self._end)
+
+    def _work(self) -> None:
+        if process_setup.go_before_others():
+            process_setup.send_before_others()
+        end = self._end
+        with contextlib.suppress(XmError, zenoh.ZError):  # destroyed, or cut off
+            while not self._over:
+                message = end.message(time.monotonic_ns() + LOOK_NS)
+                if message is not None:
+                    self._publisher.put(message)  # pyright: ignore[reportUnknownMemberType]
+
+
+class Receiver:
+    """Puts the records of another machine into this one's buffer.
+
+    Args:
+        session: The agent's.
+        name: The link.
+        key: Where records come from.
+        who: What the buffer notes, for messages.
+        offset: Returns nanoseconds from the other machine's clock to this one's; None
+            while they are not known.
+        misfit: Called once with an error if the records are not what the reader wants.
+
+    Raises:
+        XmError: The buffer has a writer, or cannot be used.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        name: Name,
+        key: str,
+        *,
+        who: str,
+        offset: Callable[[], int | None],
+        misfit: Callable[[Exception], None],
+    ) -> None:
+        self._end = Out()
+        self._name = str(name)
+        self._dtype = places.attach(name, None, WRITER, self._end)
+        self._end.enter(WRITER, who)
+        self._raw = layout.room(self._dtype)
+        self._end.hold(self._raw, self._raw, self._raw)
+        self._offset = offset
+        self._misfit = misfit
+        self._told = False
+        self._text = b""
+        self._theirs: np.dtype[Any] = self._dtype
+        self._over = False
+        self._again = 0
+        self._ahead: int | None = None
+        self._subscriber = session.declare_subscriber(key, direct(self._take))
+
+    def stop(self) -> None:
+        """Take no more, and let another writer have the buffer."""
+        with contextlib.suppress(zenoh.ZError):
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        self._over = True  # a record may be on its way in
+        places.leave(self._end)
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        """Take a record; runs in zenoh's own thread, for a few microseconds."""
+        now = time.monotonic_ns()
+        if self._over:
+            return
+        if now > self._again:
+            self._look(now)
+        message = sample.payload.to_bytes()
+        try:
+            if not self._end.take(message, now, self._ahead):
+                self._turn(message, now)
+        except (PbonetError, OverflowError) as error:
+            if not self._told:
+                self._told = True
+                self._misfit(error)
+
+    def _look(self, now: int) -> None:
+        """Find out how far the clocks are apart; have this thread go before others."""
+        self._again = now + CLOCKS_NS
+        self._ahead = self._offset()
+        process_setup.go_before_others()
+
+    def _turn(self, message: bytes, now: int) -> None:
+        """Take a record that is described in other words, as of another byte order."""
+        text, data = parts(message)[-2:]
+        if text != self._text:
+            theirs = layout.parse(text)
+            if not layout.same_values(theirs, self._dtype):
+                raise layout.refuse(self._name, self._dtype, theirs)
+            self._theirs, self._text = theirs, text
+        if len(data) == self._raw.nbytes:
+            base, shape = self._theirs.subdtype or (self._theirs, ())
+            values: NDArray[Any] = np.frombuffer(data, base).reshape(shape)
+            self._raw[...] = values
+        self._end.take(message, now, self._ahead, turned=True)

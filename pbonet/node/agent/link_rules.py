@@ -1,0 +1,61 @@
+"""What an agent does for a link, decided from what stands on its machine and elsewhere.
+
+Pure: `pbonet.node.agent.subsystem_links` looks, asks this, and acts. A link has at most one writer and
+one reader in the domain. Where both are on one machine, nothing is to be done. Else
+the agent of the reader's machine shows a *sink*, one of the writer's answers with a
+*source* that names the sink it serves, and records flow while both stand.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Set as AbstractSet
+
+
+class Here(Struct, frozen=True):
+    """Who uses a link on this machine, agents left out."""
+
+    writer: bool
+    reader: bool
+
+
+class Elsewhere(Struct):
+    """What agents of other machines show for a link."""
+
+    sinks: set[str] = set()
+    """Agents whose machine has the reader."""
+    sources: set[tuple[str, str]] = set()
+    """Agents whose machine has the writer, and the sink that each serves."""
+
+
+class Duty(Struct, frozen=True):
+    """What an agent does for a link."""
+
+    sink: bool = False
+    """Show that the reader is here."""
+    serve: str = ""
+    """Send records to the machine of this agent."""
+    take: str = ""
+    """Take records from the machine of this agent."""
+
+
+IDLE = Duty()
+
+
+def duty(me: str, here: Here, there: Elsewhere, now: Duty) -> Duty:
+    """Return what the agent `me` is to do for a link, that now does `now`."""
+    if here.writer and not here.reader:
+        return Duty(serve=_keep(now.serve, there.sinks - {me}))
+    if here.reader and not here.writer:
+        serving = {agent for agent, sink in there.sources if sink == me}
+        return Duty(sink=True, take=_keep(now.take, serving - {me}))
+    return IDLE
+
+
+def _keep(now: str, able: AbstractSet[str]) -> str:
+    """Return `now` as long as it is able, else the first of them in the alphabet."""
+    return now if now in able else min(able, default="")

@@ -1,0 +1,190 @@
+"""Links that stand and tell nothing are cut, so that they are made again.
+
+A router of zenoh tells a neighbour what it declares when that becomes a child in its
+tree of links. Trees are computed at most every 100 ms and compared with the last ones.
+So a neighbour whose link ends and is made again within that time is told nothing: it
+sees no token, and no request finds its way, for as long as the link stands. That is met
+where a router with several links was held for a moment (decision 0194).
+
+zenoh offers no way to close one link. Shutting its socket down is what a cable does
+that is pulled: both routers notice at once, and who dials dials again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+import socket
+import stat
+import struct
+from typing import TYPE_CHECKING, NamedTuple
+
+from pbonet.xm.net import access_control
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    import zenoh
+
+    from pbonet.xm.net.messages import AgentInfo
+
+LOOKS = 3
+"""A neighbour that is not seen in so many looks, a second apart, will not be."""
+PAUSE = 10
+"""Looks until the same link may be cut once more."""
+MOST = 256
+"""Neighbours that are remembered; each start of an agent is another one."""
+_CREDENTIALS = struct.Struct("3i")
+
+
+class Known(NamedTuple):
+    """An agent of the domain that has answered."""
+
+    name: str
+    pid: int
+    here: bool
+    """Whether it is on this machine."""
+
+
+class Relink:
+    """What an agent knows of its neighbours.
+
+    Args:
+        session: The agent's.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._known: dict[str, Known] = {}
+        """By zenoh identity."""
+        self._missed: dict[str, int] = {}
+        """Looks at which a neighbour was not seen; below 0 for a pause."""
+
+    def met(self, info: AgentInfo, *, here: bool) -> None:
+        """Take note of an agent that has answered."""
+        self._known.pop(info.zid, None)
+        self._known[info.zid] = Known(info.name, info.pid, here)
+        while len(self._known) > MOST:
+            self._known.pop(next(iter(self._known)))
+
+    def unseen(self, seen: Iterable[str]) -> dict[str, Known]:
+        """Return the neighbours to which a link stands, and that are not seen."""
+        there = set(seen)
+        linked = (str(zid) for zid in self._session.info.routers_zid())
+        return {
+            zid: known
+            for zid in linked
+            if (known := self._known.get(zid)) and known.name not in there
+        }
+
+    def look(self, seen: Iterable[str]) -> list[str]:
+        """Cut links that tell nothing; to be called every second.
+
+        Args:
+            seen: Names of the agents that are seen and can be asked.
+
+        Returns:
+            The neighbours to which a link was cut.
+        """
+        unseen = self.unseen(seen)
+        missed = {
+            zid: count + 1
+            for zid, count in self._missed.items()
+            if zid in unseen or count < 0  # a pause runs on
+        }
+        self._missed = dict.fromkeys(unseen, 1) | missed
+        again: list[str] = []
+        for zid, known in unseen.items():
+            if self._missed[zid] >= LOOKS:
+                self._missed[zid] = -PAUSE
+                if self._cut(zid, known):
+                    again.append(known.name)
+        return again
+
+    def _cut(self, zid: str, known: Known) -> bool:
+        """Shut the sockets of the links to a neighbour down; tell whether any was."""
+        ends = {
+            (plain(str(one.src)), plain(str(one.dst)))
+            for one in self._session.info.links()
+            if str(one.zid) == zid
+        }
+        return sum(_is_link(one, ends, known) and _shut(one) for one in _sockets()) > 0
+
+
+def _sockets() -> Iterator[socket.socket]:
+    """Give the sockets of this process, one after the other, as copies."""
+    for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 - numbers, no paths
+        with contextlib.suppress(OSError):
+            copy = os.dup(int(name))
+            if not stat.S_ISSOCK(os.fstat(copy).st_mode):
+                os.close(copy)
+                continue
+            with socket.socket(fileno=copy) as one:
+                yield one
+
+
+def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Known) -> bool:
+    """Tell whether a socket carries one of the links to a neighbour."""
+    if one.family not in {socket.AF_INET, socket.AF_INET6, socket.AF_UNIX}:
+        return False
+    try:
+        near, far = one.getsockname(), one.getpeername()
+        if one.family != socket.AF_UNIX:
+            return (_address(near), _address(far)) in ends
+        size = _CREDENTIALS.size
+        found = one.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    except OSError:  # it listens, or is gone
+        return False
+    places = {end for pair in ends for end in pair}
+    return (
+        known.here
+        and _CREDENTIALS.unpack(found)[0] == known.pid
+        and not places.isdisjoint({near, far})
+    )
+
+
+def _shut(one: socket.socket) -> bool:
+    try:
+        one.shutdown(socket.SHUT_RDWR)
+    except OSError:  # it has ended meanwhile
+        return False
+    return True
+
+
+def resolved(endpoint: str) -> set[str]:
+    """Return the addresses that an endpoint over a network may have, as `plain`."""
+    host, _, port = inside(endpoint).rpartition(":")
+    try:
+        found = socket.getaddrinfo(host.strip("[]"), int(port))
+    except (OSError, UnicodeError):
+        return set()
+    return {_spelled(str(one[4][0]), port) for one in found} | {plain(endpoint)}
+
+
+def inside(locator: str) -> str:
+    """Return what stands between the protocol and the settings of a locator."""
+    return locator.partition("/")[2].partition("?")[0].partition("#")[0]
+
+
+def plain(locator: str) -> str:
+    """Return the address in a locator, spelled in one way; a path as it is."""
+    address = inside(locator)
+    if locator.startswith(access_control.LOCAL):
+        return address
+    host, _, port = address.rpartition(":")
+    return _spelled(host.strip("[]"), port)
+
+
+def _address(found: tuple[str, int, int, int] | tuple[str, int]) -> str:
+    return _spelled(found[0], str(found[1]))
+
+
+def _spelled(host: str, port: str) -> str:
+    try:
+        ip = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return f"{host} {port}"
+    if isinstance(ip, ipaddress.IPv6Address) and ip.ipv4_mapped:
+        ip = ip.ipv4_mapped
+    return f"{ip} {port}"

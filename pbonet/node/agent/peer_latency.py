@@ -1,0 +1,330 @@
+"""The ways to the other agents: round trips, and how far the clocks are apart.
+
+Every second each agent asks every other one of its domain who it is. The shortest of
+the last round trips tells best by how much the other machine's clock is ahead: when
+both ways take the same time, the answer was made in the middle of it, and it cannot be
+wrong by more than half of the trip (Cristian 1989).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections import Counter, deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+import zenoh
+
+from pbonet.errors import PbonetError, Severity
+from pbonet.node.wire import rtpu_messages
+from pbonet.xm.net import codec, dialling, key_expressions, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.callbacks import direct
+
+from . import link_watchdog
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Container, Iterable, Sequence
+
+log = logging.getLogger("pbonet.node")
+
+PERIOD = 1.0
+"""Seconds between round trips to one agent."""
+_END = "end"
+"""Last part of the key on which an agent that ends in order says so."""
+KEPT = 8
+"""Round trips that the shortest is chosen from."""
+TRIES = 3
+"""Round trips that a report makes."""
+ANSWER_TIME = 0.5
+"""Seconds for an answer; it is made at once."""
+AGAIN = 10
+"""A report looks so often again for who is seen and cannot be asked."""
+PAUSE = 0.1
+"""Seconds between such looks: links are being restored."""
+LOST_TIME = 86400.0
+"""Seconds for which an agent that is seen no more is told of."""
+MOST_LOST = 64
+"""Agents that are remembered though they are seen no more."""
+_UNASKED = "its agent is seen, and no request finds its way there"
+
+
+class Trip(NamedTuple):
+    """One round trip."""
+
+    seconds: float
+    offset_ns: int
+
+
+class Peer:
+    """Another agent, as the last round trips have shown it."""
+
+    def __init__(self) -> None:
+        self.trips: deque[Trip] = deque(maxlen=KEPT)
+        self.best: Trip | None = None
+        """The shortest trip; asked for with each record of a link."""
+        self.info: m.AgentInfo | None = None
+        self.error = ""
+        self.near = False
+        """Whether there is a link of its own to it."""
+
+    def add(self, info: m.AgentInfo, begin_ns: int, end_ns: int) -> None:
+        """Take a round trip; those to another process or machine count no more."""
+        if self.info is not None and self.info.machine != info.machine:
+            self.trips.clear()
+        self.info, self.error = info, ""
+        middle = (begin_ns + end_ns) // 2
+        self.trips.append(Trip((end_ns - begin_ns) * 1e-9, info.now_ns - middle))
+        self.best = min(self.trips)
+
+
+class Ways:
+    """The search for the ways from one agent to the others.
+
+    Args:
+        link: The agent's session.
+        me: Who the agent is.
+        tell: Takes how far clocks are apart, every second.
+        note: Takes what is to be told to masters.
+    """
+
+    def __init__(
+        self,
+        link: zenoh.Session,
+        me: Callable[[], m.AgentInfo],
+        tell: Callable[[rtpu_messages.Clocks], None] | None = None,
+        note: Callable[[rtpu_messages.Note], None] | None = None,
+    ) -> None:
+        self._session = link
+        self._me = me
+        self._tell = tell
+        self._note = note
+        self._peers: dict[str, Peer] = {}
+        self._lost: dict[str, tuple[m.Lost, float]] = {}
+        """Agents that were seen, and when they were looked for in vain."""
+        self._ended: set[str] = set()
+        """Those that have said that they end."""
+        self._relink = link_watchdog.Relink(link)
+        self._guard = threading.Lock()
+        self._over = threading.Event()
+        self._codec = codec.Codec()
+        self._thread = threading.Thread(
+            target=self._watch, name="pbonet ways", daemon=True
+        )
+
+    def start(self) -> None:
+        """Ask every second."""
+        self._subscriber = self._session.declare_subscriber(
+            key_expressions.all_rtpus(self._me().domain, _END),
+            direct(self._heard_end),
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask no more, and say to the others that this is no loss."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        with contextlib.suppress(zenoh.ZError):
+            me = self._me()
+            key = key_expressions.rtpu(me.domain, me.name, _END)
+            self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
+
+    def unlinked(self, endpoints: Sequence[str]) -> list[str]:
+        """Return the endpoints over TLS to which no link stands."""
+        wanted = [one for one in endpoints if one.startswith("tls/")]
+        with contextlib.suppress(zenoh.ZError):
+            there = {
+                link_watchdog.plain(str(one.dst)) for one in self._session.info.links()
+            }
+            ports = Counter(_port(link_watchdog.plain(one)) for one in wanted)
+            ports.subtract(_port(one) for one in there)
+            if any(count > 0 for count in ports.values()):  # else no name is looked up
+                return [
+                    o for o in wanted if there.isdisjoint(link_watchdog.resolved(o))
+                ]
+        return []
+
+    def lost(self) -> list[m.Lost]:
+        """Return the agents that were seen, and are seen no more."""
+        if not self._lost:
+            return []
+        now = time.monotonic()
+        with self._guard:
+            found = sorted(self._lost.items())
+        return [
+            msgspec.structs.replace(one, ago=now - at)
+            for _, (one, at) in found
+            if now - at < LOST_TIME
+        ]
+
+    def _heard_end(self, sample: zenoh.Sample) -> None:
+        """Take note of an agent that ends in order; runs in zenoh's own thread."""
+        name = key_expressions.rtpu_name(str(sample.key_expr))
+        with self._guard:
+            if name in self._peers:
+                self._ended.add(name)
+            self._lost.pop(name, None)
+
+    def offset(self, machine: str) -> int | None:
+        """Return by how many ns a machine's clock is ahead, if known.
+
+        Args:
+            machine: As keys spell it.
+        """
+        with self._guard:
+            trips = [
+                best
+                for peer in self._peers.values()
+                if peer.info is not None
+                and key_expressions.machine(peer.info.machine) == machine
+                and (best := peer.best) is not None
+            ]
+        best = min(trips, default=None)
+        return None if best is None else best.offset_ns
+
+    def ahead(self, name: str) -> int | None:
+        """Return by how many ns the clock of an agent's machine is ahead, if known."""
+        peer = self._peers.get(name)
+        best = peer.best if peer is not None else None
+        return None if best is None else best.offset_ns
+
+    def report(self) -> m.LinkReport:
+        """Measure now, and return what is known."""
+        me = self._me()
+        for _ in range(TRIES):
+            self._look(me.name)
+        for _ in range(AGAIN):
+            with self._guard:
+                left = {n for n, peer in self._peers.items() if peer.error == _UNASKED}
+            if not left or self._over.wait(PAUSE):
+                break
+            self._look(me.name, left)
+        counts = dialling.links(self._session)
+        with self._guard:
+            peers = sorted(self._peers.items())
+        ways = [_way(name, peer, me) for name, peer in peers]
+        names = {p.info.zid: name for name, p in peers if p.info is not None}
+        double = [names.get(zid, zid) for zid, count in counts.items() if count > 1]
+        unseen = sorted(one.name for one in self._relink.unseen(_seen(peers)).values())
+        return m.LinkReport(
+            rtpu=me.name, ways=ways, double=sorted(double), unseen=unseen
+        )
+
+    def _watch(self) -> None:
+        while not self._over.wait(PERIOD):
+            try:
+                self._look(self._me().name)
+                self._relink_unseen()
+            except (zenoh.ZError, OSError) as error:
+                log.debug("the ways cannot be measured: %s", error)
+            if self._tell is not None and (others := self._apart()):
+                self._tell(rtpu_messages.Clocks(self._me().machine, others))
+
+    def _relink_unseen(self) -> None:
+        """Have links made anew by which neighbours are not seen."""
+        with self._guard:
+            peers = list(self._peers.items())
+        for name in self._relink.look(_seen(peers)):
+            text = f"the link to agent {name} stood and told nothing; it is made anew"
+            log.warning("%s: %s", self._me().name, text)
+            if self._note is not None:
+                self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_ANEW", text))
+
+    def _apart(self) -> list[rtpu_messages.Apart]:
+        """Return how far the clocks of other machines are apart from this one's."""
+        mine = self._me().machine
+        with self._guard:
+            return [
+                rtpu_messages.Apart(
+                    name, info.machine, best.offset_ns, round(best.seconds * 5e8)
+                )
+                for name, peer in sorted(self._peers.items())
+                if (info := peer.info) is not None
+                and info.machine != mine
+                and (best := peer.best) is not None
+                and not peer.error
+            ]
+
+    def _look(self, me: str, wanted: Container[str] | None = None) -> None:
+        """Make one round trip to each agent that can be seen, or to those wanted."""
+        domain, machine = self._me().domain, self._me().machine
+        names = [n for n in session.rtpus(self._session, domain) if n != me]
+        near = {str(zid) for zid in self._session.info.routers_zid()}
+        with self._guard:
+            for gone in self._peers.keys() - set(names):
+                self._lose(gone, self._peers.pop(gone))
+            for name in names:
+                self._lost.pop(name, None)
+        for name in names:
+            if wanted is not None and name not in wanted:
+                continue
+            peer = self._peers.setdefault(name, Peer())
+            begin = time.monotonic_ns()
+            found = self._ask(key_expressions.rtpu(domain, name, "sbs"))
+            end = time.monotonic_ns()
+            with self._guard:
+                if isinstance(found, m.AgentInfo):
+                    if peer.info is None or peer.info.zid != found.zid:
+                        self._ended.discard(name)  # it was started again
+                    peer.add(found, begin, end)
+                    peer.near = found.zid in near
+                    self._relink.met(found, here=found.machine == machine)
+                else:
+                    peer.error = found
+
+    def _lose(self, name: str, peer: Peer) -> None:
+        """Remember who is seen no more, unless it has said that it ends."""
+        if name in self._ended:
+            self._ended.discard(name)
+        elif peer.info is not None:
+            lost = m.Lost(rtpu=name, host=peer.info.host, near=peer.near, ago=0.0)
+            self._lost[name] = lost, time.monotonic()
+            while len(self._lost) > MOST_LOST:
+                self._lost.pop(next(iter(self._lost)))
+
+    def _ask(self, key: str) -> m.AgentInfo | str:
+        """Return who answers on a key, or why nobody does."""
+        replies = self._session.get(
+            key, payload=self._codec.pack(m.Hello(id="way")), timeout=ANSWER_TIME
+        )
+        for reply in replies:
+            if reply.ok is None:
+                return f"no answer within {ANSWER_TIME:g} s"
+            try:
+                answer = self._codec.answer(reply.ok.payload.to_bytes())
+                if answer.ok:
+                    return msgspec.convert(answer.result, m.AgentInfo)
+                return str(PbonetError.from_wire(answer.error or {}))
+            except (PbonetError, msgspec.ValidationError) as error:
+                return str(error)
+        return _UNASKED
+
+
+def _port(address: str) -> str:
+    """Return the port at the end of an address, as `relink.plain` spells it."""
+    return address.rpartition(" ")[2]
+
+
+def _seen(peers: Iterable[tuple[str, Peer]]) -> list[str]:
+    """Return the names of those that can be asked, however late they answer."""
+    return [name for name, peer in peers if peer.error != _UNASKED]
+
+
+def _way(name: str, peer: Peer, me: m.AgentInfo) -> m.Way:
+    info, best = peer.info, peer.best
+    if peer.error or info is None or best is None:
+        return m.Way(rtpu=name, error=peer.error or "not yet asked")
+    hops = 1 if peer.near else 2
+    return m.Way(
+        rtpu=name,
+        host=info.host,
+        version=info.version,
+        trip=best.seconds,
+        offset=best.offset_ns * 1e-9,
+        spread=best.seconds / 2,
+        hops=0 if info.machine == me.machine else hops,
+    )

@@ -1,0 +1,329 @@
+"""The agent's recorders: one process for each subsystem that is to be recorded."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from pbonet.config import agent_text
+from pbonet.errors import Severity
+from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.rtpu.task_handle import describe_end
+from pbonet.node.wire import process_setup, rtpu_messages
+from pbonet.node.wire.command_record import command
+
+from .recorder_pipe import Feed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+    from typing import BinaryIO
+
+    from pbonet.config.model import AgentConfig
+    from pbonet.xm.net.messages import AnyRequest
+
+    Tell = Callable[[rtpu_messages.Note], None]
+    _Told = Callable[[], rtpu_messages.Commanded]
+
+END_TIME: Final = 10.0
+"""Seconds that a recorder may take to finish its log."""
+RESTARTS: Final = 5
+BEFORE: Final = 32
+"""Commands that are kept of a subsystem until it is recorded."""
+AGAIN_TIME: Final = 1.0
+"""Seconds between tries to start a recorder that the system gives no process for."""
+WINDOW: Final = 60.0
+"""A recorder that is lost more often than this many times in so many seconds is not
+started again."""
+
+
+class _Child:
+    """One recorder's process.
+
+    Args:
+        wanted: What it records.
+        before: Commands that were answered before.
+        tell: Takes what it says.
+    """
+
+    def __init__(
+        self,
+        wanted: rtpu_messages.Recording,
+        before: Iterable[rtpu_messages.Commanded],
+        tell: Callable[[rtpu_messages.FromRecorder], None],
+    ) -> None:
+        self.wanted = wanted
+        self._tell = tell
+        self._guard = threading.Lock()
+        self._ending = threading.Event()
+        self._lost: list[float] = []
+        self._said = -1
+        self._feed = Feed(self._unfit, self._kill)
+        self._process = self._start(before)
+        self._thread = threading.Thread(
+            target=self._listen, name="pbonet recorder", daemon=True
+        )
+        self._thread.start()
+
+    def _start(
+        self, before: Iterable[rtpu_messages.Commanded]
+    ) -> subprocess.Popen[bytes]:
+        """Start a process; what it is to do is in a file, its news go into a pipe.
+
+        Raises:
+            OSError: The system gives no process, or no descriptors for it.
+        """
+        recording = msgspec.structs.replace(self.wanted, before=list(before))
+        with contextlib.ExitStack() as ours, contextlib.ExitStack() as its:
+            wanted = os.memfd_create("recording")
+            its.callback(os.close, wanted)
+            os.write(wanted, rtpu_messages.encode(recording))
+            events, feed = os.pipe()
+            its.callback(os.close, events)
+            ours.callback(os.close, feed)
+            self._said, said = os.pipe()
+            ours.callback(os.close, self._said)
+            its.callback(os.close, said)
+            process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "pbonet.node.recorder.recorder_process",
+                    str(wanted),
+                ],
+                env=process_setup.environment(),
+                stdin=events,
+                stdout=said,
+                pass_fds=[wanted],
+                start_new_session=True,
+            )
+            ours.pop_all()
+        self._feed.begin(feed)
+        return process
+
+    def tell(self, message: rtpu_messages.ToRecorder) -> None:
+        """Hand something on; a recorder that takes nothing is started anew."""
+        self._feed.put(rtpu_messages.frame(message))
+
+    def _kill(self) -> None:
+        self._process.kill()
+
+    def _unfit(self, count: int) -> None:
+        text = f"{count} events and commands of {self.wanted.subsystem} came faster "
+        text += "than its recorder took them; they are not in the log"
+        self._tell(rtpu_messages.Note(int(Severity.WARNING), "NOT_RECORDED", text))
+
+    def end(self) -> None:
+        """Have the log finished; `join` waits for that."""
+        with self._guard:
+            self._ending.set()
+            self._feed.end()
+
+    def join(self) -> None:
+        """Wait for the end; a recorder that does not end is killed."""
+        try:
+            self._process.wait(END_TIME)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        again = True
+        while again:
+            with os.fdopen(self._said, "rb") as said:
+                self._hear(said)
+            again = self._again(self._process.wait())
+
+    def _hear(self, said: BinaryIO) -> None:
+        decoder = msgspec.msgpack.Decoder(rtpu_messages.FromRecorder)
+        head = rtpu_messages.LENGTH.size
+        while len(data := said.read(head)) == head:
+            (size,) = rtpu_messages.LENGTH.unpack(data)
+            with contextlib.suppress(msgspec.MsgspecError):
+                self._tell(decoder.decode(said.read(size)))
+
+    def _again(self, code: int) -> bool:
+        """Start a recorder that was lost anew; return whether that was done."""
+        with self._guard:
+            if self._ending.is_set():
+                return False
+            self._feed.leave()
+        now = time.monotonic()
+        self._lost = [t for t in self._lost if now - t < WINDOW] + [now]
+        again = len(self._lost) <= RESTARTS
+        what = "another one goes on" if again else "nothing is recorded any more"
+        self._died(f"ended: {describe_end(code)}; {what}")
+        self._tell(rtpu_messages.Recorder(subsystem=self.wanted.subsystem))
+        if again and self._started_again():
+            return True
+        with self._guard:
+            self._feed.end()
+        return False
+
+    def _started_again(self) -> bool:
+        """Start another one as soon as the system lets it; False if it is to end."""
+        told = False
+        while True:
+            with self._guard:
+                if self._ending.is_set():
+                    return False
+                try:
+                    self._process = self._start(())
+                except OSError as error:
+                    refused = str(error)
+                else:
+                    return True
+            if not told:
+                self._died(f"could not be started again: {refused}; it is tried on")
+            told = True
+            self._ending.wait(AGAIN_TIME)
+
+    def _died(self, how: str) -> None:
+        text = f"the recorder of {self.wanted.subsystem} {how}"
+        self._tell(rtpu_messages.Note(int(Severity.ERROR), "RECORDER_DIED", text))
+
+
+class Recorders:
+    """Keeps a recorder for each subsystem that is to be recorded.
+
+    Args:
+        tell: Hands a note to the RTPU process.
+        config: What the machine says of its logs; each log carries it.
+    """
+
+    def __init__(self, tell: Tell, config: AgentConfig) -> None:
+        self._tell = tell
+        self._limits = rtpu_messages.LogLimits(
+            config.log_mb, config.log_minutes, config.runs_mb
+        )
+        self._text = agent_text(config)
+        self._domain, self._name = config.domain, config.name
+        self._fares: dict[str, rtpu_messages.Recorder] = {}
+        self._children: dict[str, _Child] = {}
+        self._ended: list[_Child] = []
+        self._before: dict[str, deque[_Told]] = {}
+        """Commands to subsystems that are not recorded yet."""
+        self._claims: set[str] = set()
+        self._guard = threading.Lock()
+
+    def update(
+        self,
+        wanted: Mapping[str, rtpu_messages.Recording],
+        claims: Collection[str] = (),
+    ) -> None:
+        """Start and end recorders, so that these are recorded and no others.
+
+        Args:
+            wanted: What is to be recorded, by subsystem.
+            claims: Subsystems that hold a claim; of no others commands are kept.
+        """
+        wanted = {
+            name: msgspec.structs.replace(
+                one, limits=self._limits, files={**one.files, "agent.toml": self._text}
+            )
+            for name, one in wanted.items()
+        }
+        with self._guard:
+            for subsystem, child in list(self._children.items()):
+                if wanted.get(subsystem) != child.wanted:
+                    del self._children[subsystem]
+                    self._fares.pop(subsystem, None)
+                    child.end()
+                    self._ended.append(child)
+            for subsystem, one in wanted.items():
+                if subsystem not in self._children:
+                    self._begin(subsystem, one)
+            self._claims = set(claims)
+            for subsystem in self._before.keys() - self._claims:
+                del self._before[subsystem]
+
+    def _begin(self, subsystem: str, wanted: rtpu_messages.Recording) -> None:
+        """Start a recorder; if the system gives no process, the next update does."""
+        before = [told() for told in self._before.get(subsystem, ())]
+        try:
+            self._children[subsystem] = _Child(wanted, before, self._said)
+        except OSError as error:
+            text = f"the recorder of {subsystem} could not be started: {error}"
+            text += "; nothing is recorded: ask for it again"
+            self._tell(rtpu_messages.Note(int(Severity.ERROR), "RECORDER_DIED", text))
+        else:
+            self._before.pop(subsystem, None)
+
+    def fares(self, subsystem: str) -> rtpu_messages.Recorder | None:
+        """Return how the recorder of a subsystem fares; None without one."""
+        return self._fares.get(subsystem)
+
+    def _said(self, message: rtpu_messages.FromRecorder) -> None:
+        if isinstance(message, rtpu_messages.Recorder):
+            self._fares[message.subsystem] = message
+        else:
+            self._tell(message)
+
+    def tell(self, message: rtpu_messages.ToRecorder) -> None:
+        """Have something put on record."""
+        with self._guard:
+            children = list(self._children.values())
+        for child in children:
+            child.tell(message)
+
+    def commanded(
+        self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> None:
+        """Put a command on record, or keep it until its subsystem is recorded."""
+        if not request.subsystem:
+            return
+        told = command(request, answer, begun_ns, ended_ns)
+        with self._guard:
+            child = self._children.get(told.subsystem)
+            if child is None:
+                self._keep(told.subsystem, lambda: told)
+        if child is not None:
+            child.tell(told)
+
+    def noted(
+        self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> bool:
+        """Keep a short command; returns False where it must be `commanded` instead.
+
+        It takes next to no time: of what nobody records nothing need be made, unless
+        somebody begins to.
+        """
+        if not self._guard.acquire(blocking=False):
+            return False
+        try:
+            if request.subsystem in self._children:
+                return False
+            told = partial(command, request, answer, begun_ns, ended_ns)
+            self._keep(request.subsystem, told)
+            return True
+        finally:
+            self._guard.release()
+
+    def _keep(self, subsystem: str, told: _Told) -> None:
+        if subsystem in self._claims:
+            room: deque[_Told] = deque(maxlen=BEFORE)
+            self._before.setdefault(subsystem, room).append(told)
+
+    def stop(self, *, sweep: bool = True) -> None:
+        """Finish every log.
+
+        Args:
+            sweep: Remove the rings that nobody has come for; else the RTPU process
+                goes on, and they wait for the next agent's recorders.
+        """
+        self.update({})
+        with self._guard:
+            ended, self._ended = self._ended, []
+        for child in ended:
+            child.join()
+        if sweep and self._name is not None:
+            orphaned_rings.sweep(self._domain, self._name)

@@ -1,0 +1,463 @@
+"""The express mail server of an RTPU (Stewart 1994, sections 5.3 and 5.4).
+
+It stands in for clients on other machines: attaches to semaphores and queues of this
+one in their place, and waits in the same lines as everybody here, with the priority of
+who asks. A client's liveliness token is its lease. When that goes, its waits end, what
+it had been sent and not acknowledged is given back, and what it held counts as held by
+a process that died.
+
+Waits have threads of their own, at most `WAITS`; nothing here is real-time.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import zenoh
+
+from pbonet import xm
+from pbonet.errors import (
+    NodeError,
+    PbonetError,
+    XmDestroyedError,
+    XmError,
+    XmFullError,
+    XmLapsedError,
+)
+from pbonet.xm.ipc import mailboxes, names
+from pbonet.xm.net import codec, key_expressions, roles
+from pbonet.xm.net import messages as m
+from pbonet.xm.net import resource_messages as r
+from pbonet.xm.net.callbacks import direct
+from pbonet.xm.net.file_messages import FileWrite
+
+from .idempotency import Repeats
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .file_server import Filer
+
+log = logging.getLogger("pbonet.node")
+
+WAITS = 64
+"""Clients that wait at a time."""
+OTHERS = 8
+"""Requests at a time that wait for nothing."""
+WAITING = 1000
+"""Requests that wait for a thread."""
+HANDLES = 512
+"""Resources that clients are attached to, at a time."""
+BROKEN_OFF = 256
+"""Waits that were broken off before they came, and are remembered."""
+TOKEN_TIME = 1.0
+"""Seconds in which the token of a client that attaches is seen."""
+
+
+class Held:
+    """A resource that the agent is attached to in a client's place."""
+
+    def __init__(self, client: str, thing: xm.Semaphore | xm.Queue) -> None:
+        self.client, self.thing = client, thing
+        self.busy = 0
+        """Requests under way."""
+        self.gone = False
+        self.loose: dict[str, r.Took] = {}
+        """What was taken and not acknowledged."""
+
+    def give_back(self, took: r.Took) -> None:
+        """Put back what a client did not get."""
+        if isinstance(self.thing, xm.Queue):
+            self.thing.send(took.data, took.priority, full=xm.Full.DROP)
+        else:
+            self.thing.v()
+
+
+class Office:
+    """Carries out what clients ask of an RTPU's semaphores and queues.
+
+    Args:
+        session: The agent's.
+        domain: Its domain.
+        rtpu: Its name.
+        filer: Who reads and writes files.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, domain: str, rtpu: str, filer: Filer
+    ) -> None:
+        self._domain, self._rtpu, self._filer = domain, rtpu, filer
+        self._codec = codec.Codec()
+        self._repeats = Repeats()
+        self._change = threading.Condition()
+        self._clients: set[str] = set()
+        self._held: dict[int, Held] = {}
+        self._takes: dict[str, Held] = {}
+        """Waits under way."""
+        self._broken_off: dict[str, None] = {}
+        self._count = 0
+        self._queued = self._waits = 0
+        self._over = False
+        self._do: dict[type, Callable[[Any], Any]] = {
+            r.Attach: self._attach,
+            r.Detach: self._detach,
+            r.Take: self._take,
+            r.Await: self._await,
+            r.Put: self._put,
+            r.Give: self._give,
+            r.Look: self._look,
+            r.Settle: self._settle,
+            r.Interrupt: self._interrupt,
+            **filer.operations,
+        }
+        self._pool = ThreadPoolExecutor(WAITS + OTHERS, "pbonet office")
+        self._subscriber = session.liveliness().declare_subscriber(
+            key_expressions.customer(domain, "*"),
+            direct(self._heard),
+            history=True,
+        )
+
+    def stop(self) -> None:
+        """End all waits and let go of everything."""
+        with self._change:
+            if self._over:
+                return
+            self._over = True
+            clients = {held.client for held in self._held.values()} | self._clients
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        for client in clients:
+            self._lost(client)
+        self._pool.shutdown(wait=True)
+        mailboxes.forget()
+
+    # -- clients -----------------------------------------------------------------------
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        """Take note of a token; runs in zenoh's thread, which nothing may hold up."""
+        client = key_expressions.last(str(sample.key_expr))
+        with self._change:
+            if sample.kind == zenoh.SampleKind.PUT:
+                self._clients.add(client)
+            else:
+                self._clients.discard(client)
+                if not self._over:
+                    self._pool.submit(self._lost, client)
+            self._change.notify_all()
+
+    def _lost(self, client: str) -> None:
+        """Clean up behind a client that is gone."""
+        with self._change:
+            theirs = [
+                (n, held) for n, held in self._held.items() if held.client == client
+            ]
+            for n, held in theirs:
+                del self._held[n]
+                held.gone = True
+        for _, held in theirs:
+            self._clean(held)
+        self._filer.lost(client)
+
+    def _clean(self, held: Held) -> None:
+        """Let go of what a client that is gone had, once nobody works on it."""
+        with self._change:
+            if held.busy or not held.gone:
+                return
+            loose, held.loose = held.loose, {}
+        try:
+            binary = isinstance(held.thing, xm.Semaphore) and held.thing.binary
+            for took in () if binary else loose.values():
+                held.give_back(took)
+        except XmDestroyedError:
+            pass
+        except XmError as error:
+            log.warning("%s: what a lost client took is lost: %s", self._rtpu, error)
+        finally:
+            held.thing.close()
+
+    # -- requests ----------------------------------------------------------------------
+
+    def take(self, request: r.XmRequest, reply: Callable[[bytes], None]) -> None:
+        """Carry out a request and have its answer sent; comes back at once."""
+        who = request.client, request.id
+        once = not roles.only_looks(request)
+        if once and not self._repeats.begin(who, reply):
+            return
+        answer = partial(self._repeats.end, who) if once else reply
+        wait = getattr(request, "wait", 0.0) > 0.0
+        try:
+            self._admit(wait=wait)
+        except PbonetError as error:
+            answer(self._codec.pack(codec.failure(error, request.id)))
+            return
+        self._pool.submit(self._serve, request, answer, wait=wait)
+
+    def _admit(self, *, wait: bool) -> None:
+        with self._change:
+            if self._over:
+                raise NodeError("the agent ends", where=self._rtpu, remedy="ask again")
+            if self._queued >= WAITING or (wait and self._waits >= WAITS):
+                raise XmFullError(
+                    "too many from other machines wait here",
+                    where=self._rtpu,
+                    expected=f"at most {WAITS} that wait for something",
+                    remedy="wait with a time limit, or receive more often",
+                )
+            self._queued += 1
+            self._waits += wait
+
+    def _serve(
+        self, request: r.XmRequest, reply: Callable[[bytes], None], *, wait: bool
+    ) -> None:
+        try:
+            if isinstance(request, FileWrite) and request.offset == 0:
+                self._must_live(request.client)
+            result = self._do[type(request)](request)
+            answer = m.Answer(id=request.id, ok=True, result=result)
+        except PbonetError as error:
+            answer = codec.failure(error, request.id)
+        except (ValueError, TypeError, OverflowError) as error:
+            answer = codec.failure(_unfit(self._rtpu, error), request.id)
+        except Exception as error:  # the office outlives any request
+            log.exception("%s: a request could not be carried out", self._rtpu)
+            answer = codec.failure(_unfit(self._rtpu, error), request.id)
+        with self._change:
+            self._queued -= 1
+            self._waits -= wait
+        reply(self._codec.pack(answer))
+
+    # -- operations --------------------------------------------------------------------
+
+    def _name(self, resource: str) -> names.Name:
+        found = names.parse_at(f"{self._rtpu}:{resource}", self._rtpu)
+        return found._replace(domain=self._domain)
+
+    def _attach(self, request: r.Attach) -> r.Attached:
+        client, name = request.client, self._name(request.name)
+        kind: Any = {"sem": xm.Semaphore, "queue": xm.Queue}.get(request.kind)
+        if kind is None:
+            raise XmError(
+                "resources of this kind cannot be used from another machine",
+                where=str(name),
+                expected="sem or queue",
+                got=request.kind[:20],
+                remedy="run the same pbonet version on every machine",
+            )
+        self._must_live(client)
+        with self._change:
+            if len(self._held) >= HANDLES:
+                raise XmFullError(
+                    "too much is used from other machines",
+                    where=self._rtpu,
+                    expected=f"at most {HANDLES} attached",
+                    remedy="close what is not needed any more",
+                )
+        thing = _open(kind, name, request.create)
+        settings = {key: int(getattr(thing, key)) for key in _SETTINGS[request.kind]}
+        with self._change:
+            there = client in self._clients and not self._over
+            if there:
+                self._count += 1
+                self._held[self._count] = Held(client, thing)
+                return r.Attached(handle=self._count, settings=settings)
+        thing.close()
+        raise _lapsed(str(name))
+
+    def _must_live(self, client: str) -> None:
+        """Wait a little for a client's token, which may be slower than its request."""
+        end = time.monotonic() + TOKEN_TIME
+        with self._change:
+            while client not in self._clients:
+                left = end - time.monotonic()
+                if left <= 0 or not self._change.wait(left):
+                    raise _lapsed(self._rtpu)
+
+    def _begin(self, request: Any) -> Held:  # noqa: ANN401 - any with a handle
+        with self._change:
+            held = self._held.get(request.handle)
+            if held is None or held.client != request.client:
+                raise _lapsed(self._rtpu)
+            take = getattr(request, "take", None)
+            if take is not None:
+                if take in self._broken_off:
+                    raise _given_up(self._rtpu)
+                self._takes[take] = held
+            held.busy += 1
+            return held
+
+    def _end(self, request: Any, held: Held) -> None:  # noqa: ANN401
+        with self._change:
+            held.busy -= 1
+            self._takes.pop(getattr(request, "take", ""), None)
+        self._clean(held)
+
+    def _still(self, request: Any, held: Held) -> bool:  # noqa: ANN401
+        """Tell whether a wait under way is still wanted."""
+        return not (self._over or held.gone or request.take in self._broken_off)
+
+    def _take(self, request: r.Take) -> r.Took:
+        held = self._begin(request)
+        try:
+            took = self._wait_for(request, held)
+            with self._change:
+                wanted = self._still(request, held)
+                if wanted and took.code:
+                    held.loose[request.take] = took
+            if wanted or not took.code:
+                return took
+            held.give_back(took)
+            raise _given_up(self._rtpu)
+        finally:
+            self._end(request, held)
+
+    def _wait_for(self, request: r.Take, held: Held) -> r.Took:
+        thing, until = held.thing, _until(request.wait)
+        still = partial(self._still, request, held)
+        if isinstance(thing, xm.Semaphore):
+            code = thing.p(until, priority=request.priority, still=still)
+            return r.Took(code=int(code))
+        most = max(0, min(request.most, r.LONGEST))
+        found = thing.letter(until, priority=request.priority, most=most, still=still)
+        if found is None:
+            return r.Took(code=0)
+        return r.Took(code=1, data=found[0], priority=found[1])
+
+    def _settle(self, request: r.Settle) -> None:
+        with self._change:
+            held = next(
+                (h for h in self._held.values() if request.take in h.loose), None
+            )
+            took = held.loose.pop(request.take) if held is not None else None
+            if took is None and not request.keep:
+                self._broken_off[request.take] = None
+                while len(self._broken_off) > BROKEN_OFF:
+                    del self._broken_off[next(iter(self._broken_off))]
+        if held is not None and took is not None and not request.keep:
+            held.give_back(took)
+
+    def _await(self, request: r.Await) -> bool:
+        held = self._begin(request)
+        try:
+            return _queue(held).wait(
+                _until(request.wait),
+                priority=request.priority,
+                still=partial(self._still, request, held),
+            )
+        finally:
+            self._end(request, held)
+
+    def _put(self, request: r.Put) -> bool:
+        held = self._begin(request)
+        try:
+            return _queue(held).send(
+                request.data,
+                request.priority,
+                full=xm.Full(request.full),
+                until_ns=_until(request.wait),
+                wait_priority=request.wait_priority,
+                still=partial(self._still, request, held),
+            )
+        finally:
+            self._end(request, held)
+
+    def _give(self, request: r.Give) -> bool:
+        held = self._begin(request)
+        try:
+            return _semaphore(held).v()
+        finally:
+            self._end(request, held)
+
+    def _look(self, request: r.Look) -> r.Seen:
+        held = self._begin(request)
+        try:
+            thing = held.thing
+            if isinstance(thing, xm.Semaphore):
+                return r.Seen(
+                    waiting=thing.waiting, value=thing.value, holder=thing.holder
+                )
+            return r.Seen(
+                waiting=thing.waiting,
+                value=len(thing),
+                free=thing.free,
+                dropped=thing.dropped,
+                sent=thing.sent,
+            )
+        finally:
+            self._end(request, held)
+
+    def _interrupt(self, request: r.Interrupt) -> None:
+        box = self._name(mailboxes.PREFIX + request.name)
+        mailboxes.interrupt_here(box, request.value)
+
+    def _detach(self, request: r.Detach) -> None:
+        held = self._begin(request)
+        try:
+            if request.destroy:
+                held.thing.destroy()
+            with self._change:
+                self._held.pop(request.handle, None)
+                held.gone = True
+        finally:
+            self._end(request, held)
+
+
+_SETTINGS = {
+    "sem": ("maximum", "binary"),
+    "queue": ("policy", "messages", "blocks", "block"),
+}
+
+
+def _open(kind: Any, name: names.Name, create: dict[str, Any] | None) -> Any:  # noqa: ANN401
+    """Attach to a resource, or make it."""
+    return kind.attach(name) if create is None else kind.create(name, **create)
+
+
+def _queue(held: Held) -> xm.Queue:
+    if not isinstance(held.thing, xm.Queue):
+        raise _other(held)
+    return held.thing
+
+
+def _semaphore(held: Held) -> xm.Semaphore:
+    if not isinstance(held.thing, xm.Semaphore):
+        raise _other(held)
+    return held.thing
+
+
+def _other(held: Held) -> XmError:
+    return XmError(
+        "it is of another kind",
+        where=held.thing.name,
+        remedy="run the same pbonet version on every machine",
+    )
+
+
+def _until(wait: float) -> int:
+    """Return when a wait of so many seconds ends, CLOCK_MONOTONIC nanoseconds."""
+    return time.monotonic_ns() + round(min(wait, 1e9) * 1e9) if wait > 0 else 0
+
+
+def _lapsed(where: str) -> XmLapsedError:
+    return XmLapsedError(
+        "the agent does not know this client any more",
+        where=where,
+        got="a link that was lost meanwhile, or an agent that was started again",
+        remedy="attach again; who holds a semaphore is not known any more",
+    )
+
+
+def _unfit(where: str, error: Exception) -> XmError:
+    return XmError(
+        "this cannot be carried out",
+        where=where,
+        got=f"{type(error).__name__}: {error}",
+        remedy="see docs/xm.md for what may be asked",
+    )
+
+
+def _given_up(where: str) -> XmError:
+    return XmError("the wait was given up", where=where, remedy="wait again")

@@ -1,0 +1,100 @@
+"""Whether an agent may start anew where another one is (SIGHUP).
+
+Its RTPU process goes on meanwhile, for some seconds. So whatever would keep the next
+agent from taking it over is looked for before this one lets go.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pbonet.errors import NodeError
+from pbonet.xm.net import access_control, credentials, session
+
+from . import link_watchdog
+from .file_server import Filer
+
+if TYPE_CHECKING:
+    from pbonet.config.model import AgentConfig
+
+_STAYS: Final = "put it back, or end the agent and start it again: its tasks turn OFF"
+_THE_PROCESS: Final = ("libraries", "runs", "awake")
+"""What an RTPU process is started with, and keeps."""
+LATER: Final = (
+    "%s: another value of %s reaches the RTPU process when it is started again"
+)
+"""How a change is told that `kept` has found."""
+
+
+def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
+    """Refuse a configuration with which the RTPU process could not be taken over.
+
+    Args:
+        old: What the agent goes by.
+        new: What it would go by.
+        core: That of its RTPU process.
+
+    Raises:
+        PbonetError: It would be another RTPU, its keys are no good, or something that
+            it names cannot be used.
+    """
+    for what, is_, to_be in (
+        ("name", old.name, new.name),
+        ("domain", old.domain, new.domain),
+        ("core", core, core if new.core is None else new.core),
+    ):
+        if is_ != to_be:
+            raise NodeError(
+                f"an RTPU that goes on keeps its {what}",
+                where=old.name or "",
+                expected=f"{what} {is_}",
+                got=f"{to_be}",
+                remedy=_STAYS,
+            )
+    keys = Path(new.keys) if new.keys else None
+    for endpoint in new.listen:
+        session.check_endpoint(endpoint, insecure=new.insecure, key_folder=keys)
+    for endpoint in new.connect:
+        session.check_dialled(endpoint, key_folder=keys)
+    if keys is not None:
+        credentials.prove(keys, credentials.Role.AGENT)
+    Filer(new.files, old.name or "")
+    ours = {_address(endpoint)[1] for endpoint in old.listen}
+    for endpoint in new.listen:
+        if _address(endpoint)[1] not in ours:  # such are given up before
+            _try(endpoint)
+
+
+def kept(old: AgentConfig, new: AgentConfig) -> list[str]:
+    """Return which changes reach the RTPU process only when it is started again."""
+    return [one for one in _THE_PROCESS if getattr(old, one) != getattr(new, one)]
+
+
+def _address(endpoint: str) -> tuple[str, str]:
+    """Return the host and the port of an endpoint."""
+    host, _, port = link_watchdog.inside(endpoint).rpartition(":")
+    return host.strip("[]"), port
+
+
+def _try(endpoint: str) -> None:
+    """Refuse an endpoint that cannot be listened on now."""
+    protocol = endpoint.partition("/")[0]
+    if protocol == access_control.LOCAL:
+        return
+    host, port = _address(endpoint)
+    kind = socket.SOCK_DGRAM if protocol == "udp" else socket.SOCK_STREAM
+    try:
+        found = socket.getaddrinfo(host, int(port), type=kind)[0]
+        with contextlib.closing(socket.socket(*found[:3])) as one:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            one.bind(found[4])
+    except (OSError, UnicodeError) as error:
+        raise NodeError(
+            "the endpoint cannot be listened on",
+            where=endpoint,
+            got=getattr(error, "strerror", "") or str(error),
+            remedy="name an address of this machine, and a port that is free",
+        ) from None

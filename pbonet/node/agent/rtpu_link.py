@@ -1,0 +1,492 @@
+"""The agent's side of its RTPU process: finds or starts it, talks to it, hears its end.
+
+An RTPU process that runs already, because its agent was killed or restarted, is taken
+over as it is; its tasks don't notice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+
+import pbonet
+from pbonet.errors import NodeError, ProtocolError
+from pbonet.node.rtpu import cleanup
+from pbonet.node.rtpu.rtpu_snapshot import Known
+from pbonet.node.wire import rtpu_messages
+
+from . import start_rtpu
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from pbonet.xm.net import run_folder
+
+log = logging.getLogger("pbonet.node")
+
+FromRtpu = rtpu_messages.FromRtpu | Known
+
+SEND_TIME = 2.0
+"""Seconds after which an RTPU process that takes nothing counts as lost."""
+AGAIN_TIME = 5.0
+"""Seconds in which an RTPU process that lives must take its agent back."""
+UNREAD = 5
+UNREAD_TIME = 60.0
+"""An agent that cannot read more messages than so many in so many seconds gives up."""
+_LOOK = 0.05
+_LEAST_TRIES = 2
+LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)
+"""What an error says when the machine lacks something, for now."""
+
+
+class Listener(Protocol):
+    """Who hears what the RTPU process says; called in the link's thread."""
+
+    def answered(self, n: int, data: bytes) -> None:
+        """Take the answer to forwarded request `n`."""
+
+    def published(self, data: bytes) -> None:
+        """Take an event for the network."""
+
+    def called(self, call: rtpu_messages.Called) -> None:
+        """Take that heirs on other machines are to be called."""
+
+    def informed(self, info: rtpu_messages.RtpuInfo) -> None:
+        """Take who the RTPU process is, as it has changed."""
+
+    def learned(self, news: Known) -> None:
+        """Take what the RTPU process knows now."""
+
+    def broke(self, reason: str) -> None:
+        """Take the news that the link broke, and stands again; nobody has ended."""
+
+    def let_go(self) -> None:
+        """Let go of its tables: what it has left is about to be removed."""
+
+    def lost(self, how: str, *, again: bool) -> None:
+        """Take the news that there is no RTPU process any more; `again`: start one."""
+
+
+class RtpuLink:
+    """One RTPU process.
+
+    Args:
+        places: Its files.
+        config: What it is started with, unless it runs.
+        listener: Who hears what it says.
+    """
+
+    def __init__(
+        self,
+        places: run_folder.Places,
+        config: rtpu_messages.RtpuConfig,
+        listener: Listener,
+    ) -> None:
+        self._places = places
+        self._config = config
+        self._listener = listener
+        self._process: subprocess.Popen[bytes] | None = None
+        self._sock: socket.socket | None = None
+        self._write_lock = threading.Lock()
+        self._rest = memoryview(b"")
+        """Of a frame that was begun; nothing else may be sent before it."""
+        self._thread: threading.Thread | None = None
+        self._closing = False
+        self._short = False
+        """Something that the machine lacks has been told."""
+        self._unread: list[float] = []
+        self._misread = ""
+        """What was wrong with the last message that could not be read."""
+        self._decoder: msgspec.msgpack.Decoder[FromRtpu] = msgspec.msgpack.Decoder(
+            FromRtpu
+        )
+        self.taken_over = False
+        self.info: rtpu_messages.RtpuInfo | None = None
+
+    def open(self) -> rtpu_messages.RtpuInfo:
+        """Take over the RTPU process that runs, or start one.
+
+        Raises:
+            NodeError: It cannot be started, or is of another version or core.
+        """
+        self._sock = self._connect()
+        self.taken_over = self._sock is not None
+        if self._sock is None:
+            cleaned = cleanup.clean_after(self._places)
+            self._process = start_rtpu.start(self._places, self._config)
+            self._sock = self._connect()
+            if self._sock is None:
+                raise NodeError(
+                    "the RTPU process does not answer",
+                    where=self._config.name,
+                    remedy="start the agent again; --debug shows what it wrote",
+                    debug=start_rtpu.log_tail(self._places),
+                )
+        else:
+            cleaned = []
+        info = self._attach(self._sock)
+        self.info = info
+        self._listener.informed(info)
+        self._thread = threading.Thread(
+            target=self._live, args=(self._sock,), name="pbonet rtpu link", daemon=True
+        )
+        self._thread.start()
+        for text in cleaned:
+            self.send(rtpu_messages.Note(30, "CLEANED", text))
+        return info
+
+    def send(self, message: msgspec.Struct) -> None:
+        """Send a message.
+
+        Raises:
+            NodeError: The RTPU process has ended, or takes nothing.
+        """
+        data = memoryview(rtpu_messages.frame(message))
+        with self._write_lock:
+            sock = self._sock
+            if sock is None:
+                raise self._gone()
+            try:
+                self._rest = _send(sock, self._rest)
+                rest = data if self._rest else _send(sock, data)
+            except OSError:
+                raise self._gone() from None
+            if len(rest) == len(data):
+                raise self._gone()
+            self._rest = rest
+        if rest:
+            threading.Thread(
+                target=self._finish, args=(sock,), name="pbonet rtpu rest", daemon=True
+            ).start()
+
+    def _finish(self, sock: socket.socket) -> None:
+        """Send the rest of a frame that was begun, however long that takes."""
+        while True:
+            time.sleep(_LOOK)
+            with self._write_lock, contextlib.suppress(OSError):
+                if sock is not self._sock or not self._rest:
+                    return
+                self._rest = _send(sock, self._rest, socket.MSG_DONTWAIT)
+
+    def _gone(self) -> NodeError:
+        return NodeError(
+            "the RTPU process has ended or does not take requests",
+            where=self._config.name,
+            remedy="try again: its agent starts another one",
+        )
+
+    def shut_down(self, timeout: float) -> bool:
+        """Have everything turned OFF in order; return whether it ended by itself."""
+        self._closing = True
+        with contextlib.suppress(NodeError):
+            self.send(rtpu_messages.Shutdown(timeout))
+        by_itself = self._ended(timeout + 3.0, kill=True)
+        self.close()
+        with _contained():
+            self._listener.let_go()
+        self._clean_up()
+        return by_itself
+
+    def close(self) -> None:
+        """Let go of the RTPU process, which goes on for its grace."""
+        self._closing = True
+        sock = self._sock
+        if sock is not None:
+            with contextlib.suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)  # the thread that reads closes it
+            if self._thread is None:
+                sock.close()
+        thread = self._thread
+        if thread is not None and thread is not threading.current_thread():
+            thread.join()
+
+    def leave(self, grace: float) -> None:
+        """Let go of it, for an agent that comes within the grace or so many seconds."""
+        longer = max(grace, self._config.grace)
+        with contextlib.suppress(NodeError):
+            self.send(rtpu_messages.Attach(os.getpid(), pbonet.__version__, longer))
+        self.close()
+
+    def _clean_up(self) -> None:
+        """Remove what the process left; nothing, if it ended in order."""
+        if self.info is not None:
+            self._reap()
+            cleanup.clean_after(self._places)
+
+    def _reap(self) -> int | None:
+        if self._process is None:
+            return None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self._process.wait(5.0)
+        return None
+
+    def _connect(self) -> socket.socket | None:
+        """Return a socket to it; None when it takes none.
+
+        Raises:
+            OSError: The machine gives no socket.
+        """
+        sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            sock.connect(str(self._places.ctl))
+        except OSError:
+            sock.close()
+            return None
+        seconds = int(SEND_TIME)
+        limit = seconds.to_bytes(8, sys.byteorder) + bytes(8)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+        return sock
+
+    def _attach(self, sock: socket.socket) -> rtpu_messages.RtpuInfo:
+        """Be its agent.
+
+        Raises:
+            NodeError: It has another one, or is of another version or core.
+            OSError: It does not answer.
+        """
+        hello = rtpu_messages.Attach(
+            os.getpid(), pbonet.__version__, self._config.grace
+        )
+        sock.sendall(rtpu_messages.frame(hello))
+        data = rtpu_messages.receive_frame(sock)
+        if not data:
+            raise NodeError(
+                "the RTPU process of that name has another agent",
+                where=self._config.name,
+                remedy="choose another name",
+            )
+        info = self._decode(data)
+        if not isinstance(info, rtpu_messages.RtpuInfo):
+            raise ProtocolError(
+                "the RTPU process does not say who it is",
+                remedy="end it, and start the agent again",
+            )
+        for what, got, wanted in (
+            ("version", info.version, pbonet.__version__),
+            ("core", info.core, self._config.core),
+        ):
+            if got != wanted:
+                sock.close()
+                raise NodeError(
+                    f"the RTPU process that runs is of another {what}",
+                    where=f"{self._config.name}, process {info.pid}",
+                    expected=f"{what} {wanted}",
+                    got=f"{what} {got}",
+                    remedy=f"end it with `kill {info.pid}`, which turns its tasks OFF",
+                )
+        return info
+
+    def _live(self, sock: socket.socket) -> None:
+        """Hear the RTPU process until it ends; a link that breaks is made anew."""
+        while True:
+            reason, orderly = self._read(sock)
+            with self._write_lock:
+                self._sock, self._rest = None, memoryview(b"")
+                sock.close()
+            again = None if orderly or self._unreadable else self._again(reason)
+            if again is None:
+                break
+            sock = again
+        if self._closing:
+            return
+        with _contained():
+            self._listener.let_go()
+        if self._unreadable:
+            how = f"the RTPU process is not understood: {self._misread}"
+        else:
+            how = f"the RTPU process ended: {self._end(reason, orderly=orderly)}"
+        with _contained():
+            self._listener.lost(how, again=not (orderly or self._unreadable))
+
+    def _read(self, sock: socket.socket) -> tuple[str, bool]:
+        """Hand on what comes; return why nothing comes any more, and if in order."""
+        while True:
+            try:
+                data = rtpu_messages.receive_frame(sock)
+                if not data:
+                    return "its socket was closed", False
+                message = self._decode(data)
+            except (OSError, NodeError) as error:
+                return str(error), False
+            if isinstance(message, rtpu_messages.Ending):
+                return message.reason, True
+            with _contained():
+                self._hand_over(message)
+
+    def _decode(self, data: bytes) -> FromRtpu:
+        """Return what the RTPU process says.
+
+        Raises:
+            ProtocolError: It cannot be read; counted.
+        """
+        try:
+            return self._decoder.decode(data)
+        except msgspec.MsgspecError as error:
+            now = time.monotonic()
+            self._unread = [t for t in self._unread if now - t < UNREAD_TIME] + [now]
+            pid = f", process {self.info.pid}" if self.info else ""
+            refused = ProtocolError(
+                "a message of the RTPU process cannot be read",
+                where=f"{self._config.name}{pid}",
+                got=str(error),
+                remedy="both must be of one installation: within its grace an agent of "
+                "the RTPU process's own takes it over; behind that it has turned its "
+                "tasks OFF, and any may be started",
+            )
+            self._misread = str(refused)
+            raise refused from None
+
+    @property
+    def _unreadable(self) -> bool:
+        """Whether attaching again is no help."""
+        return len(self._unread) > UNREAD
+
+    def _again(self, reason: str) -> socket.socket | None:
+        """Attach again if the process lives on; return the socket.
+
+        On a machine that stood still meanwhile it is tried more than once, too. What
+        the machine lacks for it, such as descriptors, is no fault of the process, and
+        waited for.
+        """
+        deadline = time.monotonic() + AGAIN_TIME
+        tries = 0
+        while not (self._closing or self._unreadable):
+            try:
+                over = tries >= _LEAST_TRIES and time.monotonic() > deadline
+                if self._ended(_LOOK) or over:
+                    return None
+                sock = self._connect()
+            except OSError as error:
+                self._lacks(error)
+                deadline, tries = time.monotonic() + AGAIN_TIME, 0
+                continue
+            tries += 1
+            info = self._taken_back(sock) if sock is not None else None
+            if sock is None or info is None:
+                continue
+            self._short = False
+            level = logging.WARNING if len(self._unread) <= 1 else logging.DEBUG
+            log.log(level, "%s: the link broke: %s", self._config.name, reason)
+            with _contained():
+                self._listener.broke(reason)
+            if not self._use(sock):
+                return None
+            with _contained():
+                self._hand_over(info)
+            return sock
+        return None
+
+    def _taken_back(self, sock: socket.socket) -> rtpu_messages.RtpuInfo | None:
+        """Be its agent again; None: it has not noticed yet, or it ends."""
+        try:
+            sock.settimeout(AGAIN_TIME)
+            info = self._attach(sock)
+            sock.settimeout(None)
+        except (OSError, NodeError):
+            sock.close()
+            return None
+        return info
+
+    def _lacks(self, error: OSError) -> None:
+        """Tell once what the machine lacks, and leave it a little time."""
+        if not self._short:
+            self._short = True
+            log.error(
+                "%s: the link to the RTPU process cannot be made anew: %s; it is tried "
+                "again: end what takes so much, or raise the limit of what is lacking "
+                "(LimitNOFILE of a service, or ulimit -n)",
+                self._config.name,
+                error,
+            )
+        time.sleep(_LOOK)
+
+    def _use(self, sock: socket.socket) -> bool:
+        """Send there from now on, unless the link is being closed."""
+        with self._write_lock:
+            self._sock = sock
+        if self._closing:  # by who saw no socket to shut down
+            with self._write_lock:
+                self._sock = None
+                sock.close()
+        return not self._closing
+
+    def _ended(self, timeout: float, *, kill: bool = False) -> bool:
+        """Return whether the process ended in time; with `kill`, end it if not."""
+        if self.info is None:
+            return True
+        try:
+            pidfd = os.pidfd_open(self.info.pid)
+        except ProcessLookupError:
+            return True
+        try:
+            ended = start_rtpu.readable(pidfd, timeout)
+            if kill and not ended:
+                signal.pidfd_send_signal(pidfd, signal.SIGKILL)
+                start_rtpu.readable(pidfd, 5.0)
+        finally:
+            os.close(pidfd)
+        return ended
+
+    def _hand_over(self, message: FromRtpu) -> None:
+        match message:
+            case rtpu_messages.Answered():
+                self._listener.answered(message.n, message.data)
+            case rtpu_messages.Published():
+                self._listener.published(message.data)
+            case rtpu_messages.Called():
+                self._listener.called(message)
+            case rtpu_messages.RtpuInfo():
+                self.info = message
+                self._listener.informed(message)
+            case Known():
+                self._listener.learned(message)
+            case rtpu_messages.Ending():
+                pass
+
+    def _end(self, reason: str, *, orderly: bool) -> str:
+        """Return how the process ended, with the end of its log if not in order."""
+        while True:
+            try:
+                self._ended(5.0 if orderly else 1.0, kill=True)
+                self._clean_up()
+                break
+            except OSError as error:
+                if self._closing or error.errno not in LACKS:
+                    break  # what is wrong with the files is found by who starts anew
+                self._lacks(error)
+        if orderly:
+            return reason
+        from pbonet.node.rtpu.task_handle import describe_end
+
+        code = self._process.returncode if self._process else None
+        how = describe_end(code) if code is not None else reason
+        said = start_rtpu.log_tail(self._places)
+        return f"{how}\n{said}" if said else how
+
+
+def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
+    """Send until nothing is taken any more; return what is left."""
+    with contextlib.suppress(BlockingIOError):
+        while data:
+            data = data[sock.send(data, flags) :]
+    return data
+
+
+@contextlib.contextmanager
+def _contained() -> Generator[None]:
+    """Tell a listener something in this block; the link outlives what it raises."""
+    try:
+        yield
+    except Exception:
+        log.exception("what the RTPU process said could not be taken")

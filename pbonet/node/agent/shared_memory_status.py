@@ -1,0 +1,335 @@
+"""An agent's view of its RTPU: out of shared memory, without waking anybody.
+
+What the core's table and the state variable tables say is read there; the little that
+only the RTPU process knows it has told before (`pbonet.node.rtpu.rtpu_snapshot`). So status,
+profiles and values of variables are given, and variables set as an operator does,
+by the agent alone (Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pbonet import tbuf
+from pbonet.errors import NodeError, Severity, SvarError
+from pbonet.node.rt import _rt
+from pbonet.node.rtpu import claims, rtpu_snapshot, status
+from pbonet.node.rtpu.rtpu_snapshot import Known, KnownTask
+from pbonet.node.rtpu.tables import no_table, remove_unused, table_name
+from pbonet.node.wire import event_log
+from pbonet.node.wire.answer_packing import Answers, being_stopped
+from pbonet.node.wire.rtpu_messages import Note
+from pbonet.svar import Table
+from pbonet.tbuf import places
+from pbonet.xm.net import messages as m
+
+from . import variable_values
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.analysis.schedule.records import SlotStatus
+    from pbonet.node.wire.rtpu_messages import Recorder, RtpuInfo
+
+log = logging.getLogger("pbonet.node")
+
+FEW = 8
+"""So many tasks and links, or variables, are looked at in less time than a thread is
+woken."""
+NEWS_TIME = 2.0
+"""Seconds in which the RTPU process tells of a task that it has just begun or ended."""
+
+Handled = m.Status | m.Profile | m.Display | m.Write
+HANDLED = (m.Status, m.Profile, m.Display, m.Write)
+"""Requests that the agent carries out itself."""
+
+
+class Seen(NamedTuple):
+    """A task, and what stood in the core's table about it at one time."""
+
+    task: KnownTask
+    slot: SlotStatus
+    signals: tuple[int, ...]
+
+
+class Overview:
+    """How one RTPU, its tasks and its tables stand.
+
+    Args:
+        domain: The agent's domain.
+        rtpu: The RTPU's name.
+        note: Takes note of a fault of pbonet itself.
+        recorder: Tells how a subsystem's recorder fares.
+    """
+
+    def __init__(
+        self,
+        domain: str,
+        rtpu: str,
+        note: Callable[[Note], None],
+        recorder: Callable[[str], Recorder | None],
+    ) -> None:
+        self._recorder = recorder
+        self._domain, self._rtpu = domain, rtpu
+        self._links = places.Standing(domain)
+        self._answers = Answers(
+            rtpu, lambda text: note(Note(int(Severity.ERROR), "INTERNAL", text))
+        )
+        self._news = threading.Condition()
+        self._told = 0
+        self._known = Known()
+        self._core: _rt.CoreTable | None = None
+        self._tables: dict[str, tuple[Table, bool]] = {}
+        self._do: dict[type[m.Request], Callable[[Any], object]] = {
+            m.Status: lambda request: self._status(
+                request, self._look(), self._links.names()
+            ),
+            m.Profile: self._profile,
+            m.Display: self._display,
+            m.Write: self._write,
+        }
+
+    # -- what the RTPU process says ----------------------------------------------------
+
+    def informed(self, info: RtpuInfo) -> None:
+        """Look at the core of the RTPU process, and at the tables that it has open."""
+        if self._core is None:
+            self._core = _rt.CoreTable(info.core, member=False)
+        for subsystem in self._tables.keys() - info.tables.keys():
+            self._let_go(subsystem)
+        for subsystem, keep in info.tables.items():
+            if subsystem not in self._tables:
+                self._attach(subsystem, keep=keep)
+
+    def learn(self, news: Known) -> None:
+        """Take what has changed."""
+        with self._news:
+            for name in news.__struct_fields__:
+                if (part := getattr(news, name)) is not None:
+                    setattr(self._known, name, part)
+            self._told += 1
+            self._news.notify_all()
+
+    def let_go(self) -> None:
+        """Let go of everything: the RTPU process has ended."""
+        for subsystem in list(self._tables):
+            self._let_go(subsystem)
+        with self._news:  # who waits for news hears that there will be none
+            core, self._core, self._known = self._core, None, Known()
+            self._told += 1
+            self._news.notify_all()
+        if core is not None:
+            core.close()
+
+    def _attach(self, subsystem: str, *, keep: bool) -> None:
+        try:
+            table = Table.attach(table_name(self._domain, subsystem))
+        except SvarError as error:
+            log.warning("the table of %s cannot be seen: %s", subsystem, error)
+        else:
+            self._tables[subsystem] = table, keep
+
+    def _let_go(self, subsystem: str) -> None:
+        table, _ = self._tables.pop(subsystem)
+        path = table.path
+        table.close()
+        remove_unused(path)
+
+    # -- requests ----------------------------------------------------------------------
+
+    def answer(self, request: Handled) -> bytes:
+        """Return the packed answer to a request of those in `HANDLED`."""
+        return self._answer(request, partial(self._do[type(request)], request))
+
+    def _answer(self, request: Handled, do: Callable[[], object]) -> bytes:
+        try:
+            result = do()
+            return self._answers.good(request, result, [])
+        except Exception as error:  # noqa: BLE001 - the server outlives any request
+            return self._answers.bad(request, error)
+
+    def at_once(self, request: object) -> bytes | None:
+        """Return the packed answer to a request that takes little.
+
+        None to any other, and where somebody is to be waited for.
+        """
+        if isinstance(request, m.Display):
+            few = request.names is not None and 0 < len(request.names) <= FEW
+            return self.answer(request) if few else None
+        if not isinstance(request, m.Status):
+            return None
+        tasks = self._known.tasks
+        if tasks is None or self._core is None:
+            return None
+        links = self._links.names()
+        if len(tasks) + len(links) > FEW:
+            return None
+        found = self._match(tasks)
+        if len(found) < len(tasks):
+            return None
+        return self._answer(request, partial(self._status, request, found, links))
+
+    def write_at_once(self, request: m.Write) -> bytes | None:
+        """Set a variable, and return the packed answer; None: the table is locked."""
+        try:
+            done = self._set(request, wait=False)
+            return None if done is None else self._answers.good(request, done, [])
+        except Exception as error:  # noqa: BLE001 - the server outlives any request
+            return self._answers.bad(request, error)
+
+    def _status(
+        self, request: m.Status, seen: list[Seen], links: list[str]
+    ) -> m.RtpuStatus:
+        whose, core = request.subsystem, self._open()
+        entry = self._claim(whose)
+        return status.rtpu_status(
+            self._rtpu,
+            entry.scheduler if entry else "",
+            core.status(),
+            core.cpu_ns,
+            tasks=[
+                *(self._shown(one) for one in self._of(request, seen)),
+                *self._died(request),
+            ],
+            spent_ns=sum(one.slot.cpu_total_ns for one in seen),
+            illegal=self._causes(whose),
+            events=event_log.by_task(self._known.counts or [], whose),
+            tbufs=tbuf.seen(self._domain, links),
+            recorder=self._recorder(whose),
+        )
+
+    def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
+        while True:
+            found, core = self._of(request, self._look()), self._open()
+            with contextlib.suppress(NodeError):  # one has ended: the next look waits
+                return [
+                    status.task_profile(
+                        self._shown(one), one.slot, core.histograms(one.task.slot)
+                    )
+                    for one in found
+                ]
+
+    def _display(self, request: m.Display) -> list[m.VarValue]:
+        return variable_values.display(self._table(request.subsystem)[0], request.names)
+
+    def _write(self, request: m.Write) -> m.VarValue | None:
+        return self._set(request, wait=True)
+
+    def _set(self, request: m.Write, *, wait: bool) -> m.VarValue | None:
+        claims.check(self._rtpu, self._claim(request.subsystem), request)
+        if request.subsystem in (self._known.stopping or []):
+            raise being_stopped(self._rtpu, request.subsystem)
+        table, keep = self._table(request.subsystem)
+        return variable_values.write(
+            table, request.name, request.values, keep=keep, wait=wait
+        )
+
+    # -- what is seen ------------------------------------------------------------------
+
+    def _look(self) -> list[Seen]:
+        """Return all tasks with what stands in the core's table about them.
+
+        A slot that has another task than is known was given away this moment: the
+        RTPU process is about to tell, and is waited for a little.
+
+        Raises:
+            NodeError: The RTPU process has ended.
+        """
+        while True:
+            with self._news:
+                self._open()
+                told, tasks = self._told, self._known.tasks
+            found = [] if tasks is None else self._match(tasks)
+            if tasks is not None and len(found) == len(tasks):
+                return found
+            if not self._more(told):
+                return found
+
+    def _more(self, told: int) -> bool:
+        """Wait until more has been told; return whether it came in time."""
+        with self._news:
+            return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
+
+    def _match(self, tasks: list[KnownTask]) -> list[Seen]:
+        core = self._open()
+        found: list[Seen] = []
+        owner = f"{self._domain}/{self._rtpu}"
+        for task in tasks:
+            try:
+                slot, signals = core.snapshot(task.slot), core.signals(task.slot)
+            except NodeError:  # it has been given back
+                continue
+            if (slot.rtpu, slot.task) == (owner, f"{task.subsystem}/{task.task}"):
+                found.append(Seen(task, slot, signals))
+        return found
+
+    def _of(
+        self,
+        request: m.Status | m.Profile,
+        seen: list[Seen],
+    ) -> list[Seen]:
+        """Return the tasks that are asked for.
+
+        Raises:
+            UnknownTaskError: There is none of that name, nor was one.
+        """
+        whose, name = request.subsystem, request.task
+        own = [one for one in seen if whose in {"", one.task.subsystem}]
+        found = [one for one in own if name in {None, one.task.task}]
+        if name is None or found:
+            return found
+        tombs = self._died(request)
+        if isinstance(request, m.Profile) or not tombs:
+            tomb = tombs[0] if tombs else None
+            names = [one.task.task for one in own]
+            raise rtpu_snapshot.no_task(self._rtpu, whose, name, names, tomb)
+        return []
+
+    def _died(self, request: m.Status | m.Profile) -> list[m.TaskStatus]:
+        """Return the last status of the tasks asked for that have died."""
+        return [
+            tomb
+            for whose, tomb in self._known.tombs or []
+            if request.subsystem in {"", whose} and request.task in {None, tomb.task}
+        ]
+
+    def _shown(self, seen: Seen) -> m.TaskStatus:
+        return status.task_status(self._rtpu, *seen)
+
+    def _causes(self, subsystem: str) -> list[str]:
+        """Return why the illegal-configuration flag is up."""
+        whose = [subsystem] if subsystem else list(self._tables)
+        return [
+            f"{cause.cause} ({cause.raiser})"
+            for table, _ in filter(None, map(self._tables.get, whose))
+            for cause in table.illegal
+        ]
+
+    def _claim(self, subsystem: str) -> claims.Entry | None:
+        entries = self._known.claims or []
+        return next((one for one in entries if one.subsystem == subsystem), None)
+
+    def _table(self, subsystem: str) -> tuple[Table, bool]:
+        found = self._tables.get(subsystem)
+        if found is None:
+            raise no_table(subsystem)
+        found[0].must_be_whole()
+        return found
+
+    def _open(self) -> _rt.CoreTable:
+        if self._core is None:
+            raise restarting(self._rtpu)
+        return self._core
+
+
+def restarting(rtpu: str) -> NodeError:
+    """Return the error for an RTPU whose process is being started again."""
+    return NodeError(
+        "the RTPU process has ended and is being started again",
+        where=rtpu,
+        remedy="try again in a moment",
+    )

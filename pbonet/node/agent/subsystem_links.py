@@ -1,0 +1,274 @@
+"""Links between subsystems on different machines (Stewart 1994, section 5.6).
+
+An agent looks after the links of its domain that stand on its machine. Whoever has an
+end there need not tell it: locks on the buffer's file say who is there, also of those
+that are killed. What is to be done `pbonet.node.agent.link_rules` says; it is done here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import zenoh
+
+from pbonet.errors import PbonetError, Severity, XmError
+from pbonet.node.wire import rtpu_messages
+from pbonet.tbuf import places
+from pbonet.tbuf.native import CARER, READER, WRITER, Buffer
+from pbonet.xm.ipc import names
+from pbonet.xm.net import key_expressions
+from pbonet.xm.net.callbacks import direct
+
+from .link_ends import Receiver, Sender
+from .link_rules import IDLE, Duty, Elsewhere, Here, duty
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+log = logging.getLogger("pbonet.node")
+
+LOOK = 0.1
+"""Seconds between looks at the links of this machine."""
+YIELD = 1.0
+"""Seconds until a link that another agent looks after is tried again."""
+
+
+class Care:
+    """One link that this agent looks after."""
+
+    def __init__(self, name: names.Name) -> None:
+        self.name = name
+        self.buffer = Buffer()
+        places.attach(name, None, CARER, self.buffer)
+        self.duty = IDLE
+        self.sender: Sender | None = None
+        self.receiver: Receiver | None = None
+        self.tokens: dict[str, zenoh.LivelinessToken] = {}
+
+    @property
+    def here(self) -> Here:
+        """Who uses the link on this machine, this agent left out."""
+        return Here(
+            writer=self.receiver is None and places.has(self.buffer.fileno, WRITER),
+            reader=self.sender is None and places.has(self.buffer.fileno, READER),
+        )
+
+    @property
+    def gone(self) -> bool:
+        """Whether the buffer was destroyed, or its file taken away."""
+        return self.buffer.destroyed or not os.fstat(self.buffer.fileno).st_nlink
+
+
+class Links:
+    """An agent's part in all links of its domain.
+
+    Args:
+        session: The agent's.
+        domain: Its domain.
+        name: Its name.
+        offset: Returns nanoseconds from the clock of an agent's machine to this one's;
+            None while they are not known.
+        tell: Takes what is to be told to masters.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: str,
+        name: str,
+        offset: Callable[[str], int | None],
+        tell: Callable[[rtpu_messages.Note], None],
+    ) -> None:
+        self._session = session
+        self._domain = domain
+        self._name = name
+        self._offset = offset
+        self._tell = tell
+        self._standing = places.Standing(domain)
+        self._cares: dict[str, Care] = {}
+        self._later: dict[str, float] = {}
+        self._there: dict[str, Elsewhere] = {}
+        self._guard = threading.Lock()
+        self._news = threading.Event()
+        self._over = False
+        self._subscriber = session.liveliness().declare_subscriber(
+            key_expressions.all_links(domain),
+            direct(self._heard),
+            history=True,
+        )
+        self._thread = threading.Thread(
+            target=self._work, name="pbonet links", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Look after nothing any more; files that nobody uses are removed."""
+        self._over = True
+        self._news.set()
+        self._thread.join()
+        with contextlib.suppress(zenoh.ZError):
+            self._subscriber.undeclare()  # type: ignore[no-untyped-call]
+        for text in list(self._cares):
+            self._drop(text)
+        places.sweep(self._domain)
+
+    # -- what others show --------------------------------------------------------------
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        """Take note of a token that came or went; runs in zenoh's own thread."""
+        parts = key_expressions.link_parts(str(sample.key_expr))
+        if parts is None:
+            return
+        text, leaf, agents = parts
+        came = sample.kind == zenoh.SampleKind.PUT
+        with self._guard:
+            there = self._there.setdefault(text, Elsewhere())
+            if leaf == "sink" and len(agents) == 1:
+                change = there.sinks.add if came else there.sinks.discard
+                change(agents[0])
+            elif leaf == "source" and len(agents) == len(("writer", "reader")):
+                pair = agents[0], agents[1]
+                (there.sources.add if came else there.sources.discard)(pair)
+            if not there.sinks and not there.sources:
+                del self._there[text]
+        self._news.set()
+
+    def _elsewhere(self, text: str) -> Elsewhere:
+        with self._guard:
+            found = self._there.get(text, Elsewhere())
+            return Elsewhere(set(found.sinks), set(found.sources))
+
+    # -- what is done ------------------------------------------------------------------
+
+    def _work(self) -> None:
+        while not self._over:
+            self._news.clear()
+            try:
+                self._look()
+            except OSError:  # such as a folder of shared memory that is taken away
+                log.exception("%s: links cannot be looked after", self._name)
+            self._news.wait(LOOK)
+
+    def _look(self) -> None:
+        standing = self._standing.names()
+        for text in standing:
+            if text not in self._cares:
+                self._adopt(text)
+        for text, care in list(self._cares.items()):
+            try:
+                self._tend(text, care, stands=text in standing)
+            except Exception:  # the others want to be looked after too
+                log.exception("%s: link %s cannot be looked after", self._name, text)
+
+    def _tend(self, text: str, care: Care, *, stands: bool) -> None:
+        """Look after one link."""
+        here = care.here
+        unused = not here.writer and not here.reader and care.duty == IDLE
+        if not stands or care.gone or unused:
+            self._drop(text)
+            return
+        wanted = duty(self._name, here, self._elsewhere(text), care.duty)
+        if care.sender is not None and not care.sender.works:
+            wanted = IDLE  # and anew at the next look
+        if wanted != care.duty:
+            self._change(care, wanted)
+
+    def _adopt(self, text: str) -> None:
+        """Look after a link, unless another agent of this machine does."""
+        if time.monotonic() < self._later.get(text, 0.0):
+            return
+        place, _, resource = text.partition(":")
+        try:
+            self._cares[text] = Care(names.Name(self._domain, place, resource))
+            self._later.pop(text, None)
+        except XmError as error:
+            self._later[text] = time.monotonic() + YIELD
+            log.debug("%s: link %s is not looked after: %s", self._name, text, error)
+
+    def _drop(self, text: str) -> None:
+        care = self._cares.pop(text)
+        self._change(care, IDLE)
+        places.leave(care.buffer)
+
+    def _change(self, care: Care, wanted: Duty) -> None:
+        """Go over to another duty; what cannot be done now is tried again."""
+        if care.receiver is not None and care.duty.take != wanted.take:
+            care.receiver.stop()
+            care.receiver = None
+        if care.sender is not None and care.duty.serve != wanted.serve:
+            care.sender.stop()
+            care.sender = None
+        try:
+            self._begin(care, wanted)
+        except (XmError, zenoh.ZError) as error:
+            log.debug("%s: link %s: %s", self._name, care.name, error)
+            wanted = Duty(sink=wanted.sink)
+        self._show(care, wanted)
+        if (wanted.take, wanted.serve) != (care.duty.take, care.duty.serve):
+            self._report(care, wanted)
+        care.duty = wanted
+
+    def _begin(self, care: Care, wanted: Duty) -> None:
+        me, name = self._name, care.name
+        if wanted.serve and care.sender is None:
+            key = key_expressions.link(
+                self._domain, str(name), "data", me, wanted.serve
+            )
+            who = f"agent {me} for {wanted.serve}"
+            care.sender = Sender(self._session, name, key, who)
+        if wanted.take and care.receiver is None:
+            far = wanted.take
+            key = key_expressions.link(self._domain, str(name), "data", far, me)
+            care.receiver = Receiver(
+                self._session,
+                name,
+                key,
+                who=f"agent {me} from {far}",
+                offset=lambda: self._offset(far),
+                misfit=lambda error: self._misfit(name, error),
+            )
+
+    def _show(self, care: Care, wanted: Duty) -> None:
+        """Declare the tokens of a duty, and no others."""
+        text, shown = str(care.name), set[str]()
+        if wanted.sink:
+            shown.add(key_expressions.link(self._domain, text, "sink", self._name))
+        if wanted.serve:
+            shown.add(
+                key_expressions.link(
+                    self._domain, text, "source", self._name, wanted.serve
+                )
+            )
+        for key in set(care.tokens) - shown:
+            with contextlib.suppress(zenoh.ZError):
+                care.tokens.pop(key).undeclare()  # type: ignore[no-untyped-call]
+        for key in shown - set(care.tokens):
+            care.tokens[key] = self._session.liveliness().declare_token(key)
+
+    # -- what is told ------------------------------------------------------------------
+
+    def _report(self, care: Care, wanted: Duty) -> None:
+        if wanted.take or wanted.serve:
+            text = f"link {care.name} {_way(wanted)} is up"
+            self._note(rtpu_messages.Note(int(Severity.INFO), "LINK_UP", text))
+        else:
+            text = f"link {care.name} {_way(care.duty)} is down"
+            self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_DOWN", text))
+
+    def _misfit(self, name: names.Name, error: Exception) -> None:
+        text = f"records of link {name} are not taken: {error}"
+        self._note(rtpu_messages.Note(int(Severity.ERROR), "LINK_MISFIT", text))
+
+    def _note(self, note: rtpu_messages.Note) -> None:
+        log.info("%s: %s", self._name, note.text)
+        with contextlib.suppress(PbonetError):
+            self._tell(note)
+
+
+def _way(done: Duty) -> str:
+    return f"from {done.take}" if done.take else f"to {done.serve}"

@@ -1,0 +1,185 @@
+"""An agent's part in what its tasks ask of other machines; see `pbonet.xm.ipc.remote_channel`.
+
+Tasks connect by a Unix socket. For each process the agent shows a liveliness token
+while a connection of it is open, so that what stands for it elsewhere ends with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import connection as sockets
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.errors import PbonetError, ProtocolError
+from pbonet.xm.net import codec, key_expressions
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.relay_messages import Letter
+from pbonet.xm.net.resource_messages import XmRequest
+from pbonet.xm.net.rpc import Client, Declared
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import zenoh
+
+log = logging.getLogger("pbonet.node")
+
+CONNECTIONS = 64
+"""Threads of tasks that use other machines' resources, at a time."""
+LARGEST = 2 << 20
+"""Bytes of a letter at most."""
+
+
+class _Wire:
+    """One connection; its answers may come from several threads."""
+
+    def __init__(self, link: sockets.Connection) -> None:
+        self.link = link
+        self._guard = threading.Lock()
+
+    def send(self, data: bytes) -> None:
+        """Send an answer; one that nobody wants any more is dropped."""
+        with self._guard, contextlib.suppress(OSError):
+            self.link.send_bytes(data)
+
+    def end(self) -> None:
+        """Have whoever reads from it come to its end."""
+        with contextlib.suppress(OSError):
+            twin = socket.socket(fileno=os.dup(self.link.fileno()))
+            with twin:
+                twin.shutdown(socket.SHUT_RDWR)
+
+
+class Relay:
+    """Takes letters of tasks and passes them on.
+
+    Args:
+        session: The agent's.
+        domain: Its domain.
+        name: Its name.
+        path: The socket that tasks connect to.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, domain: str, name: str, path: Path
+    ) -> None:
+        self._domain, self._path = domain, path
+        self._client = Client(session, domain, f"{name}-{secrets.token_hex(4)}")
+        self._codec = codec.Codec()
+        self._letter = msgspec.msgpack.Decoder(Letter)
+        self._guard = threading.Lock()
+        self._open: set[_Wire] = set()
+        self._tokens: dict[str, tuple[Declared, set[_Wire]]] = {}
+        self._over = False
+        self._pool = ThreadPoolExecutor(CONNECTIONS, "pbonet relay")
+        path.unlink(missing_ok=True)  # of a killed agent
+        self._listener = sockets.Listener(str(path), "AF_UNIX", backlog=CONNECTIONS)
+        self._thread = threading.Thread(
+            target=self._accept, name="pbonet post", daemon=True
+        )
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Take no letters any more."""
+        self._over = True
+        with contextlib.suppress(OSError), sockets.Client(str(self._path), "AF_UNIX"):
+            pass  # wakes the one that accepts
+        self._thread.join()
+        self._listener.close()
+        with self._guard:
+            wires = list(self._open)
+        for wire in wires:
+            wire.end()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _accept(self) -> None:
+        while not self._over:
+            try:
+                link = self._listener.accept()
+            except OSError:
+                continue
+            if len(self._open) >= CONNECTIONS:
+                link.close()
+                continue
+            wire = _Wire(link)
+            self._open.add(wire)
+            threading.Thread(
+                target=self._read, args=(wire,), name="pbonet letters", daemon=True
+            ).start()
+
+    def _read(self, wire: _Wire) -> None:
+        """Take the letters of one connection until it is closed."""
+        client = ""
+        try:
+            while not self._over:
+                letter = self._letter.decode(wire.link.recv_bytes(LARGEST))
+                client = client or self._welcome(letter.client, wire)
+                if letter.wait or letter.rtpu:  # else it only says that it is there
+                    self._pool.submit(self._carry, wire, letter)
+        except (OSError, EOFError):
+            pass  # it has ended
+        except (*codec.MALFORMED, PbonetError, RuntimeError) as error:
+            log.warning(
+                "%s: a task's letter is not taken: %s", self._client.name, error
+            )
+        finally:
+            self._farewell(client, wire)
+            wire.link.close()
+
+    def _welcome(self, client: str, wire: _Wire) -> str:
+        """Show a client's token with its first connection; return the client."""
+        with self._guard:
+            if client not in self._tokens:
+                token = self._client.announce(
+                    key_expressions.customer(self._domain, client)
+                )
+                self._tokens[client] = token, set()
+            self._tokens[client][1].add(wire)
+        return client
+
+    def _farewell(self, client: str, wire: _Wire) -> None:
+        """Take a client's token back with its last connection."""
+        with self._guard:
+            self._open.discard(wire)
+            token, wires = self._tokens.get(client, (None, set[_Wire]()))
+            wires.discard(wire)
+            if token is None or wires:
+                return
+            del self._tokens[client]
+        with contextlib.suppress(Exception):  # the session may be closed already
+            token.undeclare()
+
+    def _carry(self, wire: _Wire, letter: Letter) -> None:
+        """Pass a letter on, and send back what comes."""
+        try:
+            data = self._passed_on(letter)
+        except PbonetError as error:
+            data = self._codec.pack(codec.failure(error))
+        if letter.wait:
+            wire.send(data)
+
+    def _passed_on(self, letter: Letter) -> bytes:
+        if not letter.rtpu:
+            return msgspec.msgpack.encode(self._client.rtpus())
+        request = self._codec.request(letter.data)
+        if not isinstance(request, XmRequest):
+            raise ProtocolError(
+                "tasks ask other machines for their resources only",
+                expected="a request about a semaphore, a queue, or a file",
+                got=type(request).__name__.lower(),
+                remedy="steer with a master",
+            )
+        request.client = letter.client
+        if not letter.wait:
+            self._client.tell(letter.rtpu, request)
+            return b""
+        result = self._client.call(letter.rtpu, request, object, timeout=letter.timeout)
+        return self._codec.pack(m.Answer(ok=True, result=result))

@@ -1,0 +1,108 @@
+"""Values of a table's variables, as they are shown to people, and set by them."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any
+
+from pbonet.errors import SvarError
+from pbonet.svar import Flags
+from pbonet.xm.net.message_parts import plain
+from pbonet.xm.net.messages import VarValue
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pbonet.svar import LocalTable, Table, VarInfo
+
+
+def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
+    """Return values of variables with their provenance, without owning any.
+
+    All values are those of one instant; where that is not proven, they say so.
+
+    Raises:
+        UnknownVariableError: The table has no variable of that name.
+        SvarDamagedError: Its file was truncated.
+    """
+    wanted = list(names or table.names())
+    if len(wanted) == 1:
+        found = [_value(table, wanted[0], whole=True)]
+        table.must_be_whole()
+        return found
+    with table.local("display", os.getpid(), invar=wanted) as local:
+        flags = local.copy_in()
+        if flags & Flags.COPY_LOST:
+            return [_value(table, name, whole=False) for name in wanted]
+        whole = not flags & Flags.COPY_TORN
+        values = [_of_cut(table, local, name, whole=whole) for name in wanted]
+    table.must_be_whole()  # else zeros were read for values
+    return values
+
+
+def write(
+    table: Table, name: str, values: Sequence[float], *, keep: bool, wait: bool = True
+) -> VarValue | None:
+    """Set a variable that no task writes; return how it stands then.
+
+    Without `wait` nothing is done, and None returned, if the table is locked just now.
+
+    Args:
+        table: The table.
+        name: The variable.
+        values: All its elements.
+        keep: Whether this RTPU keeps the table, and so may.
+        wait: Whether to wait for the table's lock.
+
+    Raises:
+        SvarOwnerError: A task writes it.
+        SvarError: This RTPU is not the keeper, or the values do not fit.
+    """
+    if not keep:
+        raise SvarError(
+            "this RTPU does not keep the table",
+            where=table.name,
+            remedy="send it to the RTPU that MASTER names, or the first one",
+        )
+    if not table.write(name, values, wait=wait):
+        return None
+    return _value(table, name, whole=True)
+
+
+def _value(table: Table, name: str, *, whole: bool) -> VarValue:
+    """Return a variable by itself, of one look."""
+    value, info = table.see(name)
+    return _shown(table, name, value, info, stale=info.stale, whole=whole)
+
+
+def _of_cut(table: Table, local: LocalTable, name: str, *, whole: bool) -> VarValue:
+    """Return a variable as it stood in a copy of several."""
+    info, stale = table.info(name), local.stale(name)
+    return _shown(table, name, local.array(name), info, stale=stale, whole=whole)
+
+
+def _shown(
+    table: Table,
+    name: str,
+    value: NDArray[Any],
+    info: VarInfo,
+    *,
+    stale: bool,
+    whole: bool,
+) -> VarValue:
+    variable = table.variable(name)
+    return VarValue(
+        name=name,
+        index=table.index(name),
+        values=plain(value),
+        units=variable.units,
+        desc=variable.desc,
+        writer=info.writer,
+        age=None if info.age_ns is None else info.age_ns * 1e-9,
+        cycle=info.cycle,
+        seq=info.seq,
+        stale=stale,
+        whole=whole,
+    )

@@ -1,0 +1,427 @@
+"""An agent's part in zenoh: takes requests, gives answers, publishes events.
+
+A request is handed on at once and its query kept; the answer is given whenever it
+comes, so a slow `init` stands in nobody's way. What cannot be understood is answered
+with an error, never with silence. Requests that only look have a key of their own, so
+that access control can tell who may steer (see `pbonet.xm.net.roles`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import queue
+import re
+import secrets
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+
+import zenoh
+
+from pbonet.errors import NodeError, PbonetError, ProtocolError
+from pbonet.xm.net import codec, key_expressions, roles, session
+from pbonet.xm.net import messages as m
+from pbonet.xm.net.callbacks import direct
+from pbonet.xm.net.resource_messages import XmRequest
+
+from .idempotency import Noted, Repeats
+from .shared_memory_status import HANDLED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.xm.net.messages import AgentInfo, LinkReport
+
+    from .shared_memory_status import Handled, Overview
+
+log = logging.getLogger("pbonet.node")
+
+AT_ONCE = re.compile(rb"hello|status|display|write")
+SHORT = 1024
+"""Bytes of a request that is answered at once, at the most."""
+PENDING = 2000
+"""Requests that wait for their answers; more are refused."""
+LOOKS = 4
+"""Threads for requests that look at much, or wait for what the RTPU process tells."""
+
+CHANGES = (
+    m.OpenTable,
+    m.CloseTable,
+    m.Release,
+    m.Spawn,
+    m.Control,
+    m.Reconfig,
+    m.Flag,
+    m.Stop,
+)
+"""Requests after which a table may be another one: answered when the other machines of
+the subsystem know, so that what is asked next may be asked of any of them."""
+
+
+class Node(Protocol):
+    """Who carries requests out."""
+
+    def forward(
+        self, n: int, data: bytes, masters: list[tuple[str, str]] | None
+    ) -> None:
+        """Hand a request on; its answer comes through `Server.answer`."""
+
+    def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
+        """Call `done` when the other machines know the subsystem's table.
+
+        With `take`, this machine has taken what theirs say as well; with `value`, only
+        a value was set.
+        """
+
+    def info(self) -> AgentInfo:
+        """Return who this is."""
+        ...
+
+    def ways(self) -> LinkReport:
+        """Return the ways to the other agents, measured now."""
+        ...
+
+
+_Work: TypeAlias = "Callable[[], None]"
+"""What the server's thread does next."""
+
+
+class _Waiting(NamedTuple):
+    """A request that was handed on."""
+
+    query: zenoh.Query
+    request: m.AnyRequest
+    begun_ns: int
+
+
+class Mail(Protocol):
+    """Who carries out what is asked of semaphores and queues."""
+
+    def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
+        """Carry a request out and have its answer sent; comes back at once."""
+
+
+class Book(Protocol):
+    """Who puts commands on record."""
+
+    def commanded(
+        self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> None:
+        """Put a command on record: its packed answer, when it came and was answered."""
+
+    def noted(
+        self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
+    ) -> bool:
+        """Keep a short one that nobody records; return whether that was done now."""
+        ...
+
+
+class Server:
+    """Answers the requests for one RTPU.
+
+    Args:
+        session: The agent's session.
+        domain: The agent's domain.
+        name: The RTPU's name.
+        node: Who carries requests out.
+        mail: Who carries out those about semaphores and queues.
+        overview: Who carries out those that need no RTPU process.
+        book: Is told of what changes something.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: str,
+        name: str,
+        *,
+        node: Node,
+        mail: Mail,
+        overview: Overview,
+        book: Book,
+    ) -> None:
+        self._session = session
+        self._domain = domain
+        self._node, self._mail, self._overview = node, mail, overview
+        self._book = book
+        self._keys = [key_expressions.rtpu(domain, name, leaf) for leaf in roles.LEAVES]
+        self._event_key = key_expressions.rtpu(domain, name, "event")
+        self._codec = codec.Codec()
+        self._repeats, self._noted = Repeats(), Noted()
+        self._count = itertools.count(1)
+        self._pending: dict[int, _Waiting] = {}
+        self._guard = threading.Lock()
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
+        self._ways = ThreadPoolExecutor(1, thread_name_prefix="pbonet report")
+        self._measured: list[tuple[zenoh.Query, str]] = []
+        """Who waits for the ways to be measured: one measurement is for all."""
+        self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
+        self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
+        self._behind = 0
+        """Requests among what has arrived; a write must not overtake them."""
+        self._queryables: list[zenoh.Queryable[None]] = []
+        self._publisher: zenoh.Publisher | None = None
+        self._thread = threading.Thread(
+            target=self._serve, name="pbonet server", daemon=True
+        )
+
+    def start(self) -> None:
+        """Declare the queryables and the publisher, and answer."""
+        self._publisher = self._session.declare_publisher(self._event_key)
+        self._queryables = [
+            self._session.declare_queryable(
+                key,
+                direct(self._arrive),
+                complete=True,
+            )
+            for key in self._keys
+        ]
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Answer no more; requests that wait are told so."""
+        for queryable in self._queryables:
+            with contextlib.suppress(zenoh.ZError):
+                queryable.undeclare()  # type: ignore[no-untyped-call]
+        self._arrived.put(None)
+        if self._thread.is_alive():
+            self._thread.join()
+        self.fail_pending("the agent ends")
+        for pool in (self._pool, self._ways):
+            pool.shutdown(wait=True, cancel_futures=True)
+        self._looks.shutdown(wait=True)
+
+    def answer(self, n: int, data: bytes) -> None:
+        """Give the answer to forwarded request `n`."""
+        with self._guard:
+            one = self._pending.pop(n, None)
+        if one is not None:
+            changes = isinstance(one.request, CHANGES)
+            subsystem = one.request.subsystem if changes else ""
+            self._tell(one.request, data, one.begun_ns)
+            self._node.spread(
+                subsystem,
+                partial(self._reply, one.query, data),
+                take=isinstance(one.request, m.OpenTable),
+            )
+
+    def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
+        """Have a command put on record, however often it was asked for."""
+        if roles.only_looks(request):
+            return
+        if self._noted.first(request.client, request.id):
+            self._book.commanded(request, answer, begun_ns, time.monotonic_ns())
+
+    def publish(self, data: bytes) -> None:
+        """Publish a packed event; it is dropped rather than waited for."""
+        if self._publisher is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._publisher.put(data)  # pyright: ignore[reportUnknownMemberType]
+
+    def fail_pending(self, reason: str) -> None:
+        """Answer everything that waits with an error."""
+        with self._guard:
+            waiting = list(self._pending.values())
+            self._pending.clear()
+        for query, request, begun_ns in waiting:
+            error = NodeError(
+                f"the request was not carried out to its end: {reason}",
+                remedy="'status' shows what was done; then give it again",
+            )
+            data = self._codec.pack(codec.failure(error, request.id))
+            self._tell(request, data, begun_ns)
+            self._reply(query, data)
+
+    def _arrive(self, query: zenoh.Query) -> None:
+        """Take a query from zenoh's own thread, which nothing may hold up.
+
+        Only who the agent is and how a few tasks or variables stand can be told at
+        once, and one variable be set; another thread does the rest.
+        """
+        data = query.payload.to_bytes() if query.payload is not None else b""
+        if len(data) <= SHORT and AT_ONCE.search(data):
+            with contextlib.suppress(PbonetError):
+                if self._at_once(query, self._codec.request(data)):
+                    return
+        self._put(partial(self._take, query))
+
+    def _put(self, work: _Work) -> None:
+        """Have the rest of a request done behind those that came before it."""
+        with self._guard:
+            self._behind += 1
+        self._arrived.put(partial(self._done, work))
+
+    def _done(self, work: _Work) -> None:
+        try:
+            work()
+        finally:
+            with self._guard:
+                self._behind -= 1
+
+    def _at_once(self, query: zenoh.Query, request: codec.AnyMessage) -> bool:
+        """Answer a request, or see to it that it will be; else return False."""
+        if isinstance(request, m.Hello):
+            self._introduce(query, request)
+            return True
+        if isinstance(request, m.Write):
+            if self._behind:
+                return False
+            roles.check(request, str(query.key_expr))
+            self._once(query, request, short=True)
+            return True
+        answer = self._overview.at_once(request)
+        if answer is None:
+            return False
+        self._reply(query, answer)
+        return True
+
+    def _introduce(self, query: zenoh.Query, request: m.Hello) -> None:
+        answer = m.Answer(id=request.id, ok=True, result=self._node.info())
+        self._reply(query, self._codec.pack(answer))
+
+    def _serve(self) -> None:
+        while (work := self._arrived.get()) is not None:
+            try:
+                work()
+            except Exception:  # the server outlives any request
+                log.exception("a request could not be taken")
+
+    def _take(self, query: zenoh.Query) -> None:
+        try:
+            self._carry_out(query)
+        except Exception:
+            query.drop()  # type: ignore[no-untyped-call]
+            raise
+
+    def _carry_out(self, query: zenoh.Query) -> None:
+        data = query.payload.to_bytes() if query.payload is not None else b""
+        try:
+            request = self._codec.request(data)
+            roles.check(request, str(query.key_expr))
+            if isinstance(request, m.Hello):
+                self._introduce(query, request)
+                return
+            if isinstance(request, m.Links):
+                with self._guard:
+                    self._measured.append((query, request.id))
+                self._ways.submit(self._measure)
+                return
+            if isinstance(request, HANDLED):
+                self._handle(query, request)
+                return
+            if isinstance(request, XmRequest):
+                self._mail.take(request, partial(self._reply, query))
+                return
+            if len(self._pending) >= PENDING:
+                raise ProtocolError(
+                    "too many requests wait for their answers",
+                    expected=f"at most {PENDING}",
+                    remedy="wait for answers before asking more",
+                )
+        except PbonetError as error:
+            failed = codec.failure(error, codec.request_id(data))
+            self._reply(query, self._codec.pack(failed))
+            return
+        if isinstance(request, m.Claim):
+            self._pool.submit(self._claim, query, request, data)
+        else:
+            self._forward(query, request, data, None)
+
+    def _handle(self, query: zenoh.Query, request: Handled) -> None:
+        """Have a request carried out in this process; what changes something, once."""
+        if isinstance(request, m.Write):
+            self._once(query, request, short=False)
+        else:
+            self._looks.submit(
+                lambda: self._reply(query, self._overview.answer(request))
+            )
+
+    def _once(self, query: zenoh.Query, request: m.Write, *, short: bool) -> None:
+        """Have a request carried out, unless it was before; a short one at once."""
+        do = self._overview.write_at_once if short else self._overview.answer
+        who = request.client, request.id or secrets.token_hex(8)
+        if self._repeats.begin(who, partial(self._reply, query)):
+            begun_ns = time.monotonic_ns()
+            data = do(request)
+            if data is None:
+                self._put(partial(self._finish_later, who, request, begun_ns))
+            else:
+                self._finish(who, request, data, begun_ns, short=short)
+
+    def _finish_later(
+        self, who: tuple[str, str], request: m.Write, begun_ns: int
+    ) -> None:
+        data = self._overview.answer(request)
+        self._finish(who, request, data, begun_ns, short=True)
+
+    def _finish(
+        self,
+        who: tuple[str, str],
+        request: m.Write,
+        data: bytes,
+        begun_ns: int,
+        *,
+        short: bool,
+    ) -> None:
+        """Answer a request that was carried out, then put it on record."""
+        end = partial(self._repeats.end, who, data)
+        self._node.spread(request.subsystem, end, value=True)
+        said = request, data, begun_ns, time.monotonic_ns()
+        if not (short and self._book.noted(*said)):
+            # zenoh's thread has no time for it
+            self._arrived.put(partial(self._book.commanded, *said))
+
+    def _measure(self) -> None:
+        """Answer with the ways to the other agents, which takes their round trips."""
+        with self._guard:
+            asked, self._measured = self._measured, []
+        if not asked:
+            return
+        report = self._node.ways()
+        for query, request_id in asked:
+            answer = m.Answer(id=request_id, ok=True, result=report)
+            self._reply(query, self._codec.pack(answer))
+
+    def _claim(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
+        """Forward a claim with the list of the masters that live."""
+        masters: list[tuple[str, str]] | None
+        try:
+            tokens = session.alive(
+                self._session, key_expressions.masters(self._domain, "*")
+            )
+        except zenoh.ZError:
+            masters = None
+        else:
+            masters = [key_expressions.master_of(token) for token in tokens]
+        self._forward(query, request, data, masters)
+
+    def _forward(
+        self,
+        query: zenoh.Query,
+        request: m.AnyRequest,
+        data: bytes,
+        masters: list[tuple[str, str]] | None,
+    ) -> None:
+        n = next(self._count)
+        with self._guard:
+            self._pending[n] = _Waiting(query, request, time.monotonic_ns())
+        try:
+            self._node.forward(n, data, masters)
+        except PbonetError as error:
+            self.answer(n, self._codec.pack(codec.failure(error, request.id)))
+
+    def _reply(self, query: zenoh.Query, data: bytes) -> None:
+        """Answer on our own key, and let go of the query: a kept one times out."""
+        asked = query.key_expr
+        own = str(asked)
+        if own not in self._keys:  # it has wildcards
+            own = next(filter(asked.includes, self._keys), self._keys[0])
+        try:
+            with query:
+                query.reply(own, data)  # pyright: ignore[reportUnknownMemberType]
+        except zenoh.ZError as error:
+            log.warning("an answer could not be sent: %s", error)

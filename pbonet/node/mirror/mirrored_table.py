@@ -1,0 +1,363 @@
+"""One table of this machine, and what others are told of it and tell.
+
+Its work is done in the carrier's thread (`mirrors.py`); zenoh's threads only hand over.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import secrets
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Protocol
+
+import zenoh
+
+from pbonet.errors import Severity
+from pbonet.node.rtpu.tables import lock_to_carry, remove_unused, table_name
+from pbonet.node.wire import rtpu_messages
+from pbonet.svar import Table
+from pbonet.svar.mirror import packets
+from pbonet.svar.mirror.table_mirror import Mirror
+from pbonet.xm.net import key_expressions
+from pbonet.xm.net.callbacks import direct
+
+from . import remote_handover
+from .packet_queue import Incoming
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pbonet.svar.native import Watch
+    from pbonet.xm.net.messages import Call
+    from pbonet.xm.net.rpc import Declared
+
+log = logging.getLogger("pbonet.node")
+
+SHORTEST, LONGEST = 0.00015, 0.025
+"""Seconds between looks at a table, by how often it changes. A look costs some tens of
+microseconds, so commits that come closer to each other go together."""
+ALONE = 0.2
+"""Seconds between looks where no other machine listens."""
+BEAT = 0.5
+"""Seconds after which everything is told again, should something have been dropped."""
+SILENT = 1.6
+"""A machine that has told nothing for so many seconds, and a beat, is out of sight."""
+FLAG = 0.02
+"""Seconds between looks at the causes of the flag."""
+ANSWER_TIME = 0.5
+"""Seconds that another machine has to take a state."""
+TAKE = b"take"
+"""Asks the agent that carries a table to take the others' states, too."""
+TOLD_NS = 10_000_000_000
+"""Nanoseconds between two words about packets that were lost."""
+
+
+class Owner(Protocol):
+    """Whose thread does the work: see `Mirrors`."""
+
+    session: zenoh.Session
+    domain: str
+    machine: str
+    tell: Callable[[rtpu_messages.Note], None]
+
+    def do(self, what: Callable[[], object]) -> None:
+        """Have the carrier's thread do something; may be called from anywhere."""
+
+    def offer(self, what: Callable[[], object]) -> bool:
+        """Have something done unless too much waits; return whether it will be."""
+        ...
+
+    def end(self, done: Callable[[], None]) -> None:
+        """Have `done` called in a thread of its own; for zenoh's threads."""
+
+    def late(self, machine: str, sent_ns: int) -> int | None:
+        """Return how many ns a packet was on its way; None: nobody can tell."""
+        ...
+
+    def safely(self, what: Callable[[], object]) -> None:
+        """Do something, and go on whatever becomes of it."""
+
+
+class Carried:
+    """One table of this machine, which this agent carries.
+
+    Args:
+        owner: Whose thread does the work.
+        subsystem: Whose table.
+        keep: Whether operators set variables here.
+    """
+
+    def __init__(self, owner: Owner, subsystem: str, *, keep: bool) -> None:
+        self._owner = owner
+        self.subsystem = subsystem
+        self.table = Table.attach(table_name(owner.domain, subsystem))
+        self.keep = keep
+        self.mirror: Mirror | None = None
+        self.next = 0.0
+        self.changed = False
+        """Whether commands have changed it while nobody was there to be told."""
+        self.incoming = Incoming(lambda: owner.do(self._take_waiting))
+        self._beat = self._flag = 0.0
+        self._lost, self._told_ns = 0, -TOLD_NS
+        self._there: set[str] = set()
+        self._settled = False
+        self._declared: list[Declared] = []
+        self._publisher: zenoh.Publisher | None = None
+        self._lock = -1
+
+    @property
+    def alone(self) -> bool:
+        """Whether no other machine is there: what it will ask for then stands here."""
+        mirror = self.mirror  # asked for in any thread, while the carrier's may end it
+        if mirror is None or not self._settled:
+            return False
+        return not (self._there or mirror.others)
+
+    def turn(self, now: float) -> None:
+        """Do what is due, and say when the next time is."""
+        if self.mirror is None and not self._begin():
+            self.next = now + ALONE
+            return
+        mirror = self.mirror
+        if mirror is not None:
+            mirror.miss(SILENT)
+        if mirror is None or not mirror.others:
+            self.next = now + ALONE
+            if self.changed:
+                self.changed = False
+                self._exchange()
+            return
+        look = now >= self._flag
+        if look:
+            self._flag = now + FLAG
+        packet = mirror.tell(full=now >= self._beat, look=look)
+        if packet is not None:
+            self._put(packet, now)
+        self._pace(now)
+
+    def watch(self, watch: Watch) -> None:
+        """Have the carrier's sleep end when there is something to tell others."""
+        if self.mirror is not None and self.mirror.others:
+            self.mirror.watch(watch)
+
+    def spread(self, done: Callable[[], None], *, take: bool) -> None:
+        """Have the others take the whole state, then call `done`.
+
+        With `take`, it is called behind all that the others have answered.
+        """
+        if self.mirror is not None or self._begin():
+            self._exchange(partial(self._owner.do, done) if take else done)
+        else:  # another agent of this machine carries it
+            self._get("flush", self._owner.machine, TAKE if take else b"", done)
+
+    def call(self, calls: Sequence[Call]) -> None:
+        """Have the others take the whole state, then call heirs.
+
+        Where another agent of this machine carries the table nobody does; see
+        `farcalls`.
+        """
+        if self.mirror is not None:
+            self._exchange(calls=remote_handover.packed(calls))
+
+    def close(self) -> None:
+        """Let go of the table, and remove it when nobody else uses it."""
+        for entity in self._declared:
+            with contextlib.suppress(zenoh.ZError):
+                entity.undeclare()
+        if self.mirror is not None:
+            self.mirror.close()
+        if self._lock >= 0:
+            os.close(self._lock)
+        path = self.table.path
+        self.table.close()
+        self.mirror = None
+        remove_unused(path)
+
+    def _begin(self) -> bool:
+        """Take the machine's part, unless another agent has it."""
+        self._lock = lock_to_carry(self.table.path)
+        if self._lock < 0:
+            return False
+        owner = self._owner
+        self.mirror = Mirror(
+            self.table,
+            owner.machine,
+            secrets.randbits(62),
+            keep=self.keep,
+            late=lambda machine, sent_ns: owner.late(machine, sent_ns) or 0,
+        )
+        session, key = (
+            owner.session,
+            partial(key_expressions.svar, owner.domain, self.subsystem),
+        )
+        self._publisher = session.declare_publisher(
+            key("news", owner.machine),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        self._declared += [
+            self._publisher,
+            session.declare_subscriber(
+                key("news"),
+                direct(self._heard),
+                allowed_origin=zenoh.Locality.REMOTE,
+            ),
+            session.declare_queryable(
+                key("sync", owner.machine), direct(self._asked), complete=True
+            ),
+            session.declare_queryable(
+                key("flush", owner.machine), direct(self._flushed), complete=True
+            ),
+            session.liveliness().declare_subscriber(
+                key("here"), direct(self._met), history=True
+            ),
+            session.liveliness().declare_token(key("here", owner.machine)),
+        ]
+        self._exchange(partial(self._owner.do, self._settle))
+        return True
+
+    def _settle(self) -> None:
+        self._settled = True
+
+    def _put(self, packet: packets.Packet, now: float) -> None:
+        if packet.full is not None:
+            self._beat = now + BEAT
+        if self._publisher is not None:
+            with contextlib.suppress(zenoh.ZError):
+                self._publisher.put(packets.pack(packet))  # pyright: ignore[reportUnknownMemberType]
+
+    def _pace(self, now: float) -> None:
+        """Look again just behind the next commit, as the writers' periods tell it."""
+        due = self.mirror.due() if self.mirror is not None else None
+        if due is None:
+            self.next = self._beat
+        else:  # what is overdue is looked for twice as late each time
+            self.next = now + min(max(abs(due), SHORTEST), LONGEST)
+
+    # -- zenoh's threads ---------------------------------------------------------------
+
+    def _heard(self, sample: zenoh.Sample) -> None:
+        machine = key_expressions.last(str(sample.key_expr))
+        self.incoming.heard(machine, sample.payload.to_bytes())
+
+    def _met(self, sample: zenoh.Sample) -> None:
+        machine = key_expressions.last(str(sample.key_expr))
+        if machine == self._owner.machine:
+            return
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._there.add(machine)
+            self._owner.do(self._exchange)
+        else:
+            self._there.discard(machine)
+            self._owner.do(lambda: self._lose(machine))
+
+    def _asked(self, query: zenoh.Query) -> None:
+        if not self._owner.offer(lambda: self._answer(query)):
+            query.drop()  # type: ignore[no-untyped-call]
+
+    def _flushed(self, query: zenoh.Query) -> None:
+        def done() -> None:
+            with contextlib.suppress(zenoh.ZError), query:
+                query.reply(str(query.key_expr), b"")  # pyright: ignore[reportUnknownMemberType]
+
+        take = query.payload is not None and query.payload.to_bytes() == TAKE
+        if not self._owner.offer(lambda: self.spread(done, take=take)):
+            query.drop()  # type: ignore[no-untyped-call]
+
+    # -- the carrier's thread ----------------------------------------------------------
+
+    def _take_waiting(self) -> None:
+        for data in self.incoming.taken():
+            self._owner.safely(partial(self._take, data))
+        lost, now = self.incoming.lost.total(), time.monotonic_ns()
+        if lost > self._lost and now - self._told_ns > TOLD_NS:
+            self._owner.tell(
+                rtpu_messages.Note(
+                    int(Severity.WARNING),
+                    "TABLE_BEHIND",
+                    f"{lost - self._lost} packets for the table of {self.subsystem} "
+                    "came faster than they could be taken",
+                )
+            )
+            self._lost, self._told_ns = lost, now
+
+    def _take(self, data: bytes) -> str:
+        """Take in what another machine tells; return which one it is."""
+        packet = packets.unpack(data)
+        if self.mirror is None or packet is None:
+            return ""
+        if packet.machine == self._owner.machine:
+            return ""
+        new = packet.machine not in self.mirror.others
+        placed = self.mirror.take(packet)
+        late_ns = self._owner.late(packet.machine, packet.sent_ns)
+        for call in packet.calls:
+            remote_handover.make(self.table, call, late_ns)
+        if new or (not placed and packet.full is None):
+            self.next = 0.0
+            self._beat = 0.0  # it may lack ours too
+        return packet.machine
+
+    def _lose(self, machine: str) -> None:
+        if self.mirror is not None:
+            self.mirror.lose(machine)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """Take the asker's state, and give this machine's."""
+        if self.mirror is None:
+            query.drop()  # type: ignore[no-untyped-call]
+            return
+        asker = ""
+        if query.payload is not None:
+            asker = self._take(query.payload.to_bytes())
+        packet = self.mirror.tell(full=True, machine=asker)
+        self.next = 0.0  # the others may lack what the asker is told
+        key = key_expressions.svar(
+            self._owner.domain, self.subsystem, "sync", self._owner.machine
+        )
+        with contextlib.suppress(zenoh.ZError), query:
+            query.reply(key, packets.pack(packet) if packet is not None else b"")  # pyright: ignore[reportUnknownMemberType]
+
+    def _exchange(
+        self, done: Callable[[], None] | None = None, calls: Sequence[bytes] = ()
+    ) -> None:
+        """Give every other machine this one's state, and take theirs."""
+        packet = self.mirror.tell(full=True) if self.mirror is not None else None
+        if packet is not None:
+            packet.calls = list(calls)
+        self._get("sync", "*", packets.pack(packet) if packet else b"", done)
+
+    def _get(
+        self,
+        leaf: str,
+        machine: str,
+        data: bytes,
+        done: Callable[[], None] | None,
+    ) -> None:
+        owner = self._owner
+
+        def replied(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                answer = reply.ok.payload.to_bytes()
+                owner.offer(lambda: self._take(answer))
+
+        try:
+            owner.session.get(
+                key_expressions.svar(owner.domain, self.subsystem, leaf, machine),
+                direct(replied, done and partial(owner.end, done)),
+                payload=data,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=ANSWER_TIME,
+                allowed_destination=(
+                    zenoh.Locality.REMOTE if leaf == "sync" else zenoh.Locality.ANY
+                ),
+            )
+        except zenoh.ZError as error:
+            log.debug("%s: nobody could be asked: %s", self.subsystem, error)
+            if done is not None:
+                done()

@@ -1,0 +1,68 @@
+"""Heirs on other machines: who carries the table calls them, as it brings the news.
+
+A task that leaves cannot call an heir that has its core table on another machine. What
+it wrote last, and that it has ended, comes there with the table. So the calls go along
+in the same packet, and are made when that has been taken in: the heir finds the last
+values, and variables that nobody owns. A call that does not come, or too late, is made
+by the heir's own RTPU when the master sends the ``on``; see `pbonet.node.rtpu.cross_core_handover`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.errors import PbonetError
+from pbonet.node.rt import _rt
+from pbonet.xm.net.messages import Call
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.svar import Table
+
+LATEST_NS = 250_000_000
+"""A call that was longer on its way is not made: somebody may have decided otherwise
+since, and nothing of that has come yet. Nor is one of which nobody can tell."""
+
+_decoder = msgspec.msgpack.Decoder(Call)
+
+
+def packed(calls: Sequence[Call]) -> list[bytes]:
+    """Return calls as they go along with the table."""
+    return [msgspec.msgpack.encode(call) for call in calls]
+
+
+def make(table: Table, data: bytes, late_ns: int | None) -> bool:
+    """Make a call, unless its time is over or somebody writes what the heir will.
+
+    Args:
+        table: This machine's, which knows already what went with the call.
+        data: The packed call; of other machines' heirs there is nobody here.
+        late_ns: How long it was on its way; None while the clock of the machine that
+            it comes from is not known.
+
+    Returns:
+        Whether an heir waited for it.
+    """
+    with contextlib.suppress(PbonetError, msgspec.MsgspecError, UnicodeDecodeError):
+        call = _decoder.decode(data)
+        in_time = late_ns is not None and late_ns <= LATEST_NS
+        if not (in_time and _free(table, call.outputs)):
+            return False
+        core = _rt.CoreTable(call.core, member=False)
+        try:
+            return core.call(call.slot, call.life, call.ticket, call.caller)
+        finally:
+            core.close()
+    return False
+
+
+def _free(table: Table, outputs: list[str]) -> bool:
+    """Tell whether nobody owns any of these variables."""
+    return all(table.info(output).owner is None for output in outputs)
+
+
+__all__ = ["make", "packed"]

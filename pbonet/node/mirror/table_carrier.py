@@ -1,0 +1,267 @@
+"""Carries tables between machines: an agent's thread, never a task's.
+
+Agents of one subsystem on several machines find each other by liveliness tokens, one a
+machine: of the agents that share a table, the one that holds a lock on its file does
+it. News go out as they come, all groups of a moment in one packet, newest first, and
+are dropped where a link is slow. Whole states are asked for and given as queries: when
+machines meet, and before an agent answers a command that has changed its table.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import queue
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING
+
+import zenoh
+
+from pbonet.errors import SvarError
+from pbonet.node.wire import rtpu_messages
+from pbonet.svar.native import Watch
+from pbonet.xm.net import key_expressions, run_folder
+from pbonet.xm.net import messages as m
+
+from .call_once import Promises
+from .mirrored_table import ALONE, ANSWER_TIME, Carried
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+log = logging.getLogger("pbonet.node")
+
+GLANCE_NS = 20_000_000
+"""Nanoseconds between glances at a table that nobody is expected to change; a glance is
+made without Python."""
+LAST_TIME = 1.0
+"""Seconds that the last answers may take."""
+NEVER = 1e9
+"""On the monotonic clock."""
+ASKED = 1000
+"""What others have asked and answered that waits for the carrier; more is refused."""
+
+
+class Mirrors:
+    """The tables that an agent carries, and the thread that does it.
+
+    Args:
+        session: The agent's.
+        domain: Its domain.
+        offset: Tells by how many nanoseconds another machine's clock is ahead; None
+            while that is not known.
+        tell: Takes what is to be told to masters.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: str,
+        offset: Callable[[str], int | None],
+        tell: Callable[[rtpu_messages.Note], None] = lambda _: None,
+    ) -> None:
+        self.session, self.domain, self.tell = session, domain, tell
+        self.machine = key_expressions.machine(run_folder.machine())
+        self._offset = offset
+        self._carried: dict[str, Carried] = {}
+        self._tables: dict[str, bool] = {}
+        """What is to be carried, before the carrier's thread has done so."""
+        self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._watch = Watch()
+        self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
+        """Answers who waits for other machines."""
+        self._promises = Promises()
+        self._over = False
+        self._thread = threading.Thread(
+            target=self._work, name="pbonet mirrors", daemon=True
+        )
+
+    def start(self) -> None:
+        """Begin to carry what `carry` names."""
+        self._ends.submit(int)  # has the thread begin
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let go of everything; who waits for other machines waits no longer."""
+        self.carry({})
+        self.do(self._end)
+        if self._thread.is_alive():
+            self._thread.join()
+        for done in self._promises.end():
+            self.safely(done)
+        with contextlib.suppress(TimeoutError):  # answers that it is about to give
+            self._ends.submit(int).result(LAST_TIME)
+        self._ends.shutdown(wait=False)
+
+    def do(self, what: Callable[[], object]) -> None:
+        """Have the carrier's thread do something; may be called from anywhere."""
+        self._todo.put(what)
+        self._watch.ring()
+
+    def end(self, done: Callable[[], None]) -> None:
+        """Have `done` called in a thread of its own; for zenoh's threads.
+
+        One that gives a link up ends what was asked over it while it holds the routes:
+        an answer that was sent from there would wait for them for ever.
+        """
+        with contextlib.suppress(RuntimeError):  # nobody is answered any more
+            self._ends.submit(self.safely, done)
+
+    def offer(self, what: Callable[[], object]) -> bool:
+        """Have something done unless too much waits; return whether it will be."""
+        room = self._todo.qsize() < ASKED
+        if room:
+            self.do(what)
+        return room
+
+    def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
+        """Carry exactly these tables, by subsystem; the value tells who keeps them."""
+        done = threading.Event()
+        self._tables = tables
+        self.do(lambda: self._carry(tables))
+        self.do(done.set)
+        if wait:
+            done.wait(wait)
+
+    def spread(
+        self,
+        subsystem: str,
+        done: Callable[[], None],
+        *,
+        take: bool = False,
+        value: bool = False,
+    ) -> None:
+        """Call `done` when the other machines know the subsystem's table.
+
+        Behind a table's end it is called when the carrier has let go of it: whoever is
+        the last removes the file, and who is answered may make another one at once.
+        It is called in a thread for that, in the carrier's, or at once; by `stop` at
+        the latest: what was done here stands, and the next agent tells the others.
+
+        Args:
+            subsystem: Whose table.
+            done: Is called once.
+            take: Whether this machine must have taken what theirs say as well, as
+                behind the opening of a table that stands elsewhere.
+            value: Whether only a value was set: where nobody is there to be told, the
+                carrier is not woken, and looks in its next turn.
+        """
+        carried = self._carried.get(subsystem) if subsystem in self._tables else None
+        if carried is not None and carried.alone and not take:
+            carried.changed = True
+            done()
+            if not value:  # the mirror looks at once: machines that are lost count too
+                self.do(partial(setattr, carried, "next", 0.0))
+            return
+
+        promised = self._promises.make(done)
+        if promised is None:
+            done()
+            return
+
+        def spread() -> None:
+            carried = self._carried.get(subsystem)
+            if carried is None:
+                promised()
+                return
+            try:
+                carried.spread(promised, take=take)
+            except Exception:
+                promised()  # who waits for it goes on; what is wrong it finds itself
+                raise
+
+        self.do(spread)
+
+    def call(self, call: rtpu_messages.Called) -> None:
+        """Have other machines call heirs when they know how the table stands here."""
+
+        def spread() -> None:
+            carried = self._carried.get(call.subsystem)
+            if carried is not None:
+                carried.call(call.calls)
+
+        self.do(spread)
+
+    def report(self, limit: float = ANSWER_TIME) -> list[m.TableNews]:
+        """Return what has come from other machines; nothing if it takes too long."""
+        found: list[m.TableNews] = []
+        done = threading.Event()
+
+        def look() -> None:
+            for subsystem, carried in self._carried.items():
+                others = carried.mirror.others if carried.mirror is not None else {}
+                lost = carried.incoming.lost
+                found.extend(
+                    m.TableNews(
+                        subsystem=subsystem,
+                        host=other.host,
+                        commits=other.counts.commits,
+                        gaps=other.counts.gaps,
+                        refused=other.counts.refused,
+                        lost=lost[machine],
+                    )
+                    for machine, other in others.items()
+                )
+            done.set()
+
+        self.do(look)
+        return found if done.wait(limit) else []
+
+    def late(self, machine: str, sent_ns: int) -> int | None:
+        """Return how many nanoseconds a packet was on its way, as clocks tell.
+
+        None while that machine's clock is not known: it has just come into sight.
+        """
+        offset = self._offset(machine)
+        if offset is None:
+            return None
+        return max(time.monotonic_ns() - (sent_ns - offset), 0)
+
+    def _carry(self, tables: dict[str, bool]) -> None:
+        self._watch.forget()  # it keeps tables open
+        for subsystem in self._carried.keys() - tables.keys():
+            self._carried.pop(subsystem).close()
+        for subsystem, keep in tables.items():
+            if subsystem in self._carried:
+                continue
+            try:
+                self._carried[subsystem] = Carried(self, subsystem, keep=keep)
+            except SvarError as error:
+                log.warning("the table of %s is not carried: %s", subsystem, error)
+
+    def _end(self) -> None:
+        self._over = True
+
+    def _work(self) -> None:
+        while not self._over:
+            self._sleep()
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    self.safely(self._todo.get_nowait())
+            now = time.monotonic()
+            for one in list(self._carried.values()):
+                if now >= one.next:
+                    one.next = now + ALONE  # unless the turn says otherwise
+                    self.safely(partial(one.turn, now))
+
+    def _sleep(self) -> None:
+        """Sleep until there is something to do."""
+        due = min((one.next for one in self._carried.values()), default=NEVER)
+        self._watch.forget()
+        for one in self._carried.values():
+            one.watch(self._watch)
+        if self._watch.sleep(round(due * 1e9), GLANCE_NS):
+            for one in self._carried.values():
+                one.next = 0.0
+
+    @staticmethod
+    def safely(what: Callable[[], object]) -> None:
+        """Do something, and go on whatever becomes of it."""
+        try:
+            what()
+        except Exception:  # one table's trouble is not that of the others
+            log.exception("a table could not be carried")

@@ -1,0 +1,272 @@
+"""The files of one recording: when a new one begins, and which old ones go.
+
+What is recorded comes as calls that write it. They are carried out at once, or kept for
+some seconds and carried out when something has gone wrong.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import platform
+import socket
+import time
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+import pbonet
+from pbonet.errors import LogError, Severity
+from pbonet.log import Attached, LogWriter, RunAbout, log_name
+from pbonet.node.ring._ring import parse
+from pbonet.xm.net import run_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.node.wire import rtpu_messages
+
+    Say = Callable[[Severity, str, str], None]
+    Do = Callable[[LogWriter], None]
+
+RETRY: Final = 2.0
+"""Seconds until a new file is tried when one could not grow."""
+SWEEP: Final = 5.0
+"""Seconds between two looks at what all logs take."""
+FRESH: Final = 60.0
+"""Seconds behind its last change in which a file may be another recorder's."""
+AFTER: Final = 1.0
+"""Seconds that are written behind an error, where only the last seconds are."""
+SHARE: Final = 4
+"""Files that the limit of all logs has room for, at least, so that old ones can go."""
+_MB: Final = 1e6
+
+
+class Time(NamedTuple):
+    """The time that a recording goes by."""
+
+    clock: Callable[[], float]
+    """Gives seconds."""
+    epoch_ns: int
+    """What is added to its nanoseconds to get those since 1970."""
+    machine: str
+    """Where it may be compared, by boot identity."""
+    seconds: float = 0.0
+    """As `RunAbout` has it."""
+
+
+def real_time() -> Time:
+    """Return that of this machine."""
+    ahead = time.time_ns() - time.monotonic_ns()
+    return Time(time.monotonic, ahead, run_folder.machine())
+
+
+class LogFiles:
+    """Where one recorder writes.
+
+    Args:
+        wanted: What is recorded.
+        say: Takes what the agent should know.
+        enter: Says what is known so far in a file that begins.
+        by: The time that the recording goes by; None for this machine's.
+    """
+
+    def __init__(
+        self,
+        wanted: rtpu_messages.Recording,
+        say: Say,
+        enter: Do,
+        by: Time | None = None,
+    ) -> None:
+        self.by = by or real_time()
+        self._wanted = wanted
+        self._say = say
+        self._enter = enter
+        self.writer: LogWriter | None = None
+        self._goes_on = False
+        """Whether nothing is missing between the last file and the next."""
+        self.unwritten = 0
+        """Records that were lost for want of a file."""
+        self.told = False
+        """Whether it was said that no file can be made."""
+        self._retry = self._sweep = 0.0
+        self._begun = 0.0
+        self._wrong = 0.0
+        """Until when everything is written, behind an error."""
+        self._due = False
+        """Whether an error waits for a file."""
+        self._kept: deque[tuple[float, Do, bytes]] = deque()
+        self._done: set[Path] = set()
+        limits = wanted.limits
+        most = limits.runs_mb / SHARE or limits.log_mb
+        self._most = _MB * min(limits.log_mb or most, most)
+
+    def turn(self) -> None:
+        """Begin a file when it is time, end it when it is full, let old ones go."""
+        now = self.by.clock()
+        if self._wanted.last and self.writer is not None and now > self._wrong:
+            self._finish()
+        elif self.writer is not None and self._is_full(now):
+            self._goes_on = True
+            self._finish()
+        wanted = not self._wanted.last or self._due
+        if wanted and self.writer is None and now >= self._retry:
+            self._retry = now + RETRY
+            self._open()
+        if self._wanted.limits.runs_mb and now >= self._sweep:
+            self._sweep = now + SWEEP
+            self._let_go()
+
+    def put(self, do: Do, records: bytes = b"") -> None:
+        """Write something, now or when an error asks for it.
+
+        Args:
+            do: Writes it.
+            records: What is lost where it cannot, as a ring gave it.
+        """
+        if self._wanted.last and self.writer is None:
+            now = self.by.clock()
+            self._kept.append((now, do, records))
+            while self._kept[0][0] < now - self._wanted.last:
+                self._kept.popleft()
+            return
+        if not self.write(do):
+            self.unwritten += len(parse(records)) if records else 0
+
+    def write(self, do: Do) -> bool:
+        """Write something if there is a file; return whether that was done."""
+        writer = self.writer
+        if writer is None:
+            return False
+        try:
+            do(writer)
+        except OSError as error:
+            self._full(error)
+            return False
+        return True
+
+    def went_wrong(self) -> None:
+        """Write what was kept, and what comes in the next second."""
+        if self._wanted.last:
+            self._wrong = self.by.clock() + AFTER
+            self._due = self.writer is None
+            self.turn()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._finish()
+
+    def _finish(self) -> None:
+        writer = self.writer
+        if writer is not None and self.write(lambda writer: writer.close()):
+            self._done.add(writer.path)
+            self._retry = 0.0
+        self.writer = None
+
+    def _is_full(self, now: float) -> bool:
+        if self.writer is None or self._wanted.last:
+            return False
+        seconds = 60.0 * self._wanted.limits.log_minutes
+        full = bool(self._most) and self.writer.size >= self._most
+        return full or bool(seconds and now >= self._begun + seconds)
+
+    def _open(self) -> None:
+        """Begin a file, and say in it what is known so far."""
+        lost = self.unwritten
+        try:
+            self.writer = self._make()
+            self._enter(self.writer)
+        except (OSError, LogError) as error:
+            self._full(error)
+            return
+        self._goes_on, self._due, self._begun = False, False, self.by.clock()
+        kept, self._kept = self._kept, deque()
+        for _, do, records in kept:
+            self.put(do, records)
+        if lost:
+            text = f"{lost} records were lost before {self.writer.path}"
+            self._say(Severity.WARNING, "LOG_AGAIN", text)
+
+    def _make(self) -> LogWriter:
+        wanted = self._wanted
+        folder = Path(wanted.folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        number = 1
+        while (path := folder / log_name(wanted.file, number)).exists():
+            number += 1
+        texts = sorted(wanted.files.items())
+        attached = [Attached(name, text.encode()) for name, text in texts]
+        return LogWriter(path, self._about(number), attached)
+
+    def _about(self, part: int) -> RunAbout:
+        wanted = self._wanted
+        digest = hashlib.sha256()
+        for name, text in sorted(wanted.files.items()):
+            digest.update(f"{name}\0{len(text)}\0{text}".encode())
+        return RunAbout(
+            run=wanted.run,
+            job=wanted.job,
+            subsystem=wanted.subsystem,
+            domain=wanted.domain,
+            rtpu=wanted.rtpu,
+            host=socket.gethostname(),
+            machine=self.by.machine,
+            pbonet=pbonet.__version__,
+            python=platform.python_version(),
+            numpy=np.__version__,
+            kernel=platform.release(),
+            config_hash=digest.hexdigest(),
+            begun=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+            epoch_ns=self.by.epoch_ns,
+            seconds=self.by.seconds,
+            part=part,
+            goes_on=self._goes_on,
+        )
+
+    def _full(self, error: OSError | LogError) -> None:
+        """Go on without a file; another one is tried from time to time."""
+        writer, self.writer = self.writer, None
+        self._retry = self.by.clock() + RETRY
+        self._goes_on = False
+        if writer is not None:
+            with contextlib.suppress(OSError):
+                writer.close()
+        if writer is not None or not self.told:
+            where = writer.path if writer is not None else self._wanted.folder
+            why = error.strerror if isinstance(error, OSError) else str(error)
+            self.told = True
+            self._say(
+                Severity.ERROR,
+                "LOG_FULL",
+                f"{where} cannot grow: {why}; tasks go on, their records are lost "
+                f"until a new file can be made",
+            )
+
+    def _let_go(self) -> None:
+        """Remove the oldest logs while all of them take more than they may."""
+        mine = self.writer.path if self.writer is not None else None
+        fresh = time.time() - FRESH
+        found: list[tuple[float, int, Path]] = []
+        for path in Path(self._wanted.folder).parent.glob("*/*.mcap"):
+            with contextlib.suppress(OSError):
+                state = path.stat()
+                found.append((state.st_mtime, state.st_size, path))
+        excess = sum(size for _, size, _ in found) - self._wanted.limits.runs_mb * _MB
+        gone: list[Path] = []
+        for changed, size, path in sorted(found):
+            if excess <= 0:
+                break
+            if path == mine or (changed > fresh and path not in self._done):
+                continue
+            with contextlib.suppress(OSError):
+                path.unlink()
+                gone.append(path)
+                excess -= size
+            with contextlib.suppress(OSError):
+                path.parent.rmdir()  # where it was the last one
+        if gone:
+            text = f"{len(gone)} logs were removed, the oldest ones, for all may take "
+            text += f"{self._wanted.limits.runs_mb:g} MB: {gone[0]}"
+            self._say(Severity.INFO, "LOG_REMOVED", text)

@@ -1,0 +1,418 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
+# distutils: extra_compile_args = -O2 -std=c11
+# distutils: depends = ../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h ../xm/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+"""Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
+
+import os
+
+from cpython.exc cimport PyErr_CheckSignals
+from libc.errno cimport EACCES, ENOSPC, EPERM
+from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
+from libc.stdlib cimport calloc, free, malloc
+from libc.string cimport memset, strdup, strncat
+
+from pbonet.errors import NodeError, RealTimeError, TaskError
+from pbonet.node.ring import _ring
+from pbonet.node.rt import rt_capabilities as rights
+from pbonet.node.ring._ring cimport (
+    RING_STABLE, RING_SYNC, RING_WANT_NEW, Ring, ring_fits, ring_put, ring_record,
+    ring_stage, ring_wanted, ring_wants,
+)
+from pbonet.node.rt._rt_headers cimport *
+from pbonet.outside._tape cimport Tape, tape, tape_empty, tape_ready
+from pbonet.analysis.schedule.histogram import octaves
+from pbonet.analysis.schedule.records import (
+    CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
+)
+from pbonet.svar._svar cimport Arena, LocalTable
+from pbonet.tbuf._tbuf cimport c_defer_bells, c_ring_bells
+from pbonet.xm.ipc._ipc cimport c_steady
+
+COMMAND = RT_WAIT_COMMAND
+ORPHAN = RT_WAIT_ORPHAN
+FLAGS = 3
+ABORTED = 4
+LAST = 5
+ENGAGED = 6
+FALLBACK = RT_FALLBACK
+HANDOVER = RT_HANDOVER
+SLOTS = RT_SLOTS
+MIN_PERIOD_NS = RT_MIN_PERIOD_NS
+COMMAND_LEVEL = RT_COMMAND_LEVEL
+DISPATCHER_LEVEL = RT_DISPATCHER_LEVEL
+LEAVE = 8 | 16 | 32 | 64
+globals().update(Ring=_ring.Ring, Record=_ring.Record, parse=_ring.parse)  # a cimported name is C's alone
+_BACKENDS = {RT_NONE: "", RT_FIFO: "fifo", RT_PARK: "park"}
+
+cdef enum:
+    COPY_TORN = 1
+    COPY_STALE = 2
+    COPY_FLAGS = 15
+
+
+def _path(str name) -> str:
+    folder = os.environ.get("PBONET_SHM_DIR", "/dev/shm")
+    return os.path.join(folder, f"pbonet.{os.geteuid()}.{name}")
+
+
+include "_rt_table.pxi"
+include "_rt_failures.pxi"
+
+
+cdef class Slot:
+    cdef rt_task task
+    cdef rt_cost cost
+    cdef readonly CoreTable table
+    cdef readonly int index, flags
+    cdef int64_t dt_ns
+    cdef object dt
+    cdef uint64_t cpu_mark, fault_mark
+    cdef public int64_t stamp_ns
+    cdef ring_record record
+    cdef public Tape tape
+    cdef readonly Failures failures
+    cdef bint vowed, is_aged
+    cdef object aged
+
+    def __init__(self, CoreTable table not None, int i):
+        self.task.table = table.open()
+        self.task.slot = table.slot(i)
+        self.table = table
+        self.index = i
+        self.dt_ns = -1
+        rt_guard_slot(&self.task, <xm_steady *>c_steady())
+        self.failures = Failures()
+        self.failures.guard(&self.task, table)
+
+    def run(self, cycle, LocalTable local, *, stable=None, sync=None, Ring ring=None,
+            int leave=LEAVE, failing=None, aged=None) -> int:
+        cdef int why, served = 0, last = 0
+        cdef bint periodic = rt_kind_of(self.live()) == RT_PERIODIC
+        if periodic == (sync is not None):
+            raise ValueError("tasks timed from outside, and only they, need `sync`")
+        self.failures.handler = failing
+        self.aged = aged
+        if rt_mode_of(self.task.slot) == RT_OFF:
+            self.is_aged = False
+        self.failures.error = None
+        rt_arm(&self.task)
+        self.cpu_mark = rt_mark_cpu(&self.task)
+        self.fault_mark = rt_faults()
+        try:
+            while True:
+                with nogil:
+                    why = rt_wait(&self.task, served)
+                if why == RT_WAIT_SIGNAL:
+                    PyErr_CheckSignals()
+                elif why != RT_RELEASED:
+                    return why
+                else:
+                    served = 1
+                    if not periodic and not self.wait_outside(sync, ring):
+                        continue
+                    self.once(cycle, local, stable, ring, leave)
+                    if self.cost.aborted:
+                        return ABORTED
+                    if self.flags & leave:
+                        return FLAGS
+                    last = rt_was_last(&self.task)
+                    if last:
+                        return LAST
+        finally:
+            self.count_faults()
+            if not last:
+                rt_leave(&self.task, RT_COMMAND)
+
+    cdef bint wait_outside(self, sync, Ring ring) except -1:
+        """Wait as the module says; whether its event came."""
+        cdef bint called = False
+        try:
+            if rt_enter(RT_IN_SYNC):
+                self.failures.handle()
+            called = True
+            sync()
+        except Aborted:
+            rt_exit()
+            if called:
+                self.put_sync(ring)
+            self.raise_error()
+            return False
+        finally:
+            rt_exit()
+        self.put_sync(ring)
+        return True
+
+    cdef int put_sync(self, Ring ring) except -1:
+        """Record what the module heard while it waited: a replay waits so again.
+
+        A wait that heard nothing new is recorded, too: what it asked counts as calls.
+        """
+        cdef ring_record *r = &self.record
+        if ring is None or self.tape is None:
+            return 0
+        tape_ready(&self.tape.t)
+        memset(r, 0, sizeof(ring_record))
+        r.kind = RING_SYNC
+        r.cycle = rt_cycles(self.task.slot)
+        r.release_ns = self.task.rel_ns     # the time that the module was told
+        r.start_ns = r.end_ns = rt_now()
+        r.bytes = self.tape.t.used
+        ring_put(ring.r, r, NULL, self.tape.t.bytes, NULL)
+        tape_empty(&self.tape.t)
+        return 0
+
+    cdef int raise_error(self) except -1:
+        """Raise what the module's failure handler failed with."""
+        error = self.failures.error
+        if error is not None:
+            raise error
+        return 0
+
+    cdef int leave_out(self) except -1:
+        """Let a release go by; its handler may want to know."""
+        cdef uint64_t cpu
+        self.failures.skip = False
+        self.flags = 0
+        try:
+            self.failures.handle()
+        except Aborted:
+            rt_exit()
+            self.raise_error()
+        finally:
+            cpu = rt_mark_cpu(&self.task)
+            rt_skipped(&self.task, cpu - self.cpu_mark)
+            self.cpu_mark = cpu
+            rt_end(&self.task)
+        return 0
+
+    cdef int once(self, cycle, LocalTable local, stable, Ring ring, int leave) except -1:
+        """Run one cycle; the module's exception comes through, the cycle then failed."""
+        cdef rt_cost *cost = &self.cost
+        cdef int flags = 0
+        memset(cost, 0, sizeof(rt_cost))
+        if not rt_begin(&self.task) or self.failures.skip:
+            return self.leave_out()
+        c_defer_bells()
+        cost.start_ns = rt_now()
+        if local is not None:
+            flags = local.c_copy_in()
+            if ((flags & COPY_STALE) != 0) != self.is_aged:
+                self.tell_age(flags & COPY_STALE)
+            cost.stable = stable is not None and (self.is_aged or local.c_illegal())
+        cost.torn = flags & COPY_TORN
+        cost.stale = (flags & COPY_STALE) != 0
+        self.flags = flags
+        cost.failed = (flags & leave) != 0
+        if ring is not None:
+            self.begin_record(local, ring)
+        cost.called_ns = rt_now()
+        try:
+            if not cost.failed:
+                if rt_enter(RT_IN_CYCLE):
+                    self.failures.handle()
+                self.call(stable if cost.stable else cycle)
+                rt_exit()
+        except Aborted:
+            rt_exit()
+            cost.failed = cost.aborted = 1
+            self.raise_error()
+        except:
+            rt_exit()
+            cost.failed = 1
+            raise
+        finally:
+            cost.returned_ns = rt_now()
+            if not cost.failed and local is not None:
+                self.flags |= local.c_commit(
+                    self.stamp_ns if self.stamp_ns else cost.returned_ns,
+                    rt_cycles(self.task.slot) + 1)
+                cost.failed = (self.flags & ~COPY_FLAGS) != 0
+            self.close(local, ring)
+        return 0
+
+    cdef int tell_age(self, bint stale) except -1:
+        """Inputs have become stale, or fresh again; it is rare, so Python may know."""
+        self.is_aged = stale
+        if self.aged is not None:
+            self.aged(stale)
+        return 0
+
+    cdef int call(self, method) except -1:
+        cdef int64_t dt = rt_step(&self.task)
+        if dt != self.dt_ns:
+            self.dt_ns = dt
+            self.dt = dt * 1e-9
+        method(self.dt)
+        return 0
+
+    cdef void close(self, LocalTable local, Ring ring) noexcept:
+        """Record and account; then the cycle is over."""
+        cdef rt_cost *cost = &self.cost
+        cdef uint64_t cpu
+        cost.end_ns = rt_now()
+        cpu = rt_mark_cpu(&self.task)
+        cost.cpu_ns = cpu - self.cpu_mark
+        self.cpu_mark = cpu
+        if ring is not None and not cost.failed:
+            cost.lost = not self.end_record(local, ring)
+        rt_account(&self.task, cost)
+        if not rt_cycles(self.task.slot) & 63:
+            self.count_faults()
+        rt_end(&self.task)
+        c_ring_bells()      # readers on other machines, which this cycle wrote to
+
+    cdef void begin_record(self, LocalTable local, Ring ring) noexcept:
+        """Say how large the record will be; store the inputs, which `cycle` may change."""
+        cdef ring_record *r = &self.record
+        cdef size_t n, at = 0
+        cdef const void *value
+        cdef int i
+        r.n_consumed = r.bytes = r.in_bytes = r.heard_bytes = r.kind = 0
+        r.uid = r.number = 0
+        if local is None:
+            return
+        r.n_consumed = local.n_consumed
+        r.bytes = local.out_bytes
+        r.in_bytes = local.c_due(ring_wants(ring.r) != 0)
+        if r.in_bytes and not ring_fits(ring.r, r):
+            r.in_bytes = 0      # the next cycle stores them
+        if not r.in_bytes:
+            return
+        for i in range(local.c_inputs()):
+            value = local.c_input(i, &n)
+            ring_stage(ring.r, r, at, value, n)
+            at += n
+
+    cdef bint end_record(self, LocalTable local, Ring ring) noexcept:
+        cdef ring_record *r = &self.record
+        cdef rt_cost *cost = &self.cost
+        cdef const void *heard = NULL
+        cdef tape *t
+        cdef bint kept
+        if self.tape is not None and tape_ready(&self.tape.t):
+            t = &self.tape.t
+            heard, r.heard_bytes = t.bytes, t.used
+            if not ring_fits(ring.r, r):    # the cycle stays, what it heard is lost
+                t.used, t.lost = 0, 1
+                r.heard_bytes = tape_ready(t)
+            tape_empty(t)
+        r.cycle = rt_cycles(self.task.slot) + 1
+        r.release_ns = self.task.rel_ns
+        r.start_ns = cost.called_ns
+        r.end_ns = cost.end_ns
+        r.dt_ns = self.dt_ns
+        r.cpu_ns = cost.cpu_ns
+        r.flags = <uint32_t>self.flags | (RING_STABLE if cost.stable else 0)
+        if local is None:
+            return ring_put(ring.r, r, NULL, NULL, heard)
+        r.uid, r.number = local.out_uid, local.out_number
+        kept = ring_put(ring.r, r, <const uint64_t *>local.consumed, local.out_data,
+                        heard)
+        if kept and r.in_bytes:
+            local.c_stored()
+            if ring_wants(ring.r) & RING_WANT_NEW:
+                ring_wanted(ring.r)
+        return kept
+
+    cdef void count_faults(self) noexcept:
+        cdef uint64_t now = rt_faults()
+        rt_count_faults(self.task.slot, now - self.fault_mark)
+        self.fault_mark = now
+
+    cdef rt_slot *live(self) except NULL:
+        self.table.open()
+        return self.task.slot
+
+    def __dealloc__(self):
+        if self.vowed:
+            rt_release_vow(self.task.slot)
+        rt_unguard_failures(&self.task)
+        rt_unguard_slot(self.task.slot)
+
+    def stand_by(self) -> int:
+        self.live()
+        cdef int why
+        rt_stand_by_for(&self.task)
+        try:
+            while True:
+                with nogil:
+                    why = rt_wait(&self.task, 0)
+                if why == RT_RELEASED:
+                    return ENGAGED
+                if why != RT_WAIT_SIGNAL:
+                    return why
+                PyErr_CheckSignals()
+        finally:
+            if why != RT_RELEASED:
+                rt_leave(&self.task, RT_OFF)
+
+    def arm(self) -> None:
+        self.live()
+        self.is_aged = False
+        rt_arm(&self.task)
+
+    def disarm(self) -> None:
+        self.live()
+        rt_rest(&self.task)
+
+    def fall(self) -> None:
+        self.live()
+        rt_fall(&self.task)
+
+    def vow(self) -> None:
+        cdef int error = rt_vow(self.live())
+        if error:
+            raise RealTimeError("the task's life cannot be watched",
+                                got=os.strerror(error))
+        self.vowed = True
+
+    def command_level(self) -> None:
+        self.live()
+        cdef int error = rt_command_level(&self.task)
+        if error:
+            raise RealTimeError("the level of commands is refused",
+                                expected=f"SCHED_FIFO {RT_COMMAND_LEVEL}",
+                                got=os.strerror(error))
+
+    def signal(self, uint32_t bits) -> int:
+        return rt_send_signal(self.live(), bits)
+
+    @property
+    def sigmask(self) -> int:
+        return rt_signal_mask(self.live())
+
+    @property
+    def armed(self) -> bool:
+        return rt_mode_of(self.live()) != RT_OFF
+
+    @property
+    def after(self) -> int:
+        return rt_after_of(self.live())
+
+    @property
+    def stable(self) -> bool:
+        return bool(self.cost.stable)
+
+    @property
+    def release_ns(self) -> int:
+        return self.task.rel_ns
+
+    @property
+    def cycles(self) -> int:
+        return rt_cycles(self.live())
+
+    @property
+    def missed(self) -> int:
+        return rt_missed(self.live())
+
+    @property
+    def period_ns(self) -> int:
+        return rt_period(self.live())
+
+    @property
+    def pending(self) -> bool:
+        return bool(rt_pending(self.live()))
+
+
+include "_rt_standby.pxi"
+include "_rt_process.pxi"

@@ -1,0 +1,186 @@
+/* Signals that a task's process takes in native code: held by the dispatcher, orphaned.
+ *
+ * Both must work whatever the interpreter is doing, so both are C handlers that touch
+ * only atomics, futexes and write(). One process is one task: its state is static.
+ */
+#ifndef PBONET_GUARD_H
+#define PBONET_GUARD_H
+
+#include "slot.h"
+#include "../../xm/ipc/steady.h"
+
+#include <malloc.h>
+#include <sys/eventfd.h>
+#include <sys/mman.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+static struct rt_slot *_Atomic rt_guarded;  /* the slot of this process's task */
+static struct rt_table *_Atomic rt_guarded_table;
+static _Atomic uint32_t rt_guarded_life;
+static struct xm_steady *_Atomic rt_steady; /* sections in which it must not be held */
+static _Atomic int rt_orphan_flag;
+static _Atomic int rt_orphan_fd = -1;
+
+/* The dispatcher holds this task: stand still here, if a cycle is under way; behind the
+ * section, if it is one in which others would have to wait as well. */
+static inline void rt_on_park(int signal)
+{
+    int saved = errno;
+    struct rt_slot *slot = atomic_load(&rt_guarded);
+    struct xm_steady *steady = atomic_load(&rt_steady);
+    if (slot && atomic_load(&slot->post.begun) != atomic_load(&slot->post.done) &&
+        !(steady && xm_steady_owes(steady, signal)))
+        rt_hold_still(slot);
+    errno = saved;
+}
+
+/* Tell task and dispatcher. A dispatcher that still leads, of this RTPU process or of
+ * another one on the core, must give an orphan no level any more. */
+static inline void rt_disown(struct rt_slot *slot)
+{
+    atomic_store(&slot->config.dead, atomic_load(&rt_guarded_life));
+    rt_kick(atomic_load(&rt_guarded_table));
+    atomic_store(&slot->grant.parked, 0);
+    rt_request(slot, RT_ASK_ORPHAN);
+}
+
+/* The parent is gone: tell whoever looks, and let SIGALRM end us if nobody does. Nobody
+ * ranks from here on, so all orphans share one level: one that hangs in a cycle would
+ * otherwise keep those below it from turning themselves off. */
+static inline void rt_on_orphan(int signal)
+{
+    int saved = errno;
+    struct rt_slot *slot = atomic_load(&rt_guarded);
+    struct sigaction plain = {.sa_handler = SIG_DFL};
+    uint64_t one = 1;
+    sigset_t set;
+    (void)signal;
+    sigaction(SIGALRM, &plain, NULL);
+    sigemptyset(&set);
+    sigaddset(&set, SIGALRM);
+    sigprocmask(SIG_UNBLOCK, &set, NULL);
+    if (!atomic_exchange(&rt_orphan_flag, 1))
+        alarm(1);
+    if (slot)
+        rt_disown(slot);
+    rt_share_level(RT_COMMAND_LEVEL);
+    if (rt_orphan_fd >= 0 && write(rt_orphan_fd, &one, sizeof one) < 0)
+        errno = saved;          /* the counter is full: it is readable all the same */
+    errno = saved;
+}
+
+static inline int rt_handle(int signal, void (*handler)(int))
+{
+    struct sigaction action = {.sa_handler = handler, .sa_flags = SA_RESTART};
+    sigfillset(&action.sa_mask);
+    sigdelset(&action.sa_mask, SIGALRM);
+    return sigaction(signal, &action, NULL) ? errno : 0;
+}
+
+/* Whichever thread takes this signal leaves it to the main thread, which has blocked it:
+ * what is pending for the thread that calls execve() outlives that call, what is pending
+ * for the process may be taken by a thread that the call ends. */
+static inline void rt_on_leaving(int signal)
+{
+    int saved = errno;
+    syscall(SYS_tgkill, getpid(), getpid(), signal);
+    errno = saved;
+}
+
+static inline int rt_leave_to_next(int signal)
+{
+    return rt_handle(signal, rt_on_leaving);
+}
+
+/* Make the task's slot the one that signals speak of; `steady` is the main thread's, which
+ * takes them. The park handler must let the orphan signal through, or a held orphan would
+ * never learn of it. */
+static inline int rt_guard_slot(const struct rt_task *task, struct xm_steady *steady)
+{
+    struct rt_slot *slot = task->slot;
+    struct sigaction action = {.sa_handler = rt_on_park, .sa_flags = SA_RESTART};
+    sigemptyset(&action.sa_mask);
+    atomic_store(&rt_steady, steady);
+    atomic_store(&rt_guarded_table, task->table);
+    atomic_store(&rt_guarded_life, atomic_load(&slot->config.life));
+    atomic_store(&rt_guarded, slot);
+    if (atomic_load(&rt_orphan_flag))
+        rt_disown(slot);
+    return sigaction(RT_PARK_SIGNAL, &action, NULL) ? errno : 0;
+}
+
+/* The slot's memory is about to go. */
+static inline void rt_unguard_slot(struct rt_slot *slot)
+{
+    atomic_compare_exchange_strong(&rt_guarded, &slot, NULL);
+}
+
+/* Ask the kernel for `signal` at the parent's end; a descriptor, or -errno. */
+static inline int rt_guard_orphan(int signal, pid_t parent)
+{
+    if (rt_orphan_fd < 0) {
+        int fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+        if (fd < 0)
+            return -errno;
+        atomic_store(&rt_orphan_fd, fd);
+    }
+    int error = rt_handle(signal, rt_on_orphan);
+    if (error)
+        return -error;
+    if (prctl(PR_SET_PDEATHSIG, (unsigned long)signal, 0UL, 0UL, 0UL))
+        return -errno;
+    if (parent && getppid() != parent)
+        raise(signal);          /* it ended before we could ask */
+    return rt_orphan_fd;
+}
+
+static inline int rt_is_orphan(void)
+{
+    return atomic_load(&rt_orphan_flag);
+}
+
+static inline void rt_timer_slack(unsigned long ns)
+{
+    prctl(PR_SET_TIMERSLACK, ns);
+}
+
+/* Make a range present for writing; not every kernel and mapping can. */
+static inline int rt_populate(size_t at, size_t size)
+{
+    return madvise((void *)at, size, 23 /* MADV_POPULATE_WRITE, Linux 5.14 */);
+}
+
+/* Touch `size` bytes of stack below the caller, so that no cycle faults there. */
+static __attribute__((noinline, unused)) int rt_prefault_stack(size_t size)
+{
+    volatile unsigned char page[4096];
+    page[0] = (unsigned char)size;
+    page[4095] = page[0];
+    if (size > sizeof page)
+        return rt_prefault_stack(size - sizeof page) + page[4095];
+    return page[0];
+}
+
+/* Lock memory; EPERM when the limit would make later allocations fail. */
+static inline int rt_lock_memory(void)
+{
+    struct rlimit limit;
+    if (!getrlimit(RLIMIT_MEMLOCK, &limit) && limit.rlim_cur != RLIM_INFINITY) {
+        /* Without CAP_IPC_LOCK a limit counts, and MCL_FUTURE would turn every later
+         * mmap beyond it into a MemoryError. Only a probe tells whether we have it. */
+        size_t probe = (size_t)limit.rlim_cur + 4096;
+        void *at = mmap(NULL, probe, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+        if (at == MAP_FAILED)
+            return errno;
+        int error = mlock2(at, probe, MLOCK_ONFAULT) ? errno : 0;
+        munmap(at, probe);
+        if (error)
+            return EPERM;
+    }
+    return mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) ? errno : 0;
+}
+
+#endif

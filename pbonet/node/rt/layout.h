@@ -1,0 +1,238 @@
+/* The core table: all that a dispatcher knows, in memory shared per user and core.
+ *
+ * Who writes what (each field has one writer at a time):
+ *   config  the RTPU process that owns the slot, under the edit lock, fenced by `gen`
+ *   post    the task
+ *   grant   the leading dispatcher; `bell` and `ask` by anybody, atomically
+ *   state   the leading dispatcher alone; a standby reads it when it takes over
+ *   stats   the task, fenced by `seq` for readers
+ *   signals the task counts, the RTPU process masks; each number is whole
+ * Nobody waits for another one here, except for the edit lock among RTPU processes.
+ */
+#ifndef PBONET_LAYOUT_H
+#define PBONET_LAYOUT_H
+
+#ifndef _GNU_SOURCE
+#define _GNU_SOURCE
+#endif
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stddef.h>
+#include <stdint.h>
+
+enum {
+    RT_SLOTS = 128,
+    RT_MASKS = RT_SLOTS / 64,   /* words with a bit for every slot */
+    RT_MEMBERS = 32,
+    RT_NAME = 64,
+    RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
+    RT_TURN_MAX = 16 * RT_SLOTS + 2,
+    RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
+    RT_VERSION = 8,
+    RT_SIGNALS = 32,         /* what a module may tell its master */
+    RT_SECTIONS = 16,        /* timed sections of a task's cycle */
+    RT_SECTION_NAME = 24,
+    RT_PIECES = 8,           /* of capacity on their way back to a sporadic server */
+    RT_COMMAND_LEVEL = 3,
+    RT_DISPATCHER_LEVEL = 95,
+};
+#define RT_MAGIC UINT64_C(0x31656e6f63626f70)
+#define RT_MIN_PERIOD_NS INT64_C(100000)
+#define RT_LEAD_NS INT64_C(100000)
+#define RT_MARGIN_NS INT64_C(20000)      /* a timer is set no nearer than this */
+#define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
+#define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
+#define RT_STALL_NS INT64_C(20000000)
+#define RT_NEVER INT64_MAX
+
+enum rt_mode { RT_OFF = 0, RT_ON = 1, RT_COMMAND = 2, RT_STANDS = 3 };
+enum rt_after { RT_ALONE = 0, RT_FALLBACK = 1, RT_HANDOVER = 2 };  /* see standby.h */
+enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORADIC = 3,
+               RT_BACKGROUND = 4 };
+enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
+enum rt_failure { RT_DEADLINE = 0, RT_MAXEXEC = 1, RT_MINEXEC = 2, RT_FAILURES = 3 };
+enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended itself */
+enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was it armed before? */
+enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
+
+/* One record of the trace; pbonet/analysis/schedule/dispatch.py says what the kinds mean. */
+struct rt_event {
+    int64_t a, b;
+    uint32_t arg;
+    uint16_t slot;
+    uint16_t kind;
+};
+enum rt_event_kind {
+    RT_TURN = 1, RT_LIFE, RT_CONFIG, RT_DEAD, RT_MODE, RT_DONE, RT_BEGUN, RT_LEAD,
+    RT_LIMITS, RT_USED, RT_HANDLED, RT_WISH, RT_EVENT, RT_UNLOCKED, RT_AFTER,
+    RT_RELEASE = 16, RT_MISS, RT_LEVEL, RT_WAKE, RT_PARKED, RT_RESUME,
+    RT_FAIL, RT_CRIT, RT_SKIP, RT_REFILL, RT_FORCE, RT_ENGAGE,
+};
+
+struct rt_config {
+    _Atomic uint32_t gen;    /* odd while being written */
+    _Atomic uint32_t life;   /* odd while allocated; rises with every alloc and free */
+    _Atomic uint32_t dead;   /* the life whose task has died or is an orphan */
+    _Atomic int32_t pid;
+    _Atomic int32_t kind, crit, priority;
+    _Atomic int32_t member;
+    _Atomic int64_t period_ns, deadline_ns;
+    _Atomic int64_t minc_ns, maxc_ns;   /* 0: none; maxc of a server: its capacity */
+    _Atomic int32_t drop;               /* criticality once maxc is used up */
+    _Atomic int32_t handler;            /* of the failure handler; 0: the task's own */
+    _Atomic int32_t tells;              /* the module has a failure handler */
+    _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
+    _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
+    _Atomic uint64_t callers;           /* of other cores: ticket << 32 | one bit each */
+    _Atomic uint32_t called;            /* one of these has ended, and counts on it */
+    char rtpu[RT_NAME], task[RT_NAME];
+};
+
+struct rt_post {
+    _Alignas(64) _Atomic uint32_t word; /* mode | arming count << 2 | returns << 17 */
+    _Atomic uint32_t begun;             /* number of the last grant begun ... */
+    _Atomic uint32_t done;              /* ... and ended */
+    _Atomic uint32_t events;            /* begun and ended: odd while one is served */
+    _Atomic uint32_t handled;           /* failures whose handler has ended */
+    _Atomic uint32_t locked;            /* in a critical section */
+    _Atomic uint32_t fell;              /* not 0: it is in ERROR; which: above */
+    _Atomic uint32_t wish;              /* changes with the two below */
+    _Atomic int32_t wish_crit;          /* -1: none */
+    _Atomic int64_t wish_dl_ns;         /* absolute; 0: none */
+    _Atomic int64_t event_ns;           /* begin of the last event */
+    _Atomic uint64_t cpu_ns;            /* the task's CPU clock, in virtual time only */
+};
+
+struct rt_grant {
+    _Alignas(64) _Atomic uint32_t bell; /* futex: changes whenever the task must look */
+    _Atomic uint32_t seq;               /* number of the last grant */
+    _Atomic uint32_t ask;               /* rt_ask bits */
+    _Atomic uint32_t parked;            /* futex: not 0 while the task is held */
+    _Atomic uint32_t skip;              /* number of a grant that is not to be begun */
+    _Atomic uint32_t failed;            /* kinds of failure | grant << 3, to be told */
+    _Atomic uint32_t told;              /* how often a handler was sent for */
+    _Atomic uint32_t forced;            /* the grant whose critical section is over */
+    _Atomic uint32_t owed;              /* a drop waits for the section's end */
+    _Atomic uint32_t look;              /* number of the look that counts on its end */
+    _Atomic int64_t failed_ns;          /* when the last failure was found */
+    _Atomic int64_t rel_ns, dl_ns;      /* of the last grant */
+    _Atomic int32_t crit;               /* that it has now */
+    _Atomic uint64_t failures[RT_FAILURES];
+    _Atomic uint64_t overruns, held_off; /* maxc used up; sections that took too long */
+    _Atomic uint64_t missed;            /* as in `state`, for whoever reads ... */
+    _Atomic int32_t level;              /* ... the status; and ... */
+    _Atomic uint32_t life;              /* ... which life the dispatcher serves */
+    _Atomic uint32_t fell;              /* who stands by for it is engaged at once */
+};
+
+struct rt_piece {
+    int64_t at_ns, ns;                  /* capacity that comes back, and when */
+};
+
+struct rt_state {
+    _Alignas(64) int64_t period, deadline, next_ns, rel_ns, dl_ns;
+    uint64_t missed;
+    uint32_t gen, life, word, seq;
+    int32_t pid, crit, priority, kind, level;
+    uint8_t dead, armed, ready, granted, begun, parked;
+    /* what failures and reserves need; see watch.h */
+    uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
+    uint8_t engaged, fell;              /* see standby.h */
+    int32_t rank, drop, handler;        /* rank: the criticality that it has now */
+    uint32_t told, handled, wish;
+    uint32_t heard;                     /* `post.events` of a device, taken in */
+    int64_t minc, maxc;
+    int64_t clock, mark;                /* CPU clock: last read; where a reserve began */
+    int64_t check_ns;                   /* when to look at it next; 0: not */
+    int64_t locked_ns;                  /* when a critical section is forced to end */
+    int64_t handler_mark;
+    int64_t left;                       /* of a server's capacity */
+    int64_t event_ns;
+    uint64_t failures[RT_FAILURES], overruns, held_off;
+    struct rt_piece pieces[RT_PIECES];
+    int32_t after_kind;
+    uint64_t after[RT_MASKS];
+};
+
+struct rt_section {                     /* a timed part of the cycle, by the task */
+    char name[RT_SECTION_NAME];
+    _Atomic uint64_t count, total_ns, min_ns, max_ns;
+};
+
+struct rt_stats {
+    _Alignas(64) _Atomic uint32_t seq;  /* odd while being written */
+    _Atomic uint64_t on_ns, last_rel_ns; /* last_rel_ns: 0 until a cycle has run */
+    _Atomic uint64_t cycles, late, failed, stable, torn, stale, faults, ring_lost;
+    _Atomic uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
+    _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
+    _Atomic uint64_t cpu_first_ns;       /* of the first cycle after `on` */
+    _Atomic uint64_t cpu_mark_ns;        /* the thread's clock where this cycle counts from */
+    _Atomic uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
+    _Atomic uint64_t aborted, skipped, handlers, stale_failures;
+    _Atomic uint64_t delivery_last_ns, delivery_max_ns; /* failure to handler's begin */
+    _Atomic uint64_t jitter[RT_BINS], cpu[RT_BINS];
+};
+
+struct rt_signals {
+    _Alignas(64) _Atomic uint32_t mask; /* bits that nobody wants */
+    _Atomic uint64_t counts[RT_SIGNALS]; /* sent and not masked; never go down */
+};
+
+struct rt_slot {
+    _Alignas(64) struct rt_config config;
+    pthread_mutex_t alive;              /* robust; the task holds it for life: vigil.h */
+    struct rt_post post;
+    struct rt_grant grant;
+    struct rt_state state;
+    _Atomic uint64_t errors;            /* dispatcher: calls that the kernel refused */
+    struct rt_stats stats;
+    struct rt_signals signals;
+    _Atomic uint32_t n_sections;
+    struct rt_section sections[RT_SECTIONS];
+};
+
+struct rt_member {
+    _Atomic int32_t pid;                /* 0: free */
+    uint64_t start;                     /* start time of the process, tells reuse */
+};
+
+struct rt_table {
+    uint64_t magic;                     /* written last by the creator */
+    uint32_t version, size;
+    int32_t core;
+    uint32_t trace_size;
+    struct rt_member members[RT_MEMBERS];   /* up to here the same in every version */
+    pthread_mutex_t leader;             /* robust; held for life by who leads */
+    pthread_mutex_t edit;               /* robust; members, lives and configs */
+
+    _Alignas(64) _Atomic uint32_t mailbox;  /* futex: changes when there is news */
+    _Atomic uint32_t fallen;            /* futex: changes when a task goes to ERROR */
+    _Atomic uint32_t waiting;           /* park: somebody waits for a cycle to end */
+    _Atomic uint32_t high;              /* slots ever used: the bound of every scan */
+    _Atomic int32_t backend;            /* rt_backend of the leader */
+    _Atomic int32_t leader_pid, leader_tid;
+    _Atomic int32_t look_tid, look_fd;  /* the leader's; see look.h */
+    _Atomic uint32_t look_life;         /* changes with every leader's timer */
+    _Atomic int64_t since_ns;
+    _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
+    _Atomic int64_t late_max_ns;        /* a turn behind the event it was to serve */
+    _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stood */
+    int64_t due_ns;                     /* what the last turn sleeps for ... */
+    _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */
+    _Atomic int64_t look_ns;            /* what the timer of a look is set for; 0: not */
+    _Atomic uint64_t look;              /* number << 32 | cycles that it is for */
+    _Atomic uint64_t spared;            /* looks that were taken back in time */
+
+    uint32_t journal_slot;              /* a state that is being replaced ... */
+    _Atomic uint32_t journal_valid;
+    struct rt_state journal;            /* ... and by what */
+
+    _Alignas(64) _Atomic uint64_t trace_end;  /* records of complete turns */
+    uint64_t trace_next;                /* ... and of the one under way */
+    struct rt_event trace[RT_TRACE];
+    struct rt_slot slots[RT_SLOTS];
+};
+
+#define RT_PREFIX (offsetof(struct rt_table, leader))
+
+#endif

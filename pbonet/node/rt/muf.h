@@ -1,0 +1,100 @@
+/* Maximum urgency first: rank the ready tasks and hand out FIFO levels.
+ *
+ * The twin of pbonet/analysis/schedule/urgency.py; a property test drives both in step. No memory
+ * is allocated, and nothing outside the arguments is touched.
+ */
+#ifndef PBONET_MUF_H
+#define PBONET_MUF_H
+
+#include <stdint.h>
+
+enum { MUF_MAX = 128, MUF_LOW = 4, MUF_HIGH = 84 };
+
+struct muf_item {
+    int64_t deadline, since;    /* absolute; since: first come, first served */
+    int32_t crit, priority;
+    int32_t level;              /* held; 0: none */
+    int32_t slot;
+};
+
+/* Whether `a` is more urgent: criticality, deadline, user priority, then FCFS. */
+static inline int muf_before(const struct muf_item *a, const struct muf_item *b)
+{
+    if (a->crit != b->crit)
+        return a->crit > b->crit;
+    if (a->deadline != b->deadline)
+        return a->deadline < b->deadline;
+    if (a->priority != b->priority)
+        return a->priority > b->priority;
+    if (a->since != b->since)
+        return a->since < b->since;
+    return a->slot < b->slot;
+}
+
+/* Order items, most urgent first. Insertion: few are ready at a time. */
+static inline void muf_sort(struct muf_item *items, int n)
+{
+    for (int i = 1; i < n; i++) {
+        struct muf_item item = items[i];
+        int j = i;
+        for (; j > 0 && muf_before(&item, &items[j - 1]); j--)
+            items[j] = items[j - 1];
+        items[j] = item;
+    }
+}
+
+/* The places whose levels can stay so that the others fit between them.
+ *
+ * Level plus place must not rise from an upper to a lower kept task; the longest such
+ * choice is found by the usual chains, whose best ends fall with their length.
+ */
+static inline int muf_keep(const struct muf_item *items, int n, int floor, int ceiling,
+                           int *kept)
+{
+    int last[MUF_MAX], before[MUF_MAX], chains = 0;
+    for (int i = 0; i < n; i++) {
+        int value = items[i].level + i;
+        if (value < floor || value > ceiling)
+            continue;
+        int lo = 0, hi = chains;
+        while (lo < hi) {
+            int mid = (lo + hi) / 2;
+            if (items[last[mid]].level + last[mid] < value)
+                hi = mid;
+            else
+                lo = mid + 1;
+        }
+        before[i] = lo ? last[lo - 1] : -1;
+        last[lo] = i;
+        if (lo == chains)
+            chains++;
+    }
+    for (int i = chains ? last[chains - 1] : -1, k = chains - 1; i >= 0; i = before[i])
+        kept[k--] = i;
+    return chains;
+}
+
+/* Give ranked items the levels `low` to `high`, strictly falling, few changes. */
+static inline void muf_assign(struct muf_item *items, int n, int low, int high)
+{
+    int kept[MUF_MAX], room = high - low + 1;
+    if (n > room) {             /* the least urgent share the lowest level */
+        for (int i = room - 1; i < n; i++)
+            items[i].level = low;
+        n = room - 1;
+        low++;
+    }
+    int chains = muf_keep(items, n, low + n - 1, high, kept);
+    int above = -1, level_above = high + 1;
+    for (int k = 0; k <= chains; k++) {
+        int below = k < chains ? kept[k] : n;
+        int level_below = k < chains ? items[below].level : low - 1;
+        int gap = below - above, span = level_above - level_below;
+        for (int step = 1; step < gap; step++)
+            items[above + step].level = level_above - step * span / gap;
+        above = below;
+        level_above = level_below;
+    }
+}
+
+#endif

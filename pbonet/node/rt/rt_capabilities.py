@@ -1,0 +1,138 @@
+"""Which real-time rights a process has, and a sentence for each one that it lacks."""
+
+from __future__ import annotations
+
+import os
+import resource
+from pathlib import Path
+
+from pbonet.analysis.schedule.criticality import PLANNED
+from pbonet.analysis.schedule.records import Probe
+
+_CAP_SYS_NICE = 23
+_CAP_IPC_LOCK = 14
+_EPERM = 1
+
+
+def probe(errno: int) -> Probe:
+    """Return the rights of this process.
+
+    Args:
+        errno: What the kernel answered when a thread asked for SCHED_FIFO; 0: yes.
+    """
+    rtprio = _limit(resource.RLIMIT_RTPRIO)
+    memlock = _limit(resource.RLIMIT_MEMLOCK)
+    budget = _cgroup_budget()
+    runtime = _number("/proc/sys/kernel/sched_rt_runtime_us", -1)
+    period = _number("/proc/sys/kernel/sched_rt_period_us", 1_000_000)
+    nice, lock = _capable(_CAP_SYS_NICE), _capable(_CAP_IPC_LOCK)
+    cores = sorted(os.sched_getaffinity(0))
+    reasons: list[str] = []
+    if errno:
+        reasons.append(_why_no_fifo(errno, rtprio, budget, nice=nice))
+    else:
+        reasons += _throttling(runtime, period)
+        rttime = _limit(resource.RLIMIT_RTTIME)
+        if rttime >= 0:
+            reasons.append(
+                f"RLIMIT_RTTIME ends a task that computes for {rttime} us without "
+                "waiting; raise it (ulimit -R unlimited)"
+            )
+    if memlock >= 0 and not lock:
+        reasons.append(
+            f"memory is not locked: the memlock limit is {memlock // 1024} KiB; "
+            "set 'memlock unlimited' in /etc/security/limits.d, "
+            "or --ulimit memlock=-1 for a container"
+        )
+    if len(cores) == 1:
+        reasons.append(
+            "only one core may be used, so housekeeping shares it with the tasks"
+        )
+    return Probe(
+        backend="park" if errno else "fifo",
+        fifo=not errno,
+        errno=errno,
+        reasons=reasons,
+        rtprio_limit=rtprio,
+        cap_sys_nice=nice,
+        cgroup_rt_runtime_us=budget,
+        rt_runtime_us=runtime,
+        rt_period_us=period,
+        memlock_limit=memlock,
+        lock_memory=memlock < 0 or lock,
+        cores=cores,
+        preempt=_preemption(),
+    )
+
+
+def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> str:
+    refused = f"SCHED_FIFO is refused ({os.strerror(errno)}), timing is soft: "
+    if errno != _EPERM:
+        return refused + "the kernel does not offer it here"
+    if nice or rtprio < 0 or rtprio >= 95:  # noqa: PLR2004
+        if budget == 0:
+            return (
+                refused + "the cpu control group has no real-time budget "
+                "(cpu.rt_runtime_us is 0); give it one or leave the group"
+            )
+        return refused + "the kernel or a security policy forbids it"
+    return (
+        refused + f"no CAP_SYS_NICE, and the rtprio limit is {rtprio}; "
+        "set 'rtprio 95' in /etc/security/limits.d, "
+        "or --ulimit rtprio=95 for a container"
+    )
+
+
+def _throttling(runtime: int, period: int) -> list[str]:
+    """Say when the kernel gives real-time tasks less than verification plans with."""
+    wanted = round(PLANNED * period)
+    if runtime < 0 or runtime >= wanted:
+        return []
+    return [
+        f"real-time tasks together get {runtime} us of every {period} us "
+        f"(sched_rt_runtime_us), and verification plans with {wanted} us; raise it "
+        f"(sysctl -w kernel.sched_rt_runtime_us={wanted})"
+    ]
+
+
+def _limit(which: int) -> int:
+    soft = resource.getrlimit(which)[0]
+    return -1 if soft == resource.RLIM_INFINITY else soft
+
+
+def _number(path: str, default: int) -> int:
+    try:
+        return int(Path(path).read_text("utf-8"))
+    except (OSError, ValueError):
+        return default
+
+
+def _capable(bit: int) -> bool:
+    for line in Path("/proc/self/status").read_text("utf-8").splitlines():
+        if line.startswith("CapEff:"):
+            return bool(int(line.split()[1], 16) >> bit & 1)
+    return False
+
+
+def _cgroup_budget() -> int | None:
+    """Return cpu.rt_runtime_us of our v1 cpu group; None where there is none."""
+    place = mount = None
+    for line in Path("/proc/self/cgroup").read_text("utf-8").splitlines():
+        _, controllers, path = line.split(":", 2)
+        if "cpu" in controllers.split(","):
+            place = path
+    for line in Path("/proc/self/mountinfo").read_text("utf-8").splitlines():
+        before, _, after = line.partition(" - ")
+        if after.startswith("cgroup ") and "cpu" in after.split()[-1].split(","):
+            mount = before.split()[4]
+    if place is None or mount is None:
+        return None
+    file = Path(mount) / place.lstrip("/") / "cpu.rt_runtime_us"
+    return _number(str(file), 0) if file.exists() else None
+
+
+def _preemption() -> str:
+    if _number("/sys/kernel/realtime", 0):
+        return "PREEMPT_RT"
+    words = os.uname().version.split()
+    return next((word for word in words if word.startswith("PREEMPT")), "not stated")

@@ -1,0 +1,216 @@
+/* The watch over tasks' lives: a death is known at once, and not by looking for it.
+ *
+ * Every task holds a robust lock in its slot for life. When it dies, however, the kernel
+ * writes so into the lock's word and wakes who waits for it, long before the process is
+ * gone and its parent told. One thread of the RTPU process, just below the dispatcher,
+ * waits for all of these words at once. It tells the dispatcher, which engages a fallback
+ * in its next turn, and raises the illegal-configuration flag in the task's table, so that
+ * critical tasks are stable from the next cycle on. A task that goes to ERROR rings the
+ * same thread. The RTPU process's interpreter hears of both later and does the rest.
+ *
+ * Kernels before 5.16 cannot wait for several words; then the interpreter is the first to
+ * know, some milliseconds later.
+ */
+#ifndef PBONET_VIGIL_H
+#define PBONET_VIGIL_H
+
+#include "loop.h"
+#include "../../svar/flag.h"
+
+#ifndef SYS_futex_waitv
+#define SYS_futex_waitv 449         /* the same on every architecture */
+#endif
+
+enum { RT_VIGIL_LEVEL = RT_DISPATCHER_LEVEL - 1, RT_VIGIL_WORDS = 128, RT_WORD_32 = 2,
+       RT_CAUSE = PB_TEXT, RT_RAISER = PB_NAME };
+
+struct rt_futex_word {                  /* as the kernel's struct futex_waitv */
+    uint64_t value, address;
+    uint32_t flags, reserved;
+};
+
+/* One task that is watched. The fields below `life` do not change while it is not 0. */
+struct rt_watched {
+    _Atomic uint32_t life;              /* 0: nobody is */
+    _Atomic uint32_t busy;              /* the thread uses the fields */
+    const struct pb_table *table;       /* NULL: others do not depend on the task */
+    char died[RT_CAUSE], fell[RT_CAUSE], raiser[RT_RAISER], machine[RT_RAISER];
+};
+
+struct rt_vigil {
+    struct rt_table *table;
+    pthread_t thread;
+    int running, backend;
+    _Atomic uint32_t news;              /* futex: changes with what is watched */
+    _Atomic int stop;
+    _Atomic uint64_t deaths, falls;
+    uint32_t told[RT_SLOTS];            /* the life whose fall was told */
+    struct rt_watched watched[RT_SLOTS];
+};
+
+static inline _Atomic uint32_t *rt_life_word(struct rt_slot *slot)
+{
+    return (_Atomic uint32_t *)(void *)&slot->alive;    /* as in every Linux C library */
+}
+
+/* Hold the lock for life; an errno value when it cannot be had. */
+static inline int rt_vow(struct rt_slot *slot)
+{
+    int error = pthread_mutex_trylock(&slot->alive);
+    return error == EOWNERDEAD ? pthread_mutex_consistent(&slot->alive) : error;
+}
+
+/* Let it go: the task leaves in order. */
+static inline void rt_release_vow(struct rt_slot *slot)
+{
+    pthread_mutex_unlock(&slot->alive);
+}
+
+static inline uint64_t rt_deaths(const struct rt_vigil *v)
+{
+    return atomic_load(&v->deaths);
+}
+
+static inline uint64_t rt_falls(const struct rt_vigil *v)
+{
+    return atomic_load(&v->falls);
+}
+
+static inline void rt_raise(const struct rt_watched *w, const char *cause)
+{
+    if (!w->table)
+        return;
+    struct pb_cause c = pb_cause_of(cause, w->raiser, w->machine);
+    pb_raise(w->table, &c);             /* no room: other causes hold it up */
+}
+
+/* Raise the flag for a death if others count on the task; whether they do. */
+static inline int rt_alarm(struct rt_vigil *v, int i, const struct rt_watched *w)
+{
+    const struct rt_slot *slot = &v->table->slots[i];
+    uint32_t mode = atomic_load(&slot->post.word) & 3;
+    if (mode != RT_ON && mode != RT_COMMAND && !rt_comes(slot))
+        return 0;
+    atomic_fetch_add(&v->deaths, 1);
+    rt_raise(w, w->died);
+    return 1;
+}
+
+/* Tell of a death; the flag goes up first, so that whoever is released next sees it. */
+static inline void rt_mourn(struct rt_vigil *v, int i, struct rt_watched *w)
+{
+    struct rt_slot *slot = &v->table->slots[i];
+    int32_t pid = atomic_load(&slot->config.pid);
+    if (v->backend == RT_FIFO && pid > 0)
+        rt_take_level(pid);     /* first: else who is released waits for its end */
+    int raised = rt_alarm(v, i, w);
+    atomic_store(&slot->config.dead, atomic_load(&w->life));
+    /* SYNC POINT: rt_call says that it has called first and looks for a death then. */
+    if (!raised)
+        rt_alarm(v, i, w);
+    atomic_store(&w->life, 0);
+    rt_kick(v->table);
+}
+
+/* Look at one task; its lock's word is to be waited for if it lives: 1. */
+static inline int rt_look_after(struct rt_vigil *v, int i, struct rt_watched *w,
+                                struct rt_futex_word *to)
+{
+    struct rt_slot *slot = &v->table->slots[i];
+    _Atomic uint32_t *at = rt_life_word(slot);
+    if (atomic_load(&slot->config.life) != atomic_load(&w->life))
+        return 0;
+    if (atomic_load(&slot->post.fell) && v->told[i] != atomic_load(&w->life)) {
+        v->told[i] = atomic_load(&w->life);
+        atomic_fetch_add(&v->falls, 1);
+        rt_raise(w, w->fell);
+    } else if (!atomic_load(&slot->post.fell)) {
+        v->told[i] = 0;
+    }
+    uint32_t word = atomic_load(at);
+    while (word && !(word & (FUTEX_OWNER_DIED | FUTEX_WAITERS)))
+        if (atomic_compare_exchange_weak(at, &word, word | FUTEX_WAITERS))
+            word |= FUTEX_WAITERS;
+    if (word & FUTEX_OWNER_DIED)
+        rt_mourn(v, i, w);
+    if (!word || word & FUTEX_OWNER_DIED)
+        return 0;               /* 0: it left in order */
+    *to = (struct rt_futex_word){word, (uint64_t)(uintptr_t)at, RT_WORD_32, 0};
+    return 1;
+}
+
+static inline void *rt_keep_vigil(void *arg)
+{
+    struct rt_vigil *v = arg;
+    struct rt_futex_word words[RT_VIGIL_WORDS];
+    pthread_setname_np(pthread_self(), "vigil");
+    while (!atomic_load(&v->stop)) {
+        unsigned n = 2;
+        words[0] = (struct rt_futex_word){atomic_load(&v->news),
+                                          (uint64_t)(uintptr_t)&v->news, RT_WORD_32, 0};
+        words[1] = (struct rt_futex_word){atomic_load(&v->table->fallen),
+                                          (uint64_t)(uintptr_t)&v->table->fallen,
+                                          RT_WORD_32, 0};
+        for (int i = 0; i < RT_SLOTS && n < RT_VIGIL_WORDS; i++) {
+            struct rt_watched *w = &v->watched[i];
+            /* SYNC POINT: rt_unwatch clears `life` first and waits for `busy` then. */
+            atomic_store(&w->busy, 1);
+            if (atomic_load(&w->life))
+                n += (unsigned)rt_look_after(v, i, w, &words[n]);
+            atomic_store(&w->busy, 0);
+        }
+        if (atomic_load(&v->stop))
+            break;
+        if (syscall(SYS_futex_waitv, words, n, 0, NULL, CLOCK_MONOTONIC) < 0 &&
+            errno != EAGAIN && errno != EINTR)
+            break;              /* this kernel cannot */
+    }
+    return NULL;
+}
+
+static inline void rt_ring_vigil(struct rt_vigil *v)
+{
+    atomic_fetch_add(&v->news, 1);
+    rt_futex_wake(&v->news);
+}
+
+/* Watch no longer; when it returns, the entry's table is not used any more. */
+static inline void rt_unwatch(struct rt_vigil *v, int i)
+{
+    struct rt_watched *w = &v->watched[i];
+    atomic_store(&w->life, 0);
+    while (v->running && atomic_load(&w->busy))
+        sched_yield();
+    rt_ring_vigil(v);
+}
+
+/* Watch the task that holds slot `i` now; its entry was made ready. */
+static inline void rt_watch_life(struct rt_vigil *v, int i)
+{
+    atomic_store(&v->watched[i].life, atomic_load(&v->table->slots[i].config.life));
+    rt_ring_vigil(v);
+}
+
+/* Start the thread beside the dispatcher of `loop`; an errno value when refused. */
+static inline int rt_start_vigil(struct rt_vigil *v, const struct rt_loop *loop)
+{
+    v->table = loop->table;
+    v->backend = loop->backend;
+    atomic_store(&v->stop, 0);
+    int error = rt_spawn_thread(&v->thread, loop->backend, loop->table->core,
+                                RT_VIGIL_LEVEL, rt_keep_vigil, v);
+    v->running = !error;
+    return error;
+}
+
+static inline void rt_end_vigil(struct rt_vigil *v)
+{
+    if (!v->running)
+        return;
+    atomic_store(&v->stop, 1);
+    rt_ring_vigil(v);
+    pthread_join(v->thread, NULL);
+    v->running = 0;
+}
+
+#endif

@@ -1,0 +1,67 @@
+"""What the RTPU process does about its table when the agent that carried it is gone.
+
+Variables that tasks on other machines write stood here in the agent's name. Nobody
+brings them up to date now: they are given up, so that a task here may take them over,
+and the illegal-configuration flag is up until somebody writes them again. Another agent
+of this machine carries them on if there is one, and a restarted agent does.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import TYPE_CHECKING
+
+from pbonet.errors import SvarError, SvarOwnerError
+from pbonet.svar import MARK
+
+if TYPE_CHECKING:
+    from .rtpu_state import Rtpu
+
+NAME = "agent"
+"""Who the entry in the flag is about."""
+PATIENCE = 1.0
+"""Seconds in which a process whose socket was closed has ended, if it was killed."""
+PAUSE = 0.005
+
+
+async def give_up(rtpu: Rtpu) -> None:
+    """Give up what a lost agent has carried, as soon as its process has ended."""
+    end = time.monotonic() + PATIENCE
+    while not _all_reaped(rtpu):
+        if time.monotonic() > end:
+            return  # it lives: it was told to leave, or is another one
+        await asyncio.sleep(PAUSE)
+
+
+def back(rtpu: Rtpu) -> None:
+    """Take back what was raised for the loss."""
+    for subsystem in rtpu.tables.subsystems():
+        rtpu.flags.down(subsystem, NAME)
+
+
+def _all_reaped(rtpu: Rtpu) -> bool:
+    """Free what dead processes held, in every table; False while one lives."""
+    done = [_reaped(rtpu, subsystem) for subsystem in rtpu.tables.subsystems()]
+    return all(done)
+
+
+def _reaped(rtpu: Rtpu, subsystem: str) -> bool:
+    """Free what dead processes held for other machines; False while one lives."""
+    opened = rtpu.tables.get(subsystem)
+    if opened is None:
+        return True
+    lost: list[str] = []
+    try:
+        for register in opened.table.registers():
+            if MARK in register.task and register.held:
+                lost += opened.table.reap(register.owner)
+    except SvarOwnerError:
+        return False
+    except SvarError:
+        return True
+    finally:
+        if lost:
+            cause = f"nobody brings {' '.join(lost)} from other machines"
+            rtpu.flags.up(subsystem, NAME, cause[:120], lost)
+    return True

@@ -1,0 +1,173 @@
+"""What has to be cleaned away should the RTPU process be killed, and the cleaning.
+
+The RTPU process writes down what it makes: tasks, rings, tables. Whoever comes after a
+killed one, its agent at once or the next RTPU process of that name, reads this, waits
+for the tasks to end (each turns itself off within a second), ends those that do not,
+and removes what stands in shared memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import NodeError, PbonetError
+from pbonet.node.ring._ring import Ring
+from pbonet.node.rt import _rt
+from pbonet.node.wire import process_setup
+from pbonet.svar import table_files
+from pbonet.xm import sweep
+from pbonet.xm.net import run_folder
+
+from .tables import remove_unused
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PATIENCE = 1.5
+"""Seconds that orphaned tasks have: they end themselves within one."""
+KILL_TIME = 5.0
+"""Seconds in which one that was killed has ended, on a machine that stalls, too."""
+_LOOK = 0.01
+
+
+class TaskLeft(Struct, array_like=True):
+    """A process and what it used."""
+
+    pid: int
+    started: int
+    ring: str
+
+
+class Leftovers(Struct, kw_only=True):
+    """The content of a state file."""
+
+    pid: int
+    started: int
+    core: int
+    epoch: int = 0
+    tables: list[str] = []
+    tasks: list[TaskLeft] = []
+
+    @property
+    def alive(self) -> bool:
+        """Whether the RTPU process that wrote this still runs."""
+        return process_setup.is_alive(self.pid, self.started)
+
+
+def write(path: Path, state: Leftovers) -> None:
+    """Replace the state file, whole or not at all.
+
+    Raises:
+        NodeError: The runtime folder cannot be written to.
+    """
+    fresh = path.with_suffix(".state.new")
+    try:
+        fresh.write_bytes(msgspec.json.encode(state))
+        fresh.rename(path)
+    except OSError as error:
+        raise NodeError(
+            "the runtime folder cannot be written to",
+            where=str(path),
+            got=error.strerror or str(error),
+            remedy="make room there",
+        ) from None
+
+
+def read(path: Path) -> Leftovers | None:
+    """Return what the state file says; None when there is none that can be read."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Leftovers)
+    except (OSError, msgspec.MsgspecError):
+        return None
+
+
+def clean(places: run_folder.Places, patience: float = PATIENCE) -> list[str]:
+    """Clean up after a killed RTPU process of that name; return what was done.
+
+    Does nothing while one is alive.
+    """
+    state = read(places.state)
+    if state is None:
+        places.remove(places.ctl, places.state)
+        return _sweep_mail(places)
+    if state.alive:
+        return []
+    done = _end_tasks(state, patience)
+    for task in state.tasks:
+        done += _remove_ring(task.ring)
+    for name in state.tables:
+        done += _remove_table(name)
+    done += _sweep_mail(places)
+    done += _sweep_core(state.core)
+    places.remove(places.ctl, places.state)
+    return done
+
+
+def clean_after(places: run_folder.Places) -> list[str]:
+    """Clean up after a killed RTPU process, from outside; return what was done."""
+    done = clean(places)
+    if not run_folder.is_held(places.ctl_lock):
+        places.remove(places.ctl_lock, places.log)
+    return done
+
+
+def _end_tasks(state: Leftovers, patience: float) -> list[str]:
+    """Wait for the tasks, end those that stay; return what was done.
+
+    What they use is theirs until they are gone, also when they were killed.
+    """
+    done: list[str] = []
+    left = _outlive(state.tasks, patience)
+    for task in left:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(task.pid, signal.SIGKILL)
+        done.append(f"process {task.pid} did not end and was killed")
+    _outlive(left, KILL_TIME)
+    return done
+
+
+def _outlive(tasks: list[TaskLeft], patience: float) -> list[TaskLeft]:
+    """Wait for the tasks' ends; return those that live all the same."""
+    deadline = time.monotonic() + patience
+    while left := [
+        one for one in tasks if process_setup.is_alive(one.pid, one.started)
+    ]:
+        if time.monotonic() > deadline:
+            break
+        time.sleep(_LOOK)
+    return left
+
+
+def _remove_ring(name: str) -> list[str]:
+    with contextlib.suppress(PbonetError, OSError):
+        if name:
+            Ring.attach(name).destroy()
+            return [f"ring {name} was removed"]
+    return []
+
+
+def _remove_table(name: str) -> list[str]:
+    path = table_files.path_of(name)
+    if path.exists() and remove_unused(path):
+        return [f"table {name} was removed"]
+    return []
+
+
+def _sweep_mail(places: run_folder.Places) -> list[str]:
+    """Remove semaphores and queues that nobody uses; return what was done."""
+    swept = sweep(places.name, places.domain)
+    return [f"express mail {places.name}:{name} was removed" for name in swept]
+
+
+def _sweep_core(core: int) -> list[str]:
+    """Let the core table drop its dead members, and its file if none is left."""
+    with contextlib.suppress(PbonetError, OSError):
+        _rt.CoreTable(core, member=True).close()
+    return []

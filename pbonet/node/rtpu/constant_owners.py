@@ -1,0 +1,98 @@
+"""Constants that have changed hands while the exchange is still to come.
+
+`swap` and `switch` have the new task take the constants over as soon as it stands, and
+exchange the tasks later (decision 0110). When the master dies in between, the old task
+runs with constants of a task that is OFF. The RTPU of the new one says so.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Protocol
+
+from msgspec import Struct
+
+from pbonet.pbo import State
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .illegal_flag import Flags
+    from .task_handle import Task
+
+RAISER = "constants"
+PATIENCE = 5.0
+"""Seconds without a word of the master, after which nobody seems to go on."""
+
+
+class Home(Protocol):
+    """What is needed of the RTPU."""
+
+    flags: Flags
+    tasks: dict[tuple[str, str], Task]
+
+
+class Giver(Struct):
+    """A task that gives constants in the place of others."""
+
+    task: Task
+    olds: list[str]
+    heard: float
+    """When the master has said something last."""
+    told: bool = False
+
+
+class Givers:
+    """The tasks of one RTPU that have taken constants over.
+
+    Args:
+        rtpu: Whose.
+    """
+
+    def __init__(self, rtpu: Home) -> None:
+        self._rtpu = rtpu
+        self._givers: list[Giver] = []
+
+    def took_over(self, task: Task, olds: Sequence[str]) -> None:
+        """Take note that a task gives the constants of others from now on."""
+        for giver in list(self._givers):
+            same = giver.task.facts.subsystem == task.facts.subsystem
+            if same and (giver.task is task or giver.task.name in olds):
+                self._end(giver)
+        if olds:
+            self._givers.append(Giver(task, list(olds), time.monotonic()))
+
+    def heard(self, subsystem: str) -> None:
+        """Take note that the master of a subsystem goes on."""
+        for giver in self._givers:
+            if giver.task.facts.subsystem == subsystem:
+                giver.heard = time.monotonic()
+
+    def look(self) -> None:
+        """Raise the flag where nobody goes on, and withdraw it where that is over."""
+        for giver in list(self._givers):
+            left = self._on(giver)
+            if giver.task.gone.is_set() or not left:
+                self._end(giver)
+            elif not giver.told and time.monotonic() - giver.heard > PATIENCE:
+                giver.told = True
+                verb = "is" if len(left) == 1 else "are"
+                cause = f"{giver.task.name} gives the constants of {' and '.join(left)}"
+                cause += f", which {verb} still ON: nobody goes on with the exchange"
+                self._rtpu.flags.up(giver.task.facts.subsystem, RAISER, cause)
+
+    def _on(self, giver: Giver) -> list[str]:
+        """Return those that are ON, here or, as their variables tell, elsewhere."""
+        subsystem, flags = giver.task.facts.subsystem, self._rtpu.flags
+        owners = flags.owners(subsystem, giver.task.facts.outputs)
+        tasks = {old: self._rtpu.tasks.get((subsystem, old)) for old in giver.olds}
+        return [
+            old
+            for old, task in tasks.items()
+            if old in owners or (task is not None and task.state is State.ON)
+        ]
+
+    def _end(self, giver: Giver) -> None:
+        self._givers.remove(giver)
+        if giver.told:
+            self._rtpu.flags.down(giver.task.facts.subsystem, RAISER)

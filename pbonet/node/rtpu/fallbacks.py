@@ -1,0 +1,486 @@
+"""Standbys: a task that is engaged when another one fails (a job's FALLBACK).
+
+The dispatcher does the engaging, alone and at once (``standby.h``). Here is only
+decided who stands by, which is arranged beforehand, and told what has happened, which
+is done afterwards. A pair is arranged while the original is ON and the standby OFF, and
+whenever the original is about to come on.
+
+Nothing flaps: an original that is cleared does not take its place back, a standby that
+fails too has nobody behind it, and after `LIMIT` times a pair is not arranged again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import TYPE_CHECKING, Protocol
+
+from msgspec import Struct
+
+from pbonet.analysis.schedule.records import Mode
+from pbonet.errors import NoAnswerError, PbonetError, Severity, StateError
+from pbonet.node.rt import _rt
+from pbonet.node.wire import rtpu_messages
+from pbonet.pbo import State
+
+from .task_handle import error_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pbonet.node.wire.event_log import EventLog
+
+    from .task_handle import Make, Task
+
+LIMIT = 3
+"""So often a standby is engaged; then an operator is needed."""
+TIME = 2.0
+"""Seconds that a standby may take to get ready, and to be told so."""
+
+
+class Pair(Struct):
+    """An original and its standby."""
+
+    subsystem: str
+    original: str
+    standby: str
+    engaged: int = 0
+    """How often the standby had to come on."""
+    told: str = ""
+    """Why it cannot stand by, as was said last."""
+    arranged: Task | None = None
+    """The original that the standby waits for, or has waited for last."""
+
+
+class End(Struct):
+    """What a task that stands by waits for."""
+
+    kind: int
+    """`_rt.FALLBACK` or `_rt.HANDOVER`."""
+    of: list[Task]
+    """Whose end it is, and whose out-vars the task takes over."""
+    owners: Sequence[str] = ()
+    """Who owns these variables before those do."""
+
+
+class Waits(Protocol):
+    """What is needed of the heirs."""
+
+    def waits(self, task: Task) -> bool:
+        """Tell whether a task stands by, or came on and was not asked for yet."""
+        ...
+
+    def callers(self, task: Task) -> list[str]:
+        """Return the tasks that a task waits for, on any RTPU."""
+        ...
+
+
+class Home(Protocol):
+    """What is needed of the RTPU that all these tasks are on."""
+
+    name: str
+    core: _rt.CoreTable
+    events: EventLog
+    tasks: dict[tuple[str, str], Task]
+    stopping: set[str]
+    lists: dict[str, list[tuple[str, str]]]
+
+    @property
+    def heirs(self) -> Waits:
+        """Who stands by for tasks of other RTPUs."""
+        ...
+
+    def of(self, subsystem: str) -> list[Task]:
+        """Return the tasks of a subsystem."""
+        ...
+
+    def need(self, subsystem: str, name: str) -> Task:
+        """Return a task, or raise UnknownTaskError."""
+        ...
+
+
+class Fallbacks:
+    """The pairs of one RTPU.
+
+    Args:
+        rtpu: Whose.
+    """
+
+    def __init__(self, rtpu: Home) -> None:
+        self._rtpu = rtpu
+        self._pairs: dict[tuple[str, str], Pair] = {}
+        self._running: set[asyncio.Task[None]] = set()
+        self._lock = asyncio.Lock()
+
+    async def pair(self, subsystem: str, standby: str, original: str) -> None:
+        """Make a task the fallback of another one; an empty original ends that.
+
+        Raises:
+            UnknownTaskError: One of them is not here.
+            StateError: They are the same task.
+            PbonetError: The standby could not take over: why.
+        """
+        task = self._rtpu.need(subsystem, standby)
+        if original:
+            self._rtpu.need(subsystem, original)
+        if original == standby:
+            raise StateError(
+                f"the task {standby} cannot be its own fallback",
+                where=self._rtpu.name,
+                remedy="name another task",
+            )
+        known = self._pairs.get((subsystem, standby))
+        if known is not None and known.original == original and known.engaged < LIMIT:
+            await self._arrange(known)
+            return
+        await self.withdraw(task)
+        self._pairs.pop((subsystem, standby), None)
+        if not original:
+            return
+        made = self._pairs[subsystem, standby] = Pair(subsystem, original, standby)
+        await self._arrange(made)
+
+    def of(self, task: Task) -> str:
+        """Return the original whose fallback a task is; empty for none."""
+        pair = self._pairs.get((task.facts.subsystem, task.name))
+        return pair.original if pair else ""
+
+    def missed(self, task: Task) -> list[str]:
+        """Return which of its variables others must write when a task has failed.
+
+        Where its fallback is ON these are what both write: the configuration was judged
+        with the one in the place of the other.
+        """
+        outputs = task.facts.outputs
+        for pair in self._pairs.values():
+            if (pair.subsystem, pair.original) == (task.facts.subsystem, task.name):
+                other = self._rtpu.tasks.get((pair.subsystem, pair.standby))
+                if other is not None and other.state is State.ON:
+                    theirs = other.facts.outputs
+                    return [output for output in outputs if output in theirs]
+        return outputs
+
+    def forget(self, subsystem: str) -> None:
+        """Forget all pairs of a subsystem."""
+        for key in [key for key in self._pairs if key[0] == subsystem]:
+            del self._pairs[key]
+
+    # -- standing by -------------------------------------------------------------------
+
+    async def ready(self, original: Task, after: Sequence[str] = ()) -> None:
+        """Have those stand by for a task that is about to come on.
+
+        It may fail in its first cycle.
+
+        Args:
+            original: The task.
+            after: Tasks that own its out-vars until then.
+        """
+        for pair in list(self._pairs.values()):
+            if (pair.subsystem, pair.original) == (
+                original.facts.subsystem,
+                original.name,
+            ):
+                with contextlib.suppress(PbonetError):  # told when the task is ON
+                    await self._arrange(pair, after, coming=True)
+
+    def look(self, task: Task) -> None:
+        """Arrange or dissolve pairs, as the state of one of the two has changed."""
+        for pair in list(self._pairs.values()):
+            if task.facts.subsystem == pair.subsystem and task.name in {
+                pair.original,
+                pair.standby,
+            }:
+                self._later(pair)
+
+    def look_again(self) -> None:
+        """Do so for every pair; what was in the way may have gone."""
+        for pair in list(self._pairs.values()):
+            self._later(pair)
+
+    def _later(self, pair: Pair) -> None:
+        if not self._due(pair):
+            return
+        running = asyncio.create_task(self._quietly(pair), name="fallback")
+        self._running.add(running)
+        running.add_done_callback(self._running.discard)
+
+    async def _quietly(self, pair: Pair) -> None:
+        try:
+            await self._arrange(pair)
+        except PbonetError as error:
+            if str(error) != pair.told:
+                pair.told = str(error)
+                self._tell(Severity.WARNING, pair, f"cannot stand by: {error}")
+
+    def _due(self, pair: Pair, *, coming: bool = False) -> bool:
+        """Tell whether the standby is to stand by now, and does not.
+
+        Args:
+            pair: The two.
+            coming: The original is about to come on, if it has not yet.
+        """
+        both = self._both(pair)
+        if both is None:
+            return False
+        standby, original = both
+        return (
+            not (standby.stands_by and pair.arranged is original)
+            and standby.state is State.OFF
+            and not self._is_heir(standby)
+            and self._unengaged(standby)
+            and self._unfallen(original, coming=coming)
+        )
+
+    def _both(self, pair: Pair) -> tuple[Task, Task] | None:
+        """Return the standby and its original if the one is for the other still."""
+        standby = self._rtpu.tasks.get((pair.subsystem, pair.standby))
+        original = self._rtpu.tasks.get((pair.subsystem, pair.original))
+        if (
+            self._pairs.get((pair.subsystem, pair.standby)) is not pair
+            or standby is None
+            or original is None
+            or pair.engaged >= LIMIT
+            or pair.subsystem in self._rtpu.stopping
+            or standby.stopping
+            or original.stopping
+        ):
+            return None
+        return standby, original
+
+    def _is_heir(self, standby: Task) -> bool:
+        """Tell whether a list is about to turn a task on, here or elsewhere."""
+        listed = self._rtpu.lists.get(standby.facts.subsystem, ())
+        return (standby.name, "on") in listed or self._rtpu.heirs.waits(standby)
+
+    def _unengaged(self, standby: Task) -> bool:
+        """Tell whether the dispatcher lets a task rest, that it has not told of yet."""
+        slot = self._rtpu.core.snapshot(standby.facts.slot)
+        return slot.mode in {Mode.OFF, Mode.STANDS} and not slot.comes
+
+    def _unfallen(self, original: Task, *, coming: bool) -> bool:
+        """Tell whether who stands by for a task is not engaged by what has been."""
+        slot = self._rtpu.core.snapshot(original.facts.slot)
+        if original.state is State.ON:
+            return not slot.dead
+        return coming and original.state is State.OFF and not (slot.dead or slot.fell)
+
+    async def _arrange(
+        self, pair: Pair, after: Sequence[str] = (), *, coming: bool = False
+    ) -> None:
+        async with self._lock:
+            if not self._due(pair, coming=coming):
+                return
+            standby = self._rtpu.need(pair.subsystem, pair.standby)
+            original = self._rtpu.need(pair.subsystem, pair.original)
+            standby.stands_by, pair.arranged = pair.original, original
+            try:
+                end = End(_rt.FALLBACK, [original], after)
+                await stand_by(self._rtpu, standby, end, TIME)
+            except BaseException:
+                standby.stands_by = ""
+                raise
+            pair.told = ""
+
+    async def turn_off(
+        self,
+        task: Task,
+        off: Make,
+        limit: float,
+        *,
+        last: bool,
+        heirs: Mapping[str, Sequence[str]],
+    ) -> rtpu_messages.Done:
+        """Turn a task off that hands over, and have it stand by for its own original.
+
+        If that is its heir, it may fail in its first cycle, before anybody hears that
+        the task is off. So the task does not wait to be told.
+
+        Args:
+            task: It is ON.
+            off: Makes the message from its number.
+            limit: Seconds that its `off` may take.
+            last: It comes behind the task's next cycle.
+            heirs: Tasks that come, and for each those whose out-vars it takes over.
+
+        Raises:
+            PbonetError: As `Task.command`.
+        """
+        owners = self._turn_back(task, heirs)
+        if not owners:
+            return await task.command("off", off, limit, last=last)
+        names = [task.stands_by]
+        try:
+            done, failed = await task.off_and_prepare(
+                off, lambda n: rtpu_messages.Prepare(n, names, owners), limit, last=last
+            )
+        except NoAnswerError:  # it hangs: see `Exchange.late`
+            await self._stay(task)
+            raise
+        except PbonetError:
+            await self._heard(task)
+            await self._stay(task)
+            raise
+        if failed is not None:
+            await self._stay(task)
+        return done
+
+    def _turn_back(self, task: Task, heirs: Mapping[str, Sequence[str]]) -> list[str]:
+        """Arrange that a task stands by for its original, which it hands over to.
+
+        Returns:
+            Who owns their variables until the original does; none: it does not.
+        """
+        pair = self._pairs.get((task.facts.subsystem, task.name))
+        both = self._both(pair) if pair is not None else None
+        if pair is None or both is None:
+            return []
+        original = both[1]
+        owners = [*heirs.get(original.name, self._rtpu.heirs.callers(original))]
+        coming = original.state is State.OFF and task.name in owners
+        if not (coming and self._unfallen(original, coming=True)):
+            return []
+        task.stands_by, pair.arranged = pair.original, original
+        self._rtpu.core.follow(task.facts.slot, _rt.FALLBACK, [original.facts.slot])
+        return owners
+
+    async def _heard(self, task: Task) -> None:
+        """Wait until a task has answered what was sent behind its `off`."""
+        await asyncio.wait([asyncio.create_task(task.idle())], timeout=TIME)
+
+    async def _stay(self, task: Task) -> None:
+        """Have a task not stand by that could not be turned off, or not get ready."""
+        task.stands_by = ""
+        if not task.gone.is_set():
+            await rest(self._rtpu, task)
+
+    async def withdraw(self, task: Task) -> None:
+        """Have a task stand by no longer, if it does: it gets a signal itself."""
+        async with self._lock:
+            if task.stands_by:
+                self.dismiss(task)
+                await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), TIME)
+
+    async def spare(self, task: Task) -> None:
+        """Have nobody engaged for a task that is going to be ended on purpose."""
+        for other in self._rtpu.of(task.facts.subsystem):
+            if other.stands_by == task.name:
+                with contextlib.suppress(PbonetError):  # one that hangs in its `on`
+                    await self.withdraw(other)
+
+    def overtaken(self, task: Task) -> None:
+        """Have fallbacks that are within their `on` take nothing from who comes on.
+
+        Args:
+            task: Is about to come on, and writes what they would.
+        """
+        mine = set(task.facts.outputs)
+        for other in self._rtpu.of(task.facts.subsystem):
+            slot = other.facts.slot
+            if (
+                other.stands_by
+                and other is not task
+                and mine.intersection(other.facts.outputs)
+                and self._rtpu.core.snapshot(slot).comes
+            ):  # it goes on standing by, so its notice is that of a fallback
+                self._rtpu.core.follow(slot, 0, [])
+
+    def dismiss_all(self, subsystem: str) -> None:
+        """Have nobody engaged any more: the subsystem is being stopped."""
+        for task in self._rtpu.of(subsystem):
+            self.dismiss(task)
+
+    def dismiss(self, task: Task) -> None:
+        """Have a task not engaged any more, without a word to it: it is being ended."""
+        if task.stands_by:
+            self._rtpu.core.follow(task.facts.slot, 0, [])
+            task.stands_by = ""
+
+    # -- engaged -----------------------------------------------------------------------
+
+    def engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
+        """Tell that the dispatcher has engaged a standby, and what came of it."""
+        pair = self._pairs.get((task.facts.subsystem, task.name))
+        if pair is None or not task.stands_by:
+            return
+        task.stands_by = ""
+        self._rtpu.core.follow(task.facts.slot, 0, [])
+        pair.engaged += 1
+        original = self._rtpu.tasks.get((pair.subsystem, pair.original))
+        dead = original is None or self._rtpu.core.snapshot(original.facts.slot).dead
+        why = "has died" if dead else "is in ERROR"
+        good = task.state is State.ON
+        self._tell(
+            Severity.WARNING if good else Severity.ERROR,
+            pair,
+            f"{pair.original} {why}: its fallback {task.name} was released by the "
+            f"dispatcher; state {task.state}, time {pair.engaged} of {LIMIT}"
+            + ("" if good else f"; nobody writes its variables: {notice.text}")
+            + (f"; {task.name} will not stand by again" * (pair.engaged >= LIMIT)),
+        )
+
+    def _tell(self, severity: Severity, pair: Pair, text: str) -> None:
+        self._rtpu.events.add(
+            severity,
+            "FALLBACK",
+            text,
+            subsystem=pair.subsystem,
+            task=pair.standby,
+        )
+
+
+async def stand_by(rtpu: Home, task: Task, end: End, limit: float) -> None:
+    """Have a task that is OFF stand by for others; the dispatcher does the rest.
+
+    Args:
+        rtpu: Where all of them are.
+        task: Comes on when it is engaged.
+        end: What it waits for.
+        limit: Seconds that it may take to get ready.
+
+    Raises:
+        PbonetError: It could not take over: why.
+    """
+    names = [one.name for one in end.of]
+    rtpu.core.follow(task.facts.slot, end.kind, [one.facts.slot for one in end.of])
+    try:
+        await task.command(
+            "prepare",
+            lambda n: rtpu_messages.Prepare(n, names, list(end.owners)),
+            limit,
+        )
+    except BaseException:
+        rtpu.core.follow(task.facts.slot, 0, [])
+        raise
+
+
+async def come(task: Task, limit: float) -> None:
+    """Wait until a task that stands by has come on.
+
+    Raises:
+        NoAnswerError: It was not engaged in time.
+        PbonetError: Its `on` failed.
+    """
+    if task.engaged is None:
+        return
+    try:
+        notice = await asyncio.wait_for(asyncio.shield(task.engaged), limit)
+    except TimeoutError:
+        raise NoAnswerError(
+            "the task did not come on in time",
+            where=task.name,
+            remedy="look at its state, and at what else its RTPU has to do",
+        ) from None
+    if notice.error is not None:
+        raise error_of(notice)
+
+
+async def rest(rtpu: Home, task: Task) -> None:
+    """Have a task that did not come on stand by no longer.
+
+    Of one that has died it stays known what it waited for, until its end is heard of.
+    """
+    if not rtpu.core.snapshot(task.facts.slot).dead:
+        rtpu.core.follow(task.facts.slot, 0, [])
+    with contextlib.suppress(PbonetError):
+        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)

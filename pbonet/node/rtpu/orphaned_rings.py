@@ -1,0 +1,95 @@
+"""Rings of tasks that are gone, which no recorder has begun to empty yet.
+
+A recorder that is being started takes some tenths of a second to come. A task that
+ends before leaves its ring under a name of its own, so that one of its name may be
+spawned; whoever empties it removes it. What nobody comes for the agent removes when it
+ends, else the next RTPU process of that name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import glob
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from pbonet.errors import NodeError
+from pbonet.node.ring._ring import Ring
+
+if TYPE_CHECKING:
+    from pbonet.node.wire.rtpu_messages import Recording
+
+    from .task_handle import Task
+
+FOLDER: Final = "/dev/shm"  # noqa: S108 - where POSIX shared memory is
+MOST: Final = 16
+"""Rings of an RTPU that wait for a recorder, of 1 MiB each; more are not left."""
+_ENDING: Final = ".ring"
+_LEFT: Final = "~"
+"""Stands in no name of a domain, subsystem, task or RTPU."""
+
+
+def let_ring_go(task: Task, recording: Recording | None) -> None:
+    """Remove the ring of a task that is gone, or leave it to a recorder to come.
+
+    Args:
+        task: Its process has ended.
+        recording: What is to be recorded of its subsystem.
+
+    Raises:
+        OSError: It cannot be removed.
+    """
+    try:
+        ring = Ring.attach(task.facts.ring)
+    except (NodeError, ValueError):  # it ended before it had one, or as it made it
+        name = f"pbonet.{os.geteuid()}.{task.facts.ring}{_ENDING}"
+        (_folder() / name).unlink(missing_ok=True)
+        return
+    if (
+        recording is not None
+        and recording.tasks.get(task.name, recording.mode) != "off"
+        and _leave(Path(ring.path), recording, task.child.pid)
+    ):
+        ring.close()
+    else:
+        ring.destroy()
+
+
+def _leave(path: Path, recording: Recording, pid: int) -> bool:
+    """Give a ring another name; return False where it need not or cannot wait."""
+    if len(_left(recording.domain, recording.rtpu)) >= MOST:
+        return False
+    plain = path.name.removesuffix(_ENDING)
+    name = f"{plain}{_LEFT}{recording.rtpu}.{pid}{_ENDING}"
+    try:
+        with path.open("rb") as file:
+            # Whoever follows it holds this lock, and takes the rest without its name.
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.rename(path.with_name(name))
+    except OSError:
+        return False
+    return True
+
+
+def is_left(name: str) -> bool:
+    """Tell whether a ring of this name waits for a recorder, its task being gone."""
+    return _LEFT in name
+
+
+def sweep(domain: str, rtpu: str) -> None:
+    """Remove all that an RTPU has left, and nobody has come for."""
+    for path in _left(domain, rtpu):
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def _left(domain: str, rtpu: str) -> list[Path]:
+    domain, rtpu = glob.escape(domain), glob.escape(rtpu)
+    pattern = f"pbonet.{os.geteuid()}.{domain}.*{_LEFT}{rtpu}.*{_ENDING}"
+    return list(_folder().glob(pattern))
+
+
+def _folder() -> Path:
+    return Path(os.environ.get("PBONET_SHM_DIR") or FOLDER)

@@ -1,0 +1,368 @@
+"""What an RTPU does on request: the SBS server's part (Stewart 1994, section 4.5).
+
+`handle` takes a request as it came from the network and gives the packed answer; it
+never raises. A request with the same client and id is executed once, however often it
+comes: the answer is kept, here and not in the agent, so that it survives the agent.
+Another request under the same id is refused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pbonet.errors import PbonetError, ProtocolError, Severity, StateError
+from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire.answer_packing import Answers, being_stopped
+from pbonet.xm.net import codec
+from pbonet.xm.net import messages as m
+
+from . import (
+    create_task,
+    module_inspection,
+    parameter_requests,
+    reconfig,
+    record_request,
+    signal_tasks,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+    from .claims import Entry
+    from .rtpu_state import Rtpu
+
+KEPT_ANSWERS = 1000
+LONGEST = 3600.0
+"""Seconds that anybody may ask to wait."""
+LARGEST_LIST = 900_000
+"""Bytes of events in one answer; the asker goes on from the last number it got."""
+_LOOKING = m.Hello | m.Modules | m.Events
+_UNCLAIMED = _LOOKING | m.Claim | m.Stop
+_READING = _LOOKING | m.Get
+
+Masters = list[tuple[str, str]] | None
+Result = tuple[object, list[str]]
+
+
+class _Known(NamedTuple):
+    """A request that came before."""
+
+    op: str
+    digest: bytes
+    answer: asyncio.Task[bytes]
+
+
+class Operations:
+    """Carries out requests on one RTPU.
+
+    Args:
+        rtpu: What they are carried out on.
+    """
+
+    def __init__(self, rtpu: Rtpu) -> None:
+        self._rtpu = rtpu
+        self._inspecting = module_inspection.Inspecting(rtpu)
+        self._codec = codec.Codec()
+        self._pack = Answers(rtpu.name, self._report)
+        self._answers: OrderedDict[tuple[str, str], _Known] = OrderedDict()
+        self._masters: Masters = None
+        self._do: dict[type[m.Request], Callable[[Any], Awaitable[Result]]] = {
+            m.Claim: self._claim,
+            m.Release: self._release,
+            m.OpenTable: self._open_table,
+            m.CloseTable: self._close_table,
+            m.Spawn: self._spawn,
+            m.Control: self._control,
+            m.Heirs: self._heirs,
+            m.Reconfig: self._reconfig,
+            m.Standby: self._standby,
+            m.Freq: self._freq,
+            m.Get: self._get,
+            m.Set: self._set,
+            m.Rank: self._rank,
+            m.Modules: self._modules,
+            m.Stop: self._stop,
+            m.Flag: self._flag,
+            m.Sigmask: self._sigmask,
+            m.Job: self._job,
+            m.Record: self._record,
+            m.Events: self._events,
+        }
+
+    async def handle(self, data: bytes, masters: Masters = None) -> bytes:
+        """Return the packed answer to a packed request."""
+        try:
+            request = self._codec.request(data)
+        except PbonetError as error:
+            return self._codec.pack(codec.failure(error, codec.request_id(data)))
+        if isinstance(request, _READING) or not request.id:
+            return await self._carry_out(request, masters)
+        key = (request.client, request.id)
+        digest = hashlib.blake2b(self._codec.pack(request), digest_size=16).digest()
+        known = self._answers.get(key)
+        if known is None:
+            answer = asyncio.create_task(self._carry_out(request, masters))
+            known = _Known(request.__struct_config__.tag, digest, answer)  # type: ignore[arg-type]
+            self._answers[key] = known
+            self._forget_old()
+        elif known.digest != digest:
+            return self._pack.bad(request, self._another(request, known.op))
+        return await asyncio.shield(known.answer)
+
+    def _another(self, request: m.Request, before: str) -> ProtocolError:
+        """Return the error for an id that was another request's."""
+        return ProtocolError(
+            f"the id {request.id} of client {request.client} was another request's",
+            where=self._rtpu.name,
+            expected=f"the same {before} again, or an id of its own",
+            got=f"{request.__struct_config__.tag} with other contents",
+            remedy="count ids up, and give each run of a program another client name",
+        )
+
+    def _forget_old(self) -> None:
+        for key in list(self._answers)[: len(self._answers) - KEPT_ANSWERS]:
+            if self._answers[key].answer.done():
+                del self._answers[key]
+
+    async def _carry_out(self, request: m.Request, masters: Masters) -> bytes:
+        try:
+            if isinstance(request, m.Claim):
+                result, warnings = self._claim_knowing(request, masters)
+            else:
+                self._check(request)
+                result, warnings = await self._do[type(request)](request)
+            return self._pack.good(request, result, warnings)
+        except Exception as error:  # noqa: BLE001 - the server outlives any request
+            return self._pack.bad(request, error)
+
+    def _report(self, text: str) -> None:
+        self._rtpu.events.add(Severity.ERROR, "INTERNAL", text)
+
+    def _check(self, request: m.Request) -> None:
+        """Refuse what needs a claim and has none, and what comes during a stop."""
+        if isinstance(request, m.Spawn | m.Control | m.Heirs | m.Reconfig):
+            _check_timeout(request.timeout)
+        if isinstance(request, _UNCLAIMED):
+            return
+        if isinstance(request, m.Freq | m.Get) and getattr(request, "hz", None) is None:
+            return
+        if isinstance(request, m.Sigmask | m.Job) and not request.changes:
+            return
+        self._rtpu.claims.check(request)
+        self._rtpu.givers.heard(request.subsystem)
+        if request.subsystem in self._rtpu.stopping:
+            raise being_stopped(self._rtpu.name, request.subsystem)
+
+    # -- claims and tables -------------------------------------------------------------
+
+    def _claim_knowing(self, request: m.Claim, masters: Masters) -> Result:
+        rtpu = self._rtpu
+        before = rtpu.claims.get(request.subsystem)
+        entry = rtpu.claims.claim(request, masters=masters, busy=rtpu.busy())
+        self._close_orphaned_tables()
+        rtpu.rank()
+        rtpu.tell_claims()
+        if before is None or before.epoch != entry.epoch:
+            rtpu.events.add(
+                Severity.INFO,
+                "CLAIM",
+                f"{entry.usage} use by master {entry.client}, epoch {entry.epoch}",
+                subsystem=entry.subsystem,
+            )
+        return self._claimed(entry), []
+
+    def _claimed(self, entry: Entry) -> m.Claimed:
+        tasks = self._rtpu.of(entry.subsystem)
+        return m.Claimed(
+            epoch=entry.epoch,
+            tasks=[task.name for task in tasks],
+            rmods={task.name: task.facts.text for task in tasks},
+        )
+
+    def _close_orphaned_tables(self) -> None:
+        """Let go of the tables of subsystems whose claim has lapsed."""
+        claimed = self._rtpu.claims.epochs()
+        for subsystem in self._rtpu.tables.subsystems():
+            if subsystem not in claimed:
+                self._rtpu.tables.close(subsystem)
+                record_request.end(self._rtpu, subsystem)
+
+    async def _claim(self, request: m.Claim) -> Result:
+        return self._claim_knowing(request, None)
+
+    async def _release(self, request: m.Release) -> Result:
+        self._must_be_idle(request.subsystem, "given back")
+        self._rtpu.forget(request.subsystem)
+        self._rtpu.signals.forget(request.subsystem)
+        self._rtpu.events.forget(request.subsystem)
+        self._rtpu.tables.close(request.subsystem)
+        self._rtpu.claims.release(request.subsystem)
+        record_request.end(self._rtpu, request.subsystem)
+        self._rtpu.tell_claims()
+        self._rtpu.events.add(
+            Severity.INFO,
+            "RELEASE",
+            f"released by {request.client}",
+            subsystem=request.subsystem,
+        )
+        return None, []
+
+    def _must_be_idle(self, subsystem: str, what: str) -> None:
+        names = [task.name for task in self._rtpu.of(subsystem)]
+        if names:
+            raise StateError(
+                f"cannot be {what} while the subsystem has tasks here",
+                where=f"{self._rtpu.name}/{subsystem}",
+                got="tasks " + " ".join(names),
+                remedy="kill them first, or stop the subsystem",
+            )
+
+    async def _open_table(self, request: m.OpenTable) -> Result:
+        return self._rtpu.tables.open(request), []
+
+    async def _close_table(self, request: m.CloseTable) -> Result:
+        self._must_be_idle(request.subsystem, "closed")
+        self._rtpu.tables.close(request.subsystem)
+        return None, []
+
+    async def _flag(self, request: m.Flag) -> Result:
+        rtpu, subsystem = self._rtpu, request.subsystem
+        rtpu.tables.need(subsystem)
+        if request.up:
+            rtpu.flags.master_found(subsystem, request.cause, request.unfed)
+        else:
+            rtpu.flags.master_mended(subsystem, request.cause)
+        return rtpu.tables.causes(subsystem), []
+
+    async def _record(self, request: m.Record) -> Result:
+        return record_request.begin(self._rtpu, request), []
+
+    async def _sigmask(self, request: m.Sigmask) -> Result:
+        rtpu, subsystem = self._rtpu, request.subsystem
+        if request.changes:
+            if request.task:
+                rtpu.need(subsystem, request.task)
+            names = None if request.unset else request.names
+            rtpu.signals.mask(subsystem, request.task, names)
+            for task in rtpu.of(subsystem):
+                rtpu.signals.apply(rtpu.core, task)
+        return rtpu.signals.masks(subsystem), []
+
+    async def _job(self, request: m.Job) -> Result:
+        claims = self._rtpu.claims
+        if request.changes:
+            claims.stand(request.subsystem, request.told)
+        entry = claims.get(request.subsystem)
+        return [entry.job] if entry and entry.job else [], []
+
+    # -- tasks -------------------------------------------------------------------------
+
+    async def _spawn(self, request: m.Spawn) -> Result:
+        task = await create_task.spawn(self._rtpu, request)
+        self._rtpu.givers.took_over(task, request.replaces)
+        notes = task.ready.notes if task.ready and self._rtpu.locks_memory else []
+        return self._rtpu.status_of(task), list(notes)
+
+    async def _control(self, request: m.Control) -> Result:
+        rtpu = self._rtpu
+        tomb = rtpu.tombs.get((request.subsystem, request.task))
+        if tomb is not None and request.signal == "kill":
+            rtpu.bury(request.subsystem, request.task)
+            return tomb, []
+        task = rtpu.need(request.subsystem, request.task)
+        warnings = await signal_tasks.control(
+            rtpu,
+            task,
+            request.signal,
+            request.timeout,
+            arg=request.arg,
+            replaces=request.replaces,
+        )
+        if request.signal == "kill":
+            return task.last_status, warnings
+        if request.replaces:
+            rtpu.givers.took_over(task, request.replaces)
+        return rtpu.status_of(task), warnings
+
+    async def _reconfig(self, request: m.Reconfig) -> Result:
+        return await reconfig.reconfigure(self._rtpu, request), []
+
+    async def _heirs(self, request: m.Heirs) -> Result:
+        heirs, subsystem = self._rtpu.heirs, request.subsystem
+        return await heirs.expect(
+            subsystem, request.after, request.timeout, far=request.far
+        ), []
+
+    async def _standby(self, request: m.Standby) -> Result:
+        rtpu = self._rtpu
+        await rtpu.fallbacks.pair(request.subsystem, request.task, request.original)
+        return rtpu.status_of(rtpu.need(request.subsystem, request.task)), []
+
+    async def _freq(self, request: m.Freq) -> Result:
+        task = self._rtpu.need(request.subsystem, request.task)
+        if request.hz is not None:
+            await parameter_requests.set_freq(self._rtpu, task, request.hz)
+        return task.freq, []
+
+    async def _get(self, request: m.Get) -> Result:
+        task = self._rtpu.need(request.subsystem, request.task)
+        return await parameter_requests.get(task, request.name), []
+
+    async def _set(self, request: m.Set) -> Result:
+        task = self._rtpu.need(request.subsystem, request.task)
+        return await parameter_requests.set_(
+            self._rtpu, task, request.name, request.value
+        ), []
+
+    async def _rank(self, request: m.Rank) -> Result:
+        whose, tombs = request.subsystem, self._rtpu.tombs
+        # One that has died since the master looked is no fault of the others.
+        ranks = {n: r for n, r in request.tasks.items() if (whose, n) not in tombs}
+        for name in ranks:
+            self._rtpu.need(whose, name)
+        for name, (crit, priority) in ranks.items():
+            create_task.check_rank(crit, priority, name)
+            self._rtpu.told[whose, name] = (crit, priority)
+        self._rtpu.rank()
+        return None, []
+
+    async def _stop(self, request: m.Stop) -> Result:
+        names = [request.subsystem] if request.subsystem else sorted(self._rtpu.busy())
+        limit = request.timeout if 0 <= request.timeout <= LONGEST else LONGEST
+        stopped = await signal_tasks.stop(self._rtpu, names, limit, request.order)
+        for name in names:
+            self._rtpu.claims.stand(name, None)
+        return stopped, []
+
+    # -- the rest ----------------------------------------------------------------------
+
+    async def _modules(self, request: m.Modules) -> Result:
+        return await self._inspecting.modules(request.name)
+
+    async def _events(self, request: m.Events) -> Result:
+        chosen: list[m.Event] = []
+        size = 0
+        for event in self._rtpu.events.since(request.since):
+            size += len(rtpu_messages.encode(event))
+            if size > LARGEST_LIST:
+                break
+            chosen.append(event)
+        return chosen, []
+
+
+def _check_timeout(timeout: float) -> None:
+    """Refuse a time limit that is none.
+
+    Raises:
+        ProtocolError: It is negative, too long, or no number.
+    """
+    if not 0 <= timeout <= LONGEST:
+        raise ProtocolError(
+            "this is no time limit",
+            expected=f"0 to {LONGEST:g} s",
+            got=f"{timeout:g}",
+            remedy="give one within these",
+        )

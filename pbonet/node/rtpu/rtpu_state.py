@@ -1,0 +1,510 @@
+"""All that an RTPU process holds: claims, tables, tasks, core table, dispatcher."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import pbonet
+from pbonet.analysis.schedule.records import Mode
+from pbonet.config.model import RtpuEntry, Scheduler, TaskType
+from pbonet.errors import PbonetError, RealTimeError, Severity
+from pbonet.node.rt import _rt
+from pbonet.node.task.step_failures import own_place, placed
+from pbonet.node.task.task_channel import INTERRUPT
+from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
+from pbonet.pbo import Signal, State
+
+from . import (
+    cleanup,
+    cpu_idle_states,
+    ranking,
+    status,
+)
+from . import (
+    rtpu_snapshot as known,
+)
+from .claims import Claims
+from .constant_owners import Givers
+from .cross_core_handover import Heirs
+from .fallbacks import Fallbacks
+from .fork_client import Server, Spawner
+from .illegal_flag import Flags
+from .orphaned_rings import let_ring_go
+from .tables import Tables
+from .task_handle import crash_place, describe_end
+from .task_signals import Signals
+from .timing_failure_events import Timekeeper
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from pbonet.analysis.schedule.records import SlotStatus
+    from pbonet.node.wire.event_log import EventLog
+    from pbonet.xm.net import run_folder
+    from pbonet.xm.net.messages import Call, TaskStatus
+
+    from .task_handle import Task
+
+Key = tuple[str, str]
+"""Subsystem and task."""
+WATCH_PERIOD = 0.5
+"""Seconds between looks at what nobody reports: files that vanish, the dispatcher."""
+
+
+class Rtpu:
+    """The state of one RTPU process.
+
+    Args:
+        config: What its agent told it at its start.
+        events: Where to tell what happens.
+        places: Its files in the runtime folder.
+        forks: The fork server that its process began with.
+    """
+
+    def __init__(
+        self,
+        config: rtpu_messages.RtpuConfig,
+        events: EventLog,
+        places: run_folder.Places,
+        forks: Server,
+    ) -> None:
+        self.config = config
+        self.events = events
+        events.state_of = self._state_of
+        self.places = places
+        self.name = config.name
+        self.slot_owner = f"{config.domain}/{config.name}"
+        self.claims = Claims(config.name, epoch=time.time_ns() // 1_000_000)
+        self.tables = Tables(config.domain, changed=self.tell_claims)
+        self.flags = Flags(config.name, self.tables, events)
+        self.tasks: dict[Key, Task] = {}
+        self.tombs: dict[Key, TaskStatus] = {}
+        """The last status of tasks that died, until they are killed or spawned anew."""
+        self.told: dict[Key, tuple[int | None, int]] = {}
+        """Criticality and priority as the master gave them."""
+        self.spawned: dict[Key, tuple[int | None, int]] = {}
+        """The same, as they came with the spawn."""
+        self.ranks: dict[Key, ranking.Ranked] = {}
+        self.recordings: dict[str, rtpu_messages.Recording] = {}
+        """What the agent is to have recorded, by subsystem."""
+        self.stopping: set[str] = set()
+        self.lists: dict[str, list[tuple[str, str]]] = {}
+        """What is being carried out of lists of signals, by subsystem."""
+        self._chores: set[asyncio.Task[None]] = set()
+        self.turned_on = 0
+        self.signals = Signals(events)
+        self._timekeeper = Timekeeper(events)
+        self.spawner = Spawner(config.core, forks, self._forks_died)
+        self.core: _rt.CoreTable
+        self.dispatcher: _rt.Dispatcher
+        self.vigil: _rt.Vigil
+        self.fallbacks = Fallbacks(self)
+        self.heirs = Heirs(self)
+        self.givers = Givers(self)
+        self.limits: list[str] = []
+        self.locks_memory = True
+        self._watch: asyncio.Task[None] | None = None
+        self._awake: cpu_idle_states.Awake | None = None
+        self.claims_changed: Callable[[], None] | None = None
+        self.call_far: Callable[[str, list[Call]], None] | None = None
+        """Has heirs of a subsystem on other machines called."""
+        self.changed: Callable[[], None] | None = None
+        """Called when something may have changed that `pbonet.node.rtpu.rtpu_snapshot` tells."""
+
+    async def start(self) -> None:
+        """Take the core, start dispatching, start the fork server.
+
+        Raises:
+            PbonetError: One of these cannot be had.
+        """
+        probe = _rt.probe()
+        self.limits = list(probe.reasons)
+        if self.config.core not in probe.cores:
+            raise RealTimeError(
+                f"core {self.config.core} cannot be used by this process",
+                where=self.name,
+                expected="one of " + " ".join(map(str, probe.cores)),
+                remedy="choose another core, leave --core out to have one chosen, or "
+                "widen the process's CPU affinity",
+            )
+        os.sched_setaffinity(0, process_setup.housekeeping_cores(self.config.core))
+        try:
+            _rt.lock_memory()
+        except RealTimeError as error:
+            if probe.lock_memory:  # else it is among the reasons already
+                self.limits.append(f"memory is not locked: {error}")
+        self.locks_memory = probe.lock_memory
+        await self.spawner.start()
+        if self.config.awake:
+            self._awake = cpu_idle_states.Awake()
+            self.limits += self._awake.limits
+        self.core = _rt.CoreTable(self.config.core, member=True)
+        self.dispatcher = _rt.Dispatcher(self.core, self.config.backend)
+        self.dispatcher.start()
+        self.vigil = _rt.Vigil(self.dispatcher)
+        self.save()
+        self._watch = asyncio.create_task(self._watch_quietly(), name="watch")
+
+    async def close(self) -> None:
+        """Give everything back; tasks should have ended."""
+        waiting = [*self._chores, *([self._watch] if self._watch else [])]
+        for one in waiting:
+            one.cancel()
+        await asyncio.gather(*waiting, return_exceptions=True)
+        if self._awake is not None:
+            self._awake.close()
+        self.tables.close_all()
+        await self.spawner.close()
+        for name in ("vigil", "dispatcher", "core"):
+            held = getattr(self, name, None)
+            if isinstance(held, _rt.Dispatcher | _rt.Vigil):
+                held.stop()
+            elif isinstance(held, _rt.CoreTable):
+                held.close()
+
+    def info(self) -> rtpu_messages.RtpuInfo:
+        """Return who this process is."""
+        return rtpu_messages.RtpuInfo(
+            pid=os.getpid(),
+            core=self.config.core,
+            version=pbonet.__version__,
+            backend=self.dispatcher.backend,
+            limits=self.limits,
+            claims=self.claims.epochs(),
+            tables=self.tables.kept(),
+            recordings=self.recordings,
+        )
+
+    def save(self) -> None:
+        """Write down what has to be cleaned away should this process be killed."""
+        state = cleanup.Leftovers(
+            pid=os.getpid(),
+            started=process_setup.start_time(os.getpid()),
+            core=self.config.core,
+            epoch=self.claims.epoch,
+            tables=self.tables.names(),
+            tasks=[
+                cleanup.TaskLeft(t.child.pid, t.child.started, t.facts.ring)
+                for t in self.tasks.values()
+            ],
+        )
+        try:
+            cleanup.write(self.places.state, state)
+        except PbonetError as error:
+            self.events.add(Severity.ERROR, error.code, str(error))
+
+    def tell_claims(self) -> None:
+        """Write down and pass on that claims or tables have changed."""
+        self.save()
+        if self.claims_changed is not None:
+            self.claims_changed()
+
+    def later(self, chore: Coroutine[None, None, None], name: str) -> None:
+        """Do something that no request waits for."""
+        running = asyncio.create_task(chore, name=name)
+        self._chores.add(running)
+        running.add_done_callback(self._chores.discard)
+
+    # -- tasks -------------------------------------------------------------------------
+
+    def _state_of(self, subsystem: str, name: str) -> str:
+        task = self.tasks.get((subsystem, name))
+        return State.NOT_CREATED if task is None else task.state
+
+    def of(self, subsystem: str) -> list[Task]:
+        """Return the tasks of a subsystem, in the order in which they were spawned."""
+        return [task for key, task in self.tasks.items() if key[0] == subsystem]
+
+    def busy(self) -> set[str]:
+        """Return the subsystems that have tasks here."""
+        return {subsystem for subsystem, _ in self.tasks}
+
+    def need(self, subsystem: str, name: str) -> Task:
+        """Return a task.
+
+        Raises:
+            UnknownTaskError: There is none of that name.
+        """
+        task = self.tasks.get((subsystem, name))
+        if task is not None:
+            return task
+        names = [task.name for task in self.of(subsystem)]
+        tomb = self.tombs.get((subsystem, name))
+        raise known.no_task(self.name, subsystem, name, names, tomb)
+
+    def rank(self, *joining: Task) -> None:
+        """Rank all tasks anew and tell the dispatcher what has changed.
+
+        Args:
+            joining: Tasks that are about to be turned on; they count already. One that
+                stands by takes nothing from the others.
+        """
+        wishes = [
+            self._wish(key, task, on=task in joining or task.state is State.ON)
+            for key, task in self.tasks.items()
+        ]
+        ranked = ranking.rank(self._entry(), wishes)
+        before, self.ranks = self.ranks, {k: ranked["/".join(k)] for k in self.tasks}
+        for key, rank in self.ranks.items():
+            if before.get(key) != rank:
+                slot = self.tasks[key].facts.slot
+                self.core.configure(
+                    slot, crit=rank.crit, priority=rank.priority, drop=rank.drop
+                )
+
+    def _entry(self) -> RtpuEntry:
+        """Return what those who use the RTPU say of it, taken together."""
+        entries = [self.claims.get(subsystem) for subsystem in self.busy()]
+        known = [entry for entry in entries if entry is not None]
+        if not known:
+            return RtpuEntry(name=self.name)
+        return RtpuEntry(
+            name=self.name,
+            scheduler=Scheduler(known[0].scheduler),
+            minfreq=min(entry.minfreq for entry in known),
+            maxfreq=max(entry.maxfreq for entry in known),
+        )
+
+    def _wish(self, key: Key, task: Task, *, on: bool) -> ranking.Wish:
+        crit, priority = self.spawned.get(key, (None, 0))
+        return ranking.Wish(
+            name="/".join(key),
+            rmod=task.facts.rmod,
+            freq=task.freq,
+            on=on,
+            told=self.told.get(key),
+            spawn_crit=crit,
+            priority=priority,
+        )
+
+    def status_of(self, task: Task) -> TaskStatus:
+        """Return a task's status from shared memory."""
+        slot = self.core.snapshot(task.facts.slot)
+        signals = self.core.signals(task.facts.slot)
+        return status.task_status(self.name, known.of(self, task), slot, signals)
+
+    def cycle_of(self, task: Task) -> int:
+        """Return how many cycles a task has completed since it was turned on."""
+        if task.last_status is not None:  # its slot may be another one's
+            return task.last_status.cycle
+        slot = self.core.snapshot(task.facts.slot)
+        return slot.cycles - slot.on_cycles
+
+    def watch_life(self, task: Task) -> None:
+        """Have the task's death, or its going to ERROR, known at once."""
+        opened = self.tables.get(task.facts.subsystem)
+        depended_on = opened is not None and task.facts.outputs
+        self.vigil.watch(
+            task.facts.slot,
+            opened.table.arena if opened is not None and depended_on else None,
+            f"{self.name}/{task.name}".encode(),
+            f"{task.name} has died".encode(),
+            f"{task.name} is in ERROR".encode(),
+        )
+
+    # -- what happens unasked ----------------------------------------------------------
+
+    def heard(self) -> None:
+        """Take note that a task has sent something, or has ended."""
+        if self.changed is not None:
+            self.changed()
+
+    def told_by(self, task: Task, notice: rtpu_messages.Notice) -> None:
+        """Take what a task reports: an event, and perhaps an error or a warning."""
+        severity = Severity(notice.severity)
+        for code, count in notice.lost.items():
+            where = task.facts.subsystem
+            self.events.count(code, count, subsystem=where, task=task.name)
+        if notice.lost and notice.code != "LOST":
+            lost = sum(notice.lost.values())
+            notice.text = f"[{lost} notices lost before this one] {notice.text}"
+        if notice.code == "WARNING":
+            task.warnings += 1
+            task.warning = task.warning or notice.text
+        if notice.error is not None:
+            error = str(PbonetError.from_wire(notice.error))
+            task.error = placed(error, notice.place)
+        if notice.code == "ENDING" and task.state is State.ON:
+            task.left = True
+            self._raise_flag(task, "has ended unasked")
+        if notice.code == "ENGAGED":
+            self._engaged(task, notice)
+        elif notice.state:
+            self.settle(task)
+        goes_on = notice.state in {"", State.ON}  # a flood at worst, no change of state
+        if goes_on and not task.budget.take(time.monotonic_ns()):
+            where = task.facts.subsystem
+            self.events.count(notice.code, subsystem=where, task=task.name)
+            return
+        self.signals.told(task, notice.bits)
+        if held := task.budget.told():
+            notice.text = f"[{held} notices held back before this one] {notice.text}"
+        self.events.add(
+            severity,
+            notice.code,
+            notice.text,
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=notice.cycle,
+            bits=notice.bits,
+            errnum=notice.errnum,
+            place=notice.place,
+        )
+        self.flags.look()
+
+    def _engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
+        """Take note that the dispatcher has brought a task ON."""
+        if task.state is State.ON:
+            self.turned_on += 1
+            task.on_rank = self.turned_on
+        subsystem, replaced = task.facts.subsystem, task.stands_by
+        if not replaced and task.state is State.ERROR:
+            self.flags.ceded(subsystem, task.facts.outputs)
+        self.fallbacks.engaged(task, notice)
+        if original := self.tasks.get((subsystem, replaced)):
+            missed = self.fallbacks.missed(original)
+            if self.flags.written(subsystem, missed, but=replaced):
+                self.flags.down(subsystem, replaced)
+        elif replaced and task.state is State.ON:  # its death is known already
+            self.flags.narrow(subsystem, replaced, task.facts.outputs)
+        self.settle(task)
+        self.flags.relieve()
+
+    def settle(self, task: Task, *, ranked: bool = False) -> None:
+        """Bring ranks, error text and the flag in line with a task's state."""
+        if not ranked:
+            self.rank()
+        if task.state is State.ERROR:
+            self._raise_flag(task, "is in ERROR")
+        else:
+            task.error = ""
+            if not (task.left or task.gone.is_set()):
+                self.flags.down(task.facts.subsystem, task.name)
+        self.fallbacks.look(task)
+
+    def _raise_flag(self, task: Task, how: str) -> None:
+        """Raise the flag for a task if others may depend on it."""
+        outputs, subsystem = self.fallbacks.missed(task), task.facts.subsystem
+        if outputs and not self.flags.written(subsystem, outputs, but=task.name):
+            cause = f"{task.name} {how}"
+            self.flags.up(subsystem, task.name, cause, outputs)
+        else:  # the vigil may have raised it, and a fallback is there already
+            self.flags.down(subsystem, task.name)
+
+    def ended(self, task: Task, code: int) -> None:
+        """Clean up after a task's process, however it ended."""
+        task.last_status = self.status_of(task)
+        self.signals.end(self.core, task)
+        self.vigil.forget(task.facts.slot)
+        self.core.died(task.facts.slot)
+        # Behind the mark: who calls from here on is told that nobody comes.
+        slot = self.core.snapshot(task.facts.slot)
+        self.core.free(task.facts.slot)
+        for kept in (self.tasks, self.told, self.spawned):
+            kept.pop((task.facts.subsystem, task.name), None)
+        if task.stopping:
+            self.flags.down(task.facts.subsystem, task.name)
+        else:
+            # The flag is up before the task's own entries go.
+            self._died(task, code, slot)
+        self._reap(task)
+        self.fallbacks.look(task)
+        self.rank()
+        self.save()
+
+    def _reap(self, task: Task) -> None:
+        """Free what a dead task held in shared memory."""
+        opened = self.tables.sound(task.facts.subsystem)
+        try:
+            if opened is not None:
+                opened.table.reap(task.name)
+            let_ring_go(task, self.recordings.get(task.facts.subsystem))
+        except (PbonetError, OSError) as error:
+            self.events.add(Severity.ERROR, "INTERNAL", f"after {task.name}: {error}")
+
+    def _died(self, task: Task, code: int, slot: SlotStatus) -> None:
+        """Report a task that ended unasked, and remember its last status."""
+        text = f"the task ended by itself: {describe_end(code)}"
+        cut = self.tables.cut(task.facts.subsystem)
+        if cut and code == -signal.SIGBUS:
+            text = f"the task ended with its table: {cut}"
+        if slot.hangs:
+            text = (
+                "the task ended itself: timing_failure() did not return, not even when "
+                "it was aborted"
+            )
+        task.ending = text
+        last = task.last_status or self.status_of(task)
+        last.error, last.tid = text, 0
+        last.signals["ERROR"] += 1
+        self.tombs[task.facts.subsystem, task.name] = last
+        if slot.comes:
+            self.heirs.died(task, called=slot.called)
+        elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
+            self._raise_flag(task, "has died")
+        trace = task.child.crash_text()
+        self.events.add(
+            Severity.ERROR,
+            "TASK_DIED",
+            f"{text}\n{trace}" if trace else text,
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=last.cycle,
+            bits=int(Signal.ERROR),
+            place=own_place(trace) or crash_place(trace),
+        )
+
+    def bury(self, subsystem: str, name: str) -> None:
+        """Forget a task that died, and what was raised for it."""
+        self.tombs.pop((subsystem, name), None)
+        self.flags.down(subsystem, name)
+
+    def forget(self, subsystem: str) -> None:
+        """Forget all tasks of a subsystem that died."""
+        for key in [key for key in self.tombs if key[0] == subsystem]:
+            self.bury(*key)
+        self.fallbacks.forget(subsystem)
+        self.flags.forget(subsystem)
+
+    def _forks_died(self, code: int) -> None:
+        self.events.add(
+            Severity.ERROR,
+            "FORK_SERVER_DIED",
+            f"the fork server ended: {describe_end(code)}; every task turns itself "
+            "off and ends",
+        )
+        for task in self.tasks.values():
+            if task.facts.rmod.tasktype is not TaskType.PERIODIC:
+                task.child.rouse(INTERRUPT)  # it may wait in `sync`
+
+    async def _watch_quietly(self) -> None:
+        """Look after what nobody reports."""
+        led = True
+        while True:
+            await asyncio.sleep(WATCH_PERIOD)
+            self.core.reap()
+            self.flags.relieve()
+            self.givers.look()
+            self.fallbacks.look_again()
+            self.signals.look(self.core, self.tasks.values())
+            self._timekeeper.look(
+                self.core.status(),
+                [(t, self.core.snapshot(t.facts.slot)) for t in self.tasks.values()],
+            )
+            for subsystem, cut in self.tables.harmed():
+                self.events.add(
+                    Severity.ERROR,
+                    "TABLE_TRUNCATED" if cut else "TABLE_REMOVED",
+                    cut or "the table's file was removed; tasks that run go on",
+                    subsystem=subsystem,
+                )
+            self.heard()
+            if led and not self.dispatcher.running:
+                led = False
+                self.events.add(
+                    Severity.FATAL, "DISPATCHER_ENDED", "nobody releases tasks any more"
+                )

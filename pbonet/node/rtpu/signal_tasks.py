@@ -1,0 +1,257 @@
+"""Sends signals to tasks, singly, in lists, and all at once (Stewart 1994, 4.5.3)."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+from typing import TYPE_CHECKING
+
+from pbonet.errors import (
+    MethodError,
+    NoAnswerError,
+    PbonetError,
+    Severity,
+    StateError,
+    TaskDiedError,
+)
+from pbonet.node.wire import lifecycle, rtpu_messages
+from pbonet.pbo import State
+from pbonet.xm.net.messages import Stopped
+
+from .task_handle import END_TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from .rtpu_state import Rtpu
+    from .task_handle import Task
+
+OFF_SHARE = 0.6
+"""Of the time for a stop, what turning OFF may take; the rest is for ending."""
+LEAST = 0.05
+"""Seconds that each task gets for its `off`, however many there are."""
+
+
+def event_of(signal: str, where: str) -> lifecycle.Event:
+    """Return the signal that a master named.
+
+    Raises:
+        StateError: There is none of that name.
+    """
+    with contextlib.suppress(ValueError):
+        event = lifecycle.Event(signal)
+        if event in lifecycle.FROM_OUTSIDE:
+            return event
+    raise StateError(
+        f"there is no signal {signal!r}",
+        where=where,
+        expected=" or ".join(lifecycle.FROM_OUTSIDE),
+        remedy="send one of these",
+    )
+
+
+async def control(
+    rtpu: Rtpu,
+    task: Task,
+    signal: str,
+    limit: float,
+    *,
+    arg: str = "",
+    handover: bool = False,
+    replaces: Sequence[str] = (),
+) -> list[str]:
+    """Send one signal and wait for the state it leads to; return warnings.
+
+    Raises:
+        StateError: It is not valid in the task's state; nothing was sent.
+        PbonetError: What the task answered, or why it did not.
+    """
+    event = event_of(signal, task.name)
+    if event is lifecycle.Event.KILL:
+        task.stopping = True  # from here on nobody gets ready for it
+        await rtpu.fallbacks.spare(task)
+        rtpu.fallbacks.dismiss(task)  # nothing is asked of it: it may hang in `on`
+        rtpu.heirs.dismiss(task)
+        return await kill(rtpu, task, limit, arg=arg)
+    await rtpu.heirs.withdraw(task)
+    if event is lifecycle.Event.ON:
+        await rtpu.fallbacks.withdraw(task)
+    lifecycle.rule(task.state, event, where=task.name)
+    if event is lifecycle.Event.ON:
+        rtpu.rank(task)
+        rtpu.fallbacks.overtaken(task)
+        await rtpu.fallbacks.ready(task)
+    try:
+        await task.command(
+            signal,
+            lambda n: rtpu_messages.Signal(
+                n, signal, arg=arg, handover=handover, replaces=list(replaces)
+            ),
+            limit,
+        )
+    except PbonetError as error:
+        note(rtpu, task, event, error)
+        if event is lifecycle.Event.ON:
+            await rtpu.fallbacks.spare(task)
+        raise
+    note(rtpu, task, event)
+    return []
+
+
+async def kill(rtpu: Rtpu, task: Task, limit: float, *, arg: str = "") -> list[str]:
+    """Kill a task, by force if it does not go by itself; return warnings.
+
+    Raises:
+        PbonetError: Its `off` or its `kill` failed; it is gone all the same.
+    """
+    start = time.monotonic()
+    failed: PbonetError | None = None
+    task.stopping = True
+    try:
+        await task.command(
+            "kill", lambda n: rtpu_messages.Signal(n, "kill", arg=arg), limit
+        )
+    except (NoAnswerError, StateError):
+        pass  # it hangs in a method: force is what is left
+    except TaskDiedError:
+        return []
+    except PbonetError as error:
+        failed = error
+    left = max(limit - (time.monotonic() - start), 0.0)
+    said_good_bye = task.state is State.NOT_CREATED
+    by_itself = await task.end(END_TIME if said_good_bye else left)
+    note(rtpu, task, lifecycle.Event.KILL, failed)
+    if failed is not None:
+        raise failed
+    if by_itself:
+        return []
+    text = f"task {task.name} did not end within {limit:g} s and was ended by force"
+    rtpu.events.add(
+        Severity.WARNING,
+        "FORCED",
+        text,
+        subsystem=task.facts.subsystem,
+        task=task.name,
+    )
+    return [text]
+
+
+def note(
+    rtpu: Rtpu,
+    task: Task,
+    event: lifecycle.Event,
+    error: PbonetError | None = None,
+    *,
+    ranked: bool = False,
+) -> None:
+    """Take note of what a signal has led to; `ranked`: ranking is the caller's work."""
+    if event is lifecycle.Event.ON and task.state is State.ON:
+        rtpu.turned_on += 1
+        task.on_rank = rtpu.turned_on
+        task.warnings = 0
+        task.warning = ""
+    rtpu.settle(task, ranked=ranked)
+    rtpu.flags.relieve()
+    rtpu.events.add(
+        Severity.ERROR if error else Severity.INFO,
+        "SIGNAL_FAILED" if error else "STATE",
+        f"{event}: {task.state}" + (f": {error}" if error else ""),
+        subsystem=task.facts.subsystem,
+        task=task.name,
+        cycle=rtpu.cycle_of(task),
+        errnum=error.number if isinstance(error, MethodError) else 0,
+        place=error.place if isinstance(error, MethodError) else "",
+    )
+
+
+async def stop(
+    rtpu: Rtpu, subsystems: Sequence[str], limit: float, order: Sequence[str] = ()
+) -> Stopped:
+    """Turn tasks OFF in order, kill them, and say which had to be forced.
+
+    Args:
+        rtpu: Whose tasks.
+        subsystems: Whose tasks.
+        limit: Seconds in all; a task that hangs costs the others little of it.
+        order: Tasks to turn off first; the others follow, last turned on first.
+    """
+    deadline = time.monotonic() + limit
+    rtpu.stopping |= set(subsystems)
+    for subsystem in subsystems:
+        rtpu.fallbacks.dismiss_all(subsystem)
+        rtpu.heirs.dismiss_all(subsystem)
+    try:
+        tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
+        tasks.sort(key=lambda t: _position(t, order))
+        turned_off = await _all_off(rtpu, tasks, deadline - limit * (1 - OFF_SHARE))
+        ends = await _all_ended(tasks, deadline)
+        forced = [
+            t.name for t, by_itself in zip(tasks, ends, strict=True) if not by_itself
+        ]
+        for subsystem in subsystems:
+            rtpu.forget(subsystem)
+    finally:
+        rtpu.stopping -= set(subsystems)
+    if tasks:
+        rtpu.events.add(
+            Severity.WARNING if forced else Severity.INFO,
+            "STOPPED",
+            f"{len(tasks)} tasks ended"
+            + (f", by force: {' '.join(forced)}" * bool(forced)),
+            subsystem=subsystems[0] if len(subsystems) == 1 else "",
+        )
+    return Stopped(off=turned_off, killed=forced)
+
+
+def _position(task: Task, order: Sequence[str]) -> tuple[int, int]:
+    if task.name in order:
+        return order.index(task.name), 0
+    return len(order), -task.on_rank
+
+
+async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[str]:
+    """Send off to those that are ON, one after the other; return those that obeyed."""
+    running = [task for task in tasks if task.state is State.ON]
+    obeyed: list[str] = []
+    for i, task in enumerate(running):
+        share = (deadline - time.monotonic()) / (len(running) - i)
+        try:
+            await control(rtpu, task, "off", max(share, LEAST))
+            obeyed.append(task.name)
+        except PbonetError:
+            if task.busy:  # else it stands in ERROR, or has ended
+                _calm(task)
+    return obeyed
+
+
+def _calm(task: Task) -> None:
+    """Take its real-time level from a task that hangs, so that others can obey."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(task.child.pid, os.SCHED_OTHER, os.sched_param(0))
+
+
+async def _all_ended(tasks: Sequence[Task], deadline: float) -> list[bool]:
+    """Kill all at once; return which obeyed.
+
+    Those that hang go by force after half of the time: one that spins at a real-time
+    level keeps the others of its core from obeying.
+    """
+    half = (time.monotonic() + deadline) / 2
+    return await asyncio.gather(
+        *(_end(task, half if task.busy else deadline) for task in tasks)
+    )
+
+
+async def _end(task: Task, deadline: float) -> bool:
+    """Kill one task until `deadline`, then by force; return whether it obeyed."""
+    task.stopping = True
+    left = deadline - time.monotonic()
+    with contextlib.suppress(PbonetError):
+        await task.command(
+            "kill", lambda n: rtpu_messages.Signal(n, "kill"), max(left, LEAST)
+        )
+    good_bye = task.state is State.NOT_CREATED and task.spawned.done()
+    left = deadline - time.monotonic()
+    return await task.end(max(left, END_TIME if good_bye else LEAST))

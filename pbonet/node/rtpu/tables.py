@@ -1,0 +1,276 @@
+"""The state variable tables that an RTPU has open, one per subsystem (section 4.5.1).
+
+On each machine a subsystem has one table. The RTPU process of the keeper makes it and
+removes it; others on that machine attach. On other machines the first one makes it, and
+agents carry what changes from one to the other. When the keeper is gone, or elsewhere,
+whoever lets go last removes the file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import struct
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from pbonet.config import parse_svar
+from pbonet.errors import (
+    SvarDamagedError,
+    SvarExistsError,
+    SvarLayoutError,
+    SvarMissingError,
+)
+from pbonet.svar import Table
+from pbonet.xm.net import run_folder
+from pbonet.xm.net.messages import TableInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from pbonet.config.model import SvarFile
+    from pbonet.xm.net.messages import OpenTable
+
+
+_LOCK = struct.Struct("hhqqi4x")
+
+
+class Opened(Struct):
+    """A table and what it was made from."""
+
+    table: Table
+    file: SvarFile
+    keep: bool
+    missed: bool = False
+    """True once its file was found to be gone or truncated."""
+
+
+class Tables:
+    """The open tables of one RTPU process.
+
+    Args:
+        domain: Part of every table's name, so that domains do not meet.
+        changed: Called when a table was opened or let go.
+    """
+
+    def __init__(self, domain: str, *, changed: Callable[[], None]) -> None:
+        self._domain = domain
+        self._changed = changed
+        self._open: dict[str, Opened] = {}
+
+    def names(self) -> list[str]:
+        """Return the names of the open tables, as their files bear them."""
+        return [opened.table.name for opened in self._open.values()]
+
+    def subsystems(self) -> list[str]:
+        """Return the subsystems whose tables are open."""
+        return list(self._open)
+
+    def kept(self) -> dict[str, bool]:
+        """Return by subsystem whether this RTPU keeps the open table."""
+        return {name: opened.keep for name, opened in self._open.items()}
+
+    def get(self, subsystem: str) -> Opened | None:
+        """Return the subsystem's table if it is open."""
+        return self._open.get(subsystem)
+
+    def sound(self, subsystem: str) -> Opened | None:
+        """Return the subsystem's table if it is open, and its file whole."""
+        return None if self.cut(subsystem) else self._open.get(subsystem)
+
+    def need(self, subsystem: str) -> Opened:
+        """Return the subsystem's table.
+
+        Raises:
+            SvarMissingError: It is not open.
+            SvarDamagedError: Its file was truncated.
+        """
+        opened = self._open.get(subsystem)
+        if opened is None:
+            raise no_table(subsystem)
+        opened.table.must_be_whole()
+        return opened
+
+    def need_file(self, subsystem: str) -> Opened:
+        """Return the subsystem's table, sure that tasks can attach to it.
+
+        Raises:
+            SvarMissingError: It is not open, or its file was removed.
+            SvarDamagedError: Its file was truncated.
+        """
+        opened = self.need(subsystem)
+        if not opened.table.path.exists():
+            raise SvarMissingError(
+                "the table's file was removed while it was in use",
+                where=str(opened.table.path),
+                remedy="tasks that run go on; stop the subsystem and start it again "
+                "before spawning more",
+            )
+        return opened
+
+    def open(self, request: OpenTable) -> TableInfo:
+        """Create or attach the subsystem's table.
+
+        Raises:
+            ConfigError: The text of the file is wrong.
+            SvarError: The table cannot be made, or stands with another layout.
+        """
+        run_folder.check_name("a subsystem", request.subsystem)
+        file = parse_svar(request.svar, request.svar_name)
+        layout = Table.layout_of(file.variables)
+        name = table_name(self._domain, request.subsystem)
+        held = self._open.get(request.subsystem)
+        if held is not None:
+            if held.table.layout != layout:
+                raise _other_layout(name, layout, held.table.layout)
+            return self._info(held)
+        table = self._create(name, file) if request.keep else self._attach(name, file)
+        opened = Opened(table, file, request.keep)
+        self._open[request.subsystem] = opened
+        self._changed()
+        return self._info(opened)
+
+    def close(self, subsystem: str) -> None:
+        """Let go of the table; the keeper removes its file."""
+        opened = self._open.pop(subsystem, None)
+        if opened is None:
+            return
+        if opened.keep:
+            opened.table.destroy()
+        else:
+            path = opened.table.path
+            opened.table.close()
+            remove_unused(path)
+        self._changed()
+
+    def close_all(self) -> None:
+        """Let go of every table; a file that others use is left to them."""
+        for opened in self._open.values():
+            path = opened.table.path
+            opened.table.close()
+            remove_unused(path)
+        self._open.clear()
+        self._changed()
+
+    def harmed(self) -> list[tuple[str, str]]:
+        """Return the subsystems whose table's file was harmed since the last call.
+
+        Returns:
+            Each with how it was truncated; with no text where it was removed.
+        """
+        found: list[tuple[str, str]] = []
+        for subsystem, opened in self._open.items():
+            if opened.missed:
+                continue
+            cut = self.cut(subsystem)
+            if cut or not opened.table.path.exists():
+                opened.missed = True
+                found.append((subsystem, cut))
+        return found
+
+    def cut(self, subsystem: str) -> str:
+        """Return how a subsystem's table was truncated; empty when it was not."""
+        opened = self._open.get(subsystem)
+        if opened is not None:
+            try:
+                opened.table.must_be_whole()
+            except SvarDamagedError as error:
+                return str(error)
+        return ""
+
+    def causes(self, subsystem: str) -> list[str]:
+        """Return why the illegal-configuration flag is up; empty while it is down."""
+        names = [subsystem] if subsystem else self.subsystems()
+        opened = [self._open[name] for name in names if name in self._open]
+        return [
+            f"{cause.cause} ({cause.raiser})"
+            for one in opened
+            for cause in one.table.illegal
+        ]
+
+    def _create(self, name: str, file: SvarFile) -> Table:
+        try:
+            return Table.create(name, file.variables)
+        except SvarExistsError:
+            return self._attach(name, file)
+
+    def _attach(self, name: str, file: SvarFile) -> Table:
+        """Attach to the machine's table; make it when the keeper is on another one."""
+        try:
+            return Table.attach(name, layout=Table.layout_of(file.variables))
+        except SvarMissingError:
+            return self._create(name, file)
+
+    @staticmethod
+    def _info(opened: Opened) -> TableInfo:
+        return TableInfo(
+            name=opened.table.name,
+            layout=opened.table.layout,
+            machine=run_folder.machine(),
+        )
+
+
+def table_name(domain: str, subsystem: str) -> str:
+    """Return the name of a subsystem's table, as its file bears it."""
+    return f"{domain}.{subsystem}"
+
+
+def no_table(subsystem: str) -> SvarMissingError:
+    """Return the error for a subsystem whose table is not open."""
+    return SvarMissingError(
+        f"the table of subsystem {subsystem!r} is not open here",
+        remedy="the master opens it when it starts the subsystem",
+    )
+
+
+def lock_to_carry(path: Path) -> int:
+    """Lock a table's file, as one agent of a machine may while it lives.
+
+    Returns:
+        The descriptor that holds the lock; -1 if another agent has it.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return -1
+    try:
+        whole = _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, whole)
+    except OSError:
+        os.close(fd)
+        return -1
+    return fd
+
+
+def remove_unused(path: Path) -> bool:
+    """Remove a table's file unless somebody is attached; return whether it is gone.
+
+    Whoever is attached holds a shared lock on the file.
+    """
+    try:
+        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return True
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(fd), path.stat()):
+                path.unlink()
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(fd)
+    return True
+
+
+def _other_layout(name: str, wanted: str, got: str) -> SvarLayoutError:
+    return SvarLayoutError(
+        "a table of this name stands with another layout",
+        where=name,
+        expected=f"layout {wanted}",
+        got=f"layout {got}",
+        remedy="stop the subsystem that uses it, or give this one another name",
+    )

@@ -1,0 +1,507 @@
+"""One task as the RTPU process holds it: its process, its socket, what is known of it.
+
+Nothing here decides what a signal means or when a task may have one; that is the work
+of `pbonet.node.rtpu.request_handlers`. This is the link: one message at a time, its answer within
+a time limit, and the certainty of hearing about the end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import math
+import re
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.errors import (
+    MethodError,
+    NoAnswerError,
+    PbonetError,
+    Severity,
+    StateError,
+    TaskDiedError,
+    TaskError,
+)
+from pbonet.node.task.task_output import Lines
+from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire.event_log import LineBudget
+from pbonet.pbo import State
+from pbonet.xm.net import codec
+
+from .fork_client import ORPHANED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.config.model import Rmod
+    from pbonet.xm.net.messages import TaskStatus
+
+    from .fork_client import Child
+
+    Make = Callable[[int], rtpu_messages.ToTask]
+
+DUMP_SIGNAL = signal.SIGQUIT
+"""Makes a task write where it stands into its crash file, whatever it is doing."""
+END_TIME = 1.0
+"""Seconds that a task which said good-bye may take to end."""
+_SLICE = 0.1
+"""Seconds of a wait that a standstill of the machine may cost."""
+_DUMP_TIME = 0.1
+
+
+class Facts(msgspec.Struct, kw_only=True):
+    """What a task was made from; does not change while it lives."""
+
+    subsystem: str
+    name: str
+    rmod: Rmod
+    text: str
+    """The RMOD's text, for masters that come later."""
+    slot: int
+    ring: str
+
+    @property
+    def outputs(self) -> list[str]:
+        """The variables that the task writes in its cycles."""
+        return [self.rmod.svar_name(port) for port in self.rmod.outvar]
+
+
+class Ready(msgspec.Struct, kw_only=True):
+    """What a task says about itself when its `init` is done."""
+
+    module: str
+    version: str
+    critical_ok: bool
+    tells: bool = False
+    """It has a handler of timing failures."""
+    notes: list[str] = []
+    signals: dict[str, int] = {}
+    """Names and bits of the module's own signals."""
+
+
+class Task:
+    """A task that was forked.
+
+    Args:
+        facts: What it was made from.
+        child: Its process.
+        wake: Tells the task, through its slot, that a message waits; when told so, that
+            it is to look behind its next cycle.
+        tell: Takes what the task reports unasked, and what it prints.
+        heard: Called when the task has said anything, or has ended.
+        ended: Called once, with the exit code, when the process is gone.
+    """
+
+    def __init__(
+        self,
+        facts: Facts,
+        child: Child,
+        *,
+        wake: Callable[[bool], None],
+        tell: Callable[[Task, rtpu_messages.Notice], None],
+        heard: Callable[[], None],
+        ended: Callable[[Task, int], None],
+    ) -> None:
+        self.facts = facts
+        self.child = child
+        self.state = State.NOT_CREATED
+        self.ready: Ready | None = None
+        self.freq = facts.rmod.freq or 0.0
+        self.on_rank = 0
+        """Counts up over all tasks as they are turned on; OFF goes the other way."""
+        self.warnings = 0
+        self.warning = ""
+        self.error = ""
+        self.ending = ""
+        """How its process ended, once that is known."""
+        self.left = False
+        """It was ON and turned itself off, which nobody had asked for."""
+        self.last_status: TaskStatus | None = None
+        """Its status as it ended."""
+        self.stands_by = ""
+        """The task that this one is the fallback of, while it stands by for it."""
+        self.engaged: asyncio.Future[rtpu_messages.Notice] | None = None
+        """Resolves when the dispatcher has engaged the task and its `on` has run."""
+        self.stopping = False
+        """True once its end is wanted, so that the end is no event."""
+        self.budget = LineBudget(rate=50.0, burst=200.0)
+        """How many notices of the module become events."""
+        self.gone = asyncio.Event()
+        self._lock = asyncio.Lock()
+        self._wake = wake
+        self._tell = tell
+        self._heard = heard
+        self._ended = ended
+        self._count = itertools.count(1)
+        self._waiting: dict[int, asyncio.Future[rtpu_messages.Done]] = {}
+        self._busy = {0: "init"}
+        self._decoder: msgspec.msgpack.Decoder[rtpu_messages.FromTask] = (
+            msgspec.msgpack.Decoder(rtpu_messages.FromTask)
+        )
+        self.spawned = self._expect(0)
+        self._lines = Lines(self._printed, time.monotonic_ns)
+        asyncio.get_running_loop().add_reader(child.out, self._read_output)
+        self._life = asyncio.create_task(self._live(), name=f"task {facts.name}")
+
+    @property
+    def name(self) -> str:
+        """The task's name in its subsystem."""
+        return self.facts.name
+
+    @property
+    def signals(self) -> dict[str, int]:
+        """Names and bits of the module's own signals, as far as it is known."""
+        return self.ready.signals if self.ready else {}
+
+    @property
+    def busy(self) -> str:
+        """What the task is carrying out now; empty when it waits for a message."""
+        return next(iter(self._busy.values()), "")
+
+    async def command(
+        self,
+        what: str,
+        make: Make,
+        limit: float,
+        *,
+        last: bool = False,
+    ) -> rtpu_messages.Done:
+        """Send one message and return the answer.
+
+        Args:
+            what: What is asked, for messages: ``on``, ``set``.
+            make: Makes the message from its number.
+            limit: Seconds to wait for the answer, and before that for those who asked
+                earlier.
+            last: It is carried out behind the task's next cycle, at the level of that.
+
+        Raises:
+            StateError: The task is still carrying out an earlier message; nothing was
+                sent.
+            NoAnswerError: It did not answer in time, and may do so later.
+            TaskDiedError: It ended.
+            PbonetError: What the task answered.
+        """
+        left = await self._turn(limit)
+        try:
+            answer = self._ask(what, make, last=last)
+            return await self.wait_for(answer, what, left, of=limit)
+        finally:
+            self._lock.release()
+
+    async def off_and_prepare(
+        self, off: Make, prepare: Make, limit: float, *, last: bool
+    ) -> tuple[rtpu_messages.Done, PbonetError | None]:
+        """Send an ``off``, and what the task is to hear behind it without being asked.
+
+        Args:
+            off: Makes the first message from its number.
+            prepare: Makes the second one.
+            limit: As for `command`.
+            last: As for `command`.
+
+        Returns:
+            The answer to the first message, and what went wrong with the second.
+
+        Raises:
+            PbonetError: As `command`, of the first message.
+        """
+        left = await self._turn(limit)
+        try:
+            first = self._ask("off", off, last=last)
+            try:
+                second = self._ask("prepare", prepare, last=last)
+            except PbonetError as error:
+                return await self.wait_for(first, "off", left, of=limit), error
+            done = await self.wait_for(first, "off", left, of=limit)
+            try:
+                await self.wait_for(second, "prepare", limit)
+            except PbonetError as error:
+                return done, error
+            return done, None
+        finally:
+            self._lock.release()
+
+    def _ask(
+        self, what: str, make: Make, *, last: bool
+    ) -> asyncio.Future[rtpu_messages.Done]:
+        """Send a message; return what resolves with the answer.
+
+        Raises:
+            PbonetError: It could not be sent.
+        """
+        n = next(self._count)
+        answer = self._expect(n)
+        self._busy[n] = what
+        try:
+            self.send(make(n), last=last)
+        except PbonetError:  # it was never asked
+            self._busy.pop(n, None)
+            self._waiting.pop(n, None)
+            raise
+        return answer
+
+    async def _turn(self, limit: float) -> float:
+        """Take the lock, within `limit` seconds; return how many are left.
+
+        Raises:
+            StateError: The task is still carrying out an earlier message.
+        """
+        begun = time.monotonic()
+        try:
+            async with asyncio.timeout(limit):
+                await self._lock.acquire()
+        except TimeoutError:
+            raise self._still_busy() from None
+        if self.busy:
+            self._lock.release()
+            raise self._still_busy()
+        return max(limit - (time.monotonic() - begun), 0.0)
+
+    def _still_busy(self) -> StateError:
+        return StateError(
+            f"the task is still busy with {self.busy!r}",
+            where=self.name,
+            remedy="wait for it, or `kill` the task",
+        )
+
+    async def wait_for(
+        self,
+        answer: asyncio.Future[rtpu_messages.Done],
+        what: str,
+        left: float,
+        *,
+        of: float | None = None,
+    ) -> rtpu_messages.Done:
+        """Return the answer to a message, or the reason why there is none.
+
+        Args:
+            answer: Resolves when it has come.
+            what: What was asked, for messages.
+            left: Seconds to wait.
+            of: The seconds that were given, if earlier messages took some of them.
+
+        Raises:
+            NoAnswerError: It did not come in time.
+            TaskDiedError: The task ended.
+            PbonetError: What the task answered.
+        """
+        try:
+            done = await asyncio.wait_for(asyncio.shield(answer), left)
+        except TimeoutError:
+            given = left if of is None else of
+            raise NoAnswerError(
+                f"the task did not finish {what!r} within {given:.3g} s",
+                where=self.name,
+                remedy="wait for it, or `kill` the task",
+            ) from None
+        if done.error is not None:
+            raise error_of(done)
+        return done
+
+    async def idle(self) -> None:
+        """Wait until the task has answered everything, or has ended."""
+        await asyncio.gather(*self._waiting.values(), return_exceptions=True)
+
+    def send(self, message: rtpu_messages.ToTask, *, last: bool = False) -> None:
+        """Hand a message to the task; it looks at it after its present component."""
+        data = rtpu_messages.encode(message)
+        if len(data) > rtpu_messages.LARGEST_PACKET:
+            raise TaskError(
+                "the message is too long for a task",
+                where=self.name,
+                expected=f"at most {rtpu_messages.LARGEST_PACKET} bytes",
+                got=f"{len(data)} bytes",
+                remedy="give a shorter text or value",
+            )
+        try:
+            self.child.sock.send(data)
+        except OSError as error:
+            raise TaskDiedError(
+                "the task takes no messages",
+                where=self.name,
+                got=str(error),
+                remedy="'status' shows how it stands; kill it and spawn it again",
+            ) from None
+        self._wake(last)
+
+    async def where(self) -> str:
+        """Return the task's Python stack, as text; for tasks that hang."""
+        self.child.send_signal(DUMP_SIGNAL)
+        for _ in range(10):
+            await asyncio.sleep(_DUMP_TIME / 10)
+            if text := self.child.crash_text():
+                return text
+        return ""
+
+    async def end(self, patience: float) -> bool:
+        """Wait for the end, then make it; return whether it came by itself.
+
+        In slices: if the whole machine stands still, for us as for the task, that is
+        one slice, and not the task's delay.
+        """
+        self.stopping = True
+        for _ in range(max(1, math.ceil(patience / _SLICE))):
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(
+                    self.gone.wait(), min(_SLICE, max(patience, 0.0))
+                )
+                return True
+        self.child.send_signal(signal.SIGKILL)
+        await self.gone.wait()
+        return False
+
+    def _expect(self, n: int) -> asyncio.Future[rtpu_messages.Done]:
+        answer: asyncio.Future[rtpu_messages.Done] = (
+            asyncio.get_running_loop().create_future()
+        )
+        self._waiting[n] = answer
+        return answer
+
+    async def _live(self) -> None:
+        """Read what the task says until it ends; then clean up after it."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                data = await loop.sock_recv(
+                    self.child.sock, 2 * rtpu_messages.LARGEST_PACKET
+                )
+            except OSError:
+                break
+            if not data:
+                break
+            self._take(data)
+            self._heard()
+        code = await self.child.exited
+        loop.remove_reader(self.child.out)
+        self._read_output()
+        self._lines.close()
+        self.state = State.NOT_CREATED
+        try:
+            self._ended(self, code)
+        finally:
+            self._bury(code)
+            self._heard()
+
+    def _bury(self, code: int) -> None:
+        """Tell whoever waits that the task is gone, and close its files."""
+        for answer in self._waiting.values():
+            if not answer.done():
+                answer.set_exception(self.death(code))
+                answer.exception()  # nobody may wait for it any more
+        self._waiting.clear()
+        if self.engaged is not None and not self.engaged.done():
+            self.engaged.set_exception(self.death(code))
+            self.engaged.exception()
+        self.child.close()
+        self.gone.set()
+
+    def _take(self, data: bytes) -> None:
+        try:
+            message = self._decoder.decode(data)
+        except codec.MALFORMED as error:
+            text = f"the task sent what is no message: {error}"
+            self._tell(
+                self,
+                rtpu_messages.Notice(
+                    severity=int(Severity.ERROR), code="PROTOCOL", text=text
+                ),
+            )
+            return
+        if isinstance(message, rtpu_messages.Done):
+            self._finished(message)
+            return
+        if message.state:
+            self.state = State(message.state)
+        if message.code == "ENGAGED" and self.engaged and not self.engaged.done():
+            self.engaged.set_result(message)
+        self._tell(self, message)
+
+    def _finished(self, message: rtpu_messages.Done) -> None:
+        self.state = State(message.state)
+        if message.lost:
+            total = sum(message.lost.values())
+            notice = rtpu_messages.Notice(
+                severity=int(Severity.WARNING),
+                code="LOST",
+                text=f"{total} notices found no room; they are counted",
+                lost=message.lost,
+            )
+            self._tell(self, notice)
+        if message.error is not None and self.state is State.ERROR:
+            self.error = str(error_of(message))
+        self._busy.pop(message.n, None)
+        answer = self._waiting.pop(message.n, None)
+        if answer is not None and not answer.done():
+            answer.set_result(message)
+
+    def death(self, code: int) -> TaskDiedError:
+        """Return the error that says how the task ended."""
+        return TaskDiedError(
+            self.ending or f"the task ended by itself: {describe_end(code)}",
+            where=self.name,
+            remedy="spawn it again when the cause is gone",
+            debug=self.child.crash_text(),
+        )
+
+    def _read_output(self) -> None:
+        import os
+
+        with contextlib.suppress(BlockingIOError, OSError):
+            for _ in range(16):  # a bounded share of the loop for one talkative task
+                data = os.read(self.child.out, 65536)
+                if not data:
+                    asyncio.get_running_loop().remove_reader(self.child.out)
+                    return
+                self._lines.feed(data)
+                self._heard()
+
+    def _printed(self, line: str) -> None:
+        self._tell(
+            self,
+            rtpu_messages.Notice(severity=int(Severity.INFO), code="OUTPUT", text=line),
+        )
+
+
+def error_of(done: rtpu_messages.Done | rtpu_messages.Notice) -> PbonetError:
+    """Return the error of an answer or a notice as an exception."""
+    error = PbonetError.from_wire(done.error or {})
+    if isinstance(error, MethodError):
+        error.number, error.place = done.errnum, done.place
+    return error
+
+
+def crash_place(trace: str) -> str:
+    """Return the innermost line of Python in what a crash left, if any."""
+    found = _FRAME.search(trace)
+    return "{}:{} in {}".format(*found.groups()) if found else ""
+
+
+_FRAME = re.compile(r'File "([^"]+)", line (\d+) in (.+)')
+
+
+def describe_end(code: int) -> str:
+    """Return an exit code in words."""
+    if code == ORPHANED:
+        return "its fork server has ended"
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = str(-code)
+    words = {
+        "SIGSEGV": " (segmentation fault)",
+        "SIGKILL": " (killed)",
+        "SIGABRT": " (abort)",
+        "SIGBUS": " (bus error)",
+        "SIGILL": " (illegal instruction)",
+        "SIGFPE": " (arithmetic fault in native code)",
+        "SIGALRM": " (did not turn itself off in time)",
+    }
+    return f"signal {name}{words.get(name, '')}"

@@ -1,0 +1,139 @@
+"""Signals of tasks, as the RTPU process sees them: counts, masks, what was not told.
+
+A task counts each signal in shared memory and sends a notice with it. Notices may be
+dropped or held back in a flood; the counts never are. What was counted and not told
+becomes one event for each task and look, so that a flood is no flood of events.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec import Struct, field
+
+from pbonet.errors import Severity
+from pbonet.pbo import PREDEFINED, SIGNALS, Signal, signal_bits, signal_names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.node.rt._rt import CoreTable
+    from pbonet.node.wire.event_log import EventLog
+
+    from .task_handle import Task
+
+
+def severity(bits: int) -> Severity:
+    """Return how bad the signals are."""
+    if bits & (Signal.ERROR | Signal.SHUTDOWN):
+        return Severity.ERROR
+    return Severity.WARNING if bits & Signal.WARNING else Severity.INFO
+
+
+def by_name(counts: Iterable[int], own: dict[str, int]) -> dict[str, int]:
+    """Return counts by the names of the signals; those without a name if not 0.
+
+    Args:
+        counts: One for each bit.
+        own: Names and bits of the module's own signals.
+    """
+    known = sum((PREDEFINED | own).values())
+    return {
+        signal_names(1 << k, own)[0]: count
+        for k, count in enumerate(counts)
+        if count or known >> k & 1
+    }
+
+
+class _Told(Struct):
+    """How many of a task's signals became events, by bit."""
+
+    counts: list[int] = field(default_factory=lambda: [0] * SIGNALS)
+    behind: list[int] = field(default_factory=lambda: [0] * SIGNALS)
+    """How many were untold at the last look; their notices may have been under way."""
+
+
+class Signals:
+    """The signals of all tasks of one RTPU.
+
+    Args:
+        events: Where to tell.
+    """
+
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+        self._masks: dict[tuple[str, str], list[str]] = {}
+        self._told: dict[Task, _Told] = {}
+
+    # -- masks -------------------------------------------------------------------------
+
+    def masks(self, subsystem: str) -> dict[str, list[str]]:
+        """Return the masks that are set, by task; ``""`` is the whole subsystem."""
+        return {
+            key[1]: names for key, names in self._masks.items() if key[0] == subsystem
+        }
+
+    def mask(self, subsystem: str, task: str, names: list[str] | None) -> None:
+        """Set or, with None, unset a mask; an empty `task` means the subsystem."""
+        if names is None:
+            self._masks.pop((subsystem, task), None)
+        else:
+            self._masks[subsystem, task] = names
+
+    def forget(self, subsystem: str) -> None:
+        """Forget a subsystem's masks."""
+        for task in self.masks(subsystem):
+            self.mask(subsystem, task, None)
+
+    def apply(self, core: CoreTable, task: Task) -> None:
+        """Have a task obey its mask; without one, that of its subsystem."""
+        subsystem = task.facts.subsystem
+        names = self._masks.get((subsystem, task.name))
+        if names is None:
+            names = self._masks.get((subsystem, ""), [])
+        core.mask_signals(task.facts.slot, signal_bits(names, task.signals))
+
+    # -- counts ------------------------------------------------------------------------
+
+    def told(self, task: Task, bits: int) -> None:
+        """Take note that signals have become an event."""
+        told = self._told.setdefault(task, _Told())
+        for k in range(SIGNALS):
+            told.counts[k] += bits >> k & 1
+
+    def look(self, core: CoreTable, tasks: Iterable[Task]) -> None:
+        """Tell what was counted and not told, not even by the time of this look."""
+        for task in tasks:
+            told = self._told.setdefault(task, _Told())
+            now = [
+                count - known
+                for count, known in zip(
+                    core.signals(task.facts.slot), told.counts, strict=True
+                )
+            ]
+            self._tell(task, told, list(map(min, now, told.behind)))
+            told.behind = now
+
+    def end(self, core: CoreTable, task: Task) -> None:
+        """Tell what is left of a task that has ended, and forget it."""
+        told = self._told.pop(task, _Told())
+        counts = core.signals(task.facts.slot)
+        rest = [count - known for count, known in zip(counts, told.counts, strict=True)]
+        self._tell(task, told, rest)
+
+    def _tell(self, task: Task, told: _Told, missing: list[int]) -> None:
+        bits = sum(1 << k for k, count in enumerate(missing) if count > 0)
+        if not bits:
+            return
+        missing = [max(count, 0) for count in missing]
+        told.counts = list(map(sum, zip(told.counts, missing, strict=True)))
+        named = by_name(missing, task.signals).items()
+        text = ", ".join(f"{count} {name}" for name, count in named if count)
+        self._events.add(
+            severity(bits),
+            "SIGNALS",
+            f"not told one by one: {text}",
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            bits=bits,
+        )

@@ -1,0 +1,119 @@
+"""Tells of timing failures, stalls and refused calls; looked at twice a second.
+
+The dispatcher and the tasks count them in shared memory without telling anybody who
+would have to be waited for. Here the counts become events, one for each task and look,
+so that a flood of failures is no flood of events.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pbonet.errors import Severity
+from pbonet.node.rt._rt import KINDS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pbonet.analysis.schedule.records import CoreStatus, SlotStatus
+    from pbonet.node.wire.event_log import EventLog
+
+    from .task_handle import Task
+
+_THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
+
+
+class Timekeeper:
+    """Compares counts with those of the last look.
+
+    Args:
+        events: Where to tell.
+    """
+
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+        self._failures: dict[tuple[str, str, int], tuple[int, ...]] = {}
+        self._stalls = 0
+        self._stalled_ns = 0
+        self._errors = 0
+
+    def look(self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]) -> None:
+        """Tell what has come since the last look."""
+        seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
+        for task, slot in tasks:
+            key = (task.facts.subsystem, task.name, slot.pid)
+            seen[key] = (*slot.failures, slot.held_off)
+            before = self._failures.get(key, (0,) * len(seen[key]))
+            if seen[key] != before:
+                self._tell(task, slot, before, seen[key])
+        self._failures = seen
+        self._look_at_core(core)
+
+    def _tell(
+        self,
+        task: Task,
+        slot: SlotStatus,
+        before: tuple[int, ...],
+        after: tuple[int, ...],
+    ) -> None:
+        names = (*KINDS, "overlong critical section")
+        news = [
+            f"{now - then} {name}"
+            for name, then, now in zip(names, before, after, strict=True)
+            if now > then
+        ]
+        times = [f"timing failures: {', '.join(news)}"]
+        if slot.cpu_now_ns > slot.cpu_max_ns:
+            now = slot.cpu_now_ns / 1e6
+            times.append(f"the cycle under way has taken {now:g} ms of CPU time so far")
+            if not slot.maxc_ns:
+                times.append("MAXC in its .rmod would bound what a cycle takes")
+        if slot.cpu_max_ns:
+            longest = slot.cpu_max_ns / 1e6
+            times.append(f"the longest cycle took {longest:g} ms of CPU time")
+        if slot.maxc_ns:
+            times.append(f"reserve {slot.maxc_ns / 1e6:g} ms")
+        self._events.add(
+            Severity.WARNING,
+            "TIMING_FAILURE",
+            "; ".join(times),
+            subsystem=task.facts.subsystem,
+            task=task.name,
+            cycle=slot.cycles - slot.on_cycles,
+        )
+
+    def _look_at_core(self, core: CoreStatus) -> None:
+        if core.stalls > self._stalls:
+            took = (core.stalled_ns - self._stalled_ns) / 1e6
+            self._events.add(
+                Severity.WARNING,
+                "CORE_STALLED",
+                f"core {core.core} stood still {core.stalls - self._stalls} times, "
+                f"{took:.0f} ms in all; {_cause()}",
+            )
+        if core.errors > self._errors:
+            self._events.add(
+                Severity.ERROR,
+                "CALLS_REFUSED",
+                f"the kernel refused {core.errors - self._errors} calls about tasks of "
+                f"core {core.core}; their order may be wrong. Has somebody taken "
+                "rights away? `pbonet doctor` says which there are",
+            )
+        self._stalls, self._stalled_ns = core.stalls, core.stalled_ns
+        self._errors = core.errors
+
+
+def _cause() -> str:
+    """Say what may have stopped a core, as far as the kernel tells."""
+    try:
+        runtime = int(_THROTTLE.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        runtime = -1
+    if runtime < 0:
+        return "its processes were stopped, or the machine was suspended"
+    return (
+        f"above {runtime / 10_000:g} % of a core the kernel throttles all real-time "
+        "tasks (kernel.sched_rt_runtime_us); or its processes were stopped, or the "
+        "machine was suspended"
+    )

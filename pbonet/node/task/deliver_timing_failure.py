@@ -1,0 +1,59 @@
+"""Tells a module of a timing failure amid its cycle, and puts that on record."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.node.rt import _rt
+from pbonet.pbo import Recovery, TimingFailure, line_of
+from pbonet.ports import here
+
+if TYPE_CHECKING:
+    from types import CodeType
+
+    from pbonet.outside import Told
+
+    from .executor import Executor
+    from .task_channel import SlotTime
+
+_RECOVERIES = {
+    Recovery.CONTINUE: _rt.CONTINUE,
+    Recovery.ABORT: _rt.ABORT,
+    Recovery.SKIP: _rt.SKIP,
+}
+
+
+class Telling:
+    """Called by the native loop with the kind of failure; returns what follows.
+
+    Args:
+        executor: Calls the module's handler.
+        told: Has what came: the kind, the line that was interrupted (empty: none of
+            the module's, its method had not begun), the release, what the handler
+            asked, and its answer.
+        time: The task's.
+        ours: Code of the runtime that calls the module.
+    """
+
+    def __init__(
+        self, executor: Executor, told: Told, time: SlotTime, ours: set[CodeType]
+    ) -> None:
+        self._executor = executor
+        self._told = told
+        self._time = time
+        self._ours = ours
+
+    def __call__(self, kind: str) -> int:
+        """Call the handler."""
+        told, frame = self._told, here(1)
+        amid = frame is not None and frame.f_code not in self._ours
+        place = line_of(frame) if amid else ""
+        came = kind, place, self._time.now
+        told.timing.ask(lambda: came)
+        told.handling = True
+        try:
+            answer = self._executor.timing_failure(TimingFailure(kind))
+        finally:
+            told.handling = False
+        told.timing.ask(lambda: str(answer))
+        return _RECOVERIES[answer]

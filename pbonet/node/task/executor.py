@@ -1,0 +1,499 @@
+"""Runs the methods of one instance, with the right copies before and after each.
+
+Task processes use it, and Bench and simulator. It obeys `pbonet.node.wire.lifecycle`.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from pbonet.errors import MethodError, StateError
+from pbonet.node.wire.lifecycle import (
+    NOT_MADE,
+    RULES,
+    Event,
+    Failure,
+    Outcome,
+    Rule,
+    Step,
+    outcome,
+    rule,
+    signal_event,
+)
+from pbonet.pbo import (
+    Answer,
+    Counted,
+    CycleAborted,
+    Handling,
+    PortBasedObject,
+    Recovery,
+    Signal,
+    State,
+    TaskFailure,
+    TimingFailure,
+    change_param,
+    find_param,
+)
+
+from .lifecycle_steps import Actions
+from .step_failures import (
+    RAISED,
+    Raised,
+    RefusedError,
+    StepFailed,
+    add_remedy,
+    answered,
+    bad_answer,
+    contained,
+    is_answer,
+    method_error,
+    recovery,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .port_transfer import Copies
+
+
+_ALIVE = frozenset({State.OFF, State.ON, State.ERROR})
+
+
+class Executor:
+    """Runs one instance of a module through its life.
+
+    Args:
+        instance: Bound by `pbonet.pbo.bind`.
+        copies: Carries its ports.
+        illegal: Given for a CRITICAL task: tells whether the illegal-configuration flag
+            is up, in which case `cycle` runs ``stable`` instead.
+
+    Raises:
+        DeclarationError: A CRITICAL task whose module has no ``stable``.
+    """
+
+    def __init__(
+        self,
+        instance: PortBasedObject[Any],
+        copies: Copies,
+        *,
+        illegal: Callable[[], bool] | None = None,
+    ) -> None:
+        self.instance = instance
+        self.task = instance.task
+        self.state = State.NOT_CREATED
+        self.failure: MethodError | None = None
+        """What a method failed with last, whatever `error` made of it."""
+        self.cycling: Callable[[], str] = lambda: "cycle"
+        """Says which method runs now where somebody else does the cycling."""
+        self._spent = False
+        self._outdated = False
+        self._actions = Actions(instance, copies, illegal)
+        self._do = self._actions.do
+        self._wakeup = tuple(
+            self._do[step] for step in RULES[State.ON, Event.WAKEUP].steps
+        )
+        self._counted = (
+            self.task.source if isinstance(self.task.source, Counted) else None
+        )
+
+    # -- signals ----------------------------------------------------------------------
+
+    def spawn(self) -> State:
+        """Run `init`; the task is OFF behind it.
+
+        Raises:
+            MethodError: It failed; `kill` has run and the task is NOT-CREATED.
+            StateError: The instance has had its life.
+        """
+        if self._spent:
+            raise StateError(
+                "a task is created once",
+                where=self.task.name,
+                remedy="bind a new instance",
+            )
+        self._spent = True
+        return self._run(Event.SPAWN)
+
+    def signal(
+        self, name: str, arg: str = "", *, handover: bool = False, cede: bool = False
+    ) -> State:
+        """Carry out ``on``, ``off``, ``kill``, ``clear`` or ``reinit``.
+
+        Args:
+            name: The signal.
+            arg: Text for the module, as ``self.task.arg``.
+            handover: For ``off`` and ``kill``: a successor takes over the outputs.
+            cede: For ``off``: it does so in its own claim.
+
+        Returns:
+            The state behind it. For ``on`` it may be OFF, when the module cannot start
+            yet; for ``clear`` it may be ERROR.
+
+        Raises:
+            StateError: The signal is not valid in this state; nothing happened.
+            SvarOwnerError: ``on``: another task writes an out-var; nothing happened.
+            PortError: ``reinit``: a size changed; the old constants stand.
+            MethodError: A method failed and was not put right; `state` says where the
+                task stands now.
+        """
+        event = signal_event(name, where=self.task.name)
+        self.task.arg = arg
+        self.task.handover = handover
+        self._actions.cede = cede
+        try:
+            if event is Event.ON and self.state is State.OFF and self._outdated:
+                self._run(Event.REINIT)
+            return self._run(event)
+        finally:
+            self._actions.cede = False
+            self.task.arg = ""
+            self.task.handover = False
+
+    def set(self, name: str, words: tuple[str, ...], *, where: str = "") -> object:
+        """Change a parameter, between two cycles; return the new value.
+
+        Args:
+            name: The parameter.
+            words: Its value, as the words of a LOCAL line.
+            where: The place of the value, for errors.
+
+        Raises:
+            ParameterError: No such parameter, or the value is refused.
+            MethodError: The module refused it; the old value stands.
+            StateError: There is no task.
+        """
+        rule(self.state, Event.SET, where=self.task.name)
+        before = self.instance.params
+        params = change_param(before, name, words, where=where or self.task.name)
+        key = find_param(before, name)
+        self.instance.params = params
+        try:
+            self._call(Event.SET, Step.SET, key, getattr(params, key))
+        except MethodError as error:
+            self.instance.params = before
+            add_remedy(error, f"the old value of {key} stands")
+            raise
+        return getattr(params, key)
+
+    def get(self, name: str) -> object:
+        """Return a parameter's present value, as the module's `get` gives it.
+
+        Raises:
+            ParameterError: There is no such parameter.
+            MethodError: The module's `get` failed.
+            StateError: There is no task.
+        """
+        rule(self.state, Event.GET, where=self.task.name)
+        key = find_param(self.instance.params, name, where=self.task.name)
+        return self._call(Event.GET, Step.GET, key)
+
+    # -- cycling ----------------------------------------------------------------------
+
+    def cycle(self, dt: float, now: int | None = None) -> State:
+        """Do one cycle here, in Python: copies, the module's law, copies.
+
+        Args:
+            dt: Seconds since the release of the last executed cycle.
+            now: What ``self.task.now`` is during the cycle, in nanoseconds.
+
+        Returns:
+            The state behind it; OFF when the module asked for it.
+
+        Raises:
+            StateError: The task is not ON.
+        """
+        if self.state is not State.ON:
+            rule(self.state, Event.WAKEUP, where=self.task.name)
+        self._actions.dt = dt
+        counted = self._counted
+        if counted is not None:
+            counted.release = now
+        try:
+            for do in self._wakeup:
+                do()
+        except CycleAborted:
+            with suppress(MethodError):  # it is in `failure`, like that of a cycle
+                self.abort()
+        except RAISED as error:
+            self.fault(error, self._actions.method)
+        finally:
+            if counted is not None:
+                counted.release = None
+                counted.cyclecount += 1
+        if self.task.off_requested and self.state is State.ON:
+            return self.signal("off")
+        return self.state
+
+    def sync(self) -> State:
+        """Wait for the event that wakes a synchronous task: runs the module's `sync`.
+
+        Return ON when the event came, else what `error` made of a failure.
+
+        Raises:
+            StateError: It is not ON.
+        """
+        found = rule(self.state, Event.SYNC, where=self.task.name)
+        try:
+            self._steps(found, found.steps)
+        except StepFailed as failed:
+            self.fault(failed.cause, str(failed.step))
+        return self.state
+
+    def fault(self, error: BaseException, method: str = "cycle") -> State:
+        """Have `error` deal with what a cycle raised, and return the next state.
+
+        The native loop's owner calls this with whatever came out of the loop, an error
+        made from refused flags included.
+
+        Args:
+            error: What was raised.
+            method: Which method raised it: ``cycle``, ``stable``, ``sync`` or
+                ``timing_failure``.
+        """
+        event = Event.SYNC if method == "sync" else Event.WAKEUP
+        cause = contained(error)
+        found = rule(self.state, event, where=self.task.name)
+        self._put_right(found, cause, self._described(cause, method))
+        return self.state
+
+    def timing_failure(self, kind: TimingFailure) -> Recovery:
+        """Call the module's handler in the middle of a cycle (section 6.3).
+
+        Nothing is copied. The caller goes on, calls `abort`, or skips a release, as is
+        returned. A module without a handler goes on, with a warning.
+
+        Raises:
+            StateError: The task is not ON.
+            MethodError: The handler gave an answer that there is not.
+            Exception: Whatever the handler raised, an error of the task as if the
+                cycle had raised it; `fault` takes it.
+        """
+        task, cls = self.task, type(self.instance)
+        if self.state is not State.ON:
+            raise StateError(
+                "a timing failure is one of a task that is ON",
+                where=task.name,
+                got=f"state {self.state}",
+                remedy="turn it on first",
+            )
+        if "timing_failure" not in cls.__interface__.methods:
+            task.warn(f"timing failure, {kind}: {kind.meaning}")
+            return Recovery.CONTINUE
+        before = self._actions.method
+        self._actions.method = "timing_failure"
+        task.handling = kind
+        try:
+            answer = recovery(self.instance.timing_failure(kind))
+        finally:
+            task.handling = None
+        self._actions.method = before
+        return answer
+
+    def abort(self) -> State:
+        """Begin anew behind a cycle that a timing failure ended: `on` runs again.
+
+        What the cycle left in the out-vars is discarded; the task goes on owning them.
+
+        Returns:
+            The state behind it: ON, or OFF when `on` answers that it cannot go on.
+
+        Raises:
+            StateError: The task is not ON.
+            MethodError: `on` failed and was not put right; `state` says where the task
+                stands now.
+        """
+        return self._run(Event.ABORT)
+
+    # -- one event --------------------------------------------------------------------
+
+    def _run(self, event: Event) -> State:
+        found = rule(self.state, event, where=self.task.name)
+        self._enter(found)
+        try:
+            self._steps(found, found.steps)
+        except StepFailed as failed:
+            if event is Event.REINIT and not isinstance(failed.cause, RefusedError):
+                self._outdated = True
+            self._recover(found, failed)
+        if event is Event.REINIT:
+            self._outdated = False
+        return self.state
+
+    def _enter(self, found: Rule) -> None:
+        task = self.task
+        task.nextstate = found.to
+        task.on_fail = self._on_fail if found.failure is Failure.ERROR else None
+
+    def _steps(self, found: Rule, steps: tuple[Step, ...]) -> None:
+        """Take the steps of a rule, and go to its end or where an answer sends."""
+        end: Outcome | None = None
+        for step in steps:
+            end = self._take(found, step)
+            if end is not None:
+                break
+        for step in end.steps if end else ():
+            self._take(found, step)
+        self._go(end.to if end else found.to)
+
+    def _take(self, found: Rule, step: Step) -> Outcome | None:
+        """Take one step; return where its answer leads, None to go on."""
+        self._actions.method = str(step)
+        if step is Step.KILL:
+            self.task.on_fail = None
+        try:
+            result = self._do[step]()
+            return answered(found, step, result) if found.answers else None
+        except RAISED as error:
+            raise StepFailed(step, contained(error)) from None
+
+    def _go(self, state: State) -> None:
+        """Be in `state`."""
+        task = self.task
+        self.state = task.state = task.nextstate = state
+        task.on_fail = self._on_fail if state is State.ON else None
+        self._actions.method = "cycle"
+
+    # -- failures ---------------------------------------------------------------------
+
+    def _recover(self, found: Rule, failed: StepFailed) -> None:
+        """Do what the rule says about a failure, then raise it unless put right."""
+        if isinstance(failed.cause, RefusedError) and self.state in _ALIVE:
+            self._go(self.state)
+            raise failed.cause.error from None
+        failure = self._described(failed.cause, str(failed.step))
+        if failed.step is Step.KILL or found.failure is Failure.GO_ON:
+            self._go(found.to)
+        elif found.failure is Failure.KILL:
+            self._follow(NOT_MADE, failure)
+        elif found.failure is Failure.REPORT:
+            self._go(self.state)
+        else:
+            left = self._put_right(found, failed.cause, failure)
+            if left is None:
+                return
+            failure = left
+        if self.state is State.NOT_CREATED and found.failure is not Failure.KILL:
+            add_remedy(failure, "the task has ended all the same")
+        raise failure from failed.cause
+
+    def _put_right(
+        self, found: Rule, error: Raised, failure: MethodError
+    ) -> MethodError | None:
+        """Ask `error` unless it was asked, and obey.
+
+        Of a combination the parts behind the one that failed may fail in their turn.
+
+        Returns:
+            What is still wrong; None when it answered CONTINUE and that went well.
+        """
+        while (answer := self._answer(error, failure)) is Answer.CONTINUE:
+            try:
+                answer = self.instance.__resumed__() or answer
+                break
+            except RAISED as second:
+                before, error = failure, contained(second)
+                failure = self._described(error, self._actions.method)
+                add_remedy(failure, f"before that was put right: {before}")
+        if answer is Answer.CONTINUE:
+            try:
+                self._steps(found, found.resume)
+            except StepFailed as failed:
+                failure = self._described(failed.cause, str(failed.step))
+                if failed.step is Step.KILL:
+                    self._go(found.to)
+                    return failure
+                answer = Answer.ERROR
+            else:
+                return None
+        self._follow(outcome(found, answer), failure)
+        return failure
+
+    def _answer(self, error: Raised, failure: MethodError) -> Answer:
+        """Return what handlers or `error` have answered, within ``fail()`` or now."""
+        if isinstance(error, TaskFailure) and error.answer is not None:
+            if error.answer is Answer.CONTINUE:  # of a handler that jumps
+                self.failure = None
+            return error.answer
+        shown = error.error if isinstance(error, TaskFailure) else error
+        try:
+            settled = self.task.settle(shown) is not Handling.ABORT
+        except RAISED as second:
+            self._also(failure, contained(second), self._actions.method)
+            settled = False
+        if settled:
+            self.failure = None
+            return Answer.CONTINUE
+        return self._ask(error, failure)
+
+    def _follow(self, after: Outcome, failure: MethodError) -> None:
+        """Go where an outcome leads; what fails on the way is told with `failure`."""
+        self.task.on_fail = None
+        self.task.nextstate = after.to
+        self._actions.cede = False
+        for step in after.steps:
+            try:
+                self._do[step]()
+            except RAISED as error:
+                self._also(failure, contained(error), str(step))
+        self._go(after.to)
+        if after.to is State.ERROR:
+            self.task.signal(Signal.ERROR, self.task.errmsg)
+
+    def _on_fail(self, error: MethodError) -> Answer:
+        """Have ``self.task.fail()`` ask the module's `error`."""
+        method = (
+            self.cycling() if self._actions.method == "cycle" else self._actions.method
+        )
+        return self._ask(error, self._described(error, method))
+
+    def _ask(self, error: Raised, failure: MethodError) -> Answer:
+        """Run the module's `error`; an error in there is the answer ERROR."""
+        task, before = self.task, self.task.on_fail
+        shown = error.error if isinstance(error, TaskFailure) else error
+        task.on_fail = None
+        try:
+            answer = self.instance.error(shown)
+            if not is_answer(answer):
+                raise bad_answer("error", answer, None)
+        except RAISED as second:
+            self._also(failure, contained(second), "error")
+            return Answer.ERROR
+        finally:
+            task.on_fail = before
+        return answer
+
+    def _described(self, error: Raised, method: str) -> MethodError:
+        """Return `error` as the error of a method, and note it in the context."""
+        asked = isinstance(error, TaskFailure) and error.answer is not None
+        if asked and self.failure is not None:
+            return self.failure  # it was noted when `error` was asked
+        described = method_error(error, method, self._who())
+        self.task.errmsg = str(described)
+        self.failure = described
+        if not isinstance(error, TaskFailure | MethodError):
+            self.task.errnum = 1
+        return described
+
+    def _who(self) -> str:
+        """Return the task, and of a combination the part that failed."""
+        part = self.task.at()
+        return f"{self.task.name}.{part}" if part else self.task.name
+
+    def _also(self, failure: MethodError, error: Raised, method: str) -> None:
+        """Note in `failure` what failed because of it."""
+        second = method_error(error, method, self._who())
+        add_remedy(failure, f"and then {second}")
+        self.task.errmsg = str(failure)
+
+    def _call(self, event: Event, step: Step, *args: object) -> object:
+        """Call `set` or `get`, which have arguments and change no state."""
+        self._enter(rule(self.state, event, where=self.task.name))
+        method: Callable[..., object] = getattr(self.instance, str(step))
+        try:
+            return method(*args)
+        except RAISED as error:
+            raise self._described(cause := contained(error), str(step)) from cause
+        finally:
+            self._go(self.state)

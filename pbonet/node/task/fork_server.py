@@ -1,0 +1,218 @@
+"""The fork server: one thread, numpy and pbonet imported, never zenoh.
+
+The RTPU process begins as one thread that has imported all of this, and forks it off
+before anything else; a fork server that takes the place of a dead one is started by
+exec, for a process with threads cannot be forked. It is asked for children over a
+socket. A child comes up in milliseconds with everything imported, and belongs to this
+process: should it end, the kernel tells every child, and each turns itself off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import os
+import selectors
+import signal
+import socket
+import sys
+import traceback
+from array import array
+
+import msgspec
+
+from pbonet.errors import NodeError
+from pbonet.node.wire import process_setup, rtpu_messages
+
+from . import module_inspector, task_output, task_process
+
+FDS = 4
+"""Socket, output, specification, and crash text: what comes with a request."""
+CRASHED = 70
+"""Exit code of a child that ended on an exception nobody caught."""
+
+
+def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
+    """Fork a fork server off this process, which must have one thread.
+
+    Args:
+        core: The RTPU's core.
+        close: A file that the fork server must not keep open, or -1.
+
+    Returns:
+        Its process id and the socket to it.
+
+    Raises:
+        NodeError: The system gives no process.
+    """
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    parent = os.getpid()
+    try:
+        pid = os.fork()
+    except OSError as error:
+        near.close()
+        far.close()
+        raise NodeError(
+            "the system gives no process",
+            got=error.strerror or str(error),
+            remedy="look at 'ulimit -u' and at the free memory",
+        ) from None
+    if pid:
+        far.close()
+        return pid, near
+    code = CRASHED
+    try:
+        near.close()
+        if close >= 0:
+            os.close(close)
+        code = serve(far, parent, core)
+    except BaseException:  # noqa: BLE001 - what stands above belongs to the parent
+        traceback.print_exc()
+    finally:
+        os._exit(code)
+
+
+def main(argv: list[str]) -> int:
+    """Serve on the socket whose number is the first argument, until it is closed."""
+    return serve(socket.socket(fileno=int(argv[0])), int(argv[1]), int(argv[2]))
+
+
+def serve(control: socket.socket, parent: int, core: int) -> int:
+    """Be the fork server of process `parent` until the socket is closed.
+
+    Returns:
+        The exit status: 0, or 1 when the parent is gone already.
+    """
+    os.sched_setaffinity(0, process_setup.housekeeping_cores(core))
+    if not process_setup.set_parent_death_signal(signal.SIGKILL, parent):
+        return 1
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at once, as by SIGTERM
+    process_setup.set_title("pbonet-forks")
+    gc.collect()
+    gc.freeze()  # children share these pages for as long as nobody counts references
+    control.send(rtpu_messages.encode(rtpu_messages.Ready()))
+    return ForkServer(control).serve()
+
+
+class ForkServer:
+    """Forks children on request and reports their ends.
+
+    Args:
+        control: The socket to the RTPU process.
+    """
+
+    def __init__(self, control: socket.socket) -> None:
+        self._control = control
+        self._children: dict[int, int] = {}
+        self._decoder = msgspec.msgpack.Decoder(rtpu_messages.Fork)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(control, selectors.EVENT_READ)
+
+    def serve(self) -> int:
+        """Serve until the RTPU process closes the socket."""
+        while True:
+            for key, _ in self._selector.select():
+                if key.fileobj is self._control:
+                    if not self._take_request():
+                        return 0
+                else:
+                    self._report_end(int(key.fd))
+
+    def _take_request(self) -> bool:
+        data, fds = receive_with_fds(self._control)
+        if not data:
+            return False
+        request = self._decoder.decode(data)
+        try:
+            pid = self._fork(request, fds)
+        except OSError as error:
+            answer = rtpu_messages.Forked(request.n, 0, error.strerror or str(error))
+        else:
+            answer = rtpu_messages.Forked(request.n, pid)
+        for fd in fds:
+            os.close(fd)
+        self._control.send(rtpu_messages.encode(answer))
+        return True
+
+    def _fork(self, request: rtpu_messages.Fork, fds: list[int]) -> int:
+        server = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            code = CRASHED
+            try:
+                code = become_child(request, fds, server)
+            finally:
+                os._exit(code)
+        pidfd = os.pidfd_open(pid)
+        self._children[pidfd] = pid
+        self._selector.register(pidfd, selectors.EVENT_READ)
+        return pid
+
+    def _report_end(self, pidfd: int) -> None:
+        self._selector.unregister(pidfd)
+        os.close(pidfd)
+        pid = self._children.pop(pidfd)
+        _, status = os.waitpid(pid, 0)
+        code = os.waitstatus_to_exitcode(status)
+        self._control.send(rtpu_messages.encode(rtpu_messages.Exited(pid, code)))
+
+
+def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:
+    """Turn the process just forked into a task or an inspector; return its exit code.
+
+    Never raises: whatever goes wrong is written where the RTPU process finds it.
+    """
+    sock_fd, spec_fd, crash_fd = _arrange_fds(fds)
+    try:
+        task_output.take_over()
+        process_setup.set_title(request.title)
+        faulthandler.enable(crash_fd, all_threads=False)  # others run on meanwhile
+        run = module_inspector.run if request.kind == "inspect" else task_process.run
+        return run(sock_fd, spec_fd, crash_fd, server)
+    except BaseException:  # noqa: BLE001 - the end of the process, told to the RTPU
+        with contextlib.suppress(OSError):
+            os.write(crash_fd, traceback.format_exc().encode())
+        return CRASHED
+
+
+def _arrange_fds(fds: list[int]) -> tuple[int, int, int]:
+    """Keep the files of this child alone, numbered from 3; output becomes 1 and 2."""
+    base = max(fds) + 1
+    for i, fd in enumerate(fds):
+        os.dup2(fd, base + i, inheritable=False)
+    os.closerange(3, base)
+    os.closerange(base + FDS, 1 << 20)
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+    os.dup2(base + 1, 1)
+    os.dup2(base + 1, 2)
+    for low, high in ((3, base), (4, base + 2), (5, base + 3)):
+        os.dup2(high, low, inheritable=False)
+    os.closerange(6, base + FDS)
+    return 3, 4, 5
+
+
+def receive_with_fds(sock: socket.socket) -> tuple[bytes, list[int]]:
+    """Return the next packet and the files that came with it, b"" at the end.
+
+    Raises:
+        NodeError: A packet came without its files.
+    """
+    fds = array("i")
+    data, ancillary, _, _ = sock.recvmsg(65536, socket.CMSG_SPACE(FDS * fds.itemsize))
+    for level, kind, payload in ancillary:
+        if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+            fds.frombytes(payload[: len(payload) - len(payload) % fds.itemsize])
+    if data and len(fds) != FDS:
+        raise NodeError(
+            "a request to fork came without its files",
+            got=f"{len(fds)}",
+            remedy="report it, please: a fault within pbonet",
+        )
+    return data, list(fds)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,55 @@
+"""What carries a task's ports in and out, as the executor sees it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from pbonet.svar.guards import Blamed
+
+
+class Copies(Protocol):
+    """What carries a task's ports between the local and the global table.
+
+    Every method may raise a `PbonetError`. Those that return flags return 0 when all is
+    well; those in `pbonet.node.task.step_failures.REFUSED` are errors of the task, the others are
+    counted by whoever copies.
+    """
+
+    @property
+    def blamed(self) -> Blamed:
+        """Variable and element that the last flags of a commit are about."""
+        ...
+
+    def copy_in_consts(self) -> int:
+        """Copy the in-consts in; returns flags."""
+        ...
+
+    def copy_out_consts(self, now_ns: int = 0) -> int:
+        """Copy the out-consts out; returns flags."""
+        ...
+
+    def copy_in(self) -> int:
+        """Copy the in-vars in; returns flags."""
+        ...
+
+    def copy_in_on(self) -> int:
+        """Copy the in-vars and the out-vars in; returns flags."""
+        ...
+
+    def check_claim(self) -> None:
+        """Raise when `claim` would, because another task owns an out-var."""
+
+    def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
+        """Copy the out-vars out and become their owner, in one event; returns flags."""
+        ...
+
+    def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
+        """Copy the out-vars out; returns flags."""
+        ...
+
+    def cede(self) -> None:
+        """Write the out-vars no more, and leave them to an heir's claim."""
+
+    def release(self) -> None:
+        """Give up the out-vars, whose values stand."""

@@ -1,0 +1,75 @@
+"""Time as a module deals with it in a real task: `pbonet.pbo.Watch` over its slot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pbonet.pbo import (
+    TaskContext,
+    check_criticality,
+    check_deadline,
+    check_section,
+)
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
+    from pbonet.node.rt._rt import Failures
+    from pbonet.outside import Told
+
+
+class SlotWatch:
+    """The watch of a task that the dispatcher looks after.
+
+    Args:
+        failures: The native half, which tells the dispatcher.
+    """
+
+    told: Told
+    """Puts on record what the module is told here."""
+
+    def __init__(self, failures: Failures) -> None:
+        self._failures = failures
+        self._sections: dict[str, AbstractContextManager[None]] = {}
+        self.task = TaskContext()
+
+    @property
+    def criticality(self) -> int:
+        """What the dispatcher ranks the task by at this moment."""
+        return self.told.now("criticality", self.ranked, -1)
+
+    @criticality.setter
+    def criticality(self, value: int) -> None:
+        self._failures.criticality = check_criticality(self.task, value)
+
+    @property
+    def deadline(self) -> float:
+        """Seconds from the release of this cycle to its deadline."""
+        return self.told.now("deadline", self._due, -1.0)
+
+    @deadline.setter
+    def deadline(self, value: float) -> None:
+        self._failures.deadline = check_deadline(self.task, value)
+
+    def critical(self) -> AbstractContextManager[None]:
+        """Return what holds timing failures off, and the loss of criticality."""
+        return self._failures.section
+
+    def timed(self, name: str) -> AbstractContextManager[None]:
+        """Return what times the section `name` in CPU time.
+
+        Raises:
+            MethodError: The name cannot be, or there is no room for one more.
+        """
+        found = self._sections.get(name)
+        if found is None:
+            check_section(name, self._sections, where=self.task.name)
+            found = self._sections[name] = self._failures.timed(name)
+        return found
+
+    def ranked(self) -> int:
+        """Return the criticality at this moment, which goes on no record."""
+        return self._failures.criticality
+
+    def _due(self) -> float:
+        return self._failures.deadline

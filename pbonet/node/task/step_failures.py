@@ -1,0 +1,217 @@
+"""What a step of a task's life may fail with, and how that is told."""
+
+from __future__ import annotations
+
+import re
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeGuard
+
+from pbonet.errors import MethodError, PbonetError, SvarError
+from pbonet.pbo import (
+    Answer,
+    Recovery,
+    TaskFailure,
+    innermost,
+    number_of,
+    place_of,
+    said,
+    text_of,
+)
+
+if TYPE_CHECKING:
+    from pbonet.node.wire.lifecycle import Outcome, Rule, Step
+    from pbonet.svar.guards import Blamed
+
+RAISED = (Exception, SystemExit, TaskFailure)
+"""What is caught around a module's methods: everything but the wish to end Python."""
+
+Raised = Exception | TaskFailure
+
+
+REFUSED = {
+    8: "no whole set of inputs was had",
+    16: "an output is not a finite number",
+    32: "an output is outside its limits",
+    64: "the outputs belong to another task",
+}
+"""Flags of a copy (`pbonet.svar.Flags`) that are errors of the task, in words."""
+ALL_REFUSED = sum(REFUSED)
+OUTSIDE = 32
+ABOUT_ELEMENT = frozenset({16, OUTSIDE})
+
+
+class StepFailed(Exception):  # noqa: N818 - carries a failure to the executor
+    """A step failed."""
+
+    def __init__(self, step: Step, cause: Raised) -> None:
+        super().__init__(step, cause)
+        self.step = step
+        self.cause = cause
+
+
+class RefusedError(Exception):
+    """Something asked for a step that cannot be; the module is not at fault.
+
+    Args:
+        error: What is told to whoever sent the signal.
+    """
+
+    def __init__(self, error: PbonetError) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+def contained(error: BaseException) -> Raised:
+    """Return what a module raised as something that can be dealt with.
+
+    A module may raise anything; ``sys.exit()`` must not end the task's process, for the
+    task would then miss its `off` and `kill`.
+    """
+    if isinstance(error, Exception | TaskFailure):
+        return error
+    wrapped = MethodError(
+        said(error),
+        remedy="raise an exception of the module's own; do not end the process",
+    )
+    wrapped.__traceback__ = error.__traceback__
+    return wrapped
+
+
+def refused(flags: int, blamed: Blamed) -> SvarError:
+    """Return the error that the flags of a copy mean.
+
+    Args:
+        flags: Some of them in `REFUSED`.
+        blamed: Variable and element they are about.
+    """
+    bit, text = next(item for item in REFUSED.items() if flags & item[0])
+    keeps = "the table keeps its last values"
+    if bit not in ABOUT_ELEMENT or not blamed.variable:
+        return SvarError(text, remedy=keeps)
+    advice = "look in the module for what makes it so"
+    if bit == OUTSIDE:
+        advice = "bound it in the module, or say LIMIT clip in the .svar file"
+    return SvarError(
+        f"{text}: {blamed.variable}[{blamed.element}]",
+        expected=blamed.expected if bit == OUTSIDE else "",
+        got=blamed.got,
+        remedy=f"{keeps}: {advice}",
+    )
+
+
+def is_answer(answer: object) -> TypeGuard[Answer]:
+    """Tell whether a module, typed or not, returned an `Answer`."""
+    return isinstance(answer, Answer)
+
+
+def answered(found: Rule, step: Step, answer: object) -> Outcome | None:
+    """Return how what a step gave ends its rule, None to go on.
+
+    Raises:
+        MethodError: A method gave an answer that the rule does not have.
+    """
+    if (answer is None or is_answer(answer)) and answer in found.answers:
+        return found.answers[answer]
+    raise bad_answer(step, answer, found)
+
+
+def recovery(answer: object) -> Recovery:
+    """Return what a handler of timing failures answered.
+
+    Raises:
+        MethodError: It gave an answer that there is not.
+    """
+    if answer is None:
+        return Recovery.CONTINUE
+    if isinstance(answer, Recovery):
+        return answer
+    raise MethodError(
+        "timing_failure gave an answer that it cannot give",
+        expected=f"None or {' or '.join(f'Recovery.{one.name}' for one in Recovery)}",
+        got=repr(answer),
+        remedy="mend what it returns; no return at all means CONTINUE",
+    )
+
+
+def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
+    """Return the error that says what `step` may answer; `error` has no rule."""
+    allowed = list(found.answers) if found else list(Answer)
+    words = ["None" if one is None else f"Answer.{one}" for one in allowed]
+    got = f"Answer.{answer}" if isinstance(answer, Answer) else repr(answer)
+    return MethodError(
+        f"{step} gave an answer that it cannot give",
+        expected=" or ".join(words),
+        got=got,
+        remedy="mend what it returns",
+    )
+
+
+def method_error(error: Raised, method: str, task: str) -> MethodError:
+    """Return what a method raised as the error of the task, with its parts kept."""
+    told = _method_error(error, f"{task}.{method}")
+    cause = error.error if isinstance(error, TaskFailure) else error
+    told.number = number_of(cause)
+    told.place = place_of(cause)
+    for note in getattr(cause, "__notes__", ()):
+        add_remedy(told, str(note))
+    return told
+
+
+def _method_error(error: Raised, where: str) -> MethodError:
+    if isinstance(error, TaskFailure):
+        return MethodError(error.error.what, where=where, debug=_trace(error))
+    if isinstance(error, RefusedError):
+        error = error.error
+    if isinstance(error, PbonetError):
+        return MethodError(
+            error.what if isinstance(error, MethodError) else f"{error}",
+            where=where,
+            expected=error.expected if isinstance(error, MethodError) else "",
+            got=error.got if isinstance(error, MethodError) else "",
+            remedy=error.remedy if isinstance(error, MethodError) else "",
+            debug=error.debug or _trace(error),
+        )
+    remedy = ""
+    if isinstance(error, ValueError) and "read-only" in text_of(error):
+        remedy = (
+            "inputs are written by their producers; take a copy: `x = self.x.copy()`"
+        )
+    return MethodError(
+        said(error),
+        where=where,
+        remedy=remedy,
+        debug=_trace(error),
+    )
+
+
+def placed(text: str, place: str) -> str:
+    """Return a message with the line of code behind it, if one is known."""
+    return f"{text} ({place})" if place else text
+
+
+def own_place(trace: str) -> str:
+    """Return the innermost line of the module's own folder in what a crash left.
+
+    Args:
+        trace: Lines of `faulthandler`, the innermost first; a line of ctypes, in which
+            a library was called, is not the line of the module.
+    """
+    calls: list[tuple[str, str]] = []
+    for call in _CALL.finditer(trace):
+        if Path(call[1]).parent == Path(__file__).parent:
+            break  # from here on outwards it is the task's process
+        calls.append((call[1], "{}:{} in {}".format(*call.groups())))
+    return innermost(reversed(calls))
+
+
+_CALL = re.compile(r'File "([^"]+)", line (\d+) in (.+)')
+
+
+def add_remedy(error: PbonetError, text: str) -> None:
+    """Add `text` at the end of an error's message."""
+    error.remedy = f"{error.remedy}; {text}" if error.remedy else text
+
+
+def _trace(error: BaseException) -> str:
+    return "".join(traceback.format_exception(error)).rstrip()

@@ -1,0 +1,376 @@
+"""How a task speaks: to the RTPU process, and to its module about time."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import select
+import signal
+import socket
+import time
+from collections import Counter, deque
+from typing import TYPE_CHECKING
+
+from pbonet.errors import MethodError, PbonetError, Severity
+from pbonet.node.rtpu.task_signals import severity
+from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire.sanitise_values import UNTOLD
+from pbonet.pbo import Notice, Signal, State, TaskContext, signal_names
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+
+    from pbonet.errors import WireError
+    from pbonet.node.rt._rt import Slot
+    from pbonet.outside import Told
+
+    from .executor import Executor
+    from .step_failures import Raised
+
+LONGEST_TEXT = 5000
+"""Characters of each text that are told when a notice is too long."""
+INTERRUPT = signal.SIGUSR2
+ORPHAN_SIGNAL = signal.SIGUSR1
+"""Sent by the kernel when the parent has ended; taken in native code."""
+F_SETSIG = 10
+
+
+class Interrupted(BaseException):
+    """Ends a module's wait in `sync`, because a message arrived."""
+
+
+def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
+    """Have the kernel signal what arrives on `sock`, its end included.
+
+    Args:
+        sock: The task's socket.
+        arrived: Called in the main thread, within whatever it does; may raise
+            `Interrupted` to end it.
+    """
+    signal.signal(INTERRUPT, lambda _number, _frame: arrived())
+    # If both come at once the first one tells the kernel whether the wait begins again.
+    signal.siginterrupt(ORPHAN_SIGNAL, True)  # noqa: FBT003 - the library's
+    fcntl.fcntl(sock, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(sock, F_SETSIG, int(INTERRUPT))
+    flags = fcntl.fcntl(sock, fcntl.F_GETFL)
+    fcntl.fcntl(sock, fcntl.F_SETFL, flags | os.O_ASYNC)
+
+
+class Voice:
+    """The task's end of its socket.
+
+    Answers wait until the RTPU process takes them; what a module says within a cycle
+    never waits: it is dropped when there is no room, counted, and told later. News of
+    the task's state wait neither, but are owed until there is room.
+
+    Args:
+        sock: Sequenced packets to the RTPU process.
+    """
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.sock = sock
+        self.own: dict[str, int] = {}
+        """Names and bits of the module's own signals."""
+        self._lost: Counter[str] = Counter()
+        self._owed: deque[bytes] = deque()
+
+    @property
+    def owing(self) -> list[socket.socket]:
+        """The socket, while news of the task's state wait for room there."""
+        return [self.sock] if self._owed else []
+
+    def pay(self) -> bool:
+        """Send what is owed, as far as there is room; return whether that was all."""
+        try:
+            while self._owed:
+                self.sock.send(self._owed[0], socket.MSG_DONTWAIT)
+                self._owed.popleft()
+        except BlockingIOError:
+            return False
+        except OSError:
+            self._owed.clear()  # the RTPU process is gone
+        return True
+
+    def hear(self) -> bytes | None:
+        """Return the next packet, b"" when the other end is closed, None for none."""
+        try:
+            return self.sock.recv(2 * rtpu_messages.LARGEST_PACKET, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+        except OSError:
+            return b""
+
+    def waits(self) -> bool:
+        """Return whether a packet, or the end, waits to be heard."""
+        return bool(select.select([self.sock], [], [], 0)[0])
+
+    def say(self, done: rtpu_messages.Done) -> None:
+        """Answer a message; what cannot be told is answered with an error."""
+        done.lost = dict(self._lost)
+        try:
+            data = rtpu_messages.encode(done)
+            if len(data) > rtpu_messages.LARGEST_PACKET:
+                data = _instead(done, _too_long(data))
+        except UNTOLD as error:
+            data = _instead(done, _untold(error))
+        try:
+            for one in (*self._owed, data):
+                self.sock.send(one)
+        except OSError:
+            return  # the RTPU process is gone; the orphan guard says so
+        self._owed.clear()
+        self._lost.clear()
+
+    def put(self, notice: Notice) -> None:
+        """Take a module's signal or warning, within a cycle."""
+        warned = notice.bits & Signal.WARNING
+        handled = notice.handled
+        self._post(
+            rtpu_messages.Notice(
+                severity=int(
+                    Severity.WARNING if handled else severity(notice.bits),
+                ),
+                code="HANDLED" if handled else "WARNING" if warned else "SIGNAL",
+                text=notice.text if warned or handled else self._signal_text(notice),
+                cycle=notice.cycle,
+                bits=notice.bits,
+                errnum=notice.code,
+                place=notice.place,
+            )
+        )
+
+    def notice(
+        self,
+        severity: Severity,
+        code: str,
+        text: str,
+        *,
+        cycle: int = 0,
+        state: str = "",
+        error: PbonetError | None = None,
+        about: PbonetError | None = None,
+    ) -> None:
+        """Tell that something happened unasked; `about` has number and place."""
+        about = about or error
+        self._post(
+            rtpu_messages.Notice(
+                severity=int(severity),
+                code=code,
+                text=text,
+                cycle=cycle,
+                errnum=about.number if isinstance(about, MethodError) else 0,
+                place=about.place if isinstance(about, MethodError) else "",
+                state=state,
+                error=PbonetError.to_wire(error) if error else None,
+            )
+        )
+
+    def report(self, error: Raised, executor: Executor, cycle: int) -> None:
+        """Tell what a cycle raised and what became of it."""
+        if isinstance(error, PbonetError):
+            told = error
+        else:
+            told = MethodError(executor.task.errmsg or str(error))
+        text = f"{executor.task.errmsg or error}: {executor.state}"
+        self.notice(
+            Severity.ERROR,
+            "METHOD",
+            text,
+            cycle=cycle,
+            state=executor.state,
+            error=told,
+            about=executor.failure,
+        )
+
+    def _signal_text(self, notice: Notice) -> str:
+        names = " ".join(signal_names(notice.bits, self.own))
+        return f"{names}: {notice.text}" if notice.text else names
+
+    def send(self, data: bytes) -> None:
+        """Tell news of the state that were encoded beforehand, and don't wait."""
+        self._offer(data, owe=True)
+
+    def _post(self, notice: rtpu_messages.Notice) -> None:
+        notice.lost = dict(self._lost)
+        changed = notice.state not in {"", State.ON}
+        if self._offer(_packed(notice), owe=changed):
+            self._lost.clear()
+        else:
+            self._lost[notice.code] += 1
+
+    def _offer(self, data: bytes, *, owe: bool) -> bool:
+        """Send without waiting; with `owe`, later if there is no room.
+
+        Returns:
+            Whether it is sent or will be.
+        """
+        if self.pay():
+            try:
+                self.sock.send(data, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                pass
+            except OSError:
+                return False
+            else:
+                return True
+        if owe:
+            self._owed.append(data)
+        return owe
+
+
+def _instead(done: rtpu_messages.Done, error: PbonetError) -> bytes:
+    """Return an answer with the state and the error in the place of what it held."""
+    return rtpu_messages.encode(
+        rtpu_messages.Done(n=done.n, state=done.state, error=error.to_wire())
+    )
+
+
+def _too_long(data: bytes) -> PbonetError:
+    return PbonetError(
+        "the task's answer is too long",
+        expected=f"at most {rtpu_messages.LARGEST_PACKET} bytes",
+        got=f"{len(data)} bytes",
+        remedy="let its parameters and its errors' texts be shorter",
+    )
+
+
+def _untold(error: BaseException) -> PbonetError:
+    return PbonetError(
+        "the task's answer cannot be told",
+        expected="numbers, texts, or lists of them",
+        got=str(error),
+        remedy="let the module's `get` return these",
+    )
+
+
+def _packed(notice: rtpu_messages.Notice) -> bytes:
+    """Return a notice in bytes; if it is too long or cannot be told, what can be."""
+    with contextlib.suppress(*UNTOLD):
+        data = rtpu_messages.encode(notice)
+        if len(data) <= rtpu_messages.LARGEST_PACKET:
+            return data
+    return rtpu_messages.encode(
+        rtpu_messages.Notice(
+            severity=notice.severity,
+            code=notice.code,
+            text=_shortened(notice.text),
+            cycle=notice.cycle,
+            bits=notice.bits,
+            errnum=notice.errnum,
+            place=_shortened(notice.place),
+            lost=notice.lost,
+            state=notice.state,
+            error=_short_error(notice.error) if notice.error else None,
+        )
+    )
+
+
+def _short_error(wired: WireError) -> WireError:
+    """Return an error with its texts shortened, and without parts."""
+    error = PbonetError.from_wire(wired)
+    for key in ("what", "where", "expected", "got", "remedy", "debug"):
+        setattr(error, key, _shortened(getattr(error, key)))
+    return PbonetError.to_wire(error)
+
+
+def _shortened(given: object) -> str:
+    """Return the beginning and the end of a text that is too long to be told."""
+    text = str(given)
+    left_out = len(text) - LONGEST_TEXT
+    if left_out <= 0:
+        return text
+    half = LONGEST_TEXT // 2
+    return f"{text[:half]} [{left_out} characters left out] {text[-half:]}"
+
+
+class SlotTime:
+    """Time, cycle count and criticality of a slot; see `pbonet.pbo.Schedule`.
+
+    Args:
+        slot: The task's.
+        told: Keeps on record what the module is told of it that is in no cycle's
+            record.
+    """
+
+    def __init__(self, slot: Slot, told: Told) -> None:
+        self._slot = slot
+        self._told = told
+        self._base = slot.cycles
+        self._held = 0
+        self.cycling = False
+
+    def turned_on(self) -> None:
+        """Count cycles from here."""
+        self._base = self._slot.cycles
+
+    @property
+    def now(self) -> int:
+        """The release of the present cycle; between cycles, when the method began."""
+        if self.cycling:
+            return self._slot.release_ns
+        return self._held or time.monotonic_ns()
+
+    @contextlib.contextmanager
+    def held(self) -> Generator[None]:
+        """Have time stand still between cycles, so that a log can say which it was."""
+        self.tick()
+        try:
+            yield
+        finally:
+            self._held = 0
+
+    def tick(self) -> int:
+        """Have it stand still from now on, and return it."""
+        self._held = time.monotonic_ns()
+        return self._held
+
+    @property
+    def cycles(self) -> int:
+        """Cycles executed since the task was spawned."""
+        return self._slot.cycles
+
+    @property
+    def cyclecount(self) -> int:
+        """Cycles executed since the task was turned on."""
+        return self._slot.cycles - self._base
+
+    @property
+    def crit(self) -> int:
+        """The criticality that the dispatcher ranks the task by."""
+        failures = self._slot.failures
+        return self._told.now("crit", lambda: failures.own_criticality, 0)
+
+
+class Context(TaskContext):
+    """``self.task`` in a task's process: asking for OFF wakes the runtime.
+
+    Signals are counted in the task's slot, where no flood can drop them.
+    """
+
+    on_off: Callable[[], None] | None = None
+    slot: Slot
+    told: Told
+
+    @property
+    def stamp_ns(self) -> int:
+        """When the outputs were measured; see `TaskContext.stamp_ns`."""
+        return self.slot.stamp_ns
+
+    @stamp_ns.setter
+    def stamp_ns(self, value: int) -> None:
+        self.slot.stamp_ns = value
+
+    @property
+    def sigmask(self) -> int:
+        """Signals that the master does not want from this task, as bits."""
+        return self.told.now("sigmask", lambda: self.slot.sigmask, 0)
+
+    def signal(self, signal: Signal | int, text: str = "") -> None:
+        """Send `signal` to the master; see `TaskContext.signal`."""
+        super().signal(signal, text)
+        if self.off_requested and self.on_off is not None:
+            self.on_off()
+
+    def _wanted(self, bits: int) -> int:
+        return self.slot.signal(bits)

@@ -1,0 +1,501 @@
+"""The process of one task: the module in the main thread, and no other thread.
+
+It comes out of the fork server with everything imported. Commands arrive as packets on
+its socket; while the task cycles, the RTPU process also raises a flag in the task's
+slot, on which the native loop comes back between two cycles. When the RTPU process or
+the fork server ends, so does the task: it runs `off` and `kill` within a second.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import gc
+import os
+import select
+import signal
+import socket
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from pbonet.config import parse_rmod
+from pbonet.config.library import Library
+from pbonet.config.model import TaskType
+from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
+from pbonet.log import Did
+from pbonet.node.ring._ring import Ring
+from pbonet.node.rt import _rt
+from pbonet.node.rtpu.task_handle import DUMP_SIGNAL, Ready
+from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
+from pbonet.outside import Tape, Told, use
+from pbonet.pbo import State, bind, decode_params, text_of
+from pbonet.svar import Table
+from pbonet.xm import live_on
+
+from . import journal, task_channel
+from .deliver_timing_failure import Telling
+from .executor import Executor
+from .parameters_in_task import get_params, set_param
+from .slot_timing import SlotWatch
+from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused
+from .successor_calls import Heralds
+from .task_channel import Context, SlotTime, Voice
+from .task_flag_causes import Alarm
+from .task_ports import ages, check_ports, local_table
+
+if TYPE_CHECKING:
+    from pbonet.config.model import Rmod
+
+
+def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
+    """Be the task that the specification describes; return the exit code."""
+    orphan_fd = _rt.orphan_guard(task_channel.ORPHAN_SIGNAL, server)
+    # Only its own stack: reading those of threads that run can end the process.
+    faulthandler.register(DUMP_SIGNAL, crash_fd, all_threads=False)
+    sock = socket.socket(fileno=sock_fd)
+    data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
+    os.close(spec_fd)
+    spec = msgspec.msgpack.decode(data, type=rtpu_messages.TaskSpec)
+    voice = Voice(sock)
+    try:
+        host = Host(spec, voice, orphan_fd)
+        host.create()
+    except PbonetError as error:
+        voice.say(
+            rtpu_messages.Done(n=0, state=State.NOT_CREATED, error=error.to_wire())
+        )
+        return 0
+    host.settle()
+    host.live()
+    return 0
+
+
+class Host:
+    """A task's process: makes the instance, obeys messages, cycles.
+
+    Args:
+        spec: What the task is to be.
+        voice: The socket to the RTPU process.
+        orphan_fd: Readable once the parent is gone.
+    """
+
+    def __init__(
+        self, spec: rtpu_messages.TaskSpec, voice: Voice, orphan_fd: int
+    ) -> None:
+        self.spec = spec
+        self.voice = voice
+        self._orphan_fd = orphan_fd
+        self._over = False
+        self._asked_to_end = ""
+        self._waiting_outside = False
+        self.heralds = Heralds()
+        self.heir_of: list[str] = []
+        """While it stands by: the tasks whose out-vars it takes over."""
+        self._engaged = b""
+        """What it says when it has come on, made beforehand: its first cycle waits."""
+        self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
+        for which in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(which, self._on_signal)
+        self.core = _rt.CoreTable(spec.core, member=False)
+        self.slot = _rt.Slot(self.core, spec.slot)
+        self.watch = SlotWatch(self.slot.failures)
+        self.decoder: msgspec.msgpack.Decoder[rtpu_messages.ToTask] = (
+            msgspec.msgpack.Decoder(rtpu_messages.ToTask)
+        )
+
+    # -- birth -------------------------------------------------------------------------
+
+    def create(self) -> None:
+        """Load the module, bind it to the table, and run its `init`.
+
+        Raises:
+            PbonetError: What is wrong with RMOD, module, table, or `init`.
+        """
+        spec = self.spec
+        self.rmod: Rmod = parse_rmod(spec.rmod, spec.rmod_name)
+        library = Library(spec.libraries)
+        loaded = library.load_rmod(self.rmod)
+        self.info = loaded.info
+        check_ports(self.rmod, loaded.info)
+        params = decode_params(loaded.cls, self.rmod.settings, where=self.rmod.file)
+        self.table = Table.attach(spec.table, layout=spec.layout)
+        self.local = local_table(self.table, spec.task, self.rmod)
+        told = journal.about(spec, self.rmod, self.info, library, self.table)
+        self.ring = Ring.create(spec.ring, about=msgspec.json.encode(told))
+        self.tape = self.slot.tape = Tape()
+        use(self.tape)
+        told_of = Told()
+        self.time = SlotTime(self.slot, told_of)
+        self.journal = journal.Journal(
+            self.local, self.ring, told, self.time, self.tape
+        )
+        self.context = Context(
+            spec.task,
+            rmod=self.rmod.name,
+            freq=spec.freq,
+            source=self.time,
+            outbox=self.voice,
+            handler=self.rmod.handler,
+            watch=self.watch,
+        )
+        self.context.slot = self.slot
+        self.context.told = self.watch.told = told_of
+        self.voice.own = {one.name: one.bit for one in self.info.signals}
+        self.watch.task = self.context
+        self.context.on_off = lambda: self.core.request(spec.slot)
+        arrays = {
+            port.attr: self.local.array(self.rmod.svar_name(port.name))
+            for port in self.info.ports
+        }
+        live_on(
+            spec.rtpu,
+            domain=spec.domain,
+            priority=self.watch.ranked,
+            subsystem=spec.subsystem,
+        )
+        instance = bind(loaded.cls, params, arrays, self.context)
+        stale = ages(self.rmod, self.info, self.local.stale)
+        self.context.is_stale = lambda port: told_of.ask(
+            lambda: stale(port), default=False
+        )
+        illegal = (lambda: self.local.illegal) if self.rmod.critical else None
+        self.executor = Executor(instance, self.journal, illegal=illegal)
+        self.executor.cycling = self._method
+        ours = {Host._cycle.__code__, Host._sync.__code__}
+        self.telling = Telling(self.executor, told_of, self.time, ours)
+        self.alarm = Alarm(self.table, f"{spec.rtpu}/{spec.task}", self.context)
+        with self.journal.doing(Did("spawn")), self.local.replacing(spec.replaces):
+            self.executor.spawn()
+        self.slot.vow()
+
+    def settle(self) -> None:
+        """Make the process fit for real time, then say that the task is OFF."""
+        notes: list[str] = []
+        try:
+            _rt.lock_memory()
+            _rt.populate_pages()
+        except RealTimeError as error:
+            notes.append(f"memory is not locked: {error}")
+        _rt.prefault_stack()
+        _rt.set_timer_slack()
+        _rt.pin(self.spec.core)
+        process_setup.settle_memory()
+        self.slot.command_level()
+        if self.outside:
+            task_channel.interrupt_waits(self.voice.sock, self._on_message)
+        ready = Ready(
+            module=self.info.name,
+            version=self.info.version,
+            critical_ok=self.info.critical_ok,
+            tells="timing_failure" in self.info.methods,
+            notes=notes,
+            signals=self.voice.own,
+        )
+        self._answer(0, ready)
+
+    # -- life --------------------------------------------------------------------------
+
+    @property
+    def outside(self) -> bool:
+        """Whether the module says in `sync` when it is time."""
+        return self.rmod.tasktype is not TaskType.PERIODIC
+
+    def live(self) -> None:
+        """Obey messages and cycle until the task is killed or orphaned."""
+        while not self._over:
+            if self._asked_to_end or _rt.orphaned():
+                self.end(self._asked_to_end or "its parent process is gone")
+            elif self.executor.state is State.ON:
+                self._cycle()
+            elif self.heir_of:
+                self._stand_by()
+            else:
+                self._wait()
+        self._close()
+
+    def _wait(self) -> None:
+        sock = self.voice.sock
+        files = [sock.fileno(), self._orphan_fd, self._wake_read]
+        ready, _, _ = select.select(files, self.voice.owing, [])
+        self.voice.pay()
+        if self._wake_read in ready:
+            os.read(self._wake_read, 512)
+        if sock.fileno() in ready:
+            self._take()
+
+    def _stand_by(self) -> None:
+        """Wait, OFF, until the dispatcher engages the task or a message comes."""
+        if self.slot.stand_by() == _rt.ENGAGED:
+            self._engage()
+        self._take()
+
+    def _engage(self) -> None:
+        """Come on, because others have ended; nobody has sent the signal."""
+        failed: PbonetError | None = None
+        self.heir_of = []
+        kind = self.slot.after or -1  # none: it was taken back before it could run
+        self.local.given_up = lambda: self.slot.after != kind
+        self.time.turned_on()
+        try:
+            self.local.have_ended()
+            with self.journal.doing(Did("on")):
+                self.executor.signal("on")
+        except PbonetError as error:
+            failed = error
+        finally:
+            self.local.heir_of([])
+        if self.executor.state is State.ON:
+            self.slot.arm()
+            self.voice.send(self._engaged)
+            return
+        self._after_signal()
+        self.voice.notice(
+            Severity.ERROR if failed else Severity.INFO,
+            "ENGAGED",
+            str(failed or self.executor.state),
+            state=self.executor.state,
+            error=failed,
+        )
+
+    def _cycle(self) -> None:
+        """Cycle until a message waits or something fails."""
+        instance = self.executor.instance
+        if not self.voice.pay():
+            self.core.request(self.spec.slot)  # come back behind a cycle, and pay
+        self.time.cycling = True
+        try:
+            reason = self.slot.run(
+                instance.cycle,
+                self.local,
+                stable=instance.stable if self.rmod.critical else None,
+                sync=self._sync if self.outside else None,
+                ring=self.ring,
+                leave=ALL_REFUSED,
+                failing=self.telling,
+                aged=self._aged if self.rmod.critical else None,
+            )
+            if reason == _rt.FLAGS:
+                self.time.cycling = False
+                self._fault(refused(self.slot.flags, self.local.blamed))
+            elif reason == _rt.ABORTED:
+                self.time.cycling = False
+                self._begin_anew()
+        except task_channel.Interrupted:
+            self._waiting_outside = False
+            self.journal.broken_off()
+        except RAISED as error:
+            self.time.cycling = False
+            self._fault(contained(error))
+        self.time.cycling = False
+        if self.context.off_requested and self.executor.state is State.ON:
+            self._obey("off")
+        self._take()
+
+    def _aged(self, stale: bool) -> None:  # noqa: FBT001 - called by the native loop
+        """Say that inputs of a critical task have become stale, or are fresh again."""
+        name = self.local.blamed[0]
+        self.alarm.aged(f"the input {name} of {self.spec.task} is stale" * stale)
+
+    def _sync(self) -> None:
+        """Wait as the module says; a message that arrives ends the wait."""
+        self._waiting_outside = True
+        if self.voice.waits() or self._asked_to_end:
+            raise task_channel.Interrupted  # it came before the wait could be interrupted
+        self.executor.instance.sync()
+        self._waiting_outside = False
+
+    def _method(self) -> str:
+        """Return which method the native loop runs, or ran last."""
+        if self.slot.failures.error is not None:
+            return "timing_failure"
+        if self._waiting_outside:
+            return "sync"
+        return "stable" if self.slot.stable else "cycle"
+
+    def _on_message(self) -> None:
+        if self._waiting_outside:
+            raise task_channel.Interrupted
+
+    def _begin_anew(self) -> None:
+        """Carry out what follows a cycle that the module's handler ended."""
+        try:
+            with self.journal.doing(Did("abort", calls=self.tape.calls())):
+                self.executor.abort()
+        except PbonetError as error:
+            self.voice.report(error, self.executor, self.time.cyclecount)
+        if self.executor.state is not State.ON:
+            self._disarm()
+            self.voice.notice(
+                Severity.WARNING,
+                "STATE",
+                f"after a timing failure: {self.executor.state}",
+                cycle=self.time.cyclecount,
+                state=self.executor.state,
+            )
+
+    def _fault(self, error: Raised) -> None:
+        """Have the executor deal with what a cycle raised, and report it."""
+        method = self._method()
+        self._waiting_outside = False
+        settled = False
+        try:
+            with self.journal.doing(Did("fault", name=method, arg=text_of(error))):
+                self.executor.fault(error, method)
+            settled = self.executor.failure is None
+        except PbonetError as second:
+            error = second
+        if self.executor.state is not State.ON:
+            self._disarm()
+        if not settled:  # else the handler's own event says it
+            self.voice.report(error, self.executor, self.time.cyclecount)
+
+    def _obey(self, signal: str) -> None:
+        """Carry out a signal that nobody waits for; report how it went."""
+        failed: PbonetError | None = None
+        try:
+            with self.journal.doing(Did(signal)):
+                self.executor.signal(signal)
+        except PbonetError as error:
+            failed = error
+        self._after_signal()
+        self.voice.notice(
+            Severity.ERROR if failed else Severity.INFO,
+            "METHOD" if failed else "STATE",
+            str(failed or f"{signal}: {self.executor.state}"),
+            cycle=self.time.cyclecount,
+            state=self.executor.state,
+            error=failed,
+        )
+
+    def _take(self) -> None:
+        """Obey all messages that wait."""
+        while not self._over:
+            data = self.voice.hear()
+            if data is None:
+                return
+            if not data:
+                self.end("the RTPU process is gone")
+                return
+            message = self.decoder.decode(data)
+            try:
+                result = self._do(message)
+            except PbonetError as error:
+                self._after_signal()
+                self._answer(message.n, None, error)
+            else:
+                self._answer(message.n, result)
+
+    def _do(self, message: rtpu_messages.ToTask) -> object:
+        match message:
+            case rtpu_messages.Signal():
+                self._signal(message)
+                return self.heralds.gone
+            case rtpu_messages.Prepare():
+                self._prepare(message)
+            case rtpu_messages.Herald():
+                return self.heralds.learn(message.calls)
+            case rtpu_messages.Disown():
+                self.local.release()
+            case rtpu_messages.SetParam():
+                did = Did("set", name=message.name, arg=message.value)
+                with self.journal.doing(did):
+                    return set_param(
+                        self.executor, self.info, message.name, message.value
+                    )
+            case rtpu_messages.GetParam():
+                return get_params(self.executor, self.info, message.name)
+            case rtpu_messages.SetFreq():
+                with self.journal.doing(Did("freq", hz=message.hz)):
+                    self.context.freq = message.hz
+        return None
+
+    def _signal(self, message: rtpu_messages.Signal) -> None:
+        which = message.signal
+        if which == "on":
+            self.time.turned_on()
+        did = Did(which, arg=message.arg, handover=message.handover, cede=message.cede)
+        with self.journal.doing(did), self.local.replacing(message.replaces):
+            self.executor.signal(
+                which, message.arg, handover=message.handover, cede=message.cede
+            )
+        self._after_signal(cede=message.cede)
+
+    def _prepare(self, wanted: rtpu_messages.Prepare) -> None:
+        """Be ready to come on in the place of others; refused as `on` would be."""
+        self.heir_of, after = [], wanted.after
+        self.local.heir_of([])
+        if not after:
+            return
+        lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)
+        self.local.heir_of([*after, *wanted.owners])
+        try:
+            self.local.check_claim()
+        except PbonetError:
+            self.local.heir_of([])
+            raise
+        if wanted.far:
+            self.local.heir_of([])
+        self.heir_of = after
+        self._engaged = rtpu_messages.encode(
+            rtpu_messages.Notice(
+                severity=int(Severity.INFO),
+                code="ENGAGED",
+                text=f"in the place of {' and '.join(after)}",
+                state=State.ON,
+            )
+        )
+
+    def _after_signal(self, *, cede: bool = False) -> None:
+        """Bring the slot in line with the state, and call heirs, who wait for that."""
+        state = self.executor.state
+        if state is not State.ON:
+            self._disarm()
+            if cede and state is State.OFF:
+                self.heralds.call()
+            gc.collect()
+            gc.freeze()
+        if state is State.NOT_CREATED:
+            self._over = True
+
+    def _disarm(self) -> None:
+        """Take part in no releases; in ERROR, have whoever stands by engaged."""
+        fails = self.executor.state is State.ERROR
+        (self.slot.fall if fails else self.slot.disarm)()
+        self.alarm.end()
+
+    def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
+        wired = PbonetError.to_wire(error) if error else None  # its line goes beside
+        state = self.executor.state.value
+        done = rtpu_messages.Done(n=n, state=state, result=result, error=wired)
+        if isinstance(error, MethodError):
+            done.errnum, done.place = error.number, error.place
+        self.voice.say(done)
+
+    # -- death -------------------------------------------------------------------------
+
+    def end(self, reason: str) -> None:
+        """Run `off` and `kill` for whatever reason nobody sent them."""
+        self.voice.notice(
+            Severity.WARNING,
+            "ENDING",
+            f"the task ends: {reason}",
+            cycle=self.time.cyclecount,
+        )
+        if self.executor.state is not State.NOT_CREATED:
+            self._obey("kill")
+        self._over = True
+
+    def _close(self) -> None:
+        self.slot.disarm()
+        with contextlib.suppress(PbonetError, OSError):
+            self.local.close()
+        if _rt.orphaned():
+            with contextlib.suppress(PbonetError, OSError):
+                self.ring.destroy()
+
+    def _on_signal(self, number: int, _frame: object) -> None:
+        self._asked_to_end = signal.Signals(number).name
+        self.core.request(self.spec.slot)
+        self._on_message()

@@ -1,0 +1,325 @@
+"""The life of a task as data (Stewart 1994, sections 3.5, 3.6, 4.5.3, Figure 3.10).
+
+`RULES` says, for every state and every signal that is valid in it, which steps follow:
+copies between the local and the global table, and methods of the module. `ANSWERED`
+says what follows what `error` answered. `pbonet.node.task.executor` obeys these tables,
+``docs/lifecycle.md`` is generated from them, and nothing else decides about states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from msgspec import Struct
+
+from pbonet.errors import StateError, did_you_mean
+from pbonet.pbo import Answer, State
+
+
+class Event(StrEnum):
+    """What a task reacts to; somebody sends all but `WAKEUP`, `SYNC` and `ABORT`."""
+
+    SPAWN = "spawn"
+    ON = "on"
+    WAKEUP = "wakeup"
+    """The timer, or `sync` having returned."""
+    SYNC = "sync"
+    """A synchronous or aperiodic task is about to wait for its event."""
+    ABORT = "abort"
+    """A handler of timing failures has ended the cycle (section 6.3)."""
+    OFF = "off"
+    KILL = "kill"
+    CLEAR = "clear"
+    REINIT = "reinit"
+    SET = "set"
+    GET = "get"
+
+
+class Step(StrEnum):
+    """One thing that a task does: a copy, or a method of the module."""
+
+    COPY_IN_CONSTS = "in-consts in"
+    COPY_OUT_CONSTS = "out-consts out"
+    COPY_IN = "in-vars in"
+    COPY_IN_ON = "in-vars and out-vars in"
+    COPY_IN_AGAIN = "in-vars and out-vars in again"
+    """The same for a task that owns its out-vars and goes on owning them."""
+    CLAIM = "out-vars out, own"
+    """Out-vars are copied out and are the task's own: one event for all others."""
+    COMMIT = "out-vars out"
+    RELEASE = "disown"
+    """Out-vars keep their values and belong to nobody; nothing if they already do."""
+    INIT = "init"
+    ON_METHOD = "on"
+    CYCLE = "cycle"
+    """Or `stable`, for a CRITICAL task while the illegal-configuration flag is up."""
+    OFF_METHOD = "off"
+    KILL = "kill"
+    CLEAR = "clear"
+    REINIT = "reinit"
+    SYNC = "sync"
+    SET = "set"
+    GET = "get"
+
+    @property
+    def is_method(self) -> bool:
+        """True for a method of the module, False for a copy."""
+        return self not in _COPIES
+
+
+_COPIES = frozenset({
+    Step.COPY_IN_CONSTS,
+    Step.COPY_OUT_CONSTS,
+    Step.COPY_IN,
+    Step.COPY_IN_ON,
+    Step.COPY_IN_AGAIN,
+    Step.CLAIM,
+    Step.COMMIT,
+    Step.RELEASE,
+})
+
+
+class Failure(StrEnum):
+    """What follows when a step of a rule fails."""
+
+    KILL = "kill"
+    """`kill` runs, and the task is NOT-CREATED."""
+    ERROR = "error"
+    """`error` is asked; see `ANSWERED`."""
+    REPORT = "report"
+    """The failure is reported and the state stays."""
+    GO_ON = "go on"
+    """The failure is reported, and the task is where the rule ends all the same."""
+
+
+class Outcome(Struct, frozen=True):
+    """What follows one answer of a method: steps, and an end.
+
+    Behind an answer of `error` the end is reached whatever fails in the steps.
+    """
+
+    steps: tuple[Step, ...]
+    to: State
+
+
+class Rule(Struct, frozen=True, kw_only=True):
+    """What follows one event in one state."""
+
+    steps: tuple[Step, ...]
+    to: State
+    """The state after the last step."""
+    failure: Failure
+    """Of any step but `kill`, whose failure is reported and stops nothing."""
+    answers: Mapping[Answer | None, Outcome | None] = {}
+    """What the method may return: an outcome ends the rule, None goes on."""
+    resume: tuple[Step, ...] = ()
+    """After a failure that `error` answers with CONTINUE: steps on the way to `to`."""
+    answered: Mapping[Answer, Outcome] = {}
+    """What follows the other answers of `error` where that is not in `ANSWERED`."""
+
+
+_ENDED = Outcome((Step.RELEASE, Step.KILL), State.NOT_CREATED)
+_REINIT = (Step.COPY_IN_CONSTS, Step.REINIT, Step.COPY_OUT_CONSTS)
+
+
+def _reinit(state: State, failure: Failure) -> Rule:
+    resume = (Step.COPY_OUT_CONSTS,) if failure is Failure.ERROR else ()
+    return Rule(steps=_REINIT, to=state, failure=failure, resume=resume)
+
+
+RULES: Mapping[tuple[State, Event], Rule] = {
+    (State.NOT_CREATED, Event.SPAWN): Rule(
+        steps=(Step.COPY_IN_CONSTS, Step.INIT, Step.COPY_OUT_CONSTS),
+        to=State.OFF,
+        failure=Failure.KILL,
+    ),
+    (State.OFF, Event.ON): Rule(
+        steps=(Step.COPY_IN_ON, Step.ON_METHOD, Step.CLAIM),
+        to=State.ON,
+        failure=Failure.ERROR,
+        answers={None: None, Answer.OFF: Outcome((), State.OFF)},
+        resume=(Step.CLAIM,),
+    ),
+    (State.ON, Event.WAKEUP): Rule(
+        steps=(Step.COPY_IN, Step.CYCLE, Step.COMMIT),
+        to=State.ON,
+        failure=Failure.ERROR,
+    ),
+    (State.ON, Event.SYNC): Rule(
+        steps=(Step.SYNC,), to=State.ON, failure=Failure.ERROR
+    ),
+    (State.ON, Event.ABORT): Rule(
+        steps=(Step.COPY_IN_AGAIN, Step.ON_METHOD),
+        to=State.ON,
+        failure=Failure.ERROR,
+        answers={None: None, Answer.OFF: Outcome((Step.RELEASE,), State.OFF)},
+    ),
+    (State.ON, Event.OFF): Rule(
+        steps=(Step.OFF_METHOD, Step.COMMIT, Step.RELEASE),
+        to=State.OFF,
+        failure=Failure.ERROR,
+        resume=(Step.COMMIT, Step.RELEASE),
+    ),
+    (State.ON, Event.KILL): Rule(
+        steps=(Step.OFF_METHOD, Step.COMMIT, Step.RELEASE, Step.KILL),
+        to=State.NOT_CREATED,
+        failure=Failure.ERROR,
+        resume=(Step.COMMIT, Step.RELEASE, Step.KILL),
+        answered={Answer.OFF: _ENDED, Answer.ERROR: _ENDED},
+    ),
+    (State.OFF, Event.KILL): Rule(
+        steps=(Step.KILL,), to=State.NOT_CREATED, failure=Failure.GO_ON
+    ),
+    (State.ERROR, Event.KILL): Rule(
+        steps=(Step.KILL,), to=State.NOT_CREATED, failure=Failure.GO_ON
+    ),
+    (State.ERROR, Event.CLEAR): Rule(
+        steps=(Step.CLEAR,),
+        to=State.OFF,
+        failure=Failure.REPORT,
+        answers={Answer.OFF: None, Answer.ERROR: Outcome((), State.ERROR)},
+    ),
+    (State.OFF, Event.REINIT): _reinit(State.OFF, Failure.ERROR),
+    (State.ON, Event.REINIT): _reinit(State.ON, Failure.ERROR),
+    (State.ERROR, Event.REINIT): _reinit(State.ERROR, Failure.REPORT),
+    **{
+        (state, event): Rule(steps=(step,), to=state, failure=Failure.REPORT)
+        for state in (State.OFF, State.ON, State.ERROR)
+        for event, step in ((Event.SET, Step.SET), (Event.GET, Step.GET))
+    },
+}
+"""State and event, and what follows; an event without a rule is not valid there."""
+
+
+ANSWERED: Mapping[Answer, Outcome] = {
+    Answer.OFF: Outcome((Step.RELEASE,), State.OFF),
+    Answer.ERROR: Outcome((Step.RELEASE,), State.ERROR),
+}
+"""What follows OFF and ERROR; CONTINUE is followed by the rule's own `resume`."""
+
+
+NOT_MADE = Outcome((Step.KILL,), State.NOT_CREATED)
+"""What follows a failed `init`; `error` is not asked."""
+
+
+def outcome(found: Rule, answer: Answer) -> Outcome:
+    """Return what follows OFF or ERROR of `error` behind a failure in a rule."""
+    return found.answered.get(answer) or ANSWERED[answer]
+
+
+FROM_OUTSIDE = (Event.ON, Event.OFF, Event.KILL, Event.CLEAR, Event.REINIT)
+"""Signals that a master sends to a task that exists (section 4.5.3)."""
+
+
+def valid(state: State) -> list[Event]:
+    """Return the events that are valid in `state`, in the order of `Event`."""
+    return [event for event in Event if (state, event) in RULES]
+
+
+def rule(state: State, event: Event, *, where: str = "") -> Rule:
+    """Return what follows `event` in `state`.
+
+    Raises:
+        StateError: The event is not valid there; the task ignores it.
+    """
+    found = RULES.get((state, event))
+    if found is not None:
+        return found
+    signals = [one for one in valid(state) if one in FROM_OUTSIDE]
+    raise StateError(
+        f"signal {event} is not valid in state {state}",
+        where=where,
+        expected=" or ".join(signals) or "spawn",
+        got=event,
+        remedy=_REMEDIES.get((state, event), ""),
+    )
+
+
+def signal_event(name: str, *, where: str = "") -> Event:
+    """Return the event of the signal `name`, as a master sends it.
+
+    Raises:
+        StateError: There is no such signal.
+    """
+    for event in FROM_OUTSIDE:
+        if event == name:
+            return event
+    raise StateError(
+        "no such signal",
+        where=where,
+        expected=" or ".join(FROM_OUTSIDE),
+        got=name,
+        remedy=did_you_mean(name, FROM_OUTSIDE),
+    )
+
+
+_REMEDIES: Mapping[tuple[State, Event], str] = {
+    (State.ON, Event.ON): "it is cycling already",
+    (State.OFF, Event.OFF): "it is OFF already",
+    (State.ERROR, Event.ON): "remove the cause of its error, then send clear",
+    (State.ERROR, Event.OFF): "it does not cycle; send clear or kill",
+    (State.OFF, Event.WAKEUP): "turn it on first",
+    (State.OFF, Event.CLEAR): "it has no error",
+    (State.ON, Event.CLEAR): "it has no error",
+}
+
+
+def table() -> str:
+    """Return `RULES` as a Markdown table, for the documentation."""
+    lines = [
+        "| in state | on | the task does | and then is | if that fails |",
+        "|---|---|---|---|---|",
+    ]
+    for (state, event), found in RULES.items():
+        steps = " → ".join(_step_text(step) for step in found.steps)
+        lines.append(
+            f"| {state} | {event} | {steps} | {_ends(found)} | {_failing(found)} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _step_text(step: Step) -> str:
+    return f"**{step}**" if step.is_method else str(step)
+
+
+def _ends(found: Rule) -> str:
+    ends = [str(found.to)]
+    ends += [f"{_way(e)} if it answers {a}" for a, e in found.answers.items() if e]
+    return ", ".join(ends)
+
+
+def _failing(found: Rule) -> str:
+    if found.failure is Failure.KILL:
+        return _way(NOT_MADE)
+    if found.failure is Failure.REPORT:
+        return "reported; the state stays"
+    if found.failure is Failure.GO_ON:
+        return f"reported → {found.to}"
+    ways = [f"{answer}: {_way(outcome(found, answer))}" for answer in ANSWERED]
+    steps = "".join(f"{_step_text(step)} → " for step in found.resume)
+    ways.append(f"{Answer.CONTINUE}: {steps}{found.to}")
+    return "**error** answers " + "; ".join(ways)
+
+
+def _way(after: Outcome) -> str:
+    return " → ".join([*map(_step_text, after.steps), str(after.to)])
+
+
+def arrows() -> dict[tuple[State, State], list[str]]:
+    """Return which states follow which, and on what, for the documentation's figure."""
+    found: dict[tuple[State, State], list[str]] = {}
+    for (state, event), one in RULES.items():
+        if one.to is not state or event is Event.WAKEUP:
+            found.setdefault((state, one.to), []).append(str(event))
+    for (state, event), one in RULES.items():
+        ends = {f"{event}: {a}": end.to for a, end in one.answers.items() if end}
+        if one.failure is Failure.ERROR:
+            ends |= {f"error: {answer}": outcome(one, answer).to for answer in ANSWERED}
+        for label, end in ends.items():
+            if end in {state, State.NOT_CREATED}:
+                continue
+            labels = found.setdefault((state, end), [])
+            if label not in labels:
+                labels.append(label)
+    return found

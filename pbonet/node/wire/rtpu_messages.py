@@ -1,0 +1,478 @@
+"""What the processes of one RTPU say to each other: msgpack structs and their framing.
+
+Three links, all Unix sockets of one machine and one user:
+
+* agent and RTPU process: a stream socket in the runtime folder, frames of a 4-byte
+  length and a body. The agent forwards requests as it got them; the RTPU process
+  answers, and sends events and its own state unasked.
+* RTPU process and fork server: sequenced packets, with file descriptors.
+* RTPU process and task: sequenced packets, one message each.
+
+None of this is public: both ends are always of one version, and say so when they meet.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import NodeError, WireError
+from pbonet.xm.net.messages import Call
+from pbonet.xm.net.warm_decoders import prepare
+
+from .sanitise_values import of_numpy, readable_tree
+
+if TYPE_CHECKING:
+    import asyncio
+    import socket
+
+LENGTH = struct.Struct("<I")
+LARGEST_FRAME = 64 << 20
+LARGEST_PACKET = 200_000
+"""A little less than the kernel's default send buffer."""
+
+
+class RtpuConfig(Struct, frozen=True, kw_only=True):
+    """What an agent tells the RTPU process that it starts, on its command line."""
+
+    domain: str
+    name: str
+    core: int
+    libraries: tuple[str, ...] = ()
+    grace: float = 5.0
+    backend: str = "auto"
+    runs: str = "runs"
+    """Folder of the logs, absolute."""
+    awake: bool = False
+    ready_fd: int = -1
+    """Where to write one `Ready` when commands can be taken."""
+
+
+class Ready(Struct, kw_only=True):
+    """How the start of an RTPU process or of a fork server went."""
+
+    error: WireError | None = None
+
+
+# -- agent to RTPU process ------------------------------------------------------------
+
+
+class Attach(Struct, tag="attach"):
+    """The first message of an agent. Answered by `RtpuInfo`, then events follow."""
+
+    agent_pid: int
+    version: str
+    grace: float
+
+
+class Forward(Struct, tag="forward"):
+    """A request as it came from the network."""
+
+    n: int
+    data: bytes
+    masters: list[tuple[str, str]] | None = None
+    """Subsystem and client of the masters that live, where the request needs it."""
+
+
+class Note(Struct, tag="note"):
+    """Something the agent noticed, to be numbered among the events."""
+
+    severity: int
+    code: str
+    text: str
+
+
+class Shutdown(Struct, tag="shutdown"):
+    """Turn everything OFF in order and end."""
+
+    timeout: float
+
+
+class Arrived(Struct, tag="arrived"):
+    """What came over the network for a queue of this RTPU."""
+
+    queue: str
+    data: bytes
+
+
+class Recorder(Struct, tag="recorder", kw_only=True):
+    """How a recorder fares."""
+
+    subsystem: str
+    path: str = ""
+    """The log that it writes; empty while it writes none."""
+    lost: int = 0
+    """Records that could not be written."""
+
+
+FromAgent = Attach | Forward | Note | Shutdown | Arrived
+
+
+# -- agent to recorder, and back ------------------------------------------------------
+
+
+class LogLimits(Struct, frozen=True):
+    """How long an agent's logs may become; 0: as long as they like."""
+
+    log_mb: float = 0.0
+    log_minutes: float = 0.0
+    runs_mb: float = 0.0
+    """Of all logs in the folder of the runs."""
+
+
+class Recording(Struct, kw_only=True):
+    """What is to be recorded; in a memory file of the recorder."""
+
+    domain: str
+    rtpu: str
+    subsystem: str
+    core: int
+    folder: str
+    """The run's own folder."""
+    file: str
+    """Name of the log, without ``.mcap``."""
+    run: str
+    job: str
+    mode: str
+    tasks: dict[str, str] = {}
+    """Modes of single tasks."""
+    hidden: list[str] = []
+    """Variables that are not recorded."""
+    files: dict[str, str] = {}
+    """Configuration files: text by name."""
+    last: float = 0.0
+    """Only the last seconds, once something goes wrong; 0: everything."""
+    limits: LogLimits = LogLimits()
+    before: list[Commanded] = []
+    """Commands that were answered before; the pipe to a recorder is too narrow for all
+    of them at once."""
+
+
+class Happened(Struct, tag="happened"):
+    """A packed event."""
+
+    data: bytes
+
+
+class Apart(Struct):
+    """How far the clock of another agent's machine is from this one's."""
+
+    rtpu: str
+    machine: str
+    offset_ns: int
+    """By so many nanoseconds it is ahead."""
+    within_ns: int
+    """How wrong that may be."""
+
+
+class Clocks(Struct, tag="clocks"):
+    """How far the clocks of other machines are apart from this one's."""
+
+    machine: str
+    others: list[Apart]
+
+
+class Commanded(Struct, tag="commanded"):
+    """A command that was answered, as JSON."""
+
+    subsystem: str
+    data: bytes
+
+
+ToRecorder = Happened | Clocks | Commanded
+FromRecorder = Note | Recorder
+
+
+# -- RTPU process to agent ------------------------------------------------------------
+
+
+class RtpuInfo(Struct, tag="info", kw_only=True):
+    """Who the RTPU process is."""
+
+    pid: int
+    core: int
+    version: str
+    backend: str
+    limits: list[str]
+    claims: dict[str, int]
+    tables: dict[str, bool] = {}
+    """Subsystems whose tables are open, and whether operators set variables there."""
+    recordings: dict[str, Recording] = {}
+    """What is to be recorded, by subsystem."""
+
+
+class Answered(Struct, tag="answered"):
+    """The packed answer to a forwarded request."""
+
+    n: int
+    data: bytes
+
+
+class Published(Struct, tag="published"):
+    """A packed event for the network."""
+
+    data: bytes
+
+
+class Ending(Struct, tag="ending"):
+    """The RTPU process ends, everything is OFF; the reason is for people."""
+
+    reason: str
+
+
+class Called(Struct, tag="called"):
+    """Tasks have ended whose heirs are on other machines."""
+
+    subsystem: str
+    calls: list[Call]
+
+
+FromRtpu = RtpuInfo | Answered | Published | Called | Ending
+
+
+# -- RTPU process and fork server -----------------------------------------------------
+
+
+class Fork(Struct, tag="fork"):
+    """Fork a task; its socket, output, and two memory files come with the message."""
+
+    n: int
+    kind: str
+    """``task`` or ``inspect``."""
+    title: str
+
+
+class Forked(Struct, tag="forked"):
+    """A child was forked, or could not be."""
+
+    n: int
+    pid: int
+    error: str = ""
+
+
+class Exited(Struct, tag="exited"):
+    """A child ended, with its status as `os.waitstatus_to_exitcode` gives it."""
+
+    pid: int
+    code: int
+
+
+FromForkServer = Forked | Exited
+
+
+# -- RTPU process to task -------------------------------------------------------------
+
+
+class Signal(Struct, tag="signal"):
+    """A lifecycle signal; it was found valid for the state the RTPU process knows."""
+
+    n: int
+    signal: str
+    arg: str = ""
+    handover: bool = False
+    cede: bool = False
+    """For ``off``: the heir takes the out-vars itself; see `Prepare`."""
+    replaces: list[str] = []
+    """For ``reinit``: tasks that leave, and whose constants it takes over."""
+
+
+class Prepare(Struct, tag="prepare"):
+    """Stand by, OFF, until the dispatcher engages the task; nothing ends it."""
+
+    n: int
+    after: list[str]
+    """Tasks whose out-vars it takes over then; empty: stand by no longer."""
+    owners: list[str] = []
+    """Tasks that own these variables before those do."""
+    far: bool = False
+    """They are on another machine: it comes on when nobody owns the variables there any
+    more, and takes them from nobody who does again."""
+
+
+class Herald(Struct, tag="herald"):
+    """Find those who take over on other RTPUs; they are called behind the next `off`.
+
+    Answered with the names of those that cannot be found.
+    """
+
+    n: int
+    calls: list[Call]
+
+
+class Disown(Struct, tag="disown"):
+    """Give up out-vars that were ceded and that nobody has taken."""
+
+    n: int
+
+
+class SetParam(Struct, tag="set"):
+    """Change a parameter between two cycles."""
+
+    n: int
+    name: str
+    value: str
+
+
+class GetParam(Struct, tag="get"):
+    """Ask for one parameter or for all."""
+
+    n: int
+    name: str | None = None
+
+
+class SetFreq(Struct, tag="freq"):
+    """Change the frequency between two cycles."""
+
+    n: int
+    hz: float
+
+
+ToTask = Signal | Prepare | Herald | Disown | SetParam | GetParam | SetFreq
+
+
+# -- task to RTPU process -------------------------------------------------------------
+
+
+class Done(Struct, tag="done", kw_only=True):
+    """The answer to a message, and the state after it; ``n`` 0 answers the spawn."""
+
+    n: int
+    state: str
+    result: Any = None
+    error: WireError | None = None
+    errnum: int = 0
+    """The number of an error of the module."""
+    place: str = ""
+    """Where it happened in the module's code."""
+    lost: dict[str, int] = {}
+    """Notices that found no room since the last message, by code."""
+
+
+class Notice(Struct, tag="notice", kw_only=True):
+    """Something that happened in the task unasked."""
+
+    severity: int
+    code: str
+    text: str
+    cycle: int = 0
+    bits: int = 0
+    """Signals that the module sent, as bits of `pbonet.Signal`."""
+    errnum: int = 0
+    """The number that the module gave the error or warning."""
+    place: str = ""
+    """Where it happened in the module's code."""
+    lost: dict[str, int] = {}
+    """Notices that found no room before this one, by code."""
+    state: str = ""
+    error: WireError | None = None
+
+
+FromTask = Done | Notice
+
+
+class TaskSpec(Struct, kw_only=True):
+    """Everything a task needs to become one; in a memory file, as it may be long."""
+
+    domain: str
+    rtpu: str
+    subsystem: str
+    task: str
+    core: int
+    slot: int
+    table: str
+    layout: str
+    rmod: str
+    rmod_name: str
+    freq: float
+    ring: str
+    libraries: tuple[str, ...]
+    forker: int
+    """The fork server's process id: who must be the parent."""
+    replaces: list[str] = []
+    """Tasks that leave, and whose constants it takes over."""
+
+
+class InspectSpec(Struct, kw_only=True):
+    """What an inspector has to describe."""
+
+    libraries: tuple[str, ...]
+    name: str | None = None
+
+
+def encode(message: Struct) -> bytes:
+    """Return `message` as msgpack bytes.
+
+    What comes from a module may hold numpy's numbers and arrays, which are told as
+    Python's, and texts that are no Unicode; see `untold.readable`.
+
+    Raises:
+        TypeError: It holds what cannot be told; all classes of that are `UNTOLD`.
+    """
+    try:
+        return msgspec.msgpack.encode(message, enc_hook=of_numpy)
+    except UnicodeEncodeError:
+        tree = msgspec.to_builtins(message, builtin_types=[bytes], enc_hook=of_numpy)
+        return msgspec.msgpack.encode(readable_tree(tree))
+
+
+def frame(message: Struct) -> bytes:
+    """Return `message` with its length before it."""
+    return framed(encode(message))
+
+
+def framed(body: bytes) -> bytes:
+    """Return a packed message with its length before it."""
+    return LENGTH.pack(len(body)) + body
+
+
+async def read_frame(reader: asyncio.StreamReader) -> bytes:
+    """Return the body of the next frame.
+
+    Raises:
+        asyncio.IncompleteReadError: The other side has closed.
+        NodeError: The length is impossible.
+    """
+    (length,) = LENGTH.unpack(await reader.readexactly(LENGTH.size))
+    return await reader.readexactly(_checked(length))
+
+
+def receive_frame(sock: socket.socket) -> bytes:
+    """Return the body of the next frame of a blocking socket, b"" at its end.
+
+    Raises:
+        NodeError: The length is impossible.
+        OSError: The link broke.
+    """
+    head = _receive_exactly(sock, LENGTH.size)
+    if not head:
+        return b""
+    (length,) = LENGTH.unpack(head)
+    return _receive_exactly(sock, _checked(length))
+
+
+def _receive_exactly(sock: socket.socket, count: int) -> bytes:
+    got = bytearray()
+    while len(got) < count:
+        part = sock.recv(count - len(got))
+        if not part:
+            return b""
+        got += part
+    return bytes(got)
+
+
+def _checked(length: int) -> int:
+    if length > LARGEST_FRAME:
+        raise NodeError(
+            "a frame between agent and RTPU process is impossibly long",
+            expected=f"at most {LARGEST_FRAME} bytes",
+            got=f"{length} bytes",
+            remedy="run the same pbonet version in both; end the older",
+        )
+    return length
+
+
+prepare(sys.modules[__name__])

@@ -1,0 +1,47 @@
+"""What modules tell and no message can hold, made into what one can, where it goes."""
+
+from __future__ import annotations
+
+from operator import methodcaller
+from typing import cast
+
+import numpy as np
+
+UNTOLD = TypeError, ValueError, OverflowError, RecursionError
+"""What `pbonet.node.wire.rtpu_messages.encode` raises for objects that no message can hold."""
+
+_NUMPY: tuple[type[object], ...] = np.generic, np.ndarray
+
+
+def readable(text: str) -> str:
+    r"""Return a text as UTF-8 can hold it.
+
+    Python has bytes of file names that are none as lone surrogates; they become escapes
+    as in ``\udcff``.
+    """
+    return text.encode(errors="backslashreplace").decode()
+
+
+def readable_tree(tree: object) -> object:
+    """Return what `msgspec.to_builtins` gave with each text `readable`."""
+    if isinstance(tree, str):
+        return readable(tree)
+    if isinstance(tree, dict):
+        items = cast("dict[object, object]", tree).items()
+        return {readable_tree(key): readable_tree(value) for key, value in items}
+    if isinstance(tree, list | tuple):
+        return [readable_tree(one) for one in cast("list[object]", tree)]
+    return tree
+
+
+def of_numpy(value: object) -> object:
+    """Return a number or an array of numpy as Python's own.
+
+    Raises:
+        TypeError: It is something else, or holds what no message can.
+    """
+    if isinstance(value, _NUMPY):
+        plain: object = methodcaller("tolist")(value)
+        if not isinstance(plain, np.generic | complex):
+            return plain
+    raise TypeError(f"a {type(value).__name__} cannot be told")

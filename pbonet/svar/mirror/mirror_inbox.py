@@ -1,0 +1,229 @@
+"""What stands in a machine's table for the tasks of others: their groups, as told."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pbonet.errors import SvarError
+from pbonet.svar import layout
+from pbonet.svar.native import now_ns
+
+from .epochs import Claim
+from .mirror_outbox import MARK
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.svar.local import LocalTable
+    from pbonet.svar.table import Table
+
+    from .packets import Full, Group, News, Packet
+
+LONGEST_NAME = 63
+"""Bytes of a task's name in a register."""
+_NUMBERS = (1 << 56) - 1
+
+
+class Counts:
+    """What has come from a machine since this one began to listen."""
+
+    def __init__(self) -> None:
+        self.packets = 0
+        self.commits = 0
+        self.gaps = 0
+        """Commits that were not carried: newer ones were there."""
+        self.refused = 0
+
+
+class Theirs:
+    """One group of another machine, and where it stands here."""
+
+    def __init__(self, group: Group) -> None:
+        self.group = group
+        self.news: News | None = None
+        self.time_ns = 0
+        """When it was committed, by this machine's clock."""
+        self.local: LocalTable | None = None
+        self.shown: tuple[int, ...] = ()
+
+    def value(self, table: Table, variable: int) -> bytes:
+        """Return the bytes of one of its variables, without what fills up words."""
+        news, record = self.news, table.variables[variable]
+        if news is None:
+            return b""
+        at = dict(_places(table, self.group.vars))[variable]
+        return news.data[at : at + np.dtype(record.dtype).itemsize * record.nelem]
+
+    def drop(self) -> None:
+        """Give the variables up; their values stand until somebody takes over."""
+        if self.local is not None:
+            with contextlib.suppress(SvarError):
+                self.local.close()
+        self.local, self.shown = None, ()
+
+
+class Machine:
+    """Another machine of the subsystem.
+
+    Args:
+        table: This machine's table.
+        run: Of the other's carrier.
+        host: Its name.
+    """
+
+    def __init__(self, table: Table, run: int, host: str) -> None:
+        self._table = table
+        self.run, self.host = run, host
+        self.state = -1
+        self.groups: dict[int, Theirs] = {}
+        self.causes: list[tuple[str, str]] = []
+        self.counts = Counts()
+        self.heard_ns = now_ns()
+
+    def take(self, packet: Packet, late_ns: int) -> bool:
+        """Take in a packet; return whether its news could be placed.
+
+        Args:
+            packet: What came.
+            late_ns: How long it was on its way.
+        """
+        self.counts.packets += 1
+        self.heard_ns = now_ns()
+        if packet.full is not None:
+            self._restate(packet.full)
+            self.state = packet.state
+        now = now_ns()
+        for news in packet.news:
+            theirs = self.groups.get(news.uid)
+            if theirs is None:
+                continue
+            self._count(theirs, news)
+            if theirs.news is None or _newer(news, theirs.news):
+                theirs.news, theirs.time_ns = news, now - news.age_ns - late_ns
+                self._commit(theirs)
+        return packet.state <= self.state
+
+    def claims(self) -> dict[int, Claim]:
+        """Return the claims of its groups, by variable."""
+        return {
+            variable: Claim(epoch, theirs.group.live, theirs.group.uid)
+            for theirs in self.groups.values()
+            for variable, epoch in zip(
+                theirs.group.vars, theirs.group.epochs, strict=True
+            )
+        }
+
+    def show(self, wanted: set[int]) -> None:
+        """Let exactly the `wanted` variables of its groups stand in the table."""
+        for theirs in self.groups.values():
+            shown = tuple(v for v in theirs.group.vars if v in wanted)
+            if shown != theirs.shown:
+                theirs.drop()
+                theirs.shown = shown
+                self._claim(theirs)
+            elif theirs.local is None or theirs.local.claimed != theirs.group.live:
+                self._claim(theirs)
+
+    def drop(self) -> None:
+        """Give up all that stands here for it."""
+        for theirs in self.groups.values():
+            theirs.drop()
+
+    def owned(self) -> list[int]:
+        """Return the variables that its tasks own."""
+        return [v for t in self.groups.values() if t.group.live for v in t.group.vars]
+
+    def _restate(self, full: Full) -> None:
+        groups: dict[int, Theirs] = {}
+        for group in full.groups:
+            known = self.groups.pop(group.uid, None)
+            if known is not None and known.group.vars == group.vars:
+                known.group = group
+                groups[group.uid] = known
+            else:
+                groups[group.uid] = Theirs(group)
+                if known is not None:
+                    known.drop()
+        self.drop()  # what has gone there
+        self.groups, self.causes = groups, full.causes
+
+    def _count(self, theirs: Theirs, news: News) -> None:
+        if theirs.news is not None and not self.kept(theirs):
+            self.counts.gaps += max((news.seq - theirs.news.seq & _NUMBERS) - 1, 0) * (
+                _newer(news, theirs.news)
+            )
+
+    @staticmethod
+    def kept(theirs: Theirs) -> bool:
+        """Tell whether an operator set it, and no task."""
+        return not theirs.group.task
+
+    def _claim(self, theirs: Theirs) -> None:
+        """Let a group stand in the table, owned here if it is owned there."""
+        if not theirs.shown or theirs.news is None:
+            return
+        if self.kept(theirs):
+            self._commit(theirs)
+            return
+        try:
+            local = theirs.local or self._make(theirs)
+            theirs.local = local
+            self._fill(local, theirs)
+            local.claim(theirs.time_ns, theirs.news.cycle)
+            if not theirs.group.live:
+                local.release()
+        except SvarError:  # a task here owns one; the fight is told elsewhere
+            self.counts.refused += 1
+            theirs.drop()
+
+    def _make(self, theirs: Theirs) -> LocalTable:
+        name = f"{theirs.group.task}{MARK}{self.host}"
+        names = [self._table.variables[v].name for v in theirs.shown]
+        text = name.encode()[:LONGEST_NAME].decode(errors="ignore")
+        return self._table.local(text, os.getpid(), outvar=names)
+
+    def _commit(self, theirs: Theirs) -> None:
+        news = theirs.news
+        if news is None or not theirs.shown:
+            return
+        if self.kept(theirs):
+            data = np.frombuffer(news.data, np.uint8)
+            with contextlib.suppress(SvarError, ValueError):
+                self._table.put(theirs.shown[0], data, theirs.time_ns)
+            return
+        local = theirs.local
+        if local is None or not local.claimed:
+            self._claim(theirs)
+            return
+        self._fill(local, theirs)
+        flags = local.commit(theirs.time_ns, news.cycle)
+        self.counts.commits += not flags
+        self.counts.refused += bool(flags)
+
+    def _fill(self, local: LocalTable, theirs: Theirs) -> None:
+        """Copy the shown variables of the newest commit into the local table."""
+        news = theirs.news
+        if news is None:
+            return
+        for variable, at in _places(self._table, theirs.group.vars):
+            if variable in theirs.shown:
+                array = local.array(variable)
+                array[:] = np.frombuffer(news.data, array.dtype, array.size, at)
+
+
+def _places(table: Table, variables: Sequence[int]) -> list[tuple[int, int]]:
+    """Return where each variable begins in a group's data."""
+    group = layout.group_of(table.variables, variables)
+    return list(zip(group.indices, group.at, strict=True))
+
+
+def _newer(one: News, other: News) -> bool:
+    """Tell whether a commit came after another; numbers wrap."""
+    return one.seq != other.seq and one.seq - other.seq & _NUMBERS < _NUMBERS >> 1
+
+
+__all__ = ["Counts", "Machine", "Theirs"]

@@ -1,0 +1,280 @@
+"""What of a machine's table is told to the others: its own groups, as they change."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pbonet.errors import SvarDamagedError
+from pbonet.svar import layout
+from pbonet.svar.native import now_ns
+
+from .packets import Group, News
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from pbonet.svar.table import Table
+
+    from .epochs import Epochs
+
+TRIES = 64
+"""Copies of a group that is being written, before it is left for the next look."""
+KEPT = 1 << 62
+"""From here on, identities of variables that an operator set."""
+BEHIND = 80_000
+"""Nanoseconds behind a commit that is expected, in which it will have come."""
+TOGETHER = 8
+"""Commits within this part of a period go together."""
+_IDLE, _BREAK, _MANY = 4, 20_000_000, 1000
+"""A writer that has been silent for so many periods and so long has stopped."""
+MARK = "@"
+"""In the names of those who write on other machines, ``TASK@HOST``."""
+
+
+class Own:
+    """One group of this machine."""
+
+    def __init__(self, table: Table, uid: int, task: str, variables: list[int]) -> None:
+        self.uid, self.task, self.variables = uid, task, variables
+        self._table = table
+        self._rooms = [room_of(table, v) for v in variables]
+        self.sent = -1
+        """The number of the commit that was sent last."""
+        self.pause_ns = _pause(table, variables)
+        self.next_ns = 0
+        """Before it nothing newer is sent, whoever asks."""
+        self.live = False
+        """Whether a task owns it, as it was told last."""
+        self._last: News | None = None
+        """What was sent last, of one that is not sent at each commit."""
+        self.stamp_ns = 0
+        """When what was sent last was committed."""
+        self.period_ns = 0
+        """From commit to commit, lately; 0: not known."""
+        self.register = 0
+        """Where its commits stand."""
+
+    def sends(self, news: News, now: int) -> None:
+        """Take note of a commit that is being sent."""
+        stamp = now - news.age_ns
+        commits = news.seq - self.sent
+        # Who carries may have stood still between two looks at the clock.
+        if self.sent >= 0 and 0 < commits < _MANY and stamp > self.stamp_ns:
+            period = (stamp - self.stamp_ns) // commits
+            known = self.period_ns
+            self.period_ns = (3 * known + period) // 4 if known else period
+        self.sent, self.stamp_ns = news.seq, stamp
+        if self.pause_ns:
+            # Counted from when it was due, so that a late look costs no turn.
+            late = now - self.next_ns
+            kept = late if 0 < late < self.pause_ns else 0
+            self.next_ns = now + self.pause_ns - kept
+            self._last = news
+
+    def again(self, now: int) -> News | None:
+        """Return what was sent last; None when something newer may be sent."""
+        if self._last is None or now >= self.next_ns:
+            return None
+        last = self._last
+        age_ns = max(now - self.stamp_ns, 0)
+        return News(last.uid, last.seq, age_ns, last.cycle, last.data)
+
+    def due_ns(self, now: int) -> int | None:
+        """Return when its next commit will stand; None when none is to be expected."""
+        if not self.period_ns or now - self.stamp_ns > _IDLE * self.period_ns + _BREAK:
+            return self.next_ns if self.next_ns > now else None
+        return max(self.stamp_ns + self.period_ns + BEHIND, self.next_ns)
+
+    def commit(self) -> int | None:
+        """Return the number of the newest commit."""
+        seen = self._table.peek(self.variables[0], self._rooms[0])
+        return None if seen is None else seen[5]
+
+    def read(self) -> News | None:
+        """Return the newest commit, whole; None when the group has gone or changes."""
+        for _ in range(TRIES):
+            looks = [
+                self._table.peek(v, room)
+                for v, room in zip(self.variables, self._rooms, strict=True)
+            ]
+            first = looks[0]
+            if first is None:
+                continue
+            if all(look is not None and look[4:6] == first[4:6] for look in looks):
+                data = b"".join(room.tobytes() for room in self._rooms)
+                return News(
+                    self.uid, first[5], max(now_ns() - first[2], 0), first[3], data
+                )
+        return None
+
+
+class Outbox:
+    """The groups of this machine.
+
+    Args:
+        table: The machine's table.
+        keep: Whether operators set variables here.
+    """
+
+    def __init__(self, table: Table, *, keep: bool) -> None:
+        self._table = table
+        self._keep = keep
+        self.generation = -1
+        """Of the table, as it was looked at last."""
+        self.groups: dict[int, Own] = {}
+        self._kept: int | None = None
+        """A variable that stands where operators set them, and the commit there."""
+        self._kept_seq = -1
+        self._kept_room = np.zeros(0, np.uint8)
+        self._unset: list[tuple[int, NDArray[np.uint8]]] = []
+        """Variables that an operator may set and has not set yet."""
+
+    def look(self, epochs: Epochs) -> bool:
+        """Take in who owns what now; return whether that has changed."""
+        try:
+            self._table.must_be_whole()
+        except SvarDamagedError:  # the RTPU process tells of it
+            return False
+        generation = self._table.generation
+        if generation == self.generation and not self._keep_grown():
+            return False
+        self.generation, self._kept, self._unset = generation, None, []
+        found: dict[int, tuple[str, bool, list[int]]] = {}
+        registers: dict[int, int] = {}
+        for number, variable in enumerate(self._table.variables):
+            room = np.zeros(layout.var_bytes(variable), np.uint8)
+            seen = self._table.peek(number, room)
+            if seen is not None and seen[0] == 0 and self._keep:
+                self._kept, self._kept_seq, self._kept_room = number, seen[5], room
+                if seen[2] == 0:
+                    self._unset.append((number, room))
+            if seen is None or not self._is_own(seen):
+                continue
+            uid = seen[4] if seen[0] else KEPT + number
+            found.setdefault(uid, (seen[6], seen[1], []))[2].append(number)
+            registers[uid] = seen[0]
+        epochs.here({
+            v: (uid, live) for uid, (_, live, many) in found.items() for v in many
+        })
+        self.groups = {
+            uid: self._known(uid, task, many) for uid, (task, _, many) in found.items()
+        }
+        for uid, group in self.groups.items():
+            group.register = registers[uid]
+            live = found[uid][1]
+            if group.live != live:  # its first and last values wait for no turn
+                group.live, group.next_ns = live, 0
+        return True
+
+    def news(
+        self,
+        now: int,
+        *,
+        everything: bool = False,
+        newest: bool = False,
+        to_all: bool = True,
+    ) -> list[News]:
+        """Return what is new and due, or everything.
+
+        Args:
+            now: The time.
+            everything: The last commit that was sent of what is not due, too.
+            newest: The newest of everything, as for a machine that has nothing yet.
+            to_all: Whether all machines are told, so that it is new to none any more.
+        """
+        found: list[News] = []
+        for group in self.groups.values():
+            if not everything and (
+                now < group.next_ns or group.commit() in {None, group.sent}
+            ):
+                continue
+            if not newest and (again := group.again(now)) is not None:
+                found.append(again)
+            elif (news := group.read()) is not None:
+                if to_all:
+                    group.sends(news, now)
+                found.append(news)
+        return found
+
+    def due(self, now: int) -> int | None:
+        """Return when to look for the next commit; in the past: it is overdue.
+
+        Those that are expected close to each other are looked for together.
+        """
+        expected = [
+            (due, group.period_ns)
+            for group in self.groups.values()
+            if (due := group.due_ns(now)) is not None
+        ]
+        if not expected:
+            return None
+        first = min(due for due, _ in expected)
+        together = first + min((p for _, p in expected if p), default=0) // TOGETHER
+        return max(due for due, _ in expected if due <= together)
+
+    def heads(self, now: int) -> set[tuple[int, int]]:
+        """Return where commits may come unexpectedly, and the last one sent of each."""
+        heads = {
+            (group.register, max(group.sent, 0))  # no commit has number 0
+            for group in self.groups.values()
+            if group.due_ns(now) is None
+        }
+        if self._kept is not None:
+            heads.add((0, self._kept_seq))
+        return heads
+
+    def told(self, epochs: Epochs) -> list[Group]:
+        """Return the groups as they are told to others."""
+        return [
+            Group(
+                own.uid,
+                own.task,
+                own.live,
+                own.variables,
+                [epochs.own[v].epoch for v in own.variables],
+            )
+            for own in self.groups.values()
+        ]
+
+    def _known(self, uid: int, task: str, variables: list[int]) -> Own:
+        known = self.groups.get(uid)
+        if known is not None and known.variables == variables:
+            return known
+        return Own(self._table, uid, task, variables)
+
+    def _is_own(self, seen: tuple[int, bool, int, int, int, int, str]) -> bool:
+        register, _, time_ns, _, _, _, task = seen
+        if register == 0:  # INIT is on every machine
+            return self._keep and time_ns != 0
+        return MARK not in task
+
+    def _keep_grown(self) -> bool:
+        """Whether an operator has set a variable for the first time."""
+        if self._kept is None:
+            return False
+        seen = self._table.peek(self._kept, self._kept_room)
+        if seen is None or seen[5] == self._kept_seq:
+            return False
+        looks = [self._table.peek(number, room) for number, room in self._unset]
+        if any(look is None or look[2] for look in looks):
+            return True
+        self._kept_seq = seen[5]
+        return False
+
+
+def room_of(table: Table, number: int) -> NDArray[np.uint8]:
+    """Return room for a variable as it stands in a group."""
+    return np.zeros(layout.var_bytes(table.variables[number]), np.uint8)
+
+
+def _pause(table: Table, variables: list[int]) -> int:
+    """Return the nanoseconds between two commits that are carried; 0: each is."""
+    rates = [table.variables[v].rate for v in variables]
+    if any(rate is None for rate in rates):
+        return 0
+    return round(1e9 / max(rate for rate in rates if rate is not None))
+
+
+__all__ = ["MARK", "Outbox", "room_of"]

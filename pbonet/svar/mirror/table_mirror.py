@@ -1,0 +1,277 @@
+"""A machine's part in a table that stands on several (DESIGN: across machines).
+
+It tells the others of the groups that tasks here write, and lets theirs stand in the
+table of this machine, as commits of their own with the age that they have. What it does
+when, and over which network, is its caller's business; all calls come from one thread.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from typing import TYPE_CHECKING
+
+from pbonet.errors import SvarError
+from pbonet.svar.native import now_ns
+
+from . import packets
+from .epochs import HERE, Epochs
+from .mirror_inbox import Machine
+from .mirror_outbox import Outbox
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pbonet.svar.native import Watch
+    from pbonet.svar.table import Table
+
+    from .packets import Packet
+
+RAISER = "mirror"
+"""Who raises the flag when machines are out of sight, or fight."""
+
+
+class Mirror:
+    """One table of one machine.
+
+    Args:
+        table: The table.
+        machine: This machine's identity.
+        run: A number that no other start has.
+        keep: Whether operators set variables here.
+        late: By how much a packet of a machine, sent at a time of its clock, is late.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        machine: str,
+        run: int,
+        *,
+        keep: bool,
+        late: Callable[[str, int], int] = lambda _machine, _sent: 0,
+    ) -> None:
+        self.table = table
+        self.machine, self.run = machine, run
+        self.host = socket.gethostname()
+        self.others: dict[str, Machine] = {}
+        self._newcomers: set[str] = set()
+        """Those that have not been told yet what stands here."""
+        self._late = late
+        self._epochs = Epochs()
+        self._outbox = Outbox(table, keep=keep)
+        self._state = 0
+        self._fights: list[int] = []
+        self._news = False
+        """Whether something is to be told that is not in the table."""
+        self._raised: dict[tuple[str, str, str], None] = {}
+        self._causes: list[tuple[str, str]] = []
+        self._glance = table.local(RAISER, os.getpid())
+        """Tells whether the flag is up by one load."""
+        self._changes = 0
+        """Of the flag, as it was looked at last."""
+        self._lost: dict[str, tuple[str, list[int]]] = {}
+
+    def tell(
+        self, *, full: bool = False, look: bool = True, machine: str = ""
+    ) -> Packet | None:
+        """Return what there is to tell the others; None when nothing is new.
+
+        Args:
+            full: Everything, not only what is new.
+            look: Whether to look at the causes of the flag too.
+            machine: Who alone is told; all if left out.
+        """
+        changed = self._outbox.look(self._epochs)
+        if changed:
+            self._reconcile()
+        if look and self._look_at_causes():
+            changed = True
+        changed, self._news = changed or self._news, False
+        self._news = changed and bool(machine)  # the others are to be told yet
+        if changed:
+            self._state += 1
+        full = full or changed
+        comes = self._newcomers & {machine} if machine else self._newcomers
+        news = self._outbox.news(
+            now_ns(), everything=full, newest=full and bool(comes), to_all=not machine
+        )
+        if not (full or news):
+            return None
+        if full:
+            self._newcomers = self._newcomers - comes
+        return packets.Packet(
+            packets.VERSION,
+            self.machine,
+            self.host,
+            self.run,
+            self._state,
+            now_ns(),
+            news,
+            self._full() if full else None,
+        )
+
+    def take(self, packet: Packet) -> bool:
+        """Take in what another machine tells.
+
+        Returns:
+            Whether it could be placed; else all of that machine must be asked for.
+        """
+        other = self.others.get(packet.machine)
+        if other is not None and other.run != packet.run:
+            self._remove(packet.machine)
+            other = None
+        if other is None:
+            other = self.others[packet.machine] = Machine(
+                self.table, packet.run, packet.host
+            )
+            self._lost.pop(packet.machine, None)
+            self._newcomers.add(packet.machine)
+        late = self._late(packet.machine, packet.sent_ns)
+        if packet.state < other.state:
+            packet.full = None  # it was overtaken by a newer one
+        placed = other.take(packet, late)
+        if packet.full is not None:
+            self._epochs.there(
+                packet.machine, other.claims(), packet.full.ended, packet.full.fights
+            )
+            self._news |= self._outbox.look(self._epochs)
+            self._reconcile()
+        return placed
+
+    def miss(self, seconds: float) -> None:
+        """Lose the machines that have told nothing for so long."""
+        before = now_ns() - round(seconds * 1e9)
+        silent = [m for m, other in self.others.items() if other.heard_ns < before]
+        for machine in silent:
+            self.lose(machine)
+
+    def lose(self, machine: str) -> None:
+        """Take in that a machine is out of sight."""
+        other = self.others.get(machine)
+        if other is None:
+            return
+        self._lost[machine] = (other.host, other.owned())
+        self._remove(machine)
+        self._reconcile()
+
+    def close(self) -> None:
+        """Give up what stands here for others, and what was raised."""
+        for machine in list(self.others):
+            self._remove(machine)
+        self._lost.clear()
+        self._raise_exactly({})
+
+    def due(self) -> float | None:
+        """Return in how many seconds a commit is expected; below 0: it is overdue."""
+        now = now_ns()
+        expected = self._outbox.due(now)
+        return None if expected is None else (expected - now) * 1e-9
+
+    def watch(self, watch: Watch) -> None:
+        """Have a sleep end when something is to be told that `due` does not expect."""
+        heads = self._outbox.heads(now_ns())
+        generation = max(self._outbox.generation, 0)
+        watch.add(self._glance.arena, generation, self._changes, heads)
+
+    def conflicts(self) -> list[str]:
+        """Return the variables that are owned on two machines."""
+        names = self._epochs.fought_over(self._fights)
+        return [self.table.variables[v].name for v in sorted(names)]
+
+    def _remove(self, machine: str) -> None:
+        self.others.pop(machine).drop()
+        self._newcomers.discard(machine)
+        self._epochs.forget(machine)
+
+    def _full(self) -> packets.Full:
+        return packets.Full(
+            groups=self._outbox.told(self._epochs),
+            ended=list(self._epochs.ended.items()),
+            fights=self._fights,
+            causes=self._causes,
+        )
+
+    def _reconcile(self) -> None:
+        """Let stand what counts, and raise the flag for what does not."""
+        fights = self._epochs.own_fights(self._is_constant)
+        if fights != self._fights:
+            self._fights, self._news = fights, True
+        fought = self._epochs.fought_over(fights)
+        for machine, other in self.others.items():
+            other.show({
+                v
+                for v in other.claims()
+                if v not in fought and self._epochs.winner(v) == machine
+            })
+        self._raise_exactly(self._wanted_causes(fought))
+
+    def _wanted_causes(self, fought: set[int]) -> dict[tuple[str, str, str], None]:
+        """Return the causes that must stand here for others, and for their loss."""
+        wanted: dict[tuple[str, str, str], None] = {}
+        for other in self.others.values():
+            for cause, raiser in other.causes:
+                wanted[cause, raiser, other.host] = None
+        names = self.table.variables
+        for number in sorted(fought):
+            text = f"{names[number].name} is written on two machines"
+            wanted[text, RAISER, self.host] = None
+        for host, owned in self._lost.values():
+            free = [names[v].name for v in owned if self._is_free(v)]
+            if free:
+                text = f"host {host} is out of sight; nobody writes {' '.join(free)}"
+                wanted[text[:120], RAISER, self.host] = None
+        return wanted
+
+    def _is_free(self, variable: int) -> bool:
+        return self._epochs.winner(variable) is None or not any(
+            claim.live
+            for known in (self._epochs.own, *self._epochs.others.values())
+            if (claim := known.get(variable)) is not None
+        )
+
+    def _raise_exactly(self, wanted: dict[tuple[str, str, str], None]) -> None:
+        for cause in self._raised.keys() - wanted.keys():
+            text, raiser, host = cause
+            with contextlib.suppress(SvarError):
+                self.table.clear_illegal(raiser, text, host)
+            del self._raised[cause]
+        for cause in wanted:
+            if cause not in self._raised:
+                with contextlib.suppress(SvarError):
+                    self.table.raise_illegal(*cause)
+                    self._raised[cause] = None
+
+    def _look_at_causes(self) -> bool:
+        """Take in what was raised on this machine; return whether it has changed."""
+        self._changes = self._glance.arena.changes
+        standing = self.table.illegal if self._glance.illegal else []
+        causes = [
+            (one.cause, one.raiser)
+            for one in standing
+            if (one.cause, one.raiser, one.machine) not in self._raised
+        ]
+        if causes == self._causes:
+            return False
+        self._causes = causes
+        return True
+
+    def _is_constant(self, variable: int, machine: str) -> bool:
+        """Tell whether a variable is a constant of one value here and there.
+
+        A constant is written once, by a commit of cycle 0.
+        """
+        info = self.table.info(variable)
+        other = self.others.get(machine)
+        if other is None or info.cycle:
+            return False
+        here = self.table.read(variable).tobytes()
+        for theirs in other.groups.values():
+            if variable in theirs.group.vars and theirs.news is not None:
+                same = theirs.value(self.table, variable)
+                return not theirs.news.cycle and same == here
+        return False
+
+
+__all__ = ["HERE", "RAISER", "Mirror"]

@@ -1,0 +1,454 @@
+"""Files of other machines as an fsspec file system: ``pbonet://RTPU/PATH``.
+
+What fsspec, numpy, MCAP readers and others do with files works with it (Stewart 1994,
+section 5.3.2). A path begins in the folder that the RTPU's agent declares. A file that
+is written appears when it is closed, whole, or not at all.
+"""
+
+# What fsspec's classes have is not declared there.
+# pyright: basic, reportIncompatibleMethodOverride=false, reportArgumentType=false
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from pbonet.errors import (
+    PbonetError,
+    XmAccessError,
+    XmError,
+    XmExistsError,
+    XmMissingError,
+    XmNameError,
+)
+from pbonet.outside import refuse
+from pbonet.xm.net import file_messages as f
+
+from . import names, remote_channel
+
+try:
+    from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
+except ImportError as error:  # pragma: no cover - said once, by who lacks it
+    raise ImportError(
+        "files of other machines need fsspec: pip install 'pbonet[files]'"
+    ) from error
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pbonet.xm.net.resource_messages import XmRequest
+
+T = TypeVar("T")
+
+ANSWER_TIME = 5.0
+"""Seconds in which an agent reads or writes a part of a file."""
+DEEPEST = 64
+"""Folders in a path; a link may lead round in a circle."""
+
+
+class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
+    """Files on the machines of RTPUs.
+
+    Args:
+        domain: The domain of the RTPUs; this process's own if left out.
+        connect: Endpoints of agents; those of `PBONET_CONNECT` and of this machine if
+            left out.
+        keys: A key folder; the one that `PBONET_KEYS` names if left out.
+        options: Those of every fsspec file system.
+    """
+
+    protocol = "pbonet"
+    root_marker = ""
+    cachable = True
+
+    def __init__(
+        self,
+        domain: str | None = None,
+        connect: Sequence[str] | str = (),
+        keys: str | None = None,
+        **options: Any,  # noqa: ANN401 - fsspec's
+    ) -> None:
+        super().__init__(**options)
+        self._carrier: remote_channel.Carrier | None = None
+        if domain or connect or keys:
+            endpoints = connect.split() if isinstance(connect, str) else connect
+            self._carrier = remote_channel.client(
+                domain or names.home().domain,
+                connect=endpoints,
+                key_folder=Path(keys) if keys else None,
+            )
+
+    def ask(self, path: str, request: XmRequest, result: type[T]) -> T:
+        """Return an agent's answer; `path` begins with the RTPU."""
+        refuse(f"the file pbonet://{path}")
+        carrier = self._carrier or remote_channel.carrier()
+        rtpu = _split(path)[0]
+        return carrier.call(rtpu, request, result, timeout=ANSWER_TIME)
+
+    def close(self) -> None:
+        """Close the connection, if it is one of its own."""
+        if self._carrier is not None:
+            self._carrier.close()
+
+    # -- looking -----------------------------------------------------------------------
+
+    def info(self, path: str, **_: object) -> dict[str, Any]:
+        """Return what stands at a path: `name`, `type`, `size`, `mtime`."""
+        path = str(self._strip_protocol(path))
+        if not path:
+            return {"name": "", "type": "directory", "size": 0}
+        found = self.ask(path, f.FileStat(path=_split(path)[1]), f.FileSeen)
+        return _entry(path, found)
+
+    def exists(self, path: str, **_: object) -> bool:
+        """Tell whether something stands at a path.
+
+        Raises:
+            UnreachableError: Nobody can tell, as the RTPU cannot be reached.
+        """
+        return self._type(path) != ""
+
+    def isdir(self, path: str) -> bool:
+        """Tell whether a folder stands at a path; raises as `exists`."""
+        return self._type(path) == "directory"
+
+    def isfile(self, path: str) -> bool:
+        """Tell whether a file stands at a path; raises as `exists`."""
+        return self._type(path) == "file"
+
+    def _type(self, path: str) -> str:
+        """Return what stands at a path; empty if that is nothing that can be used.
+
+        fsspec would take a link that is cut for a file that is not there.
+        """
+        try:
+            return str(self.info(path)["type"])
+        except XmError:
+            return ""
+
+    def ls(self, path: str, detail: bool = True, **_: object) -> list[Any]:  # noqa: FBT001, FBT002 - fsspec's
+        """Return what a folder holds; of the root the RTPUs that are there."""
+        path = str(self._strip_protocol(path))
+        if not path:
+            found = [
+                {"name": name, "type": "directory", "size": 0}
+                for name in (self._carrier or remote_channel.carrier()).rtpus()
+            ]
+        else:
+            found = self._held(path)
+        return found if detail else [one["name"] for one in found]
+
+    def _held(self, path: str) -> list[dict[str, Any]]:
+        if self.info(path)["type"] != "directory":
+            return [self.info(path)]
+        below, found, after = _split(path)[1], list[dict[str, Any]](), ""
+        while True:
+            page = self.ask(path, f.FileList(path=below, after=after), f.Listing)
+            found += [_entry(f"{path}/{one.name}", one) for one in page.entries]
+            if not page.more:
+                return found
+            after = page.last
+
+    def modified(self, path: str) -> datetime:
+        """Return when a file was changed, by its machine's clock."""
+        return datetime.fromtimestamp(self.info(path)["mtime"], UTC)
+
+    # -- changing ----------------------------------------------------------------------
+
+    def mkdir(self, path: str, create_parents: bool = True, **_: object) -> None:  # noqa: FBT001, FBT002 - fsspec's
+        """Make a folder."""
+        path = str(self._strip_protocol(path))
+        if create_parents and _split(path)[1].count("/"):
+            self.makedirs(str(self._parent(path)), exist_ok=True)
+        self._change(path, "mkdir")
+
+    def makedirs(self, path: str, exist_ok: bool = False) -> None:  # noqa: FBT001, FBT002 - fsspec's
+        """Make a folder and those above it."""
+        path = str(self._strip_protocol(path))
+        parts = [part for part in _split(path)[1].split("/") if part]
+        for count in range(1, len(parts) + 1):
+            try:
+                self._change("/".join([_split(path)[0], *parts[:count]]), "mkdir")
+            except XmExistsError:
+                if count == len(parts) and not (exist_ok and self.isdir(path)):
+                    raise
+
+    def _make_parent(self, path: str) -> None:
+        """Make the folder that a path stands in, if there is none."""
+        parent = str(self._parent(path))
+        try:
+            self.info(parent)
+        except XmMissingError:
+            self.makedirs(parent, exist_ok=True)
+
+    def touch(self, path: str, truncate: bool = True, **options: Any) -> None:  # noqa: FBT001, FBT002, ANN401 - fsspec's
+        """Make an empty file; without `truncate` one that is there gets a new time."""
+        path = str(self._strip_protocol(path))
+        if truncate or not self.exists(path):
+            self._make_parent(path)
+            self.pipe_file(path, b"", **options)
+        else:
+            self._change(path, "touch")
+
+    def rm(
+        self,
+        path: str | list[str],
+        recursive: bool = False,  # noqa: FBT001, FBT002 - fsspec's
+        maxdepth: int | None = None,
+    ) -> None:
+        """Remove files, and folders with all that they hold if `recursive`.
+
+        A symbolic link is removed, never what it leads to.
+        """
+        for one in self.expand_path(path):
+            self._remove(one, deeper=(maxdepth or DEEPEST) if recursive else 0)
+
+    def _remove(self, path: str, deeper: int) -> None:
+        if deeper and self._is_folder(path):
+            for one in self.ls(path, detail=False):
+                self._remove(one, deeper - 1)
+        self.rm_file(path)
+
+    def _is_folder(self, path: str) -> bool:
+        """Tell whether a folder stands at a path, and no link to one."""
+        with contextlib.suppress(XmError):
+            found = self.info(path)
+            return found["type"] == "directory" and not found.get("islink")
+        return False
+
+    def rm_file(self, path: str) -> None:
+        """Remove a file, a link, or an empty folder."""
+        what = "rmdir" if self._is_folder(path) else "remove"
+        self._change(str(self._strip_protocol(path)), what)
+
+    _rm = rm_file
+
+    def cp_file(self, path1: str, path2: str, **_: object) -> None:
+        """Copy a file, also from one RTPU to another; of a folder make an empty one.
+
+        The copy appears when it is whole. What it holds passes through this process.
+        """
+        path1, path2 = (str(self._strip_protocol(path)) for path in (path1, path2))
+        if self.isdir(path1):
+            self.makedirs(path2, exist_ok=True)
+            return
+        with self.open(path1, cache_type="none") as source:
+            self._make_parent(path2)
+            with self.open(path2, "wb") as copy:
+                shutil.copyfileobj(source, copy, f.CHUNK)
+
+    def mv(
+        self,
+        path1: str | list[str],
+        path2: str | list[str],
+        **_: object,
+    ) -> None:
+        """Move files and whole folders, into `path2` if that is a folder.
+
+        On one RTPU each is moved at once. From one RTPU to another it is copied, and
+        removed when the copy is whole. A file that stands at its new path is replaced.
+
+        Raises:
+            XmExistsError: A folder is to go to another RTPU, to the place of one.
+        """
+        if isinstance(path2, list):
+            pairs = list(
+                zip([path1] if isinstance(path1, str) else path1, path2, strict=True)
+            )
+        else:
+            sources: list[str] = self.expand_path(path1)
+            into = len(sources) > 1 or path2.endswith("/") or self.isdir(path2)
+            pairs = [
+                (one, f"{path2}/{one.rpartition('/')[2]}" if into else path2)
+                for one in sources
+            ]
+        for source, target in pairs:
+            self._move(*(str(self._strip_protocol(one)) for one in (source, target)))
+
+    def _move(self, source: str, target: str) -> None:
+        if source == target:
+            return
+        (rtpu, path), (other, to) = _split(source), _split(target)
+        if rtpu == other:
+            try:
+                self.ask(source, f.FileMove(path=path, to=to), type(None))
+            except XmMissingError:  # what was to be moved, or the folder it is to go to
+                if not self._is_listed(source):
+                    raise
+                self._make_parent(target)
+                self.ask(source, f.FileMove(path=path, to=to), type(None))
+            return
+        if self.isdir(target):
+            raise XmExistsError(
+                "a folder stands where this is to go",
+                where=f"pbonet://{target}",
+                remedy="remove it first, or choose another name",
+            )
+        whole = self.isdir(source)
+        self.copy(source, target, recursive=whole, on_error="raise")
+        self.rm(source, recursive=whole)
+
+    def _is_listed(self, path: str) -> bool:
+        """Tell whether something stands at a path, be it a link that leads nowhere."""
+        with contextlib.suppress(XmMissingError):
+            return path in self.ls(str(self._parent(path)), detail=False)
+        return False
+
+    def rmdir(self, path: str) -> None:
+        """Remove an empty folder."""
+        self._change(str(self._strip_protocol(path)), "rmdir")
+
+    def _change(self, path: str, what: str) -> None:
+        request = f.FileChange(path=_split(path)[1], what=what)
+        self.ask(path, request, type(None))
+
+    def _open(
+        self,
+        path: str,
+        mode: str = "rb",
+        block_size: int | str | None = None,
+        autocommit: bool = True,  # noqa: FBT001, FBT002 - fsspec's
+        cache_options: dict[str, Any] | None = None,
+        **options: Any,  # noqa: ANN401 - fsspec's
+    ) -> PbonetFile:
+        return PbonetFile(
+            self,
+            path,
+            mode,
+            f.CHUNK if block_size is None else block_size,
+            autocommit,
+            cache_options=cache_options,
+            **options,
+        )
+
+
+class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
+    """A file of another machine."""
+
+    DEFAULT_BLOCK_SIZE: ClassVar[int] = f.CHUNK
+
+    def __init__(
+        self,
+        fs: PbonetFileSystem,
+        path: str,
+        mode: str,
+        block_size: int | str,
+        autocommit: bool,  # noqa: FBT001 - fsspec's
+        **options: Any,  # noqa: ANN401 - fsspec's
+    ) -> None:
+        if mode not in {"rb", "wb", "xb"}:
+            raise XmAccessError(
+                "a file of another machine is read or written, whole",
+                where=path,
+                expected="mode rb, wb or xb",
+                got=mode,
+                remedy="read it, and write it anew; or write another file beside it",
+            )
+        if mode == "xb" and fs.exists(path):  # and again when it is whole
+            raise XmExistsError(
+                "something stands there",
+                where=f"pbonet://{path}",
+                remedy="choose another name, or mode wb to replace it",
+            )
+        self._part = secrets.token_hex(8)
+        self._written = 0
+        super().__init__(fs, path, mode, block_size, autocommit, **options)
+        if mode == "rb" and self.details["type"] != "file":
+            raise XmAccessError(
+                "this is no regular file",
+                where=path,
+                got=self.details["type"],
+                remedy="read files, list folders",
+            )
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Close the file; what was written is dropped if something was raised."""
+        if kind is not None and self.mode != "rb":
+            self.discard()
+        self.close()
+
+    def _fetch_range(self, start: int, end: int) -> bytes:
+        got = bytearray()
+        while start + len(got) < end:
+            request = f.FileRead(
+                path=_split(self.path)[1],
+                offset=start + len(got),
+                size=min(end - start - len(got), f.CHUNK),
+                inode=self.details["inode"],
+            )
+            part = self.fs.ask(self.path, request, bytes)
+            if not part:
+                break
+            got += part
+        return bytes(got)
+
+    def _initiate_upload(self) -> None:
+        self._written = 0
+        self._send(b"")
+
+    def _upload_chunk(self, final: bool = False) -> bool:  # noqa: FBT001, FBT002 - fsspec's
+        data = self.buffer.getvalue()
+        for begin in range(0, len(data), f.CHUNK):
+            self._send(data[begin : begin + f.CHUNK])
+        if final and self.autocommit:
+            self.commit()
+        return True
+
+    def _send(self, data: bytes) -> None:
+        request = f.FileWrite(
+            path=_split(self.path)[1], part=self._part, offset=self._written, data=data
+        )
+        try:
+            self.fs.ask(self.path, request, type(None))
+        except BaseException:
+            self.discard()
+            raise
+        self._written += len(data)
+
+    def commit(self) -> None:
+        """Move the file to its place."""
+        self._finish(keep=True)
+
+    def discard(self) -> None:
+        """Drop what was written."""
+        self.forced = True  # nothing is left to send when it is closed
+        with contextlib.suppress(PbonetError):  # the agent drops it without us, too
+            self._finish(keep=False)
+
+    def _finish(self, *, keep: bool) -> None:
+        request = f.FileFinish(
+            path=_split(self.path)[1],
+            part=self._part,
+            size=self._written,
+            keep=keep,
+            fresh=self.mode == "xb",
+        )
+        self.fs.ask(self.path, request, type(None))
+
+
+def _split(path: str) -> tuple[str, str]:
+    """Return RTPU and path of ``RTPU/PATH``."""
+    rtpu, _, below = path.partition("/")
+    if not rtpu:
+        raise XmNameError(
+            "the path names no RTPU",
+            expected="pbonet://RTPU/PATH",
+            got=repr(path[:100]),
+            remedy="list pbonet:// for those that are there",
+        )
+    return rtpu, below
+
+
+def _entry(path: str, found: f.FileSeen) -> dict[str, Any]:
+    return {
+        "name": path,
+        "type": found.type,
+        "size": found.size,
+        "mtime": found.mtime,
+        "inode": found.inode,
+        "islink": found.link,
+    }

@@ -1,0 +1,222 @@
+"""Semaphores and queues of a module that is recorded: each answer goes on its tape.
+
+In a replay the same objects give what was answered, and nothing is opened.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+from pbonet.outside import Outside, using
+
+from . import names
+from ._ipc import Full, Policy, Queue, Semaphore, Taken
+from .queue_receive import Receiving
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from _typeshed import ReadableBuffer
+
+    from .names import Name
+
+
+def opened(
+    make: Callable[..., Semaphore | Queue], name: str | Name, settings: dict[str, Any]
+) -> HeardSemaphore | HeardQueue:
+    """Return what `make` opens, with its answers on record."""
+    kind = HeardQueue if make in {Queue.create, Queue.attach} else HeardSemaphore
+    return kind(make, name, settings)
+
+
+class _Heard:
+    """What both have in common."""
+
+    _WHAT = ""
+    _SETTINGS: tuple[str, ...] = ()
+
+    def __init__(
+        self, make: Callable[..., Any], name: str | Name, settings: dict[str, Any]
+    ) -> None:
+        found = name if isinstance(name, names.Name) else names.parse(name)
+        self._name = str(found)
+        self._outside = Outside(f"{self._WHAT} {self._name}")
+        self._inner: Any = None
+        self._told: list[Any] = self._outside.ask(self._open, make, name, settings)
+
+    def _open(
+        self, make: Callable[..., Any], name: str | Name, settings: dict[str, Any]
+    ) -> list[Any]:
+        with using(None):
+            self._inner = make(name, **settings)
+        path = str(self._inner.path)
+        return [path, *(int(getattr(self._inner, one)) for one in self._SETTINGS)]
+
+    def _hear(self, what: str, *args: Any, default: Any, **more: Any) -> Any:  # noqa: ANN401
+        """Return what a method, or a property, answers."""
+        return self._outside.ask(self._do, what, args, more, default=default)
+
+    def _do(self, what: str, args: tuple[Any, ...], more: dict[str, Any]) -> Any:  # noqa: ANN401
+        return getattr(self._inner, what)(*args, **more)
+
+    def _look(self, what: str, default: Any = None) -> Any:  # noqa: ANN401
+        return self._outside.ask(lambda: getattr(self._inner, what), default=default)
+
+    def __repr__(self) -> str:
+        return f"<{self._WHAT.capitalize()} {self._name}>"
+
+    @property
+    def name(self) -> str:
+        return self._name
+
+    @property
+    def path(self) -> str:
+        return str(self._told[0])
+
+    @property
+    def waiting(self) -> int:
+        return int(self._look("waiting", 0))
+
+    def close(self) -> None:
+        self._hear("close", default=None)
+
+    def destroy(self) -> None:
+        self._hear("destroy", default=None)
+
+
+class HeardSemaphore(_Heard, Semaphore):
+    """A semaphore whose answers are on record."""
+
+    _WHAT = "semaphore"
+    _SETTINGS: tuple[str, ...] = ("maximum", "binary")
+
+    @property
+    def maximum(self) -> int:
+        return int(self._told[1])
+
+    @property
+    def binary(self) -> bool:
+        return bool(self._told[2])
+
+    @property
+    def value(self) -> int:
+        return int(self._look("value", 0))
+
+    @property
+    def holder(self) -> int | None:
+        return cast("int | None", self._look("holder"))
+
+    def p(
+        self,
+        until_ns: int | None = None,
+        *,
+        priority: int | None = None,
+        still: Callable[[], bool] | None = None,
+    ) -> Taken:
+        out = Taken.TIMED_OUT
+        got = self._hear("p", until_ns, priority=priority, still=still, default=out)
+        return Taken(got)
+
+    def try_p(self) -> Taken:
+        return Taken(self._hear("try_p", default=Taken.TIMED_OUT))
+
+    def v(self) -> bool:
+        return bool(self._hear("v", default=True))
+
+
+class HeardQueue(Receiving, _Heard, Queue):
+    """A message queue whose answers are on record."""
+
+    _WHAT = "queue"
+    _MOST = 0xFFFFFFFE
+    _SETTINGS: tuple[str, ...] = ("policy", "messages", "blocks", "block")
+    _last = 0
+
+    @property
+    def policy(self) -> Policy:
+        return Policy(self._told[1])
+
+    @property
+    def messages(self) -> int:
+        return int(self._told[2])
+
+    @property
+    def blocks(self) -> int:
+        return int(self._told[3])
+
+    @property
+    def block(self) -> int:
+        return int(self._told[4])
+
+    @property
+    def free(self) -> tuple[int, int]:
+        return cast("tuple[int, int]", self._look("free"))
+
+    @property
+    def sent(self) -> int:
+        return int(self._look("sent", 0))
+
+    @property
+    def dropped(self) -> int:
+        return int(self._look("dropped", 0))
+
+    @property
+    def last_priority(self) -> int:
+        return self._last
+
+    def __len__(self) -> int:
+        return int(self._hear("__len__", default=0))
+
+    def send(
+        self,
+        data: ReadableBuffer,
+        priority: int = 0,
+        *,
+        full: Full = Full.REFUSE,
+        until_ns: int | None = 0,
+        wait_priority: int | None = None,
+        still: Callable[[], bool] | None = None,
+    ) -> bool:
+        return bool(
+            self._hear(
+                "send",
+                data,
+                priority,
+                full=full,
+                until_ns=until_ns,
+                wait_priority=wait_priority,
+                still=still,
+                default=True,
+            )
+        )
+
+    def letter(
+        self,
+        until_ns: int | None = None,
+        *,
+        priority: int | None = None,
+        most: int = _MOST,
+        still: Callable[[], bool] | None = None,
+    ) -> tuple[bytes, int] | None:
+        got = self._hear(
+            "letter",
+            until_ns,
+            priority=priority,
+            most=most,
+            still=still,
+            default=None,
+        )
+        if got is not None:
+            self._last = got[1]
+        return cast("tuple[bytes, int] | None", got)
+
+    def wait(
+        self,
+        until_ns: int | None = None,
+        *,
+        priority: int | None = None,
+        still: Callable[[], bool] | None = None,
+    ) -> bool:
+        return bool(
+            self._hear("wait", until_ns, priority=priority, still=still, default=False)
+        )

@@ -1,0 +1,245 @@
+"""How a process asks other machines for their resources.
+
+A task asks its agent, by a Unix socket, and has nothing of the network in its process.
+Every other process is a client of the agents of its own, as all tools are. Both show a
+liveliness token for as long as the process lives, so that what stands for it elsewhere
+ends with it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import secrets
+import sys
+import threading
+from multiprocessing import connection as sockets
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import msgspec
+
+from pbonet.errors import NoAnswerError, UnreachableError, XmError
+from pbonet.outside import Outside, active
+from pbonet.xm.net import codec, key_expressions, run_folder
+from pbonet.xm.net.relay_messages import Letter, read_names, read_result
+
+from . import names
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from pbonet.xm.net.messages import Request
+    from pbonet.xm.net.rpc import Client, Declared
+
+T = TypeVar("T")
+
+CONNECT = "PBONET_CONNECT"
+"""Names endpoints of agents elsewhere, with blanks between them."""
+
+
+class Carrier(Protocol):
+    """Brings requests to agents, and answers back."""
+
+    name: str
+    """The client, as its token says."""
+
+    def call(
+        self, rtpu: str, request: Request, result: type[T], *, timeout: float = ...
+    ) -> T:
+        """Return the result of a request; see `pbonet.xm.net.rpc.Client.call`."""
+        ...
+
+    def tell(self, rtpu: str, request: Request) -> None:
+        """Send a request and wait for nothing."""
+
+    def rtpus(self) -> list[str]:
+        """Return the names of the RTPUs whose agents are there."""
+        ...
+
+    def close(self) -> None:
+        """End; what stands for it elsewhere ends with it."""
+
+
+class Post:
+    """What a task asks goes to its RTPU's agent, and from there to the others.
+
+    Every thread has a connection of its own, and the process one more, on which nothing
+    is asked: when the last one closes, the agent drops what stands for the process.
+
+    Args:
+        path: The agent's socket.
+        rtpu: Its name.
+    """
+
+    def __init__(self, path: str, rtpu: str) -> None:
+        self.name = f"{rtpu}-{os.getpid()}-{secrets.token_hex(4)}"
+        self._path, self._rtpu = path, rtpu
+        self._codec = codec.Codec()
+        self._own = threading.local()
+        self._guard = threading.Lock()
+        self._anchor: sockets.Connection | None = None
+
+    def call(
+        self, rtpu: str, request: Request, result: type[T], *, timeout: float = 2.0
+    ) -> T:
+        """Return the result of a request; see `pbonet.xm.net.rpc.Client.call`."""
+        request.client = self.name
+        data = self._codec.pack(request)
+        answer = self._exchange(Letter(self.name, rtpu, timeout, data))
+        return read_result(rtpu, self._codec.answer(answer), result)
+
+    def tell(self, rtpu: str, request: Request) -> None:
+        """Send a request; the agent sees to the rest."""
+        request.client = self.name
+        data = self._codec.pack(request)
+        self._exchange(Letter(self.name, rtpu, 0.0, data, wait=False))
+
+    def rtpus(self) -> list[str]:
+        """Return the names of the RTPUs whose agents are there."""
+        return read_names(self._exchange(Letter(self.name, "", 0.0, b"")))
+
+    def close(self) -> None:
+        """End; what stands for the process elsewhere ends with it."""
+        self._forget()
+        with self._guard:
+            anchor, self._anchor = self._anchor, None
+            if anchor is not None:
+                anchor.close()
+
+    def _exchange(self, letter: Letter) -> bytes:
+        try:
+            link = self._link()
+            link.send_bytes(msgspec.msgpack.encode(letter))
+            return link.recv_bytes() if letter.wait else b""
+        except (OSError, EOFError) as error:
+            self._forget()
+            with self._guard:
+                self._anchor = None  # of an agent that has ended
+            raise UnreachableError(
+                "the task's own agent cannot be reached",
+                where=self._rtpu,
+                got=str(error) or type(error).__name__,
+                remedy=f"start it again: pbonet agent --name {self._rtpu}",
+            ) from None
+        except BaseException:  # a handler of signals raised: the answer is not for us
+            self._forget()
+            raise
+
+    def _link(self) -> sockets.Connection:
+        link: sockets.Connection | None = getattr(self._own, "link", None)
+        if link is None:
+            with self._guard:
+                if self._anchor is None:
+                    self._anchor = sockets.Client(self._path, "AF_UNIX")
+                    here = Letter(self.name, "", 0.0, b"", wait=False)
+                    self._anchor.send_bytes(msgspec.msgpack.encode(here))
+            link = self._own.link = sockets.Client(self._path, "AF_UNIX")
+        return link
+
+    def _forget(self) -> None:
+        link: sockets.Connection | None = self._own.__dict__.pop("link", None)
+        if link is not None:
+            link.close()
+
+
+_guard = threading.Lock()
+_carrier: Carrier | None = None
+_forked = False
+
+
+def _after_fork() -> None:
+    global _carrier, _forked, _guard  # noqa: PLW0603 - a process has one carrier
+    _forked = _forked or "zenoh" in sys.modules
+    _carrier, _guard = None, threading.Lock()
+
+
+os.register_at_fork(after_in_child=_after_fork)
+
+
+def carrier() -> Carrier:
+    """Return this process's carrier, made when it is first asked for.
+
+    Raises:
+        UnreachableError: No agent can be reached.
+        XmError: The process was forked from one that used the network.
+    """
+    global _carrier  # noqa: PLW0603 - a process has one carrier
+    with _guard:
+        if _carrier is None:
+            _carrier = _make()
+        return _carrier
+
+
+def _make() -> Carrier:
+    home = names.home()
+    if home.subsystem:
+        return Post(str(run_folder.Places(home.domain, home.rtpu).post), home.rtpu)
+    return client(home.domain)
+
+
+def client(
+    domain: str, *, connect: Sequence[str] = (), key_folder: Path | None = None
+) -> Carrier:
+    """Open a client of the agents, as tools do.
+
+    Args:
+        domain: Of the agents.
+        connect: Endpoints of some; those that the environment names if left out.
+        key_folder: Of whoever asks; the one that the environment names if left out.
+
+    Raises:
+        UnreachableError: No agent can be reached.
+        XmError: The process was forked from one that used the network.
+    """
+    from pbonet.xm.net import session
+    from pbonet.xm.net.rpc import Client
+
+    if _forked:
+        raise XmError(
+            "a forked process cannot use the network",
+            got="a parent that had used it",
+            remedy="start the process anew: multiprocessing's 'spawn', or subprocess",
+        )
+    endpoints = list(connect) or os.environ.get(CONNECT, "").split()
+    try:
+        opened = session.client(domain, connect=endpoints, key_folder=key_folder)
+    except UnreachableError as error:
+        if not endpoints:
+            error.remedy += f"; a program says so in {CONNECT}"
+        raise
+    made = Client(opened, domain, f"p{os.getpid()}-{secrets.token_hex(4)}")
+    token = made.announce(key_expressions.customer(domain, made.name))
+    atexit.register(_end, made, token)  # which keeps it, too: it ends when forgotten
+    return made
+
+
+def _end(client: Client, token: Declared) -> None:
+    with contextlib.suppress(Exception):  # the process ends in any case
+        token.undeclare()
+        client.close()
+
+
+def alive(rtpu: str) -> bool:
+    """Tell whether an RTPU's agent is there (``xmAlive``, section 5.3.1).
+
+    Of one on this machine that is known without the network.
+
+    Raises:
+        UnreachableError: No agent at all can be reached.
+    """
+    run_folder.check_name("an RTPU", rtpu)
+    if active():
+        return Outside(f"agent {rtpu}").ask(_alive, rtpu)
+    return _alive(rtpu)
+
+
+def _alive(rtpu: str) -> bool:
+    domain = names.home().domain
+    if rtpu in run_folder.live_agents(domain):
+        return True
+    try:
+        return rtpu in carrier().rtpus()
+    except NoAnswerError:
+        return False

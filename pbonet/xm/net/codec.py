@@ -1,0 +1,117 @@
+"""Packs messages and unpacks them; refuses what is not understood."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import msgspec
+from msgspec import Struct
+
+from pbonet.errors import PbonetError, ProtocolError
+
+from . import file_messages, messages, resource_messages
+from .file_messages import AnyFileRequest
+from .messages import VERSION, Answer, AnyRequest, Event, Request
+from .resource_messages import AnyXmRequest
+from .warm_decoders import prepare
+
+AnyMessage = AnyRequest | AnyXmRequest | AnyFileRequest
+prepare(messages, resource_messages, file_messages)
+
+
+class _Version(Struct):
+    """The two fields that are looked at before all others."""
+
+    v: int = 0
+    id: str = ""
+
+
+MALFORMED = (msgspec.MsgspecError, UnicodeDecodeError)
+"""What decoding raises: msgspec lets text that is no UTF-8 out as it is."""
+
+
+class Codec:
+    """Packs and unpacks messages; refuses what it does not understand."""
+
+    MAX_BYTES: ClassVar[int] = 1 << 20
+
+    def __init__(self) -> None:
+        self._encoder = msgspec.msgpack.Encoder()
+        self._version = msgspec.msgpack.Decoder(_Version)
+        self._request: msgspec.msgpack.Decoder[AnyMessage] = msgspec.msgpack.Decoder(
+            AnyMessage
+        )
+        self._answer = msgspec.msgpack.Decoder(Answer)
+
+    def pack(self, message: Request | Answer | Event) -> bytes:
+        """Return the message as msgpack bytes."""
+        return self._encoder.encode(message)
+
+    def request(self, data: bytes) -> AnyMessage:
+        """Return the request in `data`.
+
+        Raises:
+            ProtocolError: It is too long, malformed, or of another version.
+        """
+        self._check(data)
+        try:
+            return self._request.decode(data)
+        except MALFORMED as error:
+            raise ProtocolError(
+                "the request is not understood",
+                got=str(error),
+                remedy="see docs/protocol.md for the fields of each operation",
+            ) from None
+
+    def answer(self, data: bytes) -> Answer:
+        """Return the answer in `data`.
+
+        Raises:
+            ProtocolError: It is too long, malformed, or of another version.
+        """
+        self._check(data)
+        try:
+            return self._answer.decode(data)
+        except MALFORMED as error:
+            raise ProtocolError(
+                "the answer is not understood",
+                got=str(error),
+                remedy="run the same pbonet version on every machine",
+            ) from None
+
+    def _check(self, data: bytes) -> None:
+        if len(data) > self.MAX_BYTES:
+            raise ProtocolError(
+                "the message is too long",
+                expected=f"at most {self.MAX_BYTES} bytes",
+                got=f"{len(data)} bytes",
+                remedy="send it in parts, or send less",
+            )
+        try:
+            version = self._version.decode(data).v
+        except MALFORMED as error:
+            raise ProtocolError(
+                "the message is not msgpack",
+                got=str(error),
+                remedy="send a msgpack map, as docs/protocol.md says",
+            ) from None
+        if version != VERSION:
+            raise ProtocolError(
+                "the message is of another protocol version",
+                expected=f"version {VERSION}",
+                got=f"version {version}",
+                remedy="run the same pbonet version on every machine",
+            )
+
+
+def failure(error: PbonetError, request_id: str = "") -> Answer:
+    """Return the answer that carries `error`."""
+    return Answer(id=request_id, ok=False, error=error.to_wire())
+
+
+def request_id(data: bytes) -> str:
+    """Return the id of a request that is otherwise not understood, if it has one."""
+    try:
+        return msgspec.msgpack.decode(data, type=_Version).id
+    except MALFORMED:
+        return ""

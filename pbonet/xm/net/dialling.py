@@ -1,0 +1,292 @@
+"""Which of two agents dials the other: exactly one.
+
+When two agents dial each other zenoh makes two links of it, and its routers then stall
+for seconds and send in circles whenever a third link comes or goes (decision 0085). So
+an agent asks, before it dials, whether the other one dials it already. Two that start
+at one time could not ask each other; therefore each says whom it dials as soon as its
+session is open, asks again behind that, and of two one takes its own back: whoever asks
+later sees what the other has said.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import msgspec
+import zenoh
+
+from pbonet.errors import PbonetError
+
+from . import codec, key_expressions, run_folder, session
+from .callbacks import direct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+ASK_TIME = 0.5
+"""Seconds in which an agent behind an endpoint says whom it dials."""
+SETTLE_TIME = 3.0
+"""Seconds in which an agent that is to give way is waited for; it may do so later."""
+LINK_TIME = 0.3
+"""Seconds in which the links stand to those who are there, before names are asked."""
+PAUSE = 0.02
+
+
+class Dials(msgspec.Struct, kw_only=True):
+    """What an agent says of itself while it decides whom it dials."""
+
+    rtpu: str
+    zid: str
+    dials: list[str]
+    settled: bool
+    """Whether it will take none of them back any more."""
+
+
+_DIALS: Final = msgspec.msgpack.Decoder(Dials)
+
+
+class Behind(NamedTuple):
+    """Who was found behind an endpoint."""
+
+    zid: str = ""
+    """The zenoh identity of the router there; empty if there is none."""
+    said: Dials | None = None
+    """What it says of itself, if it is an agent of the domain that runs already."""
+
+
+class Dialled:
+    """An agent's session, and what it dials.
+
+    Args:
+        places: The agent's files.
+        listen: Endpoints that it listens on, beside its socket.
+        connect: Endpoints that it is to be linked to, whoever dials.
+        multicast: See `session.agent`.
+        key_folder: The agent's keys, if it has any.
+
+    Raises:
+        NodeError: An endpoint cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        places: run_folder.Places,
+        *,
+        listen: Sequence[str] = (),
+        connect: Sequence[str] = (),
+        multicast: bool = False,
+        key_folder: Path | None = None,
+    ) -> None:
+        self._places, self._listen, self._multicast = places, listen, multicast
+        self._key_folder = key_folder
+        self._mine = [places.endpoint, *listen]
+        self._settled = False
+        named = [session.check_dialled(e, key_folder=key_folder) for e in connect]
+        wanted = list(dict.fromkeys([*named, *neighbours(places)]))
+        found = self._look(wanted)
+        mutual = {e for e, behind in found.items() if self._dials_me(behind)}
+        vain = mutual | _doubled(found)
+        self.dials: list[str] = [one for one in wanted if one not in vain]
+        self.session = self._open()
+
+    def settle(self) -> None:
+        """Take back what another agent dials too; nothing else may be declared yet.
+
+        Raises:
+            NodeError: The session cannot be opened again.
+        """
+        begin = time.monotonic()
+        while self.dials:
+            found = self._look(self.dials)
+            passed = time.monotonic() - begin
+            back = self._vain(found)
+            if back:
+                self.dials = [one for one in self.dials if one not in back]
+                self.session.close()  # type: ignore[no-untyped-call]
+                self.session = self._open()
+            elif passed < SETTLE_TIME and self._open_question(
+                found, silent=passed < ASK_TIME
+            ):
+                time.sleep(PAUSE)
+            else:
+                self._wait_links({behind.zid for behind in found.values()})
+                break
+        self._settled = True
+
+    # -- who gives way -----------------------------------------------------------------
+
+    def _vain(self, found: Mapping[str, Behind]) -> set[str]:
+        """Return the endpoints that are not to be dialled, by who is behind each."""
+        back = _doubled(found)
+        me = self._places.name, str(self.session.info.zid())
+        for endpoint, behind in found.items():
+            said = behind.said
+            if behind.zid == me[1]:
+                back.add(endpoint)
+            elif said is None or not self._dials_me(behind):
+                continue
+            elif said.settled or me > (said.rtpu, said.zid):
+                back.add(endpoint)
+        return back
+
+    def _open_question(self, found: Mapping[str, Behind], *, silent: bool) -> bool:
+        """Tell whether somebody is to be asked again.
+
+        Args:
+            found: Who is behind each endpoint.
+            silent: Whether a router that says nothing may yet turn out an agent.
+        """
+        return any(
+            (zid and silent) if said is None else self._dials_me(found[endpoint])
+            for endpoint, (zid, said) in found.items()
+        )
+
+    def _dials_me(self, behind: Behind) -> bool:
+        said = behind.said
+        return said is not None and any(is_mine(one, self._mine) for one in said.dials)
+
+    # -- sessions ----------------------------------------------------------------------
+
+    def _open(self) -> zenoh.Session:
+        """Open the session, and say at once what is dialled."""
+        self._places.remove(self._places.sock)  # of a killed agent; the lock is ours
+        link = session.agent(
+            self._places,
+            listen=self._listen,
+            dial=self.dials,
+            multicast=self._multicast,
+            key_folder=self._key_folder,
+        )
+        said = Dials(
+            rtpu=self._places.name,
+            zid=str(link.info.zid()),
+            dials=self.dials,
+            settled=False,
+        )
+
+        key = key_expressions.rtpu(self._places.domain, self._places.name, "dials")
+
+        def tell(query: zenoh.Query) -> None:
+            said.settled = self._settled
+            with contextlib.suppress(zenoh.ZError):
+                query.reply(key, msgspec.msgpack.encode(said))  # pyright: ignore[reportUnknownMemberType]
+
+        self._queryable = link.declare_queryable(key, direct(tell))
+        return link
+
+    def _wait_links(self, routers: set[str]) -> None:
+        """Wait until the links to those stand that were found."""
+        deadline = time.monotonic() + LINK_TIME
+        missing = routers - {""}
+        while missing and time.monotonic() < deadline:
+            time.sleep(PAUSE)
+            missing -= {str(zid) for zid in self.session.info.routers_zid()}
+
+    def _look(self, endpoints: Sequence[str]) -> dict[str, Behind]:
+        """Return who is behind each endpoint now."""
+        if not endpoints:
+            return {}
+        with ThreadPoolExecutor(len(endpoints)) as pool:
+            return dict(zip(endpoints, pool.map(self._behind, endpoints), strict=True))
+
+    def _behind(self, endpoint: str) -> Behind:
+        try:
+            link = session.client(
+                self._places.domain,
+                connect=[endpoint],
+                timeout=0.0,
+                local=False,
+                key_folder=self._key_folder,
+            )
+        except PbonetError:
+            return Behind()
+        try:
+            return _ask(link, self._places.domain)
+        finally:
+            link.close()  # type: ignore[no-untyped-call]
+
+
+def _ask(link: zenoh.Session, domain: str) -> Behind:
+    """Return who a client is connected to."""
+    near = str(next(iter(link.info.routers_zid()), ""))
+    replies = link.get(
+        key_expressions.all_rtpus(domain, "dials"),
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=ASK_TIME,
+    )
+    for reply in replies:
+        if reply.ok is None:
+            continue
+        with contextlib.suppress(*codec.MALFORMED):
+            said = _DIALS.decode(reply.ok.payload.to_bytes())
+            if said.zid == near:
+                return Behind(near, said)
+    return Behind(near)
+
+
+def _doubled(found: Mapping[str, Behind]) -> set[str]:
+    """Return the endpoints of agents that are dialled by another one already."""
+    seen: set[str] = set()
+    double: set[str] = set()
+    for endpoint, behind in found.items():
+        if behind.zid in seen:
+            double.add(endpoint)
+        elif behind.zid:
+            seen.add(behind.zid)
+    return double
+
+
+def neighbours(places: run_folder.Places) -> list[str]:
+    """Return the sockets of the other agents of the domain on this machine."""
+    return [
+        run_folder.Places(places.domain, name).endpoint
+        for name in run_folder.live_agents(places.domain)
+        if name != places.name
+    ]
+
+
+def links(link: zenoh.Session) -> Counter[str]:
+    """Return how many links there are to each router, by its zenoh identity."""
+    routers = {str(zid) for zid in link.info.routers_zid()}
+    return Counter(zid for one in link.info.links() if (zid := str(one.zid)) in routers)
+
+
+def _address(endpoint: str) -> str:
+    return endpoint.partition("?")[0].partition("#")[0]
+
+
+def is_mine(endpoint: str, listens: Iterable[str]) -> bool:
+    """Tell whether an endpoint that another agent dials is one that is listened on."""
+    plain = _address(endpoint)
+    for own in map(_address, listens):
+        if plain == own:
+            return True
+        protocol, _, address = plain.partition("/")
+        own_protocol, _, own_address = own.partition("/")
+        host, _, port = address.rpartition(":")
+        if protocol == own_protocol and port == own_address.rpartition(":")[2]:
+            return _is_here(host.strip("[]"))
+    return False
+
+
+def _is_here(host: str) -> bool:
+    """Tell whether an address belongs to this machine, by binding to it."""
+    try:
+        found = socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM)
+    except OSError:
+        return False
+    for family, kind, _, _, address in found:
+        with contextlib.suppress(OSError), socket.socket(family, kind) as probe:
+            probe.bind(address)
+            return True
+    return False
+
+
+__all__ = ["Dialled", "is_mine", "links", "neighbours"]

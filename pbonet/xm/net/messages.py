@@ -1,0 +1,470 @@
+"""What travels between masters and agents: msgpack maps, defined once.
+
+Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``,
+where ``op`` names the operation and the other fields are its arguments; an answer is
+``{"v", "id", "ok", "result" | "error", "warnings"}``. Unknown fields are ignored, an
+unknown version is refused with both numbers. A request repeated with the same id is
+answered again and not executed twice.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated as A
+from typing import Any, TypeAlias
+
+from msgspec import Meta, Struct
+
+from pbonet.errors import WireError
+
+from . import message_parts as values
+from .agents import AgentInfo as AgentInfo  # noqa: PLC0414 - taken from here
+from .agents import LinkReport as LinkReport  # noqa: PLC0414 - taken from here
+from .agents import Lost as Lost  # noqa: PLC0414 - taken from here
+from .agents import TableNews as TableNews  # noqa: PLC0414 - taken from here
+from .agents import Way as Way  # noqa: PLC0414 - taken from here
+from .statuses import RtpuStatus as RtpuStatus  # noqa: PLC0414
+from .statuses import SectionStatus as SectionStatus  # noqa: PLC0414
+from .statuses import TaskProfile as TaskProfile  # noqa: PLC0414
+from .statuses import TaskStatus as TaskStatus  # noqa: PLC0414
+from .statuses import TbufStatus as TbufStatus  # noqa: PLC0414
+
+VERSION = 1
+MOST_CALLERS = 32
+"""So many tasks of other RTPUs one heir can wait for."""
+_Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]
+ParamValue: TypeAlias = values.ParamValue
+Standing: TypeAlias = values.Standing
+VarValue: TypeAlias = values.VarValue
+
+
+class Request(Struct, kw_only=True, tag_field="op"):
+    """What every request carries."""
+
+    v: int = VERSION
+    id: str = ""
+    client: str = ""
+    """The master's own name, unique; its liveliness token carries it too."""
+    subsystem: str = ""
+    epoch: int = 0
+    """Of the claim; 0 where none is needed."""
+
+
+class Hello(Request, tag="hello"):
+    """Ask an agent who it is. Result: `AgentInfo`."""
+
+
+class Links(Request, tag="links"):
+    """Have an agent measure the way to every other one. Result: `LinkReport`."""
+
+
+class Claim(Request, tag="claim"):
+    """Reserve the RTPU for a subsystem (section 4.5.1). Result: `Claimed`.
+
+    The same subsystem may claim again when the former master's token is gone, or with
+    `take_over`; the epoch then rises and the former master's commands are refused.
+    """
+
+    usage: str = "exclusive"
+    scheduler: str = "MUF"
+    errprint: str = "warnings"
+    minfreq: float = 1.0
+    maxfreq: float = 1000.0
+    take_over: bool = False
+
+
+class Release(Request, tag="release"):
+    """Give the RTPU back; refused while the subsystem has tasks on it. Result: None."""
+
+
+class OpenTable(Request, tag="open_table"):
+    """Create or attach the subsystem's table. Result: `TableInfo`.
+
+    Refused when a table of that name stands with another layout.
+    """
+
+    svar: str
+    """Text of the ``.svar`` file."""
+    svar_name: str
+    """Its name, for messages."""
+    keep: bool = False
+    """True on the RTPU that creates and keeps the table."""
+
+
+class CloseTable(Request, tag="close_table"):
+    """Detach from the table; the keeper removes it. Refused while tasks use it."""
+
+
+class Spawn(Request, tag="spawn"):
+    """Create a task from an RMOD (section 4.5.2); answered when it is OFF.
+
+    Result: `TaskStatus`.
+    """
+
+    task: str
+    """The task's name in the subsystem: the RMOD's name, unless told otherwise."""
+    rmod: str
+    """Text of the ``.rmod`` file."""
+    rmod_name: str
+    freq: float | None = None
+    crit: int | None = None
+    """None: assigned by the scheduler's rule (section 6.2.3)."""
+    priority: int = 0
+    """User priority, from the data flow (section 6.2.4); higher runs first."""
+    effc: float | None = None
+    """E of a soft task as measured, seconds; counts where the RMOD has no EFFC."""
+    timeout: float = 10.0
+    """Seconds that `init` may take."""
+    replaces: list[str] = []
+    """Tasks that leave: it takes their constants over, whatever the values."""
+
+
+class Control(Request, tag="control"):
+    """Send ``on off kill clear reinit`` to a task (4.5.3). Result: `TaskStatus`."""
+
+    task: str
+    signal: str
+    arg: str = ""
+    """Text for the module, as ``self.task.arg``."""
+    timeout: float = 5.0
+    replaces: list[str] = []
+    """For ``reinit``: tasks that leave; it takes their constants over."""
+
+
+class Call(Struct, kw_only=True):
+    """How a task that has ended calls its heir on another RTPU."""
+
+    heir: str
+    outputs: list[str]
+    """The variables that the heir writes."""
+    core: A[int, Meta(ge=0, lt=1024)]
+    slot: A[int, Meta(ge=0, lt=128)]
+    life: _Word
+    """Of the slot: which task has it."""
+    ticket: _Word
+    """Tells this exchange from others."""
+    caller: A[int, Meta(ge=0, lt=MOST_CALLERS)]
+    """Which of those who call, counted from 0."""
+    far: bool = False
+    """The heir is on another machine: the agents call it, with the table's news."""
+
+
+class Heirs(Request, tag="heirs"):
+    """Have tasks stand by to take over from tasks on other RTPUs.
+
+    Result: a list of `Call` for each task that is waited for, by its name; they are for
+    `Reconfig.calls` there. An ``on`` in a list then waits until the heir has come on.
+    """
+
+    after: dict[str, A[list[str], Meta(max_length=MOST_CALLERS)]]
+    """The heirs, and for each the tasks that it waits for; an empty list: none, it
+    stands by no longer."""
+    timeout: float = 5.0
+    """Seconds; then they stand by no longer."""
+    far: bool = False
+    """Those they wait for are on another machine."""
+
+
+class Reconfig(Request, tag="reconfig"):
+    """Send an ordered list of signals, acknowledged once (section 4.4.4).
+
+    An ``off`` and the ``on`` of a task that takes its variables over are carried out
+    together, and so are several such pairs side by side: the dispatcher releases the
+    new task as the old one ends. Result: `Reconfigured`. The first failure ends it.
+    """
+
+    items: list[tuple[str, str]]
+    """Pairs of task and signal."""
+    handover: dict[str, list[str]] = {}
+    """For tasks that go off, here or elsewhere, the variables that a task that comes
+    later takes over, on whatever RTPU."""
+    timeout: float = 5.0
+    calls: dict[str, list[Call]] = {}
+    """For tasks among these whom each is to call when its `off` has ended."""
+    slowest: float = 0.0
+    """Period in seconds of the slowest task that leaves on another RTPU at the same
+    time; those that are called have so much longer to take over."""
+
+
+class Standby(Request, tag="standby"):
+    """Make a task the fallback of another one on its RTPU. Result: `TaskStatus`.
+
+    Whenever the original is ON and the standby OFF, the standby has everything ready;
+    the dispatcher releases it when the original goes to ERROR or dies.
+    """
+
+    task: str
+    """The standby."""
+    original: str
+    """Empty: it stands by no longer."""
+
+
+class Freq(Request, tag="freq"):
+    """Get (hz None) or set a task's frequency. Result: Hz as a float."""
+
+    task: str
+    hz: float | None = None
+
+
+class Get(Request, tag="get"):
+    """Ask for a task's parameters. Result: list of `ParamValue`."""
+
+    task: str
+    name: str | None = None
+
+
+class Set(Request, tag="set"):
+    """Change a parameter of a task between two cycles. Result: list of `ParamValue`."""
+
+    task: str
+    name: str
+    value: str
+    """As it would stand in a LOCAL line."""
+
+
+class Rank(Request, tag="rank"):
+    """Tell the criticality and user priority of tasks after a change. Result: None.
+
+    A criticality of None leaves it to the scheduler's rule, which the RTPU knows best:
+    it sees the tasks of every subsystem on its core. User priorities follow the data
+    flow of the whole subsystem (section 6.2.4), which only its master sees.
+    """
+
+    tasks: dict[str, tuple[int | None, int]]
+
+
+class Status(Request, tag="status"):
+    """Ask for status; never touches a task. Result: `RtpuStatus`."""
+
+    task: str | None = None
+
+
+class Profile(Request, tag="profile"):
+    """Ask for execution profiles; touches no task. Result: list of `TaskProfile`."""
+
+    task: str | None = None
+
+
+class Display(Request, tag="display"):
+    """Ask for values of variables. Result: list of `VarValue`."""
+
+    names: list[str] | None = None
+
+
+class Write(Request, tag="write"):
+    """Set a variable that no task writes, through the keeper. Result: `VarValue`."""
+
+    name: str
+    values: list[float]
+
+
+class Modules(Request, tag="modules"):
+    """Ask for the modules in the agent's libraries. Result: list of `ModuleInfo`."""
+
+    name: str | None = None
+
+
+class Stop(Request, tag="stop"):
+    """Turn everything OFF in order and kill it; always accepted. Result: `Stopped`.
+
+    An empty `subsystem` means every subsystem on the RTPU.
+    """
+
+    timeout: float = 2.0
+    order: list[str] = []
+    """Tasks to turn off first, in this order."""
+
+
+class Flag(Request, tag="flag"):
+    """Raise or clear an entry of the illegal-configuration flag (section 3.10).
+
+    The raiser is the subsystem's master. It raises ``equation 2`` while a loop that is
+    built by hand is not closed yet. Result: the causes that stand, a list of str.
+    """
+
+    cause: str
+    up: bool
+    unfed: list[str] = []
+    """Variables that nobody writes: the entry goes when all of them are written, and is
+    not raised if they are."""
+
+
+class Sigmask(Request, tag="sigmask"):
+    """Get or set which signals of tasks nobody wants (section 4.4.4).
+
+    Result: dict of the names masked, by task; ``""`` stands for the subsystem, whose
+    mask holds for every task without one of its own.
+    """
+
+    task: str = ""
+    """Whose mask is changed; empty: the subsystem's."""
+    names: list[str] | None = None
+    """The new mask; None: none is changed."""
+    unset: bool = False
+    """Remove the mask instead."""
+
+    @property
+    def changes(self) -> bool:
+        """Whether it sets or removes a mask."""
+        return self.unset or self.names is not None
+
+
+class Job(Request, tag="job"):
+    """Ask the keeper which job stands, tell it, or have it forget.
+
+    Result: list of `Standing`, one or none. So whoever goes over to another job, maybe
+    another master, finds the conditions under which the first one may be left.
+    """
+
+    told: Standing | None = None
+    forget: bool = False
+
+    @property
+    def changes(self) -> bool:
+        """Whether it says something, and does not only ask."""
+        return self.forget or self.told is not None
+
+
+class Record(Request, tag="record"):
+    """Record the subsystem's tasks on this RTPU from now on. Result: `Recorded`.
+
+    It ends when the RTPU is given back, or with mode ``off``.
+    """
+
+    run: str = ""
+    """Name of the run, and of its folder."""
+    file: str = "run"
+    """Name of the log, without ``.mcap``."""
+    job: str = ""
+    mode: str = "outputs"
+    """``off``; ``outputs``; or ``all``, with the inputs of every cycle beside them."""
+    tasks: dict[str, str] = {}
+    """Modes of single tasks."""
+    hidden: list[str] = []
+    """Variables that are not recorded."""
+    files: dict[str, str] = {}
+    """Configuration files to attach: text by name."""
+    last: float = 0.0
+    """Keep so many seconds in memory, and write them when an error comes; 0: write
+    everything."""
+
+
+class Events(Request, tag="events"):
+    """Ask for the agent's last events. Result: list of `Event`."""
+
+    since: int = 0
+    """Number of the first event wanted."""
+
+
+AnyRequest = (
+    Hello
+    | Links
+    | Claim
+    | Release
+    | OpenTable
+    | CloseTable
+    | Spawn
+    | Control
+    | Heirs
+    | Reconfig
+    | Standby
+    | Freq
+    | Get
+    | Set
+    | Rank
+    | Status
+    | Profile
+    | Display
+    | Write
+    | Modules
+    | Stop
+    | Flag
+    | Sigmask
+    | Job
+    | Record
+    | Events
+)
+
+
+class Claimed(Struct, kw_only=True):
+    """A claim that was granted."""
+
+    epoch: int
+    tasks: list[str] = []
+    """Tasks of the subsystem that stand on the RTPU already."""
+    rmods: dict[str, str] = {}
+    """Text of the ``.rmod`` that each of them was spawned from."""
+
+
+class TableInfo(Struct, kw_only=True):
+    """A table that stands on the machine."""
+
+    name: str
+    layout: str
+    machine: str
+
+
+class Recorded(Struct, kw_only=True):
+    """Where a recording goes."""
+
+    path: str
+    """The log on the agent's machine; empty when it was ended."""
+    machine: str
+
+
+class Reconfigured(Struct, kw_only=True):
+    """How far a reconfiguration came."""
+
+    done: int
+    states: dict[str, str] = {}
+    error: WireError | None = None
+    """Of the first item of `rest`."""
+    rest: list[tuple[str, str]] = []
+    """What was not carried out, that which failed first; empty without an error. Tasks
+    that are exchanged together need not fail in the order of the list."""
+    unseen: list[str] = []
+    """Heirs that are not on this machine. Their predecessors are ON: send the rest
+    again without calls."""
+
+
+class Stopped(Struct, kw_only=True):
+    """What a stop did."""
+
+    off: list[str]
+    killed: list[str]
+    """Tasks that did not stop by themselves and were ended."""
+
+
+class Event(Struct, kw_only=True):
+    """Something that happened, with its place and cycle."""
+
+    n: int
+    time: int
+    """CLOCK_MONOTONIC nanoseconds on the machine."""
+    wall: float
+    """For people to read."""
+    severity: int
+    code: str
+    rtpu: str
+    subsystem: str = ""
+    task: str = ""
+    cycle: int = 0
+    bits: int = 0
+    """Signals that a module sent, as bits of `pbonet.Signal` (section 4.4.4)."""
+    errnum: int = 0
+    """The number that the module gave the error or warning, 0 for none."""
+    place: str = ""
+    """Where in the module's code it happened, ``file:line in method``, if known."""
+    state: str = ""
+    """The task's state when it happened, of what is about a task."""
+    text: str
+
+
+class Answer(Struct, kw_only=True):
+    """The answer to a request."""
+
+    v: int = VERSION
+    id: str = ""
+    ok: bool
+    result: Any = None
+    error: WireError | None = None
+    warnings: list[str] = []

@@ -1,0 +1,53 @@
+"""Which requests only look, so that whoever may not steer can make them.
+
+An RTPU answers on two keys: ``sbs`` takes every request, ``status`` those that change
+nothing. Access control goes by keys (see `access`), so an observer reaches the second.
+"""
+
+from __future__ import annotations
+
+from pbonet.errors import AccessError
+
+from . import file_messages
+from . import messages as m
+
+LEAVES = ("sbs", "status")
+_LOOKING = (
+    *(m.Hello, m.Links, m.Get, m.Status, m.Profile, m.Display, m.Modules, m.Events),
+    *(file_messages.FileStat, file_messages.FileList, file_messages.FileRead),
+)
+
+
+def only_looks(request: m.Request) -> bool:
+    """Tell whether the request changes nothing."""
+    if isinstance(request, m.Sigmask | m.Job):
+        return not request.changes
+    return isinstance(request, _LOOKING) or (
+        isinstance(request, m.Freq) and request.hz is None
+    )
+
+
+def leaf(request: m.Request) -> str:
+    """Return the last part of the key on which the request is made."""
+    return "status" if only_looks(request) else "sbs"
+
+
+def check(request: m.Request, key: str) -> None:
+    """Refuse a request that was made where only looking is allowed.
+
+    Args:
+        request: What is asked.
+        key: The key expression of the query.
+
+    Raises:
+        AccessError: It changes something, and came on a key that is not for that.
+    """
+    if key.rpartition("/")[2] != "sbs" and not only_looks(request):
+        raise AccessError(
+            "this key takes requests that change nothing",
+            where=key,
+            expected="hello, links, status, profile, display, modules, events, get, "
+            "files that are read, and freq, sigmask and job that only ask",
+            got=type(request).__name__.lower(),
+            remedy="commands go to the key that ends in sbs, with a master's keys",
+        )

@@ -1,0 +1,471 @@
+"""Requests to agents, with the status and the time limits that zenoh does not give.
+
+A zenoh query that nobody answers, because nobody is there, because the server died with
+the query in its hands, or because access control dropped it, ends without a reply and
+without an error. This layer says which it was: it looks at the liveliness tokens, asks
+again under the same request id (an agent executes an id once), and gives up within the
+time limit of the request. A request that takes long is watched: an agent that is there
+proves it by answering a greeting meanwhile, and one that does not is given up after
+little more than a second, not at the end of the long limit.
+
+Stands for the message queues between the master task and the SBS servers of Stewart
+1994, section 4.5.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+import itertools
+import logging
+import secrets
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+
+import msgspec
+import zenoh
+
+from pbonet.errors import (
+    AccessError,
+    NoAnswerError,
+    PbonetError,
+    ProtocolError,
+    SeveralError,
+    UnreachableError,
+)
+
+from . import key_expressions, roles, run_folder, unreachable_reason
+from .agents import AgentInfo
+from .callbacks import direct
+from .codec import Codec
+from .messages import Answer, Hello, Request, Stop
+from .relay_messages import read_result
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+T = TypeVar("T")
+
+ANSWER_TIME: Final = 2.0
+"""Seconds in which an agent answers whatever happens, or is not there."""
+
+WAY_TIME: Final = 0.5
+"""Seconds for the way there and back, beside the time limit of a request."""
+ASK_TIME: Final = 0.5
+"""Seconds without an answer after which an agent is asked for a sign of life."""
+PROOF_TIME: Final = 0.6
+"""Seconds in which one that lives gives it."""
+_SLICE: Final = 0.05
+"""A proof is waited for in slices of this many seconds. If the whole machine stands
+still, for us as for the agent, that is one slice, and not the agent's silence."""
+_SILENCE_TIME: Final = 1.0
+"""Seconds for which an agent that gave no sign of life is not asked again; a stop is
+always sent."""
+_ALONE_TIME: Final = 1.2
+"""When nobody at all can be reached, the agent through which we reach the others has
+gone; in this time zenoh finds the next. So long one is waited for, too, that is not
+seen while its process runs on this machine: its link is being restored."""
+_LOSS_TIME: Final = 0.3
+"""Seconds in which agents say whom they see no more, all together."""
+_LEAST_TRIES: Final = 10
+"""So often an agent is looked for at least: behind a standstill of the whole machine
+all times are over, and the links are only being restored."""
+_TOKEN_TIME: Final = 1.0
+_RETRY_PAUSE: Final = 0.05
+_REPLIES: Final = 8
+"""Room for the replies to a query: one, unless two agents have one name."""
+_TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
+
+log = logging.getLogger("pbonet.xm")
+
+
+def ignore_warning(rtpu: str, text: str) -> None:
+    """Take a warning that came with an answer, and log it."""
+    log.info("%s: %s", rtpu, text)
+
+
+class _Waiter:
+    """Collects the replies of one query; runs in zenoh's receiving thread."""
+
+    def __init__(self) -> None:
+        self.reply: zenoh.Reply | None = None
+        self.done = threading.Event()
+
+    def take(self, reply: zenoh.Reply) -> None:
+        if self.reply is None:
+            self.reply = reply
+            self.done.set()  # there is one answer; zenoh's end comes some time later
+
+    def end(self) -> None:
+        self.done.set()
+
+
+class Declared(Protocol):
+    """Something that stands until it is taken back."""
+
+    def undeclare(self) -> None:
+        """Take it back."""
+
+
+class Client:
+    """Asks the agents of one domain, in the name of one master or tool.
+
+    Args:
+        session: An open zenoh session that reaches at least one agent.
+        domain: The domain whose RTPUs are meant.
+        name: The client's own unique name, as its liveliness token carries it.
+        warned: Called with an RTPU's name and a warning that came with an answer.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        domain: str,
+        name: str,
+        *,
+        warned: Callable[[str, str], None] = ignore_warning,
+    ) -> None:
+        self.session = session
+        self.domain = domain
+        self.name = name
+        self.warned = warned
+        self._codec = Codec()
+        self._run = secrets.token_hex(4)
+        self._count = itertools.count(1)
+        self._silent: dict[str, float] = {}
+        """When an RTPU's agent gave no sign of life."""
+
+    def tokens(self, key: str) -> list[str]:
+        """Return the keys of the liveliness tokens that match `key`, sorted."""
+        try:
+            replies = self.session.liveliness().get(
+                key, zenoh.handlers.FifoChannel(_TOKENS), timeout=_TOKEN_TIME
+            )
+            found = {str(reply.ok.key_expr) for reply in replies if reply.ok}
+        except zenoh.ZError as error:
+            raise no_session(error) from None
+        return sorted(found)
+
+    def rtpus(self) -> list[str]:
+        """Return the names of the RTPUs whose agents are there, sorted."""
+        return sorted(map(key_expressions.rtpu_name, self.tokens(self._alive("*"))))
+
+    def call(
+        self,
+        rtpu: str,
+        request: Request,
+        result: type[T],
+        *,
+        timeout: float = ANSWER_TIME,
+    ) -> T:
+        """Send `request` to an RTPU and return its result as `result`.
+
+        Args:
+            rtpu: The RTPU's name.
+            request: What is asked; its id and client are filled in here.
+            result: The type of the result; `NoneType` when nothing comes back.
+            timeout: Seconds the operation itself may take. The answer may come half a
+                second later; an agent that gives no sign of life is given up after
+                `ASK_TIME` and `PROOF_TIME`.
+
+        Raises:
+            UnreachableError: No agent of that name is there.
+            NoAnswerError: The agent is there and did not answer in time.
+            PbonetError: The agent refused; the error is of the class it names.
+        """
+        request.id = f"{self._run}-{next(self._count)}"
+        request.client = request.client or self.name
+        answer = self._exchange(rtpu, request, timeout)
+        for text in answer.warnings:
+            self.warned(rtpu, text)
+        if not answer.ok:
+            raise _refusal(rtpu, answer)
+        return read_result(rtpu, answer, result)
+
+    def tell(self, rtpu: str, request: Request) -> None:
+        """Send a request and wait for nothing.
+
+        Raises:
+            UnreachableError: The connection to the agents is closed.
+        """
+        request.id = f"{self._run}-{next(self._count)}"
+        request.client = request.client or self.name
+        payload = self._codec.pack(request)
+        self._get(rtpu, roles.leaf(request), payload, ANSWER_TIME)
+
+    def call_all(
+        self,
+        requests: Mapping[str, Request],
+        result: type[T],
+        *,
+        timeout: float = ANSWER_TIME,
+    ) -> tuple[dict[str, T], list[PbonetError]]:
+        """Send a request to each of several RTPUs at once.
+
+        Returns:
+            The results of those that gave one, and the errors of the others.
+        """
+        results: dict[str, T] = {}
+        errors: list[PbonetError] = []
+        if not requests:
+            return results, errors
+
+        def ask(rtpu: str) -> T | PbonetError:
+            try:
+                return self.call(rtpu, requests[rtpu], result, timeout=timeout)
+            except PbonetError as error:
+                return error
+
+        *others, last = requests  # of the last one nobody else need take care
+        with ThreadPoolExecutor(len(others) or 1) as pool:
+            asked = {
+                # in this context, so that warnings find their command
+                rtpu: pool.submit(contextvars.copy_context().run, partial(ask, rtpu))
+                for rtpu in others
+            }
+            own = ask(last)
+        answers = {rtpu: call.result() for rtpu, call in asked.items()} | {last: own}
+        for rtpu, answer in answers.items():
+            if isinstance(answer, PbonetError):
+                errors.append(answer)
+            else:
+                results[rtpu] = answer
+        return results, errors
+
+    def announce(self, key: str) -> Declared:
+        """Show a liveliness token until what is returned is undeclared.
+
+        Raises:
+            UnreachableError: The connection to the agents is closed.
+        """
+        try:
+            token: Declared = self.session.liveliness().declare_token(key)
+        except zenoh.ZError as error:
+            raise no_session(error) from None
+        return token
+
+    def hear(self, key: str, told: Callable[[], None]) -> Declared:
+        """Have a function called, in zenoh's thread, with each sample under a key."""
+
+        def heard(_: zenoh.Sample) -> None:
+            told()
+
+        subscriber: zenoh.Subscriber[None] = self.session.declare_subscriber(
+            key, direct(heard)
+        )
+        return subscriber
+
+    def close(self) -> None:
+        """Close the session; a call that waits ends with an error."""
+        if not self.session.is_closed():
+            self.session.close()  # type: ignore[no-untyped-call]
+
+    def _alive(self, rtpu: str) -> str:
+        return key_expressions.rtpu(self.domain, rtpu, "alive")
+
+    def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
+        """Return the agent's answer, asking again while it is there and silent."""
+        if self._is_silent(rtpu) and not isinstance(request, Stop):
+            raise _no_sign(rtpu)
+        payload = self._codec.pack(request)
+        leaf, greeted = roles.leaf(request), False
+        end = time.monotonic() + timeout + WAY_TIME
+        give_up = time.monotonic() + ANSWER_TIME
+        alone = time.monotonic() + _ALONE_TIME
+        for tries in itertools.count(1):
+            reply = self._ask(rtpu, leaf, payload, end)
+            if reply is not None and reply.ok is not None:
+                return self._answer(rtpu, request, reply.ok.payload.to_bytes())
+            if reply is not None:  # zenoh's own time-out
+                raise _no_answer(rtpu, timeout)
+            names = self.rtpus()
+            now = time.monotonic()
+            patient = tries <= _LEAST_TRIES
+            if rtpu not in names and not (
+                self._may_come_back(rtpu, names) and (patient or now <= alone)
+            ):
+                raise unreachable_reason.unreachable(
+                    rtpu, self.domain, names, self._loss(rtpu, names)
+                )
+            if greeted:  # it answered a moment ago, but not this
+                raise _no_access(rtpu)
+            greeted = leaf == "sbs" and rtpu in names and self._hello(rtpu)
+            if now > min(give_up, end) and not patient:
+                break
+            time.sleep(_RETRY_PAUSE)  # it starts up, or our own link is being restored
+        raise _no_answer(rtpu, ANSWER_TIME)
+
+    def _is_silent(self, rtpu: str) -> bool:
+        """Tell whether an agent gave no sign of life a moment ago."""
+        return time.monotonic() - self._silent.get(rtpu, -_SILENCE_TIME) < _SILENCE_TIME
+
+    def _ask(
+        self, rtpu: str, leaf: str, payload: bytes, end: float
+    ) -> zenoh.Reply | None:
+        """Return the reply to a query; None if it ended without one.
+
+        Most answers come soon. For those a channel will do, which costs a quarter of a
+        round trip less than a callback that wakes us. What takes longer is asked
+        again, which changes nothing, and watched.
+        """
+        soon = min(ASK_TIME, end - time.monotonic())
+        reply = self._at_once(rtpu, leaf, payload, soon)
+        if reply is None or reply.ok is not None:
+            return reply
+        waiter = self._get(rtpu, leaf, payload, end - time.monotonic())
+        while True:
+            if not self._hello(rtpu, waiter):
+                if rtpu not in self.rtpus():
+                    return None
+                self._silent[rtpu] = time.monotonic()
+                raise _no_sign(rtpu)
+            if waiter.done.wait(ASK_TIME) or time.monotonic() >= end:
+                return waiter.reply
+
+    def _at_once(
+        self, rtpu: str, leaf: str, payload: bytes, timeout: float
+    ) -> zenoh.Reply | None:
+        """Return the first reply, which is zenoh's own after the time limit."""
+        try:
+            replies = self.session.get(
+                key_expressions.rtpu(self.domain, rtpu, leaf),
+                zenoh.handlers.FifoChannel(_REPLIES),
+                payload=payload,
+                timeout=max(timeout, 0.1),
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise no_session(error) from None
+        return next(iter(replies), None)
+
+    def _get(self, rtpu: str, leaf: str, payload: bytes, timeout: float) -> _Waiter:
+        waiter = _Waiter()
+        try:
+            self.session.get(
+                key_expressions.rtpu(self.domain, rtpu, leaf),
+                direct(waiter.take, waiter.end),
+                payload=payload,
+                timeout=max(timeout, 0.1),
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise no_session(error) from None
+        return waiter
+
+    def _hello(self, rtpu: str, other: _Waiter | None = None) -> bool:
+        """Tell whether the agent answers the simplest request, or the other one."""
+        hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
+        payload = self._codec.pack(hello)
+        waiter = self._get(rtpu, roles.leaf(hello), payload, ANSWER_TIME)
+        for _ in range(round(PROOF_TIME / _SLICE)):
+            if waiter.done.wait(_SLICE) or (other and other.done.is_set()):
+                break
+        answered = waiter.reply is not None and waiter.reply.ok is not None
+        return answered or (other is not None and other.done.is_set())
+
+    def _may_come_back(self, rtpu: str, names: list[str]) -> bool:
+        """Tell whether links are being restored: to all, or to an agent that runs here.
+
+        Args:
+            rtpu: Whose agent.
+            names: Those that are seen; it is not among them.
+        """
+        pid = run_folder.agent_processes(self.domain).get(rtpu, 0)
+        return not names or (pid > 0 and not run_folder.is_stopped(pid))
+
+    def _loss(self, rtpu: str, names: list[str]) -> tuple[str, str]:
+        """Return who has lost sight of an agent, and the remedy; empty if unknown."""
+        infos: list[AgentInfo] = []
+        end = time.monotonic() + _LOSS_TIME
+        for name in names:
+            left = end - time.monotonic()
+            if left <= 0 or self._is_silent(name):
+                continue
+            hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
+            payload, leaf = self._codec.pack(hello), roles.leaf(hello)
+            with contextlib.suppress(PbonetError, msgspec.ValidationError):
+                reply = self._at_once(name, leaf, payload, left)
+                if reply is not None and reply.ok is not None:
+                    answer = self._codec.answer(reply.ok.payload.to_bytes())
+                    infos.append(read_result(name, answer, AgentInfo))
+        if (found := unreachable_reason.first(rtpu, infos)) is None:
+            return "", ""
+        by, lost = found
+        return unreachable_reason.loss(by, lost), unreachable_reason.remedy(by, lost)
+
+    def _answer(self, rtpu: str, request: Request, data: bytes) -> Answer:
+        answer = self._codec.answer(data)
+        if answer.id != request.id:
+            raise ProtocolError(
+                "the answer belongs to another request",
+                where=rtpu,
+                expected=request.id,
+                got=answer.id or "no id",
+                remedy="run the same pbonet version on every machine",
+            )
+        return answer
+
+
+def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None:
+    """Raise what went wrong: nothing, the one error, or all of them as one tree."""
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        raise SeveralError(what, errors, remedy=remedy)
+
+
+def _no_answer(rtpu: str, seconds: float) -> NoAnswerError:
+    return NoAnswerError(
+        f"the agent is there and did not answer within {seconds:g} s",
+        where=rtpu,
+        remedy=f"see its output; 'pbonet doctor' measures the way to {rtpu}",
+    )
+
+
+def _no_access(rtpu: str) -> AccessError:
+    return AccessError(
+        "the agent is there, and what you ask was dropped on the way",
+        where=rtpu,
+        expected="the keys of a master",
+        remedy="name them with --keys; an observer's are good for status, display, "
+        "profile and events (`pbonet keys show` says whose they are)",
+    )
+
+
+def _no_sign(rtpu: str) -> NoAnswerError:
+    return NoAnswerError(
+        "the agent is there and gives no sign of life",
+        where=rtpu,
+        expected=f"one within {ASK_TIME + PROOF_TIME:g} s",
+        remedy="see its output; if it hangs, end it with 'kill -9' and start it "
+        "again: its tasks go on meanwhile, for its grace",
+    )
+
+
+def no_session(error: zenoh.ZError) -> UnreachableError:
+    """Return the error for a session that is closed."""
+    return UnreachableError(
+        "the connection to the agents is closed", got=str(error), remedy="open it again"
+    )
+
+
+def _refusal(rtpu: str, answer: Answer) -> PbonetError:
+    """Return the error of an answer."""
+    return placed(rtpu, PbonetError.from_wire(answer.error or {}))
+
+
+def placed(rtpu: str, error: PbonetError) -> PbonetError:
+    """Return an RTPU's error; its place begins with the RTPU.
+
+    What is on it reads ``arm0/pid``, a file of its machine ``arm0:/lib/pid.py``.
+    """
+    if not error.where:
+        error.where = rtpu
+    elif error.where.startswith("/"):
+        error.where = f"{rtpu}:{error.where}"
+    elif error.where != rtpu and not error.where.startswith((f"{rtpu}/", f"{rtpu}:")):
+        error.where = f"{rtpu}/{error.where}"
+    return error

@@ -1,0 +1,361 @@
+"""Opens zenoh sessions the way pbonet uses them: this file alone configures zenoh.
+
+Agents run as routers and everything else is a client of some agent, so that one agent
+within reach reaches all. Agents of one machine find each other in the runtime folder,
+others are named, or found by multicast where that was asked for. There is no gossip,
+the shared-memory transport is off, and a lost peer is noticed within 400 ms.
+
+With a key folder every link over a network is mutual TLS and agents keep access
+control (see `credentials` and `access`). Without one, an agent that listens beyond
+loopback needs `insecure`.
+
+A session must be opened in a process that was started by exec, never after a fork.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import re
+import time
+import zlib
+from typing import TYPE_CHECKING
+
+import zenoh
+
+from pbonet.errors import NodeError, UnreachableError
+
+from . import (
+    access_control,
+    credentials,
+    key_expressions,
+    probe_endpoint,
+    run_folder,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+LEASE_MS = 400
+"""After this long without a sign a peer is lost; shorter leases gave false losses."""
+OPEN_MS = 500
+"""After this long an agent that hangs is passed over for the next; zenoh's ten seconds
+would keep a master from all the others, and from stopping them, and an agent from one
+whose link has healed meanwhile."""
+RETRY_MS = 200
+"""Longest pause between attempts to reach an agent that is away."""
+SCOUTING_PORT = 17000
+"""The first of the thousand ports on which domains look for their agents."""
+OPEN_TIME = 1.1
+"""Seconds in which a client goes on trying when nobody answers."""
+_OPEN_PAUSE = 0.05
+_KEYS_REFUSED = (
+    " Were both sides' keys made by one authority, and is the address among the agent's"
+    " hosts (`pbonet keys show`)?"
+)
+PROTOCOLS = ("tcp", "tls", "udp", "ws", "unixsock-stream")
+_HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):(\d{1,5})([?#].*)?")
+_LAST_PORT = 65535
+TOKENS = 100_000
+"""Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
+
+
+def _is_address(text: str) -> bool:
+    """Tell whether a text is a host and a port."""
+    match = _HOST_PORT.fullmatch(text)
+    return match is not None and int(match[2]) <= _LAST_PORT
+
+
+def check_endpoint(
+    endpoint: str, *, insecure: bool = True, key_folder: Path | None = None
+) -> str:
+    """Return `endpoint` if an agent may use it.
+
+    Raises:
+        NodeError: It is malformed, of an unknown protocol, reaches beyond this machine
+            without keys or `insecure`, or its protocol and the keys do not fit.
+    """
+    protocol, _, address = endpoint.partition("/")
+    local = protocol == "unixsock-stream" and address
+    if not local and not (protocol in PROTOCOLS and _is_address(address)):
+        raise NodeError(
+            "this is no endpoint",
+            expected="PROTOCOL/HOST:PORT with one of " + " ".join(PROTOCOLS),
+            got=repr(endpoint),
+            remedy="for example tcp/127.0.0.1:7447, or tcp/[::1]:7447",
+        )
+    if protocol == access_control.LOCAL:
+        return endpoint
+    if protocol == "tls" and key_folder is None:
+        raise NodeError(
+            "TLS needs keys",
+            where=endpoint,
+            expected="a key folder",
+            got="none",
+            remedy=f"name it with --keys or {credentials.VARIABLE}; "
+            "`pbonet keys` makes it",
+        )
+    if protocol != "tls" and key_folder is not None:
+        raise NodeError(
+            "with keys every link over a network is TLS",
+            where=endpoint,
+            expected=f"tls/{address}",
+            got=protocol,
+            remedy="write it so, or use no keys",
+        )
+    if not insecure and key_folder is None and not _is_loopback(address):
+        raise NodeError(
+            "listening beyond this machine is not protected",
+            where=endpoint,
+            expected="keys, or an address of this machine alone, such as 127.0.0.1",
+            remedy=f"make keys with `pbonet keys` and write tls/{address}; or use "
+            "--insecure if everybody on that network may steer the robot",
+        )
+    return endpoint
+
+
+def check_dialled(endpoint: str, *, key_folder: Path | None = None) -> str:
+    """Return `endpoint` if a link may be opened to it.
+
+    Raises:
+        NodeError: As `check_endpoint`; or it names a host by an address of IPv6 over
+            TLS, which zenoh cannot compare with a certificate.
+    """
+    if check_endpoint(endpoint, key_folder=key_folder).startswith("tls/["):
+        port = endpoint.rpartition(":")[2]
+        raise NodeError(
+            "a host with an address of IPv6 is reached over TLS by its name only",
+            where=endpoint,
+            expected=f"tls/NAME:{port}",
+            got="an address",
+            remedy="name the host in DNS or /etc/hosts, and in its agent's keys "
+            "(`pbonet keys agent ... --host NAME`)",
+        )
+    return endpoint
+
+
+def _is_loopback(address: str) -> bool:
+    host = address.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def agent(
+    places: run_folder.Places,
+    *,
+    listen: Sequence[str] = (),
+    dial: Sequence[str] = (),
+    multicast: bool = False,
+    key_folder: Path | None = None,
+) -> zenoh.Session:
+    """Open an agent's session: a router on its socket and on `listen`.
+
+    Args:
+        places: The agent's files.
+        listen: Endpoints beside its socket.
+        dial: Endpoints that it keeps a link to; it goes on trying while one is away.
+            No two agents may dial each other, see `pbonet.xm.net.dialling`.
+        multicast: Find the agents of the domain on the same network by multicast too.
+        key_folder: The agent's keys, if it has any.
+
+    Raises:
+        NodeError: An endpoint cannot be listened on.
+        ConfigFileError: The key folder cannot be used.
+    """
+    config = _config(
+        mode="router",
+        listen={"endpoints": [places.endpoint, *listen]},
+        connect={"endpoints": list(dial)},
+        multicast=_scouting(places.domain) if multicast else None,
+        key_folder=key_folder,
+    )
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise NodeError(
+            "the agent's session cannot be opened",
+            where=" ".join([places.endpoint, *listen]),
+            got=_reason(error),
+            remedy="is another program listening there?",
+        ) from None
+
+
+def _scouting(domain: str) -> dict[str, object]:
+    """Return how the agents of a domain find each other; other domains don't hear."""
+    port = SCOUTING_PORT + zlib.crc32(domain.encode()) % 1000
+    return {
+        "enabled": True,
+        "address": f"224.0.0.224:{port}",
+        "autoconnect": {"router": ["router"], "peer": [], "client": []},
+        # One of two that hear each other dials, never both.
+        "autoconnect_strategy": {"router": {"to_router": "greater-zid"}},
+        "listen": True,
+    }
+
+
+def client(
+    domain: str = "default",
+    *,
+    connect: Sequence[str] = (),
+    timeout: float = OPEN_TIME,
+    local: bool = True,
+    key_folder: Path | None = None,
+) -> zenoh.Session:
+    """Open the session of a master or tool: a client of any agent it can reach.
+
+    Args:
+        domain: Agents of this domain on this machine are tried after `connect`.
+        connect: Endpoints of agents elsewhere.
+        timeout: Seconds to keep trying.
+        local: Whether agents of this machine will do.
+        key_folder: A key folder; the one that the environment names if left out.
+
+    Raises:
+        UnreachableError: No agent can be reached.
+        NodeError: An endpoint is malformed, or does not fit the keys.
+        ConfigFileError: The key folder cannot be used.
+    """
+    running, stopped = _local_agents(domain) if local else ([], {})
+    if stopped and not (connect or running):
+        raise UnreachableError(
+            f"every agent of domain {domain} on this machine is stopped",
+            where=str(run_folder.folder() / domain),
+            got=", ".join(f"{name}: process {pid}" for name, pid in stopped.items()),
+            remedy=f"'kill -CONT {' '.join(map(str, stopped.values()))}' lets them "
+            "go on",
+        )
+    key_folder = key_folder or credentials.named()
+    endpoints = [check_dialled(one, key_folder=key_folder) for one in connect]
+    # Who is stopped comes last: it would keep us waiting for half a second.
+    endpoints += [
+        run_folder.Places(domain, name).endpoint for name in (*running, *stopped)
+    ]
+    if not endpoints:
+        raise UnreachableError(
+            f"no agent of domain {domain} runs on this machine",
+            where=str(run_folder.folder() / domain),
+            remedy="start one with `pbonet agent --name NAME`, or name an agent "
+            "elsewhere with --connect tcp/HOST:PORT",
+        )
+    config = _config(
+        mode="client",
+        # With a time limit zenoh would spend all of it on the first endpoint.
+        connect={"endpoints": endpoints, "timeout_ms": 0, "exit_on_failure": True},
+        key_folder=key_folder,
+    )
+    begin = time.monotonic()
+    while True:
+        tried = time.monotonic()
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            now = time.monotonic()
+            if now - begin + (now - tried) < timeout:  # the next try may last as long
+                time.sleep(_OPEN_PAUSE)
+                continue
+            got, remedy = _reason(error), ""
+            if timeout:
+                got, remedy = probe_endpoint.reasons(endpoints)
+            raise UnreachableError(
+                f"no agent of domain {domain} answers",
+                where=" ".join(endpoints),
+                got=got,
+                remedy=remedy + (_KEYS_REFUSED if key_folder else ""),
+            ) from None
+
+
+def _local_agents(domain: str) -> tuple[list[str], dict[str, int]]:
+    """Return the agents of this machine: those that run, and those that are stopped."""
+    processes = run_folder.agent_processes(domain)
+    stopped = {
+        name: pid
+        for name, pid in sorted(processes.items())
+        if run_folder.is_stopped(pid)
+    }
+    return sorted(processes.keys() - stopped), stopped
+
+
+def alive(session: zenoh.Session, key: str, timeout: float = 1.0) -> list[str]:
+    """Return the keys of the liveliness tokens that match `key`, sorted, once each.
+
+    A session that subscribes to the same tokens must not ask so: zenoh 1.10 then misses
+    tokens now and then (24 of 4500 when measured; none without the subscriber).
+    """
+    replies = session.liveliness().get(
+        key, handler=zenoh.handlers.FifoChannel(TOKENS), timeout=timeout
+    )
+    return sorted({str(reply.ok.key_expr) for reply in replies if reply.ok})
+
+
+def rtpus(session: zenoh.Session, domain: str, timeout: float = 1.0) -> list[str]:
+    """Return the names of the RTPUs of `domain` that are alive, sorted."""
+    found = alive(session, key_expressions.all_rtpus(domain, "alive"), timeout)
+    return [key_expressions.rtpu_name(key) for key in found]
+
+
+def _config(
+    *,
+    mode: str,
+    connect: Mapping[str, object],
+    listen: Mapping[str, object] | None = None,
+    multicast: Mapping[str, object] | None = None,
+    key_folder: Path | None = None,
+) -> zenoh.Config:
+    retry = {
+        "period_init_ms": 100,
+        "period_max_ms": RETRY_MS,
+        "period_increase_factor": 2,
+    }
+    settings: dict[str, object] = {
+        "mode": mode,
+        "connect": {**connect, "retry": retry},
+        "scouting": {
+            "delay": 0,  # half a second at every start otherwise, for nothing
+            "multicast": multicast or {"enabled": False},
+            "gossip": {"enabled": False},
+        },
+        "transport": {
+            "shared_memory": {"enabled": False},
+            "unicast": {"open_timeout": OPEN_MS},
+            "link": {
+                "tx": {"lease": LEASE_MS, "keep_alive": 4},
+                **(_tls(key_folder) if key_folder else {}),
+            },
+        },
+        "queries_default_timeout": 2000,
+    }
+    if key_folder:
+        credentials.prove(key_folder, credentials.Role.AGENT if listen else None)
+    if listen is not None:
+        settings["listen"] = listen
+        if key_folder:
+            settings["access_control"] = access_control.rules()
+    return zenoh.Config.from_json5(json.dumps(settings))
+
+
+def _tls(folder: Path) -> dict[str, object]:
+    """Return the settings of links with the keys of `folder`, and of no others."""
+    ca, cert, key = (str(folder / name) for name in credentials.FILES)
+    return {
+        "protocols": ["tls", access_control.LOCAL],
+        "tls": {
+            "root_ca_certificate": ca,
+            "enable_mtls": True,
+            "listen_certificate": cert,
+            "listen_private_key": key,
+            "connect_certificate": cert,
+            "connect_private_key": key,
+            "close_link_on_expiration": True,
+        },
+    }
+
+
+def _reason(error: Exception) -> str:
+    """Return the first line of what zenoh says, without the place in its sources."""
+    text = str(error) or type(error).__name__
+    return re.sub(r"\s+at \S+\.rs:\d+\.?", "", text.splitlines()[0])

@@ -1,0 +1,158 @@
+"""The status of RTPUs and tasks, as it travels (Stewart 1994, section 4.4.1)."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+
+class SectionStatus(Struct, kw_only=True):
+    """One timed section of a task's cycle; CPU seconds."""
+
+    count: int
+    total: float
+    min: float
+    max: float
+
+
+class TaskStatus(Struct, kw_only=True):
+    """Everything that section 4.4.1 lists for one task, and a little more.
+
+    Counters are totals since the task was turned on; each interface keeps its own
+    baseline to show "since the last status".
+    """
+
+    rmod: str
+    task: str
+    rtpu: str
+    tid: int
+    """The task's process id."""
+    S: str
+    crit: int
+    crit_assumed: bool = True
+    """True while the criticality does not rest on a known MAXC."""
+    priority: int = 0
+    state: str
+    cycle: int
+    miss: int
+    ref_f: float
+    mez_f: float
+    mez_t: float
+    ptime: float
+    on_ns: int = 0
+    """CLOCK_MONOTONIC nanoseconds at which it was last turned on; 0: never."""
+    tot_c: float
+    tick: float
+    min_c: float
+    max_c: float
+    last_c: float
+    first_c: float = 0.0
+    """CPU seconds of the first cycle since on; `now_c` of the one under way."""
+    now_c: float = 0.0
+    warn: int
+    warning: str = ""
+    error: str = ""
+    jitter_max: float = 0.0
+    """Largest delay from release to the first line of `cycle`, seconds."""
+    jitter: list[int] = []
+    """Histogram of that delay; bin k counts delays below 2**k microseconds."""
+    faults: int = 0
+    """Minor page faults since the task was turned on."""
+    retries: int = 0
+    """Copy-ins that met the retry bound."""
+    module: str = ""
+    version: str = ""
+    transfer_in: float = 0.0
+    """Mean seconds of a copy-in, and of a copy-out."""
+    transfer_out: float = 0.0
+    now: int = 0
+    """CLOCK_MONOTONIC nanoseconds at which this was read."""
+    ring: str = ""
+    """Name of the ring in shared memory that gets one record a cycle."""
+    lost: int = 0
+    """Records that did not fit the ring since the task was spawned."""
+    rank: int = 0
+    """Criticality at this moment: lower while a reserve is used up."""
+    reserve: float = 0.0
+    """CPU seconds reserved for each cycle, or for a server's period; 0 for none."""
+    failures: dict[str, int] = {}
+    """Timing failures by kind, since the task was spawned (section 6.3)."""
+    overruns: int = 0
+    """How often the reserve was used up."""
+    aborted: int = 0
+    """Cycles ended by the module's handler of timing failures."""
+    skipped: int = 0
+    """Releases left out: too late to begin, or because the handler said so."""
+    handlers: int = 0
+    """Calls of that handler."""
+    delivery_max: float = 0.0
+    """Longest time from the finding of a failure to its handler's begin, seconds."""
+    held_off: int = 0
+    """Critical sections that lasted too long, and were overruled."""
+    sections: dict[str, SectionStatus] = {}
+    """Timed sections by name (section 6.7.2)."""
+    fallback_of: str = ""
+    """The task whose fallback it is."""
+    stands_by: bool = False
+    """It is ready to be released in the place of that one."""
+    signals: dict[str, int] = {}
+    """How often it has sent each signal since it was spawned, masked ones left out."""
+
+
+class TbufStatus(Struct, kw_only=True):
+    """A link between subsystems, as it stands on one machine (section 5.6)."""
+
+    name: str
+    writer: str
+    """Who writes it there: a process, or the agent that brings it from another machine;
+    empty: nobody."""
+    reader: str
+    """The same of who reads it."""
+    number: int
+    """Counter of the newest record; 0 before the first."""
+    age: float | None = None
+    """Of the newest record, seconds; None before the first."""
+
+
+class RtpuStatus(Struct, kw_only=True):
+    """Status of an RTPU and of the tasks asked for."""
+
+    rtpu: str
+    backend: str
+    scheduler: str
+    tasks: list[TaskStatus]
+    util: float = 0.0
+    """CPU share used by the tasks since the dispatcher started, of one core."""
+    dispatcher: float = 0.0
+    """CPU share used by the dispatcher."""
+    stalls: int = 0
+    """How often the core stood still for more than 20 ms."""
+    stalled: float = 0.0
+    """Seconds that it stood still, in all."""
+    illegal: list[str] = []
+    """Causes for which the illegal-configuration flag is up."""
+    log: str = ""
+    """The log that is being written; empty for none."""
+    unlogged: int = 0
+    """Records that could not be written to it."""
+    events: dict[str, dict[str, int]] = {}
+    """How often each code of events came, by task; held-back ones are counted too."""
+    tbufs: list[TbufStatus] = []
+    """The links that stand on the machine, in this RTPU's domain."""
+
+
+class TaskProfile(Struct, kw_only=True):
+    """The profile of one task (section 6.7.1), and the status read with it."""
+
+    status: TaskStatus
+    least: float
+    """CPU seconds of the shortest of the cycles in `cpu`; `most` of the longest."""
+    most: float
+    cpu: list[tuple[int, int]] = []
+    """Bins of `pbonet.analysis.schedule.histogram` that count cycles by CPU time, and the counts;
+    since the task was spawned, without the first cycle after each `on`."""
+    jitter: list[tuple[int, int]] = []
+    """The same for delays from release to cycle, every cycle."""
+    late: int = 0
+    """Cycles that ended after their deadline, since the task was spawned."""
+    failed: int = 0
+    """Cycles in which the module raised, since then."""

@@ -1,0 +1,347 @@
+"""Modules that misbehave: reported, contained, cleaned up; siblings miss nothing."""
+
+import os
+import signal
+import threading
+
+import pytest
+from nodekit import CORE, alive, level, wait_gone, wait_hung
+from reference import Reference
+from watching import wait_for
+
+from pbonet.errors import (
+    MethodError,
+    NoAnswerError,
+    PbonetError,
+    Severity,
+    StateError,
+    TaskDiedError,
+)
+
+
+@pytest.fixture
+def sibling(arm):
+    """A good neighbour, which misses nothing unless the machine stands still."""
+    arm.spawn("good", "counts", out="Y7", freq=40.0)
+    arm.on("good")
+    tid = arm.wait_cycles("good", 5).tid
+    with Reference(CORE, beside=tid) as reference:
+        before = arm.status("good")
+        yield tid
+        after = arm.wait_cycles("good", 5)
+        assert after.state == "ON"
+        assert (after.tid, after.on_ns) == (before.tid, before.on_ns)
+        assert after.miss - before.miss <= reference.lost(40.0)
+
+
+def names(folder):
+    """Return what stands in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+def slots_in_use(arm, nodes):
+    """Return the tasks that the core table has, as (RTPU, task)."""
+    from pbonet.node.rt import _rt
+
+    core = arm.nodes.state("arm0").core
+    table = _rt.CoreTable(core, member=False)
+    try:
+        slots = [table.snapshot(i) for i in table.slots(f"{nodes.domain}/arm0")]
+        return {slot.task for slot in slots}
+    finally:
+        table.close()
+
+
+@pytest.mark.usefixtures("sibling")
+class TestRaising:
+    """An exception in a method ends in the state that the thesis gives it."""
+
+    def test_in_init(self, arm):
+        error = arm.refused(MethodError, arm.spawn, "bad", "raises_in_init")
+        assert "RuntimeError: init does not work" in str(error)
+        assert "raises_in_init.py" in error.debug
+        assert "line" in error.debug
+        assert "bad" not in arm.status()
+        assert arm.wait_event("OUTPUT", "bad").text == "kill after init"
+        assert arm.wait_event("SPAWN_FAILED", "bad").severity == Severity.ERROR
+
+    def test_in_on(self, arm):
+        arm.spawn("bad", "raises_in_on")
+        error = arm.refused(MethodError, arm.on, "bad")
+        assert "ValueError: on does not work" in str(error)
+        status = arm.status("bad")
+        assert status.state == "ERROR"
+        assert "on does not work" in status.error
+
+    def test_in_cycle(self, arm):
+        arm.spawn("bad", "raises_in_cycle")
+        arm.on("bad")
+        event = arm.wait_event("METHOD", "bad")
+        assert "ZeroDivisionError: the tenth cycle does not work" in event.text
+        status = wait_for(
+            lambda: (one := arm.status("bad")).state == "ERROR" and one, "ERROR"
+        )
+        assert "the tenth cycle does not work" in status.error
+        assert arm.value("Y0").values == [9.0, 0.0]  # the tenth is discarded
+        assert arm.rtpu_status().illegal == ["bad is in ERROR (arm0/bad)"]
+        arm.refused(StateError, arm.on, "bad")
+        assert arm.control("bad", "clear").state == "OFF"
+        assert arm.status("bad").error == ""
+        assert arm.rtpu_status().illegal == []
+
+    def test_in_off(self, arm):
+        arm.spawn("bad", "raises_in_off")
+        arm.on("bad")
+        arm.refused(MethodError, arm.off, "bad")
+        assert arm.status("bad").state == "ERROR"
+        assert arm.kill("bad").state == "NOT-CREATED"
+
+    def test_in_off_within_kill(self, arm):
+        tid = arm.spawn("bad", "raises_in_off").tid
+        arm.on("bad")
+        error = arm.refused(MethodError, arm.kill, "bad")
+        assert "off does not work" in str(error)
+        assert "bad" not in arm.status()  # gone all the same
+        assert not alive(tid)
+
+    def test_in_kill(self, arm):
+        tid = arm.spawn("bad", "raises_in_kill").tid
+        arm.on("bad")
+        error = arm.refused(MethodError, arm.kill, "bad")
+        assert "kill does not work" in str(error)
+        assert "bad" not in arm.status()  # gone all the same
+        wait_gone([tid])
+
+    def test_sys_exit(self, arm):
+        arm.spawn("bad", "exits")
+        arm.on("bad")
+        assert "SystemExit: 3" in arm.wait_event("METHOD", "bad").text
+        assert arm.status("bad").state == "ERROR"
+
+    def test_value_that_is_not_finite(self, arm):
+        arm.spawn("bad", "not_finite")
+        arm.on("bad")
+        event = arm.wait_event("METHOD", "bad")
+        assert "not a finite number: Y0[1] (got nan)" in event.text
+        assert arm.value("Y0").values == [9.0, 0.0]
+
+
+def test_stop_passes_over_an_off_that_raises(arm):
+    arm.spawn("bad", "raises_in_off")
+    arm.on("bad")
+    assert arm.stop().killed == []
+    assert arm.status() == {}
+
+
+@pytest.mark.usefixtures("sibling")
+class TestDying:
+    """A task's process that ends is cleaned away and can be spawned again."""
+
+    @pytest.mark.parametrize(
+        ("module", "how"),
+        [
+            ("dies_by_sigkill", "signal SIGKILL (killed)"),
+            ("segfaults", "signal SIGSEGV (segmentation fault)"),
+        ],
+    )
+    def test_in_cycle(self, arm, nodes, shared_memory, module, how):
+        before = names(shared_memory)
+        slots = slots_in_use(arm, nodes)
+        arm.spawn("bad", module)
+        arm.on("bad")
+        event = arm.wait_event("TASK_DIED", "bad")
+        assert f"the task ended by itself: {how}" in event.text
+        if module == "segfaults":
+            assert "segfaults.py" in event.text  # where it stood
+            assert "in cycle" in event.text
+        status = arm.status("bad")
+        assert (status.state, status.tid) == ("NOT-CREATED", 0)
+        assert how in status.error
+        assert status.cycle == 9
+        assert arm.value("Y0").values == [9.0, 0.0]
+        assert arm.rtpu_status().illegal == ["bad has died (arm0/bad)"]
+        assert slots_in_use(arm, nodes) == slots
+        wait_for(lambda: names(shared_memory) == before, "its ring to go")
+        arm.spawn("other", "counts", out="Y0")
+        assert arm.on("other").state == "ON"  # the dead one's claim is gone
+        arm.kill("other")
+        assert arm.spawn("bad", module).state == "OFF"
+        assert arm.rtpu_status().illegal == []
+
+    def test_an_heir_relieves_the_flag(self, arm):
+        arm.spawn("bad", "dies_by_sigkill")
+        arm.spawn("heir", "counts", out="Y0")
+        arm.on("bad")
+        arm.wait_event("TASK_DIED", "bad")
+        assert arm.rtpu_status().illegal == ["bad has died (arm0/bad)"]
+        arm.on("heir")
+        assert arm.rtpu_status().illegal == []
+
+    def test_in_init(self, arm):
+        error = arm.refused(
+            TaskDiedError, arm.spawn, "bad", "segfaults_in_init", out=""
+        )
+        assert "segmentation fault" in error.what
+        assert "segfaults_in_init.py" in error.debug
+        assert "bad" not in arm.status()
+
+    def test_on_import(self, arm):
+        error = arm.refused(TaskDiedError, arm.spawn, "bad", "dies_on_import", out="")
+        assert "exit code 5" in error.what
+
+    def test_while_off_and_from_outside(self, arm):
+        tid = arm.spawn("bad", "counts").tid
+        os.kill(tid, signal.SIGKILL)
+        arm.wait_event("TASK_DIED", "bad")
+        assert arm.rtpu_status().illegal == []  # it wrote nothing that anybody reads
+        assert arm.kill("bad").state == "NOT-CREATED"
+        assert "bad" not in arm.status()
+
+    def test_stopped_by_a_signal_and_killed(self, arm):
+        tid = arm.spawn("bad", "counts").tid
+        os.kill(tid, signal.SIGSTOP)
+        arm.refused(NoAnswerError, arm.on, "bad", limit=0.2)
+        arm.kill("bad", limit=0.2)
+        assert not alive(tid)
+
+    @pytest.mark.parametrize("which", [signal.SIGTERM, signal.SIGINT])
+    @pytest.mark.parametrize("state", ["OFF", "ON"])
+    def test_told_to_end(self, arm, tmp_path, which, state):
+        book = tmp_path / "diary"
+        tid = arm.spawn("bad", "counts", local={"DIARY": book}).tid
+        if state == "ON":
+            arm.on("bad")
+        os.kill(tid, which)
+        event = arm.wait_event("ENDING", "bad")
+        assert which.name in event.text
+        arm.wait_event("TASK_DIED", "bad")
+        last = book.read_text().splitlines()[-1]
+        assert last.endswith("kill")
+        assert ("off False" in book.read_text()) == (state == "ON")
+
+
+@pytest.mark.usefixtures("sibling")
+class TestHanging:
+    """A method that never comes back costs its own task alone."""
+
+    def test_in_init(self, arm):
+        error = arm.refused(NoAnswerError, arm.spawn, "bad", "hangs_in_init", limit=4.0)
+        assert "`init` did not return within 4 s" in str(error)
+        assert "hangs_in_init.py" in error.debug  # where it stands
+        assert "bad" not in arm.status()
+
+    @pytest.mark.parametrize("module", ["hangs_in_cycle", "hangs_in_c"])
+    def test_in_cycle(self, arm, sibling, module):
+        tid = arm.spawn("bad", module).tid
+        arm.rank_low("bad")
+        arm.on("bad")
+        wait_hung(arm, "bad")
+        if arm.rtpu_status().backend == "fifo":
+            assert level(tid) < level(sibling)  # which therefore runs all the same
+        arm.refused(NoAnswerError, arm.off, "bad", limit=0.1)
+        error = arm.refused(StateError, arm.off, "bad", limit=0.1)
+        assert "still busy with 'off'" in str(error)
+        arm.kill("bad", limit=0.1)
+        assert arm.wait_event("FORCED", "bad").severity == Severity.WARNING
+        assert not alive(tid)
+
+    def test_in_on(self, arm):
+        arm.spawn("bad", "hangs_in_on")
+        arm.refused(NoAnswerError, arm.on, "bad", limit=0.3)
+        arm.kill("bad", limit=0.3)
+        assert "bad" not in arm.status()
+
+
+def test_stop_is_bounded_and_says_what_was_forced(arm):
+    arm.spawn("good", "counts", out="Y1")
+    arm.spawn("bad", "hangs_in_off", out="Y2")
+    arm.spawn("worse", "hangs_in_c", out="Y3")
+    arm.rank_low("worse")
+    for name in ("good", "bad", "worse"):
+        arm.on(name)
+    wait_hung(arm, "worse")
+    pids = [one.tid for one in arm.status().values()]
+    stopped = arm.stop(6.0)
+    assert sorted(stopped.killed) == ["bad", "worse"]
+    assert "good" in stopped.off
+    assert arm.status() == {}
+    assert not any(map(alive, pids))
+
+
+def meanwhile(do, *args, **more):
+    """Do something that fails in a thread; return the thread and the error's list."""
+    errors = []
+
+    def run():
+        try:
+            do(*args, **more)
+        except PbonetError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread, errors
+
+
+def test_stop_ends_a_task_in_init(arm):
+    thread, errors = meanwhile(arm.spawn, "bad", "hangs_in_init", limit=30.0)
+    wait_for(lambda: "bad" in arm.status(), "its process")
+    assert arm.stop(0.5).killed == ["bad"]
+    thread.join()
+    assert isinstance(errors[0], TaskDiedError)
+    assert arm.status() == {}
+
+
+@pytest.mark.parametrize("how", ["stop", "kill"])
+def test_the_end_waits_for_no_command_under_way(arm, how):
+    """Its limit is its own, however long the other command may take."""
+    arm.spawn("bad", "hangs_in_on")
+    thread, errors = meanwhile(arm.on, "bad", limit=3000.0)
+    assert arm.wait_event("OUTPUT", "bad").text == "in on"
+    if how == "stop":
+        assert arm.stop(0.5).killed == ["bad"]
+    else:
+        assert arm.kill("bad", limit=0.5).state == "NOT-CREATED"
+    thread.join()
+    assert isinstance(errors[0], TaskDiedError)
+    assert arm.status() == {}
+
+
+def test_a_task_that_prints_a_lot_never_waits(arm):
+    arm.spawn("bad", "prints_a_lot", freq=100.0)
+    arm.on("bad")
+    arm.wait_cycles("bad", 100)
+    arm.off("bad")
+
+    def texts():
+        return [event.text for event in arm.events("OUTPUT", "bad")]
+
+    flood = "held back: printed too fast"
+    wait_for(lambda: any(flood in text for text in texts()), "what was held back")
+    assert texts()[0] == "hello from init"
+    assert any("line 0 of cycle 1" in text for text in texts())
+    assert len(texts()) < 1000
+
+
+def test_a_task_that_warns_always_floods_nobody(arm):
+    arm.spawn("bad", "warns_always", freq=500.0)
+    arm.on("bad")
+    arm.wait_cycles("bad", 500)
+    wait_for(lambda: arm.status("bad").warn >= 490, "the count of its warnings")
+
+    def told():
+        return arm.events("WARNING", "bad") + arm.events("SIGNAL", "bad")
+
+    held = "notices held back"
+    wait_for(lambda: any(held in event.text for event in told()), "what was held back")
+    assert len(told()) < arm.status("bad").warn
+    assert arm.off("bad").state == "OFF"
+
+
+def test_a_deaf_task_is_killed_all_the_same(arm):
+    tid = arm.spawn("bad", "ignores_sigterm").tid
+    arm.on("bad")
+    os.kill(tid, signal.SIGTERM)
+    arm.wait_cycles("bad", 5)
+    assert arm.kill("bad").state == "NOT-CREATED"
+    assert not alive(tid)

@@ -1,0 +1,125 @@
+"""Somebody cuts a table's file short: its tasks die of it, and nobody else does.
+
+A process that looks at a page which its file no longer has gets SIGBUS.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from nodekit import alive, wait_gone
+from watching import wait_for
+
+from pbonet.errors import SvarDamagedError, TaskDiedError
+from pbonet.xm.net import messages as m
+
+SURVIVOR = """
+import os, sys
+from pbonet.config.model import Variable
+from pbonet.errors import SvarDamagedError
+from pbonet.svar import Table, survive_cuts
+assert survive_cuts()
+assert survive_cuts()  # harmless
+variables = [Variable(name="X", type="double", nelem=100, init=[7.0])]
+sound = Table.create("sound", variables)
+table = Table.create("cut", variables)
+for size in (4096, 0):
+    os.truncate(table.path, size)
+    table.registers()
+    table.raise_illegal("cut", "me")
+    try:
+        table.must_be_whole()
+    except SvarDamagedError as error:
+        print(error.got)
+sound.must_be_whole()
+assert sound.read("X")[0] == 7.0
+sound.destroy(), table.destroy()
+print("alive")
+sys.stdout.flush()
+import mmap  # another bus error is no business of ours
+with open("other", "w+b") as other:
+    other.truncate(4096)
+    memory = mmap.mmap(other.fileno(), 4096)
+    other.truncate(0)
+    memory[0]
+"""
+
+
+def test_a_process_may_survive_it_and_dies_of_other_bus_errors(tmp_path, monkeypatch):
+    monkeypatch.setenv("PBONET_SHM_DIR", str(tmp_path))
+    done = subprocess.run(
+        [sys.executable, "-c", SURVIVOR],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert (done.stdout.split("\n"), done.stderr) == (
+        ["4096 bytes", "0 bytes", "alive", ""],
+        "",
+    )
+    assert done.returncode == -7
+
+
+@pytest.fixture
+def arm(nodes):
+    nodes.agent("arm0")
+    return nodes.master("arm0", "arm", usage="shared")
+
+
+@pytest.mark.parametrize("left", [0, 4096])
+def test_tasks_die_with_a_clear_cause_and_the_rtpu_goes_on(
+    arm, nodes, shared_memory, left
+):
+    other = nodes.master("arm0", "leg", usage="shared")
+    other.spawn("sibling", "counts")
+    other.on("sibling")
+    pids = [
+        arm.spawn(name, "counts", out=out).tid
+        for name, out in (("a", "Y0"), ("b", "Y1"))
+    ]
+    arm.on("a")
+    arm.on("b")
+    rtpu = nodes.state("arm0").pid
+    (path,) = shared_memory.glob("*.arm.svar")
+    size = path.stat().st_size
+    os.truncate(path, left)
+    wait_gone(pids)
+    cause = (
+        f"{path}: the table's file was truncated while it was in use (expected {size} "
+        f"bytes, got {left} bytes); its tasks die of it: stop the subsystem, which "
+        "removes the file, and start it again; find out who writes to shared memory "
+        "files"
+    )
+    assert arm.wait_event("TABLE_TRUNCATED").text == cause
+    wait_for(lambda: len(arm.events("TASK_DIED")) == 2, "both ends to be told")
+    for event in arm.events("TASK_DIED"):
+        assert event.text.startswith(f"the task ended with its table: {cause}")
+    wait_for(
+        lambda: {s.state for s in arm.status().values()} == {"NOT-CREATED"},
+        "both to be known as dead",
+    )
+    assert cause in arm.status()["a"].error
+    for refused in (arm.value, lambda _: arm.spawn("c", "counts", out="Y2")):
+        error = arm.refused(SvarDamagedError, refused, "Y0")
+        assert "was truncated" in error.what
+    other.wait_cycles("sibling", 20)
+    assert nodes.state("arm0").pid == rtpu
+    assert alive(rtpu)
+    arm.stop()
+    arm.ask(m.CloseTable())
+    arm.open_table()
+    arm.spawn("a", "counts")
+    arm.on("a")
+    arm.wait_cycles("a", 5)
+
+
+def test_a_command_that_waits_for_such_a_task_is_told(arm, shared_memory):
+    arm.spawn("a", "counts")
+    (path,) = shared_memory.glob("*.svar")
+    os.truncate(path, 0)
+    error = arm.refused(TaskDiedError, arm.on, "a")
+    assert "the task ended with its table" in error.what

@@ -1,0 +1,343 @@
+"""Timing failures, reserves and servers, case by case: native turn, then its twin."""
+
+from __future__ import annotations
+
+import pytest
+from oneslot import (
+    DEADLINE,
+    MAXEXEC,
+    MINEXEC,
+    MS,
+    TELL,
+    US,
+    failures,
+    kinds,
+    one_slot,
+)
+
+from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.records import Kind
+
+
+@pytest.fixture
+def core(monkeypatch, tmp_path):
+    with one_slot(monkeypatch, tmp_path) as make:
+        yield make
+
+
+# -- deadlines -----------------------------------------------------------------------
+
+
+def test_a_cycle_that_ends_in_time_is_no_failure(core) -> None:
+    one = core()
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True)
+    one.at(19 * MS, done=True)
+    assert failures(one.until(20 * MS)) == []
+    assert one.status().failures == (0, 0, 0)
+
+
+def test_the_deadline_is_told_once_and_the_cycle_goes_on_with_the_next(core) -> None:
+    one = core(tells=True)
+    one.until(10 * MS)
+    one.at(12 * MS, begun=True)
+    found = one.until(20 * MS)
+    assert failures(found) == [DEADLINE | TELL]
+    assert (Event.MISS, 1) in kinds(found, Event.MISS)
+    assert failures(one.until(30 * MS)) == [DEADLINE | TELL]
+    assert one.status().failures == (2, 0, 0)
+
+
+def test_a_deadline_before_the_period_s_end_is_its_own_event(core) -> None:
+    one = core(deadline_ns=4 * MS, tells=True)
+    one.until(10 * MS)
+    one.at(11 * MS, begun=True)
+    found = one.until(19 * MS)
+    assert [(event, at) for event, _, at in found if event is Event.FAIL] == [
+        (Event.FAIL, 14 * MS)
+    ]
+    assert failures(one.until(20 * MS)) == []  # it was told already
+
+
+def test_a_cycle_that_never_began_is_counted_but_nobody_is_there_to_tell(core) -> None:
+    one = core(tells=True)
+    one.until(10 * MS)
+    assert failures(one.until(20 * MS)) == [DEADLINE]
+
+
+# -- reserves ------------------------------------------------------------------------
+
+
+def test_a_used_up_reserve_costs_the_criticality_until_the_next_release(core) -> None:
+    one = core(maxc_ns=2 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    assert one.until(11 * MS) == []
+    found = one.at(13 * MS, cpu_ns=2 * MS)
+    assert kinds(found, Event.FAIL, Event.CRIT) == [
+        (Event.CRIT, 3),
+        (Event.FAIL, MAXEXEC),
+    ]
+    assert one.status().rank == 3
+    assert kinds(one.until(20 * MS), Event.CRIT) == [(Event.CRIT, 5)]
+    assert one.status().overruns == 1
+
+
+def test_preemption_is_not_charged(core) -> None:
+    one = core(maxc_ns=2 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    one.at(18 * MS, cpu_ns=2 * MS - 1)  # begun long ago, mostly preempted
+    assert one.status().overruns == 0
+    assert one.until(18 * MS + 19 * US) == []  # looked at no sooner than the margin
+    found = one.at(18 * MS + 20 * US, cpu_ns=1)
+    assert failures(found) == [MAXEXEC]
+
+
+def test_a_second_period_gets_its_own_reserve(core) -> None:
+    """Stewart 1994, section 6.4: the cycle goes on with what the next one had."""
+    one = core(maxc_ns=2 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    one.at(12 * MS + 100 * US, cpu_ns=2 * MS)
+    one.until(20 * MS)
+    assert one.status().rank == 5
+    one.at(21 * MS, cpu_ns=1 * MS)
+    assert one.status().rank == 5
+    found = one.at(22 * MS + 100 * US, cpu_ns=1 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 3)]
+
+
+def test_the_drop_is_never_a_rise(core) -> None:
+    one = core(maxc_ns=1 * MS, crit=2, drop=3)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    found = one.at(11 * MS + 100 * US, cpu_ns=1 * MS)
+    assert kinds(found, Event.CRIT) == []
+
+
+# -- least times ---------------------------------------------------------------------
+
+
+def test_a_cycle_that_cannot_have_its_least_time_is_not_begun(core) -> None:
+    one = core(minc_ns=3 * MS, tells=True)
+    one.until(10 * MS)
+    assert one.until(17 * MS) == []
+    found = one.until(17 * MS + MS)
+    assert kinds(found, Event.SKIP, Event.FAIL) == [
+        (Event.SKIP, 1),
+        (Event.FAIL, MINEXEC | TELL),
+    ]
+    assert one.now == 17 * MS + 1
+    assert (Event.MISS, 1) in kinds(one.until(20 * MS), Event.MISS)
+    assert one.status().missed == 1  # once, though nobody began it
+
+
+def test_what_was_used_counts_towards_the_least_time(core) -> None:
+    one = core(minc_ns=3 * MS, tells=True)
+    one.until(10 * MS)
+    one.at(11 * MS, begun=True)
+    one.at(12 * MS, cpu_ns=2 * MS)
+    assert failures(one.until(19 * MS)) == []
+    found = one.until(20 * MS - 1)
+    assert failures(found) == [MINEXEC | TELL]
+    assert one.now == 19 * MS + 1
+
+
+def test_a_least_time_that_was_had_is_no_more_watched(core) -> None:
+    one = core(minc_ns=3 * MS)
+    one.until(10 * MS)
+    one.at(11 * MS, begun=True)
+    one.at(17 * MS + 1, cpu_ns=3 * MS)
+    assert failures(one.until(20 * MS - 1)) == []
+
+
+# -- handlers ------------------------------------------------------------------------
+
+
+def test_a_handler_has_its_priority_until_it_has_answered(core) -> None:
+    one = core(maxc_ns=2 * MS, handler=6, tells=True)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    found = one.at(12 * MS + 100 * US, cpu_ns=2 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 3), (Event.CRIT, 6)]
+    found = one.at(12 * MS + 200 * US, handled=True)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 3)]
+
+
+def test_a_handler_keeps_its_priority_for_a_millisecond_of_cpu_time_only(core) -> None:
+    one = core(maxc_ns=2 * MS, handler=6, tells=True)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    one.at(12 * MS + 100 * US, cpu_ns=2 * MS)
+    assert one.status().rank == 6
+    one.at(13 * MS + 200 * US, cpu_ns=1 * MS)
+    assert one.status().rank == 3
+
+
+def test_a_wish_is_granted_up_to_what_the_task_is_entitled_to(core) -> None:
+    one = core(maxc_ns=2 * MS, tells=True)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    one.at(12 * MS + 100 * US, cpu_ns=2 * MS)
+    one.at(12 * MS + 200 * US, wish=(9, 15 * MS))
+    assert one.status().rank == 5
+    assert failures(one.until(15 * MS)) == [DEADLINE | TELL]
+    one.until(20 * MS)
+    assert one.status().rank == 5
+
+
+def test_a_deadline_that_a_handler_sets_into_the_past_is_told_once(core) -> None:
+    one = core(tells=True, deadline_ns=5 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    assert failures(one.until(15 * MS)) == [DEADLINE | TELL]
+    assert failures(one.at(15 * MS + US, wish=(-1, 12 * MS))) == []
+    assert failures(one.until(20 * MS - 1)) == []
+    assert failures(one.at(20 * MS - 1, wish=(-1, 24 * MS))) == []
+    assert failures(one.until(20 * MS)) == [DEADLINE | TELL]
+
+
+# -- critical sections ---------------------------------------------------------------
+
+
+def test_a_critical_section_keeps_its_criticality_to_its_end(core) -> None:
+    one = core(maxc_ns=2 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    found = one.at(12 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    assert kinds(found, Event.CRIT, Event.FAIL) == [(Event.FAIL, MAXEXEC)]
+    found = one.at(12 * MS + 500 * US, locked=False)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 3)]
+
+
+def test_a_critical_section_that_lasts_too_long_is_overruled_and_counted(core) -> None:
+    one = core(maxc_ns=2 * MS)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    one.at(12 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    found = one.until(14 * MS)
+    assert kinds(found, Event.CRIT, Event.FORCE) == [(Event.CRIT, 3), (Event.FORCE, 1)]
+    assert one.now == 13 * MS + 100 * US
+    assert one.status().held_off == 1
+
+
+def test_a_handler_s_higher_priority_is_inherited_within_the_section(core) -> None:
+    """Stewart 1994, section 6.3."""
+    one = core(maxc_ns=2 * MS, handler=6, tells=True)
+    one.until(10 * MS)
+    one.at(10 * MS + US, begun=True)
+    found = one.at(12 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 6)]
+
+
+# -- servers -------------------------------------------------------------------------
+
+
+def test_a_deferrable_server_drops_and_is_whole_again_at_its_period(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    found = one.at(16 * MS + 100 * US, cpu_ns=2 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 4)]
+    one.table.post(one.slot, cpu_ns=2 * MS)  # at criticality 4: taken from nobody
+    found = one.until(20 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 6)]
+    assert [(event, a) for event, _, a in found if event is Event.REFILL] == [
+        (Event.REFILL, 2 * MS)
+    ]
+
+
+def test_a_deferrable_server_keeps_what_nobody_asked_for(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.until(19 * MS)
+    one.at(19 * MS + MS // 2, event=19 * MS + MS // 2)
+    one.at(20 * MS, cpu_ns=MS // 2)
+    one.at(22 * MS + 10 * US, cpu_ns=2 * MS)
+    assert one.status().rank == 4  # 2.5 ms without a break, then at 4
+
+
+def test_what_was_overdrawn_is_kept_back(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS + 100 * US)
+    one.until(20 * MS)
+    one.at(21 * MS + 900 * US, cpu_ns=1 * MS + 900 * US)
+    assert one.status().rank == 4
+
+
+def test_a_sporadic_server_gets_each_piece_back_a_period_after_its_begin(core) -> None:
+    one = core(kind=Kind.SPORADIC, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(15 * MS, cpu_ns=1 * MS, event=15 * MS)  # served
+    one.at(17 * MS, event=17 * MS)
+    found = one.at(18 * MS, cpu_ns=1 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 4)]
+    assert one.until(24 * MS - 1) == []
+    found = one.until(24 * MS)
+    assert [a for event, _, a in found if event is Event.REFILL] == [1 * MS]
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 6)]
+
+
+def test_time_below_its_criticality_is_not_given_back(core) -> None:
+    """`docs/decisions/0093`."""
+    one = core(kind=Kind.SPORADIC, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS, cpu_ns=2 * MS)
+    one.at(19 * MS, cpu_ns=3 * MS, event=19 * MS)  # the rest, at criticality 4
+    found = one.until(40 * MS)
+    assert [a for event, _, a in found if event is Event.REFILL] == [2 * MS]
+
+
+@pytest.mark.parametrize("kind", [Kind.DEFERRABLE, Kind.SPORADIC])
+def test_a_server_keeps_its_criticality_to_the_end_of_a_critical_section(
+    core, kind
+) -> None:
+    one = core(kind=kind, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    found = one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    assert kinds(found, Event.CRIT) == []
+    assert (one.status().rank, one.status().overruns) == (6, 1)
+    found = one.at(16 * MS + 500 * US, cpu_ns=400 * US, locked=False)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 4)]
+    assert one.status().held_off == 0
+
+
+@pytest.mark.parametrize("kind", [Kind.DEFERRABLE, Kind.SPORADIC])
+def test_a_server_s_section_that_lasts_too_long_is_overruled(core, kind) -> None:
+    one = core(kind=kind, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    found = one.until(19 * MS)
+    assert kinds(found, Event.CRIT) == [(Event.CRIT, 4)]
+    assert (one.now, one.status().held_off) == (17 * MS + 100 * US, 1)
+
+
+def test_what_a_server_uses_in_its_section_it_lacks_in_the_next_period(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    one.at(16 * MS + 500 * US, cpu_ns=400 * US, locked=False)
+    one.table.post(one.slot, cpu_ns=3 * MS)  # at criticality 4: taken from nobody
+    found = one.until(20 * MS)
+    assert [a for event, _, a in found if event is Event.REFILL] == [2 * MS]
+    one.at(21 * MS + 700 * US, cpu_ns=1 * MS + 600 * US)
+    assert one.status().rank == 4
+
+
+def test_a_sporadic_server_gets_back_what_it_used_in_its_section(core) -> None:
+    one = core(kind=Kind.SPORADIC, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(14 * MS, event=14 * MS)
+    one.at(16 * MS + 100 * US, cpu_ns=2 * MS, locked=True)
+    one.at(16 * MS + 500 * US, cpu_ns=400 * US, locked=False)
+    found = one.until(40 * MS)
+    assert sum(a for event, _, a in found if event is Event.REFILL) == 2400 * US
+
+
+def test_a_section_that_outlasts_the_period_ends_nothing_that_came_back(core) -> None:
+    one = core(kind=Kind.DEFERRABLE, crit=6, drop=4, maxc_ns=2 * MS)
+    one.at(17 * MS, event=17 * MS)
+    one.at(19 * MS + 500 * US, cpu_ns=2 * MS, locked=True)
+    one.until(20 * MS)
+    found = one.at(20 * MS + 100 * US, locked=False)
+    assert kinds(found, Event.CRIT) == []
+    assert one.status().rank == 6

@@ -1,0 +1,86 @@
+"""A job is judged with each standby in its original's place, and never with both."""
+
+from msgspec import structs
+from verify_parts import configuration, task
+
+from pbonet.analysis import legality
+from pbonet.config.model import RtpuEntry
+
+
+def standby(original, name="safe", **more):
+    return structs.replace(task(name, **more), fallback_of=original)
+
+
+def judged(*tasks, **more):
+    empty = configuration(*tasks, on=set(), **more)
+    return legality.judge(structs.replace(empty, tasks=()), legality.job(tasks))
+
+
+def whats(verdict):
+    return [problem.what for problem in verdict.problems]
+
+
+READER = task("robot", invar="T")
+
+
+def test_a_standby_is_not_turned_on_and_no_second_writer():
+    verdict = judged(task("pid", outvar="T"), standby("pid", outvar="T"), READER)
+    assert verdict.after.on == {"pid", "robot"}
+    assert verdict.problems == ()
+
+
+def test_a_standby_must_write_what_others_read():
+    verdict = judged(task("pid", outvar="T"), standby("pid", outvar="U"), READER)
+    assert whats(verdict) == [
+        "no task that is ON writes T, which robot reads, once safe is in the place of "
+        "pid"
+    ]
+    assert verdict.refused
+
+
+def test_a_standby_must_find_its_own_inputs_and_take_nobodys_outputs():
+    verdict = judged(
+        task("pid", outvar="T"),
+        standby("pid", outvar="T V", invar="CAMERA"),
+        task("other", outvar="V"),
+        READER,
+    )
+    assert whats(verdict) == [
+        "safe and other both write V, once safe is in the place of pid",
+        "no task that is ON writes CAMERA, which safe reads, once safe is in the place "
+        "of pid",
+    ]
+
+
+def heavy(name, share, **more):
+    return task(name, freq=100.0, maxc=share / 100.0, **more)
+
+
+def test_the_load_counts_one_of_the_two():
+    rtpus = (RtpuEntry(name="arm0"),)
+    pid = heavy("pid", 0.5, outvar="T")
+    light = structs.replace(heavy("safe", 0.4, outvar="T"), fallback_of="pid")
+    assert judged(pid, light, READER, rtpus=rtpus).problems == ()
+    large = structs.replace(heavy("safe", 1.2, outvar="T"), fallback_of="pid")
+    told = whats(judged(pid, large, READER, rtpus=rtpus))
+    assert (
+        "on RTPU arm0 safe may miss deadlines, once safe is in the place of pid" in told
+    )
+
+
+def test_the_load_of_several_standbys_is_judged_together():
+    rtpus = (RtpuEntry(name="arm0"),)
+    tasks = (
+        heavy("a", 0.1, outvar="A"),
+        heavy("b", 0.1, outvar="B"),
+        structs.replace(heavy("a_safe", 0.6, outvar="A"), fallback_of="a"),
+        structs.replace(heavy("b_safe", 0.6, outvar="B"), fallback_of="b"),
+    )
+    assert whats(judged(*tasks, rtpus=rtpus)) == [
+        "on RTPU arm0 b_safe may miss deadlines, once every fallback is engaged"
+    ]
+
+
+def test_a_standby_that_is_engaged_is_judged_as_any_task():
+    tasks = (task("pid", outvar="T"), standby("pid", outvar="T"), READER)
+    assert legality.check(configuration(*tasks, on={"safe", "robot"})) == []

@@ -1,0 +1,396 @@
+"""The verbs: made of the command table, documented, with data and proper status."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from pbonet import cli
+from pbonet.cli import build
+from pbonet.errors import StateError
+from pbonet.log import Log, last_run
+from pbonet.master.console.commands import COMMANDS, Scope
+
+OWN = {"stop", "check", "profile"}
+"""Verbs that take more than the command of their name."""
+PUMA = Path(__file__).parents[3] / "examples" / "puma"
+ASKED = (
+    *("agent", "run", "sbs", "spawn", "on", "off", "kill", "clear", "set", "get"),
+    *("freq", "reconfig", "status", "display", "module", "check", "describe", "new"),
+    *("stop", "doctor", "events"),
+)
+
+
+@pytest.fixture(scope="module")
+def app():
+    return typer.main.get_command(build())
+
+
+def options_of(command):
+    return {name for param in command.params for name in param.opts}
+
+
+def test_every_verb_that_was_asked_for_is_there(app):
+    assert set(ASKED) <= set(app.commands)
+    assert set(app.commands) == set(cli.VERBS)
+
+
+def test_every_command_of_the_table_is_a_verb_too(app):
+    for command in COMMANDS:
+        if command.scope is Scope.EVERYWHERE:
+            assert command.name in app.commands, command.name
+            arguments = {param.name for param in app.commands[command.name].params}
+            if command.name not in OWN:
+                assert {arg.name for arg in command.args} <= arguments, command.name
+
+
+def test_every_verb_has_help_json_and_debug(app):
+    groups = [app.commands.pop(name).commands for name in ("new", "keys", "log")]
+    verbs = {**app.commands, **groups[0], **groups[1], **groups[2]}
+    for name, command in verbs.items():
+        assert command.help, name
+        assert "--debug" in options_of(command), name
+        if name != "agent":
+            assert "--json" in options_of(command), name
+        for param in command.params:
+            assert param.help or param.name == "help", (name, param.name)
+
+
+def test_verbs_that_change_can_take_over(app):
+    for command in COMMANDS:
+        if command.scope is Scope.EVERYWHERE and command.name != "stop":
+            has = "--take-over" in options_of(app.commands[command.name])
+            assert has == command.changes, command.name
+
+
+def test_verbs_hold_no_logic():
+    """A verb's file defines one function, and imports pbonet's parts inside it."""
+    for path in Path(cli.__file__).parent.glob("*.py"):
+        if path.stem in {"__init__", "__main__", "options", "table"}:
+            continue
+        tree = ast.parse(path.read_text())
+        functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
+        plain = [one for one in functions if not one.decorator_list]
+        assert len(plain) <= 1, path.name
+        assert not any(isinstance(n, ast.While | ast.Try) for n in ast.walk(tree))
+
+
+@pytest.mark.parametrize(
+    "words", [("check",), ("run", "--sim", "--seconds", "0.1")], ids=["check", "run"]
+)
+def test_rtpu_misspelt_in_a_job_is_said_of_the_job(call, tmp_path, words):
+    for file in PUMA.glob("puma.*"):
+        text = file.read_text().replace("grav_comp  arm1", "grav_comp  arm11")
+        (tmp_path / file.name).write_text(text)
+    job = tmp_path / "puma.job"
+    line = job.read_text().splitlines().index("TASK  grav_comp  arm11") + 1
+    verb, *options = words
+    status, out, err = call(verb, str(job), *options)
+    assert status == 1
+    assert f"{job}:{line}:1: task grav_comp is to run on arm11" in out + err
+    assert "did you mean arm1?" in out + err
+
+
+def test_a_module_that_is_missing_is_told_at_the_line_that_names_it(call, tmp_path):
+    (tmp_path / "s.svar").write_text(
+        "NAME X\nTYPE int\nDESC\nUNITS none\nNELEM 1\nEOF\n"
+    )
+    (tmp_path / "s.sbs").write_text("SUBSYSTEM s\nSVARFILE s.svar\nRTPU c0\nEOF\n")
+    (tmp_path / "j.job").write_text("JOB j\nDESC d\nSBS s.sbs\nTASK d\nEOF\n")
+    rmod = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    (tmp_path / "d.rmod").write_text(rmod.read_text().replace(" diff", " dif", 1))
+    for words in (("check",), ("run", "--sim", "--record", "off")):
+        status, out, err = call(*words, tmp_path / "j.job")
+        assert status == 1
+        assert f"{tmp_path / 'd.rmod'}:1:1: the library has no module dif" in out + err
+
+
+def test_user_error_is_told_without_a_stack(call):
+    status, out, err = call("describe", "dif")
+    assert (status, out) == (1, "")
+    assert err.startswith("pbonet: the library has no module dif")
+    assert "did you mean diff?" in err
+    assert "Traceback" not in err
+
+
+def test_debug_adds_the_stack(call):
+    status, _, err = call("describe", "dif", "--debug")
+    assert status == 1
+    assert "Traceback" in err
+
+
+def test_error_is_data_with_json(call):
+    status, out, err = call("describe", "dif", "--json")
+    assert (status, err) == (1, "")
+    assert json.loads(out)["error"]["code"] == "MODULE_LOAD"
+
+
+def test_wrong_usage_is_status_two(call):
+    assert call("spawn")[0] == 2
+    assert call("nonsense")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "option", "expected"),
+    [
+        (("run", "a.job", "--seconds", "5s"), "--seconds", "number"),
+        (("agent", "--core", "1.5"), "--core", "integer"),
+        (("new", "module", "a", "--freq", "-7"), "--freq", "0.001"),
+        (("events", "a.sbs", "many"), "LAST", "integer"),
+    ],
+)
+def test_an_option_that_is_no_number_or_out_of_range_is_told_with_its_word(
+    call, words, option, expected
+):
+    status, _, err = call(*words)
+    told = err.splitlines()[-1]
+    assert status == 2
+    assert told.startswith(f"Error: Invalid value for '{option}': ")
+    assert expected in told
+    assert words[-1] in told
+
+
+def test_a_host_that_is_not_found_is_told_in_words_of_pbonet(call):
+    """A name with an empty part is none anywhere, which no server needs to say."""
+    words = ("status", PUMA / "puma.sbs", "--connect", "tcp/no..where:7447")
+    status, _, err = call(*words, "--domain", "nobody-here")
+    assert status == 1
+    assert err.startswith(
+        "pbonet: tcp/no..where:7447: no agent of domain nobody-here answers (got no "
+        "host that is known as no..where); is the name right?"
+    )
+
+
+def test_a_word_that_is_no_number_is_told_as_at_the_prompt(call):
+    sbs = PUMA / "puma.sbs"
+    assert call("freq", sbs, "jttrace", "50kHz") == (
+        1,
+        "",
+        "pbonet: freq: HZ is no number: 50kHz (expected freq [TASK] [HZ]); 'help freq' "
+        "explains it\n",
+    )
+    err = call("write", sbs, "Q_REF", "1", "-2.5", "3m")[2]
+    assert "VALUE is no number: 3m" in err
+
+
+def test_interrupt_is_status_130(call, monkeypatch):
+    def interrupt(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pbonet.master.configuration.check_files.check_file", interrupt)
+    status, out, err = call("check", PUMA / "puma.job")
+    assert (status, out, err) == (130, "", "")
+
+
+def test_version(call):
+    status, out, _ = call("--version")
+    assert status == 0
+    assert out.startswith("pbonet 0.")
+
+
+def test_check_takes_every_kind_of_file(call, tmp_path):
+    agent = tmp_path / "agent.toml"
+    agent.write_text('name = "arm0"\n')
+    rmod = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    files = [PUMA / "puma.svar", PUMA / "puma.sbs", PUMA / "puma.job", rmod, agent]
+    status, out, _ = call("check", *files)
+    assert status == 0
+    assert out.count(": legal\n") == 5
+    assert "job teleop of 4 tasks" in out
+
+
+def test_check_tells_what_of_an_agent_is_not_here(call, tmp_path, monkeypatch):
+    agent = tmp_path / "agent.toml"
+    agent.write_text('name = "arm0"\nlibraries = ["nowhere", "."]\ncore = 4000\n')
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = call("check", agent)
+    assert status == 0, "it may be another machine's"
+    cores = " ".join(map(str, sorted(os.sched_getaffinity(0))))
+    assert out.splitlines()[:-1] == [
+        f"WARNING> there is no folder {tmp_path / 'nowhere'}, named as a library",
+        f"WARNING> core 4000 cannot be used here (expected one of {cores})",
+    ]
+
+
+def test_check_of_an_illegal_job_names_tasks_ports_and_remedy(call, tmp_path):
+    for name in ("puma.svar", "puma.sbs"):
+        (tmp_path / name).write_text((PUMA / name).read_text())
+    text = (PUMA / "puma.job").read_text()
+    text = text.replace("TASK  grav_comp  arm1\n", "").replace(" grav_comp\n", "\n")
+    (tmp_path / "bad.job").write_text(text)
+    status, out, _ = call("check", tmp_path / "bad.job")
+    assert status == 1
+    assert "puma_pidg" in out
+    assert "T_GRAV" in out
+    assert "grav_comp" in out
+    status, out, _ = call("check", tmp_path / "bad.job", "--json")
+    assert status == 1
+    found = json.loads(out)[0]
+    assert found["legal"] is False
+    assert found["errors"][0]["code"] == "VERIFICATION"
+
+
+def test_check_compares_an_rmod_with_its_module(call, tmp_path):
+    source = Path(cli.__file__).parents[1] / "modules" / "diff.rmod"
+    rmod = tmp_path / "mine.rmod"
+    text = source.read_text().replace("EOF", "\nLOCAL\nTAU       0.01\nEOF")
+    for old, new, what in (
+        ("INVAR     Z", "INVAR     Z W", "W"),
+        ("TAU ", "TAO ", "did you mean tau?"),
+        ("MODULE    diff", "MODULE    dif", "did you mean diff?"),
+        ("MODULE    diff", "MODULE    dif", f"{rmod}:1:1: the library has no module"),
+        ("FREQ", "FREK", "did you mean FREQ?"),
+        ("\nLOCAL", "\nMAXC 1\nLOCAL", "MAXC of task mine is above its period"),
+        ("periodic", "synchronous", f"{rmod}:7:1: module diff has no sync()"),
+        ("\nLOCAL", "\nHANDLER 6\nLOCAL", "module diff has no timing_failure()"),
+    ):
+        assert old in text
+        rmod.write_text(text.replace(old, new, 1))
+        status, out, _ = call("check", rmod)
+        assert status == 1, new
+        assert what in out, out
+        assert "fault" in out.splitlines()[-1]
+    rmod.write_text(text.replace("TAU       0.01", "").replace("diff", "gain"))
+    out = call("check", rmod)[1].splitlines()
+    assert f"ERROR> {rmod}:10:1: module Gain needs parameter gain" in out[-2]
+
+
+def test_describe_shows_the_parts_of_a_combination(call):
+    servo = Path(__file__).parents[3] / "examples" / "servoing" / "servo.rmod"
+    status, out, _ = call("describe", str(servo))
+    assert status == 0
+    assert "Q^_CMD  float64[ndof]    rad/s  commanded joint velocity" in out
+    info = json.loads(call("describe", str(servo), "--json")[1])
+    names = [part["name"] for part in info["parts"]]
+    assert names == ["forward_kin", "damped_ls", "qrint"]
+
+
+def test_describe_shows_ports_and_parameters(call):
+    status, out, _ = call("describe", "diff")
+    assert status == 0
+    assert "parameters" in out
+    info = json.loads(call("describe", "diff", "--json")[1])
+    assert {port["name"] for port in info["ports"]} >= {"Z", "Z^"}
+
+
+def test_new_module_is_written_once(call, tmp_path):
+    words = ["new", "module", "squash", "--in", "Z:6:rad", "--out", "Y:6:rad"]
+    words += ["--folder", tmp_path]
+    status, out, _ = call(*words)
+    assert status == 0
+    assert (tmp_path / "squash.py").exists()
+    assert len(out.splitlines()) == 3
+    status, _, err = call(*words)
+    assert status == 1
+    assert "a file stands there already" in err
+    assert call(*words, "--force")[0] == 0
+    assert call("check", tmp_path / "squash.rmod", "--library", tmp_path)[0] == 0
+
+
+def test_job_runs_in_virtual_time(call, tmp_path):
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.2", "--runs", tmp_path]
+    status, out, _ = call(*words)
+    assert status == 0
+    assert "0.2 s of virtual time are over" in out
+    assert len(Log(last_run(tmp_path)).arrays("puma_pidg")["cycle"]) == 100
+    status, out, _ = call(*words, "--json")
+    outcome = json.loads(out)
+    assert outcome["tasks"][0]["cpu_avg"] is None, "not simulated"
+    assert {task["task"]: task["cycles"] for task in outcome["tasks"]} == {
+        "puma_pidg": 100,
+        "grav_comp": 50,
+        "qrdiff": 20,
+        "jttrace": 10,
+    }
+
+
+def test_a_run_is_looked_at(call, tmp_path):
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.2", "--runs"]
+    for folder in ("one", "two"):
+        assert call(*words, tmp_path / folder)[0] == 0
+    one, two = (last_run(tmp_path / folder) for folder in ("one", "two"))
+    data = json.loads(call("log", "info", one, "--json")[1])
+    assert data["tasks"]["qrdiff"]["cycles"] == 20
+    assert "puma_pidg" in call("log", "info", one)[1]
+    rows = call("log", "cat", one, "jttrace", "Q_REF")[1].splitlines()
+    assert rows[0].startswith("time,cycle,Q_REF[0]")
+    assert len(rows) == 11
+    table = json.loads(call("log", "cat", one, "jttrace", "--json")[1])
+    assert table["cycle"] == list(range(1, 11))
+    assert call("log", "diff", one, two)[0] == 0, "a simulation gives the same twice"
+    merged = tmp_path / "m.mcap"
+    out = json.loads(call("log", "merge", one, "-o", merged, "--json")[1])
+    count = sum(part.count for part in Log(one).parts)
+    assert out == {"file": str(merged), "messages": count, "clocks": []}
+    assert call("log", "recover", merged, "-o", merged)[0] == 1, "it stands"
+    assert call("log", "plot", one, "Q_MEZ", "-o", tmp_path / "a.png")[0] == 0
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    told = json.loads(call("log", "events", one, "--json")[1])["events"]
+    assert {event["code"] for event in told} == {"SPAWNED", "STATE", "STOPPED"}
+    assert json.loads(call("log", "commands", one, "--json")[1]) == {"commands": []}
+    status, out, _ = call("replay", one, "grav_comp", "--verify")
+    assert status == 0
+    assert out.startswith("grav_comp: 50 cycles identical")
+    for words, why in (
+        (("--play", "jttrace", "--verify"), "--play goes with"),
+        (("--play", ","), "--play goes with"),
+        (("--rate", "2"), "go with --play only"),
+        (("--verify", "--loop"), "go with --play only"),
+        (("--start", "1"), "go with --play only"),
+        (("--subsystem", "arm"), "go with --play only"),
+        (("--verify", "-o", tmp_path / "x.mcap"), "--out goes without --verify"),
+    ):
+        status, _, err = call("replay", one, *words)
+        assert (status, why in err) == (1, True), err
+    status, out, _ = call("replay", one)
+    assert status == 0, out
+    assert out.startswith("4 tasks together: identical")
+
+
+def test_what_is_recorded_is_said(call, tmp_path):
+    words = ["run", PUMA / "puma.job", "--sim", "--seconds", "0.1", "--runs", tmp_path]
+    status, _, err = call(*words, "--record", "alll")
+    assert status == 1
+    assert "this is no way to record (expected off or outputs or all or last " in err
+    assert call(*words, "--record", "off")[0] == 0
+    assert list(tmp_path.glob("*")) == []
+
+
+def test_negative_numbers_are_values(monkeypatch, call):
+    given = {}
+
+    def run(_file, command, args, place):
+        given.update(args)
+        raise StateError("seen", where=command, got=str(place.domain))
+
+    monkeypatch.setattr("pbonet.master.console.oneshot.run", run)
+    status, _, err = call("write", "a.sbs", "T_REF", "-1.5", "2", "--domain", "lab")
+    assert status == 1
+    assert given == {"variable": "T_REF", "value": ["-1.5", "2"]}
+    assert "got lab" in err
+
+
+def test_doctor_finds_nothing_that_fails(call):
+    status, out, _ = call("doctor", "--domain", "nobody-here")
+    assert status == 0
+    assert out.splitlines()[0].startswith("PASS pbonet ")
+    found = json.loads(call("doctor", "--json", "--domain", "nobody-here")[1])
+    assert {one["level"] for one in found} <= {"PASS", "WARN"}
+
+
+def test_a_verb_whose_output_is_closed_does_its_work(monkeypatch):
+    """As behind ``>&-``, where Python has no stream at all."""
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, None)
+    for job, status in (("puma.job", 0), ("none.job", 1)):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(["check", str(PUMA / job)])
+        assert (caught.value.code or 0) == status
+    for stream in (sys.stdout, sys.stderr):
+        stream.close()

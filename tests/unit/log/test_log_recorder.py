@@ -1,0 +1,349 @@
+"""What a recorder does about time limits, and rings of others or damaged ones."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+from watching import wait_for
+
+from pbonet.config.model import AgentConfig
+from pbonet.log import Log, TaskAbout
+from pbonet.node.agent.agent import Agent
+from pbonet.node.agent.recorder_supervisor import BEFORE, RESTARTS, Recorders
+from pbonet.node.recorder import recorder_process as recording
+from pbonet.node.ring._ring import Ring
+from pbonet.node.rtpu import orphaned_rings
+from pbonet.node.wire import rtpu_messages
+from pbonet.xm.net import codec
+from pbonet.xm.net import messages as m
+
+ABOUT = TaskAbout(
+    domain="d",
+    rtpu="arm0",
+    subsystem="arm",
+    task="a",
+    module="m",
+    pid=1,
+    freq=1.0,
+    rmod="",
+    rmod_name="a.rmod",
+)
+
+
+@pytest.fixture
+def ring():
+    ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+    yield ring
+    ring.destroy()
+
+
+def wanted(folder, **limits):
+    return rtpu_messages.Recording(
+        domain="d",
+        rtpu="arm0",
+        subsystem="arm",
+        core=0,
+        folder=str(folder / "r"),
+        file="run",
+        run="r",
+        job="j",
+        mode="outputs",
+        limits=rtpu_messages.LogLimits(**limits),
+    )
+
+
+def begin(folder, said, **limits):
+    return recording.Recorder(wanted(folder, **limits), said.append)
+
+
+def logs(folder):
+    return [one for one in (folder / "r").glob("*.mcap") if one.stat().st_size]
+
+
+def codes(said):
+    return [one.code for one in said if isinstance(one, rtpu_messages.Note)]
+
+
+def test_a_log_goes_on_in_another_file_by_time(ring, tmp_path) -> None:
+    recorder = begin(tmp_path, [], log_minutes=1e-9)
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+    recorder.end()
+    log = Log(tmp_path / "r")
+    assert len(log.parts) >= 3
+    assert [part.about.goes_on for part in log.parts][1:] == [True] * (
+        len(log.parts) - 1
+    )
+    (life,) = log.lives("a")
+    assert log.arrays("a")["cycle"].tolist() == [1, 2, 3], "read as one"
+    assert len(life.records) == 3
+
+
+def test_without_a_limit_it_stays_in_one(ring, tmp_path) -> None:
+    recorder = begin(tmp_path, [])
+    for n in range(3):
+        ring.put(b"", cycle=n + 1, now_ns=n)
+        recorder.turn()
+    recorder.end()
+    assert len(Log(tmp_path / "r").parts) == 1
+
+
+def gone(task="a", pid=7):
+    """A task whose process has ended."""
+    facts = SimpleNamespace(ring=f"d.arm.{task}")
+    return SimpleNamespace(name=task, facts=facts, child=SimpleNamespace(pid=pid))
+
+
+def files(shared_memory):
+    return [one.name.split(".", 3)[-1] for one in shared_memory.glob("*.ring")]
+
+
+def test_what_a_task_left_before_the_recorder_came_is_in_the_log(
+    tmp_path, shared_memory
+) -> None:
+    """Also where another task of its name is there already."""
+    for cycle in (1, 2):
+        ring = Ring.create("d.arm.a", 1 << 14, msgspec.json.encode(ABOUT))
+        ring.put(b"", cycle=cycle, now_ns=cycle)
+        ring.close()
+        orphaned_rings.let_ring_go(gone(pid=cycle), wanted(tmp_path))
+    assert sorted(files(shared_memory)) == ["arm.a~arm0.1.ring", "arm.a~arm0.2.ring"]
+    recorder = begin(tmp_path, [])
+    recorder.end()
+    assert files(shared_memory) == []
+    assert sorted(Log(tmp_path / "r").arrays("a")["cycle"].tolist()) == [1, 2]
+
+
+def test_a_ring_that_a_recorder_follows_is_removed_and_emptied(
+    ring, tmp_path, shared_memory
+) -> None:
+    recorder = begin(tmp_path, [])
+    recorder.turn()
+    ring.put(b"", cycle=1, now_ns=1)
+    orphaned_rings.let_ring_go(gone(), wanted(tmp_path))
+    assert files(shared_memory) == []
+    recorder.end()
+    assert Log(tmp_path / "r").arrays("a")["cycle"].tolist() == [1]
+
+
+@pytest.mark.parametrize("tasks", [None, {"a": "off"}])
+def test_the_ring_of_a_task_that_nobody_records_is_removed(
+    tmp_path, shared_memory, tasks
+) -> None:
+    Ring.create("d.arm.a", 1 << 14).close()
+    asked = msgspec.structs.replace(wanted(tmp_path), tasks=tasks) if tasks else None
+    orphaned_rings.let_ring_go(gone(), asked)
+    assert files(shared_memory) == []
+
+
+def test_rings_that_no_recorder_comes_for_are_bounded_and_swept(
+    tmp_path, shared_memory
+) -> None:
+    for pid in range(orphaned_rings.MOST + 1):
+        Ring.create("d.arm.a", 1 << 14).close()
+        orphaned_rings.let_ring_go(gone(pid=pid), wanted(tmp_path))
+    assert len(files(shared_memory)) == orphaned_rings.MOST
+    orphaned_rings.sweep("d", "arm")
+    orphaned_rings.sweep("e", "arm0")
+    assert len(files(shared_memory)) == orphaned_rings.MOST, "they are another one's"
+    recorders = Recorders(lambda _: None, AgentConfig(name="arm0", domain="d"))
+    agent = SimpleNamespace(
+        _begin_to_stop=lambda: None,
+        _server=None,
+        _recorders=recorders,
+        _leave=lambda: None,
+    )
+    Agent.abandon(agent)
+    assert len(files(shared_memory)) == orphaned_rings.MOST, (
+        "the next agent's recorders come"
+    )
+    recorders.stop()
+    assert files(shared_memory) == []
+
+
+@pytest.mark.parametrize("size", [0, 100, 1 << 14])
+def test_a_ring_that_its_task_has_not_finished_is_removed(
+    tmp_path, shared_memory, size
+) -> None:
+    """It was killed as it made it."""
+    name = f"pbonet.{os.geteuid()}.d.arm.a.ring"
+    (shared_memory / name).write_bytes(bytes(size))
+    orphaned_rings.let_ring_go(gone(), wanted(tmp_path))
+    assert files(shared_memory) == []
+    orphaned_rings.let_ring_go(gone(), wanted(tmp_path))  # it had not begun
+
+
+@pytest.mark.usefixtures("ring")
+def test_a_ring_that_another_drains_is_told_and_left(tmp_path, monkeypatch) -> None:
+    other = Ring.attach("d.arm.a")
+    other.take()
+    said = []
+    recorder = begin(tmp_path, said)
+    recorder.turn()
+    assert not codes(said), "it may be a recorder that is about to end"
+    monkeypatch.setattr(recording, "HANDOVER", 0.0)
+    recorder.turn()
+    assert codes(said) == ["NOT_RECORDED"]
+    assert "somebody else drains this ring" in said[-1].text
+    recorder.turn()
+    assert codes(said) == ["NOT_RECORDED"], "it is said once"
+    recorder.end()
+    other.close()
+    assert Log(tmp_path / "r").tasks == []
+
+
+def test_a_damaged_ring_ends_its_own_recording_only(ring, tmp_path) -> None:
+    said = []
+    about = msgspec.structs.replace(ABOUT, task="b")
+    sound = Ring.create("d.arm.b", 1 << 14, msgspec.json.encode(about))
+    recorder = begin(tmp_path, said)
+    ring.put(b"", cycle=1)
+    sound.put(b"", cycle=1)
+    recorder.turn()
+    ring.put(b"", cycle=2)
+    with open(ring.path, "r+b") as file:  # noqa: PTH123 - in place
+        file.seek(64)  # where `head` stands
+        file.write((1 << 40).to_bytes(8, "little"))
+    recorder.turn()
+    sound.put(b"", cycle=2)
+    recorder.turn()
+    assert "NOT_RECORDED" in codes(said)
+    recorder.end()
+    sound.destroy()
+    log = Log(tmp_path / "r")
+    assert log.arrays("a")["cycle"].tolist() == [1]
+    assert log.arrays("b")["cycle"].tolist() == [1, 2]
+
+
+def commanded(recorders, subsystem, values=(1.0,), *, short=False, behind=False):
+    """Put a command on record; `behind`: return what does, where it cannot wait."""
+    request = m.Write(subsystem=subsystem, client="c", name="X", values=list(values))
+    answer = codec.Codec().pack(m.Answer(id=request.id, ok=True, result=list(values)))
+    said = request, answer, 1, time.monotonic_ns()
+    if short and recorders.noted(*said):
+        return None
+    if behind:
+        return lambda: recorders.commanded(*said)
+    return recorders.commanded(*said)
+
+
+def test_more_commands_than_a_pipe_takes_are_in_the_log(tmp_path) -> None:
+    said = []
+    recorders = Recorders(said.append, AgentConfig())
+    recorders.update({}, {"arm": 1})
+    try:
+        for n in range(BEFORE + 1):
+            values = [n, *[0.1234567890123456789] * 79]
+            commanded(recorders, "arm", values, short=n % 2 == 0)
+        recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+        commanded(recorders, "arm", [BEFORE + 1], short=True)
+        wait_for(lambda: logs(tmp_path), "a log")
+    finally:
+        recorders.stop()
+    assert codes(said) == []
+    found = Log(tmp_path / "r").commands()
+    first = [one["asked"]["values"][0] for one in found]
+    assert first == list(range(1, BEFORE + 2)), "the last ones, in order, once"
+
+
+def test_a_command_that_is_put_on_record_late_stands_where_it_was_answered(
+    tmp_path,
+) -> None:
+    """Its record waited for a lock, and the next one's found that free."""
+    recorders = Recorders(lambda _: None, AgentConfig())
+    recorders.update({}, {"arm": 1})
+    try:
+        with recorders._guard:
+            late = commanded(recorders, "arm", [1.0], short=True, behind=True)
+        commanded(recorders, "arm", [2.0], short=True)
+        late()
+        recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+        wait_for(lambda: logs(tmp_path), "a log")
+    finally:
+        recorders.stop()
+    found = Log(tmp_path / "r").commands()
+    assert [one["asked"]["values"] for one in found] == [[1.0], [2.0]]
+
+
+@pytest.mark.parametrize("short", [False, True])
+def test_commands_are_kept_only_of_subsystems_that_hold_a_claim(short) -> None:
+    recorders = Recorders(lambda _: None, AgentConfig())
+    recorders.update({}, {"arm": 1, "leg": 2})
+    for subsystem in ("arm", "leg", *(f"nobody{n}" for n in range(100))):
+        commanded(recorders, subsystem, short=short)
+    assert recorders._before.keys() == {"arm", "leg"}
+    recorders.update({}, {"arm": 1})
+    assert recorders._before.keys() == {"arm"}
+
+
+@pytest.mark.slow
+def test_a_recorder_that_is_lost_too_often_is_not_started_again(tmp_path) -> None:
+    said = []
+    recorders = Recorders(said.append, AgentConfig())
+    recorders.update({"arm": wanted(tmp_path)})
+    try:
+        for n in range(RESTARTS + 1):
+            child = recorders._children["arm"]
+            wait_for(lambda n=n: len(logs(tmp_path)) > n, "its log")
+            child._process.kill()
+            wait_for(lambda n=n: len(codes(said)) > n, "its end")
+        wait_for(lambda: not child._thread.is_alive(), "that it is given up")
+    finally:
+        recorders.stop()
+    assert codes(said) == ["RECORDER_DIED"] * (RESTARTS + 1)
+    texts = [one.text for one in said]
+    assert all(text.endswith("another one goes on") for text in texts[:-1])
+    assert texts[-1].endswith("nothing is recorded any more")
+    assert len(Log(tmp_path / "r").parts) == RESTARTS + 1
+
+
+def test_a_recorder_that_cannot_be_started_again_at_once_is_so_later(
+    tmp_path, monkeypatch
+) -> None:
+    refusals = [errno.EMFILE] * 3
+    create = os.memfd_create
+
+    def refused(name):
+        if refusals:
+            number = refusals.pop()
+            raise OSError(number, os.strerror(number))
+        return create(name)
+
+    said = []
+    recorders = Recorders(said.append, AgentConfig())
+    recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+    monkeypatch.setattr("pbonet.node.agent.recorder_supervisor.AGAIN_TIME", 0.01)
+    try:
+        wait_for(lambda: logs(tmp_path), "a log")
+        monkeypatch.setattr(os, "memfd_create", refused)
+        recorders._children["arm"]._process.kill()
+        wait_for(lambda: len(logs(tmp_path)) > 1, "another log")
+        commanded(recorders, "arm")
+    finally:
+        recorders.stop()
+    assert codes(said) == ["RECORDER_DIED"] * 2
+    assert said[0].text.endswith("another one goes on")
+    assert "could not be started again: [Errno 24] Too many" in said[1].text
+    assert said[1].text.endswith("it is tried on")
+    assert len(Log(tmp_path / "r").commands()) == 1
+
+
+def test_a_burst_behind_the_start_kills_no_recorder(tmp_path) -> None:
+    said, burst = [], 400
+    recorders = Recorders(said.append, AgentConfig())
+    try:
+        recorders.update({"arm": wanted(tmp_path)}, {"arm": 1})
+        for n in range(burst):  # of 1.5 kB each, while it is still being started
+            commanded(recorders, "arm", [n, *[0.1234567890123456789] * 60])
+        wait_for(lambda: logs(tmp_path), "a log")
+    finally:
+        recorders.stop()
+    assert codes(said) == []
+    asked = [one["asked"]["values"][0] for one in Log(tmp_path / "r").commands()]
+    assert asked == list(range(burst)), "each one, in order"

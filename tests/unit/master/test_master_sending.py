@@ -1,0 +1,144 @@
+"""Lists sent to several RTPUs at once, which answer as a test says."""
+
+from __future__ import annotations
+
+import pytest
+from nodekit import rmod
+
+from pbonet.config import parse_rmod
+from pbonet.errors import MethodError, ReconfigError, StateError, UnreachableError
+from pbonet.master.configuration.subsystem_files import RmodSource
+from pbonet.master.configuration.task_model import Member, Picture
+from pbonet.master.subsystem.send_signal_list import send
+from pbonet.pbo import State
+from pbonet.xm.net import messages as m
+
+TASKS = {
+    "a": ("arm0", "Y0", State.ON, 100.0),
+    "b": ("arm1", "Y1", State.ON, 5.0),
+    "both": ("arm2", "Y0 Y1", State.OFF, 100.0),
+}
+ITEMS = [("a", "off"), ("b", "off"), ("both", "on")]
+FAILED = MethodError("off does not work", where="b").to_wire()
+GONE = UnreachableError("no agent answers", where="arm1")
+
+
+class Fleet:
+    """RTPUs of one machine; each carries out its part, or answers as it is told."""
+
+    def __init__(self, **answers):
+        self.answers = answers
+        self.sent = []
+        """(RTPU, request) in the order in which they were sent."""
+
+    def host(self, _rtpu):
+        return "here"
+
+    def call(self, rtpu, request, _result, **_limit):
+        self.sent.append((rtpu, request))
+        if isinstance(request, m.Heirs):
+            return {old: [call(old)] for olds in request.after.values() for old in olds}
+        answers = self.answers.get(rtpu, [])
+        answer = answers.pop(0) if answers else done(request.items)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def each(self, make, result, *, rtpus, timeout):
+        assert timeout > 0
+        results, errors = {}, []
+        self.sent.append(("at once", list(rtpus)))
+        for rtpu in rtpus:
+            try:
+                results[rtpu] = self.call(rtpu, make(rtpu), result)
+            except (StateError, UnreachableError) as error:
+                errors.append(error)
+        return results, errors
+
+
+def call(old):
+    outputs = ["Y0", "Y1"]
+    return m.Call(
+        heir="both", outputs=outputs, core=1, slot=9, life=1, ticket=1,
+        caller=int(old == "b"),
+    )  # fmt: skip
+
+
+def done(items):
+    states = {task: "ON" if signal == "on" else "OFF" for task, signal in items}
+    return m.Reconfigured(done=len(items), states=states)
+
+
+@pytest.fixture
+def picture():
+    made = Picture()
+    for name, (rtpu, outputs, state, freq) in TASKS.items():
+        text = rmod("counts", "Y0").replace("SVARALIAS Y=Y0\n", "")
+        text = text.replace("OUTVAR Y", f"OUTVAR {outputs}")
+        source = RmodSource(parse_rmod(text, f"{name}.rmod"), text)
+        made.add(Member(source=source, rtpu=rtpu, freq=freq, state=state))
+    return made
+
+
+def stuck(picture, fleet):
+    """Return the error of the list, and what heirs were told last."""
+    with pytest.raises(ReconfigError) as caught:
+        send(picture, fleet, ITEMS, 1.0)
+    rtpu, request = fleet.sent[-1]
+    assert (rtpu, request.after) == ("arm2", {"both": []}), "it stands by no longer"
+    return caught.value
+
+
+def test_those_that_leave_together_are_told_at_once(picture):
+    fleet = Fleet()
+    states = send(picture, fleet, ITEMS, 1.0)
+    assert states == {"a": "OFF", "b": "OFF", "both": "ON"}
+    heirs, together, (_, first), (_, second), (last, _) = fleet.sent
+    assert (heirs[0], heirs[1].after) == ("arm2", {"both": ["a", "b"]})
+    assert together == ("at once", ["arm0", "arm1"])
+    assert (list(first.calls), list(second.calls)) == (["a"], ["b"])
+    assert (first.slowest, second.slowest) == (1 / 5.0, 1 / 100.0)
+    assert last == "arm2"
+
+
+def test_one_fails(picture):
+    answer = m.Reconfigured(done=0, rest=[("b", "off")], error=FAILED)
+    error = stuck(picture, Fleet(arm1=[answer]))
+    assert str(error) == (
+        "arm1/b: item 2 of 3, off b: off does not work; done: off a; not sent: on both"
+    )
+    assert error.rest == (("b", "off"), ("both", "on"))
+
+
+def test_the_first_one_fails_while_the_other_goes(picture):
+    answer = m.Reconfigured(done=0, rest=[("a", "off")], error=FAILED)
+    error = stuck(picture, Fleet(arm0=[answer]))
+    assert "item 2 of 3, off a" in str(error)
+    assert "done: off b; not sent: on both" in str(error)
+    assert error.rest == (("a", "off"), ("both", "on"))
+
+
+def test_one_is_not_heard_of(picture):
+    error = stuck(picture, Fleet(arm1=[GONE]))
+    assert "item 2 of 3, off b: no agent answers" in str(error)
+    assert (
+        "done: off a; sent, and not known whether done: off b; not sent: on both"
+    ) in str(error)
+    assert error.rest == (("b", "off"), ("both", "on"))
+
+
+def test_one_refuses(picture):
+    refused = StateError("another list is being carried out", where="arm1")
+    error = stuck(picture, Fleet(arm1=[refused]))
+    assert "item 2 of 3, off b: another list" in str(error)
+    assert "done: off a; not sent: on both" in str(error)
+
+
+def test_one_is_on_another_machine_after_all(picture):
+    """Whatever its name: its part goes by message, as does the heir's."""
+    unseen = m.Reconfigured(done=0, rest=[("b", "off")], unseen=["both"])
+    fleet = Fleet(arm1=[unseen])
+    assert send(picture, fleet, ITEMS, 1.0) == {"a": "OFF", "b": "OFF", "both": "ON"}
+    again = [request for rtpu, request in fleet.sent if rtpu == "arm1"]
+    assert [one.items for one in again] == [[("b", "off")], [("b", "off")]]
+    assert [list(one.calls) for one in again] == [["b"], []]

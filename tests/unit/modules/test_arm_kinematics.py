@@ -1,0 +1,226 @@
+"""Kinematics from the DH table: against pinocchio, differences, and themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pbonet.errors import ParameterError
+from pbonet.io.puma560 import PUMA560
+from pbonet.modules._dh import Geometry, difference, gap, is_rotation, rotation, turn_of
+from pbonet.modules._puma_arm import PumaArm
+
+RNG = np.random.default_rng(315)
+POSTURES = RNG.uniform(PUMA560.lower, PUMA560.upper, (1000, 6))
+OTHER = np.array([  # an arm that nobody built: offsets and twists everywhere
+    (0.3, 0.4, 0.1, 1.1),
+    (-0.2, 0.1, 0.5, -0.4),
+    (0.1, -0.2, 0.3, 2.0),
+    (0.0, 0.3, -0.1, -1.3),
+    (1.0, 0.0, 0.2, 0.7),
+    (-0.5, 0.15, 0.05, 0.2),
+])
+
+
+class Oracle:
+    """The same arm as a chain of pinocchio's joints and fixed placements."""
+
+    def __init__(self, dh: np.ndarray) -> None:
+        self.model = pin.Model()
+        at, parent = pin.SE3.Identity(), 0
+        for k, (theta, d, a, alpha) in enumerate(dh):
+            at *= pin.SE3(pin.utils.rotate("z", theta), np.zeros(3))
+            parent = self.model.addJoint(parent, pin.JointModelRZ(), at, f"j{k}")
+            at = pin.SE3(pin.utils.rotate("x", alpha), np.array([a, 0.0, d]))
+        frame = pin.Frame("hand", parent, 0, at, pin.FrameType.OP_FRAME)
+        self.hand = self.model.addFrame(frame)
+        self.data = self.model.createData()
+
+    def __call__(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose and Jacobian in the base's axes."""
+        jacobian = pin.computeFrameJacobian(
+            self.model, self.data, q, self.hand, pin.LOCAL_WORLD_ALIGNED
+        )
+        pin.framesForwardKinematics(self.model, self.data, q)
+        return self.data.oMf[self.hand].homogeneous[:3], jacobian
+
+
+@pytest.fixture(scope="module")
+def arm() -> PumaArm:
+    return PumaArm(PUMA560.dh, PUMA560.lower, PUMA560.upper)
+
+
+@pytest.fixture(scope="module")
+def geometry() -> Geometry:
+    return Geometry(PUMA560.dh)
+
+
+# --------------------------------------------------------------------------- forward
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dh", [PUMA560.dh, OTHER], ids=["puma", "other"])
+def test_pose_and_jacobian_are_pinocchio_s(dh: np.ndarray) -> None:
+    geometry, oracle = Geometry(dh), Oracle(dh)
+    for q in POSTURES:
+        for mine, its in zip(geometry.jacobian(q), oracle(q), strict=True):
+            assert np.abs(mine - its).max() < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dh", [PUMA560.dh, OTHER], ids=["puma", "other"])
+def test_jacobian_is_the_derivative_of_the_pose(dh: np.ndarray) -> None:
+    geometry, h = Geometry(dh), 1e-6
+    for q in POSTURES:
+        _, jacobian = geometry.jacobian(q)
+        for k, step in enumerate(h * np.eye(6)):
+            slope = difference(geometry.pose(q + step), geometry.pose(q - step))
+            assert np.abs(slope / (2.0 * h) - jacobian[:, k]).max() < 1e-8
+
+
+def test_any_number_of_joints_will_do() -> None:
+    """Two links of 1 m and 0.5 m in a plane: the textbook's Jacobian."""
+    geometry = Geometry(np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.5, 0.0]]))
+    pose, jacobian = geometry.jacobian(np.array([0.0, np.pi / 2]))
+    assert pose[:, 3] == pytest.approx([1.0, 0.5, 0.0])
+    assert jacobian[:2] == pytest.approx(np.array([[-0.5, -0.5], [1.0, 0.0]]))
+    assert jacobian[5] == pytest.approx([1.0, 1.0])
+    assert jacobian[2:5] == pytest.approx(np.zeros((3, 2)))
+
+
+# -------------------------------------------------------------------------- rotations
+
+
+def test_turns_and_rotation_matrices_return() -> None:
+    for angle in (0.0, 1e-12, 1e-6, 0.3, 2.0, 3.1, np.pi - 1e-7, np.pi):
+        for axis in (*np.eye(3), *RNG.normal(size=(20, 3))):
+            turn = angle * axis / np.linalg.norm(axis)
+            matrix = rotation(turn)
+            assert is_rotation(matrix)
+            assert rotation(turn_of(matrix)) == pytest.approx(matrix, abs=2e-8)
+            assert np.linalg.norm(turn_of(matrix)) == pytest.approx(angle, abs=1e-7)
+
+
+def test_difference_takes_one_pose_to_the_other(geometry: Geometry) -> None:
+    for one, two in zip(POSTURES[:100], POSTURES[100:200], strict=True):
+        a, b = geometry.pose(one), geometry.pose(two)
+        step = difference(b, a)
+        assert rotation(step[3:]) @ a[:, :3] == pytest.approx(b[:, :3], abs=1e-7)
+        assert a[:, 3] + step[:3] == pytest.approx(b[:, 3])
+        size = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        assert gap(b, a) == pytest.approx(size, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((3, 3)), 1.01 * np.eye(3), np.diag([1.0, 1.0, -1.0])]
+)
+def test_what_is_no_rotation_is_seen(matrix: np.ndarray) -> None:
+    assert not is_rotation(matrix)
+
+
+# --------------------------------------------------------------------------- inverse
+
+
+@pytest.mark.slow
+def test_inverse_after_forward_is_the_posture(arm: PumaArm, geometry: Geometry) -> None:
+    for q in POSTURES:
+        found, why = arm.solve(geometry.pose(q), near=q)
+        assert not why
+        assert found == pytest.approx(q, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_forward_after_inverse_is_the_pose(arm: PumaArm, geometry: Geometry) -> None:
+    """From wherever the arm is: the posture may be another one, the pose is not."""
+    others = 0
+    for q, near in zip(POSTURES, POSTURES[::-1], strict=True):
+        pose = geometry.pose(q)
+        found, _ = arm.solve(pose, near)
+        assert found is not None
+        assert geometry.pose(found) == pytest.approx(pose, abs=1e-9)
+        assert np.all((found >= PUMA560.lower) & (found <= PUMA560.upper))
+        assert np.abs(found - near).max() <= np.abs(q - near).max() + 1e-9
+        others += bool(np.abs(found - q).max() > 1e-6)
+    assert others > 500, "most poses have several solutions"
+
+
+def test_tool_base_and_offsets_of_the_table_count() -> None:
+    dh = PUMA560.dh.copy()
+    dh[:, 0] = [0.1, -0.2, 0.3, 0.4, -0.5, 0.6]
+    dh[0, 1], dh[1, 1], dh[5, 1] = 0.66, 0.24, 0.1
+    arm, geometry = PumaArm(dh, PUMA560.lower, PUMA560.upper), Geometry(dh)
+    for q in POSTURES[:100]:
+        found, _ = arm.solve(geometry.pose(q), near=q)
+        assert found == pytest.approx(q, abs=1e-9)
+
+
+def test_in_the_wrist_singularity_joint_4_stays(
+    arm: PumaArm, geometry: Geometry
+) -> None:
+    q = np.array([0.1, 0.8, -3.0, 0.7, 0.0, 0.2])
+    near = np.array([0.1, 0.8, -3.0, 0.5, 0.0, 0.4])  # the same pose
+    found, _ = arm.solve(geometry.pose(q), near)
+    assert found == pytest.approx(near, abs=1e-7)
+
+
+def test_whole_turns_follow_where_the_arm_is(arm: PumaArm, geometry: Geometry) -> None:
+    q = np.array([0.1, 0.8, -3.0, 0.7, 0.5, 4.0])
+    found, _ = arm.solve(geometry.pose(q), near=q)
+    assert found is not None
+    assert found[5] == pytest.approx(4.0)
+    found, _ = arm.solve(geometry.pose(q), near=q - [0, 0, 0, 0, 0, 6.0])
+    assert found is not None
+    assert found[5] == pytest.approx(4.0 - 2.0 * np.pi)
+
+
+def test_no_solution_says_why(arm: PumaArm, geometry: Geometry) -> None:
+    pose = geometry.pose(POSTURES[0])
+    far = pose.copy()
+    far[:, 3] = [2.0, 0.0, 0.0]
+    assert arm.solve(far, POSTURES[0]) == (
+        None,
+        "out of reach: the wrist would be 2.000 m from the shoulder, where the arm"
+        " reaches 0.877 m",
+    )
+    far[:, 3] = [0.01, 0.0, 0.4]  # between shoulder and axis
+    assert "out of reach" in arm.solve(far, POSTURES[0]).why
+    narrow = PumaArm(PUMA560.dh, np.full(6, -0.01), np.full(6, 0.01))
+    assert narrow.solve(pose, np.zeros(6)) == (
+        None,
+        "only postures beyond the joint limits reach it",
+    )
+
+
+def test_determinant_is_the_product_of_the_three_distances(
+    arm: PumaArm, geometry: Geometry
+) -> None:
+    ratios = [
+        abs(np.linalg.det(geometry.jacobian(q)[1]))
+        / np.prod([*arm.singular(q).values()])
+        for q in POSTURES[:300]
+    ]
+    assert np.ptp(ratios) < 1e-6 * ratios[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "got"),
+    [
+        ((slice(5), slice(None), None), "5 joints"),
+        ((1, 3, 0.1), "twists [90.0"),
+        ((4, 1, 0.1), "a [0"),
+        ((1, 2, 0.0), "a [0"),
+    ],
+)
+def test_an_arm_that_is_built_otherwise_is_refused(
+    change: tuple[object, object, float | None], got: str
+) -> None:
+    row, column, value = change
+    dh = PUMA560.dh.copy()
+    if value is None:
+        dh = dh[row]
+    else:
+        dh[row, column] = value
+    with pytest.raises(ParameterError, match="built otherwise") as caught:
+        PumaArm(dh, PUMA560.lower, PUMA560.upper)
+    assert caught.value.got.replace("[ 90.", "[90.0").startswith(got)

@@ -1,0 +1,186 @@
+"""Heirs on other machines: who has them called, what is asked for, who calls."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+from test_master_sending import ITEMS, TASKS, Fleet, picture
+from test_node_reconfig import Rtpu, call, carry_out, rtpu, table
+
+from pbonet.errors import TaskDiedError
+from pbonet.master.subsystem.send_signal_list import send
+from pbonet.node.mirror import remote_handover
+from pbonet.node.rtpu import cross_core_handover
+from pbonet.node.rtpu.cross_core_handover import Heirs, Waiting
+from pbonet.pbo import State
+from pbonet.xm.net import messages as m
+
+__all__ = ["picture", "rtpu", "table"]
+TICKET = 77
+
+
+@pytest.fixture
+def waiting(rtpu):
+    """A slot whose task waits for one call, and that call, packed."""
+    slot = rtpu.core.alloc("arm1", "heir")
+    life = rtpu.core.expect(slot, TICKET, 1)
+    made = msgspec.structs.replace(
+        call("heir", "Y0"), slot=slot, life=life, ticket=TICKET, far=True
+    )
+    yield made
+    rtpu.core.free(slot)
+
+
+def awaited(rtpu, one):
+    return rtpu.core.expects(one.slot, one.life, one.ticket, one.caller)
+
+
+def test_an_heir_is_called_once(rtpu, table, waiting):
+    (data,) = remote_handover.packed([waiting])
+    assert remote_handover.make(table, data, 0)
+    assert not awaited(rtpu, waiting)
+    assert not remote_handover.make(table, data, 0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"ticket": 78}, {"core": 9}, {"caller": 1}, {"outputs": ["NOT_THERE"]}],
+    ids=str,
+)
+def test_a_call_to_somebody_else_is_not_heard(rtpu, table, waiting, wrong):
+    """All machines get it; one has the heir."""
+    (data,) = remote_handover.packed([msgspec.structs.replace(waiting, **wrong)])
+    assert not remote_handover.make(table, data, 0)
+    assert not remote_handover.make(table, data[:-1], 0)
+    assert awaited(rtpu, waiting)
+
+
+@pytest.mark.parametrize("late_ns", [remote_handover.LATEST_NS + 1, None])
+def test_a_call_that_may_have_been_under_way_for_long_is_not_made(
+    rtpu, table, waiting, late_ns
+):
+    """None: the clock of the machine that it comes from is not known."""
+    (data,) = remote_handover.packed([waiting])
+    assert not remote_handover.make(table, data, late_ns)
+    assert awaited(rtpu, waiting)
+    assert remote_handover.make(table, data, remote_handover.LATEST_NS), (
+        "it stands by all the same"
+    )
+
+
+def test_nobody_is_called_while_another_one_writes(rtpu, table, waiting):
+    (data,) = remote_handover.packed([waiting])
+    with table.local("other", 1, outvar=["Y0"]) as other:
+        other.claim()
+        assert not remote_handover.make(table, data, 0)
+        assert awaited(rtpu, waiting)
+        other.release()
+    assert remote_handover.make(table, data, 0)
+
+
+class Away(Rtpu):
+    """An RTPU that notes whom it has others call, and what its tasks were told."""
+
+    def __init__(self, core, table):
+        super().__init__(core, table)
+        self.called = []
+
+    def call_far(self, subsystem, calls):
+        self.called.append((subsystem, [one.heir for one in calls]))
+
+
+def far(heir, *outputs):
+    return msgspec.structs.replace(call(heir, *outputs), far=True)
+
+
+def test_the_heirs_of_those_that_have_ended_are_called(rtpu, table):
+    away = Away(rtpu.core, table)
+    outputs = {"a": ["Y0"], "b": ["Y1"]}
+    calls = {"a": [far("h", "Y0"), far("i", "Y0")], "b": [far("h", "Y1")]}
+    assert carry_out(away, outputs, calls).done == 2
+    assert away.called == [("arm", ["h", "i", "h"])]
+    assert not table.illegal, "they have the time of a trip"
+
+
+def test_the_heirs_of_one_that_fails_are_not(rtpu, table):
+    away = Away(rtpu.core, table)
+
+    async def fail():
+        raise TaskDiedError("the task ended by itself", where="a")
+
+    away.reactions = {"a": fail}
+    outputs = {"a": ["Y0"], "b": ["Y1"]}
+    answer = carry_out(away, outputs, {"a": [far("h")], "b": [far("i")]})
+    assert answer.rest == [("a", "off")]
+    assert away.called == [("arm", ["i"])]
+
+
+class Apart(Fleet):
+    """RTPUs on machines of their own."""
+
+    def host(self, rtpu):
+        return rtpu
+
+
+def test_a_master_has_heirs_on_other_machines_stand_by(picture):
+    fleet = Apart()
+    items = [("a", "off"), ("both", "on")]
+    assert send(picture, fleet, items, 1.0) == {"a": "OFF", "both": "ON"}
+    (first, heir), (second, off), (third, on) = fleet.sent
+    assert (first, heir.after, heir.far) == ("arm2", {"both": ["a"]}, True)
+    assert (second, list(off.calls)) == ("arm0", ["a"])
+    assert (third, on.items) == ("arm2", [("both", "on")])
+
+
+def test_who_follows_tasks_of_two_machines_is_sent_messages(picture):
+    fleet = Apart()
+    send(picture, fleet, ITEMS, 1.0)
+    assert [rtpu for rtpu, _ in fleet.sent] == [TASKS[one][0] for one, _ in ITEMS]
+    assert all(isinstance(one, m.Reconfig) and not one.calls for _, one in fleet.sent)
+
+
+def heir_of(rtpu, one):
+    """Return the heirs of an RTPU, and one that waits for that call."""
+    loop = asyncio.get_running_loop()
+    task = SimpleNamespace(
+        name="heir", state=State.OFF, engaged=loop.create_future(),
+        facts=SimpleNamespace(subsystem="arm", outputs=["Y0"], slot=one.slot),
+    )  # fmt: skip
+    made = Heirs(rtpu)
+    timer = loop.call_later(3600.0, int)
+    made._waiting["arm", "heir"] = Waiting(task, ["old"], timer, [one])
+    return made, task
+
+
+def test_its_on_has_an_heir_engaged_whom_nobody_has_called(rtpu, waiting):
+    async def ask():
+        made, task = heir_of(rtpu, waiting)
+        return await made.asked(task), made.waits(task)
+
+    assert asyncio.run(ask()) == (True, True)
+    assert not awaited(rtpu, waiting)
+
+
+def test_its_on_is_judged_as_any_while_another_one_writes(
+    rtpu, table, waiting, monkeypatch
+):
+    rested = []
+
+    async def rest(_rtpu, task):
+        rested.append(task.name)
+
+    monkeypatch.setattr(cross_core_handover, "rest", rest)
+
+    async def ask():
+        made, task = heir_of(rtpu, waiting)
+        return await made.asked(task), made.waits(task)
+
+    with table.local("other", 1, outvar=["Y0"]) as other:
+        other.claim()
+        assert asyncio.run(ask()) == (False, False)
+        assert awaited(rtpu, waiting)
+        other.release()
+    assert rested == ["heir"]

@@ -1,0 +1,277 @@
+"""A fallback that hands over to its own original stands by for it behind its `off`."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+import pytest
+
+from pbonet.analysis.schedule.records import Mode
+from pbonet.errors import MethodError, NoAnswerError, StateError
+from pbonet.node.rt import _rt
+from pbonet.node.rtpu import signal_tasks
+from pbonet.node.rtpu.fallbacks import LIMIT, Fallbacks
+from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire.event_log import EventLog
+from pbonet.pbo import State
+
+ORIGINAL, STANDBY, OTHER = "first", "second", "other"
+
+
+class Core:
+    """What the dispatcher is told of slots, and says of them."""
+
+    def __init__(self):
+        self.follows = {}
+        self.fell = set()
+        self.dead = set()
+        self.coming = set()
+
+    def follow(self, slot, kind, slots):
+        self.follows[slot] = (kind, slots)
+
+    def snapshot(self, slot):
+        return SimpleNamespace(
+            mode=Mode.OFF,
+            fell=slot in self.fell,
+            dead=slot in self.dead,
+            comes=slot in self.coming,
+        )
+
+
+class FakeTask:
+    """A task that obeys, or fails as it is told."""
+
+    def __init__(self, name, slot, state):
+        self.name = name
+        self.facts = SimpleNamespace(subsystem="arm", slot=slot, outputs=["Y"])
+        self.state = state
+        self.stands_by = ""
+        self.stopping = False
+        self.gone = asyncio.Event()
+        self.heard = []
+        self.fails_off = None
+        self.fails_prepare = None
+
+    async def command(self, what, make, limit, *, last=False):
+        assert limit > 0
+        assert last is (what == "off")
+        message = make(1)
+        self.heard.append(message)
+        if isinstance(message, rtpu_messages.Signal):
+            self._off()
+        return rtpu_messages.Done(n=1, state=self.state)
+
+    async def off_and_prepare(self, off, prepare, limit, *, last):
+        self.heard += [off(1), prepare(2)]
+        self._off()
+        assert limit > 0
+        assert last
+        return rtpu_messages.Done(n=1, state=self.state), self.fails_prepare
+
+    async def idle(self):
+        self.heard.append("idle")
+
+    def _off(self):
+        if self.fails_off is not None:
+            raise self.fails_off
+        self.state = State.OFF
+
+
+class Home:
+    """An RTPU with the two, and heirs that are called from others."""
+
+    def __init__(self):
+        self.name = "arm0"
+        self.core = Core()
+        self.events = EventLog("arm0")
+        self.first = FakeTask(ORIGINAL, 3, State.OFF)
+        self.second = FakeTask(STANDBY, 4, State.ON)
+        self.tasks = {("arm", one.name): one for one in (self.first, self.second)}
+        self.stopping = set()
+        self.lists = {}
+        self.called = []
+        self.heirs = SimpleNamespace(
+            waits=lambda task: task is self.first and bool(self.called),
+            callers=lambda task: self.called if task is self.first else [],
+        )
+        self.fallbacks = Fallbacks(self)
+        asyncio.run(self.fallbacks.pair("arm", STANDBY, ORIGINAL))
+
+    def of(self, subsystem):
+        return [one for (of, _), one in self.tasks.items() if of == subsystem]
+
+    def need(self, subsystem, name):
+        return self.tasks[subsystem, name]
+
+    def turn_off(self, **heirs):
+        def off(n):
+            return rtpu_messages.Signal(n, "off", handover=True, cede=True)
+
+        return asyncio.run(
+            self.fallbacks.turn_off(self.second, off, 5.0, last=True, heirs=heirs)
+        )
+
+    @property
+    def prepared(self):
+        """What the standby was told to be ready for, message by message."""
+        messages = [
+            one for one in self.second.heard if isinstance(one, rtpu_messages.Prepare)
+        ]
+        return [(one.after, one.owners) for one in messages]
+
+
+@pytest.fixture
+def home():
+    return Home()
+
+
+def stands_by(home):
+    return home.second.stands_by, home.core.follows.get(4)
+
+
+READY = (ORIGINAL, (_rt.FALLBACK, [3]))
+ALONE = ("", (0, []))
+
+
+def test_it_is_told_beforehand(home):
+    done = home.turn_off(first=[STANDBY, OTHER])
+    assert done.state == State.OFF
+    assert home.prepared == [([ORIGINAL], [STANDBY, OTHER])]
+    assert stands_by(home) == READY
+
+
+def test_its_original_may_be_called_from_another_rtpu(home):
+    home.called = [OTHER, STANDBY]
+    home.turn_off()
+    assert home.prepared == [([ORIGINAL], [OTHER, STANDBY])]
+    assert stands_by(home) == READY
+
+
+@pytest.mark.parametrize(
+    "why", ["another", "fell", "dead", "on", "gone", "often", "ended"]
+)
+def test_nothing_is_arranged_where_it_could_not_be_engaged_in_order(home, why):
+    heirs = {"third": [STANDBY]} if why == "another" else {ORIGINAL: [STANDBY]}
+    if why == "fell":
+        home.core.fell.add(3)
+    elif why == "dead":
+        home.core.dead.add(3)
+    elif why == "on":
+        home.first.state = State.ON
+    elif why == "gone":
+        del home.tasks["arm", ORIGINAL]
+    elif why == "ended":
+        home.first.stopping = True
+    elif why == "often":
+        home.fallbacks._pairs["arm", STANDBY].engaged = LIMIT
+    home.turn_off(**heirs)
+    assert [type(one) for one in home.second.heard] == [rtpu_messages.Signal]
+    assert stands_by(home) == ("", None)
+
+
+def test_an_off_that_fails_leaves_it_as_it_was(home):
+    home.second.fails_off = NoAnswerError("it hangs in off")
+    with pytest.raises(NoAnswerError):
+        home.turn_off(first=[STANDBY])
+    assert stands_by(home) == ALONE
+    assert home.prepared[-1] == ([], []), "in case that it gets ready yet"
+    assert "idle" not in home.second.heard
+
+
+def test_an_off_that_raises_is_taken_back_behind_the_second_answer(home):
+    """Till then the task is busy, and would not be sent anything."""
+    home.second.fails_off = MethodError("off raised")
+    with pytest.raises(MethodError):
+        home.turn_off(first=[STANDBY])
+    assert home.second.heard[-2:] == ["idle", rtpu_messages.Prepare(1, [])]
+    assert stands_by(home) == ALONE
+
+
+def test_one_within_its_on_takes_nothing_from_who_comes_on(home):
+    home.second.stands_by = ORIGINAL
+    home.fallbacks.overtaken(home.first)
+    assert 4 not in home.core.follows, "it stands by and is not engaged"
+    home.core.coming.add(4)
+    home.fallbacks.overtaken(home.second)
+    assert 4 not in home.core.follows, "it is the one that comes on"
+    home.fallbacks.overtaken(home.first)
+    assert stands_by(home) == (ORIGINAL, (0, []))
+
+
+def test_one_that_cannot_get_ready_is_off_all_the_same(home):
+    home.second.fails_prepare = StateError("no room")
+    assert home.turn_off(first=[STANDBY]).state == State.OFF
+    assert stands_by(home) == ALONE
+    assert home.prepared[-1] == ([], [])
+
+
+def test_of_one_that_has_died_no_slot_is_touched(home):
+    """It may be another task's by then."""
+    home.second.fails_off = NoAnswerError("it has died")
+    home.second.gone.set()
+    with pytest.raises(NoAnswerError):
+        home.turn_off(first=[STANDBY])
+    assert stands_by(home) == ("", (_rt.FALLBACK, [3]))
+    assert home.prepared == [([ORIGINAL], [STANDBY])]
+
+
+@pytest.fixture
+def restless(home):
+    """The RTPU: while a standby is sent to rest, it looks at all pairs once more."""
+    third = home.tasks["arm", "third"] = FakeTask("third", 5, State.OFF)
+    home.first.state, home.second.state = State.ON, State.OFF
+
+    async def obeys(task, what, make):
+        task.heard.append(make(1))
+        if what == "rest":
+            home.fallbacks.look_again()
+        await turns()
+
+    for task in (home.second, third):
+        task.command = lambda what, make, _limit, task=task: obeys(task, what, make)
+    return home
+
+
+async def turns():
+    """Let everything run that is due."""
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+def test_a_pair_that_is_ended_is_not_arranged_once_more(restless):
+    async def run():
+        await restless.fallbacks.pair("arm", STANDBY, ORIGINAL)
+        assert stands_by(restless) == READY
+        await restless.fallbacks.pair("arm", STANDBY, "")
+        await turns()
+
+    asyncio.run(run())
+    assert stands_by(restless) == ALONE
+    assert restless.prepared[-1] == ([], [])
+    assert restless.fallbacks.of(restless.second) == ""
+
+
+def test_nobody_gets_ready_again_for_a_task_that_is_killed(restless, monkeypatch):
+    """It has two fallbacks: while one is sent to rest, the other one's time comes."""
+    home, third = restless, restless.tasks["arm", "third"]
+    pairs = home.fallbacks
+    home.heirs.dismiss = lambda _task: None
+    left = []
+
+    async def killed(*_, **_more):
+        of = home.core.follows
+        left.extend((t.stands_by, of[t.facts.slot]) for t in (home.second, third))
+        return []
+
+    monkeypatch.setattr(signal_tasks, "kill", killed)
+
+    async def run():
+        await pairs.pair("arm", STANDBY, ORIGINAL)
+        await pairs.pair("arm", "third", ORIGINAL)
+        assert home.second.stands_by == third.stands_by == ORIGINAL
+        await signal_tasks.control(home, home.first, "kill", 5.0)
+
+    asyncio.run(run())
+    assert left == [ALONE, ALONE]

@@ -1,0 +1,49 @@
+"""Packets of other machines that wait to be taken: bounded, and counted when lost."""
+
+from __future__ import annotations
+
+import threading
+
+from pbonet.node.mirror.packet_queue import Incoming
+
+
+def test_taken_in_order_and_rung_once():
+    rings = []
+    incoming = Incoming(lambda: rings.append(1))
+    for n in range(3):
+        incoming.heard("a", b"%d" % n)
+    assert (len(rings), incoming.taken()) == (1, [b"0", b"1", b"2"])
+    assert incoming.taken() == []
+    incoming.heard("a", b"3")
+    assert (len(rings), incoming.taken()) == (2, [b"3"])
+
+
+def test_the_oldest_go_and_are_counted_by_machine():
+    incoming = Incoming(lambda: None, room=3)
+    for machine, n in (("a", 0), ("b", 1), ("a", 2), ("b", 3), ("b", 4)):
+        incoming.heard(machine, b"%d" % n)
+    assert incoming.taken() == [b"2", b"3", b"4"]
+    assert incoming.lost == {"a": 1, "b": 1}
+
+
+def test_several_threads_of_zenoh():
+    """All that is heard is taken or counted, and the last ring comes behind it."""
+    room, each = 8, 5000
+    rung = threading.Event()
+    incoming = Incoming(rung.set, room)
+    taken = 0
+
+    def hear(machine):
+        for _ in range(each):
+            incoming.heard(machine, b"")
+
+    threads = [threading.Thread(target=hear, args=(name,)) for name in "ab"]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads) or rung.is_set():
+        if rung.wait(0.01):
+            rung.clear()
+            got = len(incoming.taken())
+            assert got <= room
+            taken += got
+    assert taken + incoming.lost.total() == 2 * each

@@ -1,0 +1,66 @@
+"""Cleaning up behind an RTPU process that was killed."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from pbonet.config.model import Variable
+from pbonet.node.rtpu import cleanup
+from pbonet.node.wire import process_setup
+from pbonet.svar import Table
+from pbonet.xm.net import run_folder
+
+HOLDS = """
+import sys
+from pbonet.svar import Table
+table = Table.attach("d.arm")
+print(flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def holder():
+    """A process that has the table d.arm open, as a task has."""
+    with Table.create("d.arm", [Variable(name="V", type="double", nelem=1)]):
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLDS],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        process.stdout.readline()
+    with process:
+        yield process
+
+
+def test_a_table_is_removed_though_a_task_takes_its_time_to_die(
+    run_dir, shared_memory, holder, monkeypatch
+):
+    """It was killed, and the machine stands still before it is gone."""
+    assert run_dir.is_dir()
+    places = run_folder.Places("d", "arm0")
+    task = cleanup.TaskLeft(holder.pid, process_setup.start_time(holder.pid), "")
+    dead = cleanup.Leftovers(pid=2**22 - 1, started=1, core=0, tables=["d.arm"])
+    dead.tasks = [task]
+    cleanup.write(places.state, dead)
+    kill, killers = os.kill, []
+
+    def later(pid, which):
+        assert which == signal.SIGKILL
+        killers.append(threading.Timer(0.3, kill, (pid, which)))
+        killers[-1].start()
+
+    with contextlib.ExitStack() as after:
+        after.callback(lambda: [one.join() for one in killers])
+        monkeypatch.setattr(cleanup.os, "kill", later)
+        done = cleanup.clean(places, patience=0.0)
+    assert done == [
+        f"process {holder.pid} did not end and was killed",
+        "table d.arm was removed",
+    ]
+    assert list(shared_memory.glob("*.svar")) == []

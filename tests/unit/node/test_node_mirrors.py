@@ -1,0 +1,234 @@
+"""When an agent answers what has changed a table that stands on other machines, too."""
+
+from __future__ import annotations
+
+import threading
+import time
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import pytest
+import zenoh
+from watching import wait_for
+
+from pbonet.config.model import Variable
+from pbonet.node.mirror import packet_queue, remote_handover
+from pbonet.node.mirror import table_carrier as mirrors_module
+from pbonet.node.mirror.mirrored_table import Carried
+from pbonet.node.mirror.table_carrier import Mirrors
+from pbonet.node.rtpu.tables import table_name
+from pbonet.svar import Table
+from pbonet.svar.mirror import packets
+from pbonet.svar.mirror.table_mirror import Mirror
+
+
+class Network(MagicMock):
+    """A session that keeps what is asked; others answer when a test says so."""
+
+    def get(self, _key, handler, **_options):
+        self.asked = handler
+
+    def answers(self, data):
+        """Have another machine answer, and tell that no more answers come."""
+        payload = SimpleNamespace(to_bytes=lambda: data)
+        self.asked.callback(SimpleNamespace(ok=SimpleNamespace(payload=payload)))
+        self.asked.drop()
+
+
+def turn(mirrors):
+    """Do what the carrier's thread has to do."""
+    while not mirrors._todo.empty():
+        mirrors._todo.get()()
+
+
+@pytest.fixture
+def table():
+    variables = [Variable(name="Q", type="double", nelem=3)]
+    made = Table.create(table_name("d", "arm"), variables)
+    yield made
+    made.destroy()
+
+
+@pytest.fixture
+def carrying(table):
+    """Who carries the table, where no other machine is; and what it has told."""
+    told = []
+    network = Network()
+    mirrors = Mirrors(network, "d", lambda _: None, told.append)
+    mirrors.carry({table.name.removeprefix("d."): True})
+    turn(mirrors)
+    mirrors._carried["arm"].turn(0.0)
+    network.asked.drop()  # nobody else
+    turn(mirrors)
+    yield mirrors, told
+    mirrors.carry({})
+    turn(mirrors)
+
+
+def token(kind):
+    return SimpleNamespace(key_expr="pbonet/d/sbs/arm/svar/here/m2", kind=kind)
+
+
+def test_who_is_alone_waits_for_nobody(carrying):
+    mirrors, _ = carrying
+    carried, done = mirrors._carried["arm"], []
+    mirrors.spread("arm", lambda: done.append("alone"), take=False)
+    assert done == ["alone"]
+    carried._met(token(zenoh.SampleKind.PUT))  # before anything was exchanged with it
+    mirrors.spread("arm", lambda: done.append("two"), take=False)
+    assert done == ["alone"]
+    carried._met(token(zenoh.SampleKind.DELETE))
+    mirrors.spread("arm", lambda: done.append("alone again"), take=False)
+    assert done == ["alone", "alone again"]
+
+
+def test_who_ends_a_table_is_answered_behind_its_carrier(carrying):
+    """Who is answered may make another table of that name, and finds none left."""
+    mirrors, _ = carrying
+    held = []
+    mirrors.carry({})
+    mirrors.spread("arm", lambda: held.append("arm" in mirrors._carried))
+    assert not held, "it is attached as long as its thread has not let go"
+    turn(mirrors)
+    assert held == [False]
+
+
+@pytest.mark.usefixtures("table")
+def test_who_has_been_answered_is_not_alone_before_that_is_taken(monkeypatch):
+    found = []
+    monkeypatch.setattr(Carried, "_take", lambda one, _: found.append(one.alone))
+    network = Network()
+    mirrors = Mirrors(network, "d", lambda _: None)
+    try:
+        mirrors.carry({"arm": True})
+        turn(mirrors)
+        carried = mirrors._carried["arm"]
+        carried.turn(0.0)
+        network.answers(b"state")
+        assert not carried.alone
+        turn(mirrors)
+        assert found == [False]
+    finally:
+        mirrors.carry({})
+        turn(mirrors)
+
+
+def test_who_is_alone_still_looks_at_what_the_lost_ones_owned(carrying, monkeypatch):
+    """A writer that takes a lost machine's place ends what the flag says of it."""
+    looks = []
+    monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    mirrors.spread("arm", lambda: None, take=False)
+    turn(mirrors)
+    assert carried.next == 0.0, "its turn comes at once"
+    carried.turn(1.0)
+    assert looks == [{"full": True}]
+
+
+def test_a_value_that_is_set_alone_wakes_nobody_and_is_looked_at_once(
+    carrying, monkeypatch
+):
+    looks, done = [], []
+    monkeypatch.setattr(Mirror, "tell", lambda *_, **how: looks.append(how))
+    mirrors, _ = carrying
+    carried = mirrors._carried["arm"]
+    for n in range(3):
+        mirrors.spread("arm", lambda n=n: done.append(n), value=True)
+    assert done == [0, 1, 2]
+    assert mirrors._todo.empty()
+    assert not looks
+    carried.turn(1.0)
+    carried.turn(2.0)
+    assert looks == [{"full": True}], "one look for all of them"
+    carried._met(token(zenoh.SampleKind.PUT))
+    mirrors.spread("arm", lambda: done.append("two"), value=True)
+    assert done == [0, 1, 2], "whoever is there is told first"
+
+
+def test_how_late_a_call_comes_is_known_when_that_machines_clock_is(
+    carrying, monkeypatch
+):
+    """Before, nobody can tell, and no call is taken for one in time."""
+    mirrors, _ = carrying
+    made, clocks = [], {}
+    monkeypatch.setattr(remote_handover, "make", lambda *how: made.append(how))
+    monkeypatch.setattr(mirrors, "_offset", clocks.get)
+    sent = time.monotonic_ns()  # an hour ago, by a clock that is an hour ahead
+    packet = packets.Packet(packets.VERSION, "m2", "two", 1, 0, sent, [], calls=[b"c"])
+    for offset in (None, 3_600_000_000_000):
+        clocks["m2"] = offset
+        mirrors._carried["arm"]._take(packets.pack(packet))
+    (of, call, unknown), (_, _, late_ns) = made
+    assert (of, call, unknown) == (mirrors._carried["arm"].table, b"c", None)
+    assert late_ns >= 3_600_000_000_000
+
+
+def test_packets_that_come_too_fast_are_told_of(carrying):
+    mirrors, told = carrying
+    payload = SimpleNamespace(to_bytes=lambda: b"no packet")
+    sample = SimpleNamespace(key_expr="pbonet/d/sbs/arm/svar/news/m2", payload=payload)
+    carried = mirrors._carried["arm"]
+    for _ in range(packet_queue.WAITING + 7):
+        carried._heard(sample)
+    turn(mirrors)
+    (note,) = told
+    assert note.code == "TABLE_BEHIND"
+    assert "7 packets for the table of arm" in note.text
+    assert carried.incoming.lost == {"m2": 7}
+
+
+def test_what_others_ask_is_bounded(carrying):
+    mirrors, _ = carrying
+    queries = [MagicMock(payload=None) for _ in range(mirrors_module.ASKED + 1)]
+    for query in queries:
+        mirrors._carried["arm"]._asked(query)
+    assert [q.drop.called for q in queries] == [False] * mirrors_module.ASKED + [True]
+
+
+@pytest.mark.parametrize("take", [False, True])
+def test_who_waits_for_other_machines_is_answered_when_the_agent_leaves(carrying, take):
+    """Once, also where these answer at last; be it asked, or still to be asked."""
+    mirrors, _ = carrying
+    mirrors._carried["arm"]._met(token(zenoh.SampleKind.PUT))
+    network, done = mirrors.session, []
+    mirrors.spread("arm", lambda: done.append("asked"), take=take)
+    turn(mirrors)
+    mirrors.spread("arm", lambda: done.append("to be asked"), take=take)
+    assert done == []
+    mirrors.stop()
+    assert done == ["asked", "to be asked"]
+    network.asked.drop()
+    turn(mirrors)
+    mirrors.spread("arm", lambda: done.append("late"), take=take)
+    assert done == ["asked", "to be asked", "late"]
+
+
+@pytest.mark.parametrize(
+    ("take", "in_order"), [(True, [b"state", "done"]), (False, ["done", b"state"])]
+)
+@pytest.mark.usefixtures("table")
+def test_a_table_is_open_when_the_others_states_are_taken(monkeypatch, take, in_order):
+    """The carrier's thread comes late; only who opens a table waits for it."""
+    happened, threads = [], []
+    monkeypatch.setattr(Carried, "_take", lambda _, data: happened.append(data))
+
+    def done():
+        threads.append(threading.current_thread().name)
+        happened.append("done")
+
+    network = Network()
+    mirrors = Mirrors(network, "d", lambda _: None)
+    try:
+        mirrors.carry({"arm": True})
+        mirrors.spread("arm", done, take=take)
+        turn(mirrors)
+        network.answers(b"state")
+        if not take:
+            wait_for(lambda: happened == ["done"], "the word that all have it")
+            assert threads == ["pbonet told_0"]  # zenoh's may hold its routes
+        turn(mirrors)
+        assert happened == in_order
+    finally:
+        mirrors.carry({})
+        turn(mirrors)

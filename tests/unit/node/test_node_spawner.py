@@ -1,0 +1,85 @@
+"""The RTPU process's hold on a child that was forked for it."""
+
+import asyncio
+import errno
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pbonet.errors import NodeError
+from pbonet.node.rtpu.fork_client import ORPHANED, Child, Server, Spawner
+from pbonet.node.task import fork_server
+
+
+def test_a_child_that_is_gone_before_it_is_held():
+    """It may end, and be reaped, before the news of its fork is read."""
+    done = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
+    done.wait()
+
+    async def hold():
+        near, far = socket.socketpair()
+        far.close()
+        files = [os.memfd_create(name) for name in ("out", "crash", "spec")]
+        child = Child(done.pid, near, *files)
+        child.send_signal(signal.SIGTERM)
+        assert (child.started, child.crash_text()) == (0, "")
+        child.close()
+
+    before = sorted(Path("/proc/self/fd").iterdir())
+    asyncio.run(hold())
+    assert sorted(Path("/proc/self/fd").iterdir()) == before
+
+
+def child_of(process):
+    near, far = socket.socketpair()
+    far.close()
+    return Child(process.pid, near, *(os.memfd_create(x) for x in ("o", "c", "s")))
+
+
+def test_children_that_outlive_the_fork_server_are_watched(monkeypatch):
+    """One may end while it is looked for; the others are watched all the same."""
+    sleeper = [sys.executable, "-I", "-S", "-c", "input()"]
+    forks = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
+    processes = [subprocess.Popen(sleeper, stdin=subprocess.PIPE) for _ in range(3)]
+
+    async def outlive():
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        told = asyncio.get_running_loop().create_future()
+        spawner = Spawner(0, Server(forks.pid, near), told.set_result)
+        far.send(b"ready")
+        await spawner.start()
+        children = [child_of(one) for one in processes]
+        spawner._children = {one.pid: one for one in children}
+        monkeypatch.setattr(os, "pidfd_open", gone)
+        far.close()
+        assert await asyncio.wait_for(told, 30.0) == 0
+        assert not any(one.exited.done() for one in children)
+        for process in processes:
+            process.communicate(b"")
+        codes = asyncio.gather(*(one.exited for one in children))
+        assert await asyncio.wait_for(codes, 30.0) == [ORPHANED] * 3
+        for child in children:
+            child.close()
+        await spawner.close()
+
+    def gone(*_):
+        raise ProcessLookupError
+
+    asyncio.run(outlive())
+    forks.poll()  # it was reaped
+
+
+def test_a_system_that_gives_no_process_is_named(monkeypatch):
+    def refused():
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(os, "fork", refused)
+    before = sorted(Path("/proc/self/fd").iterdir())
+    with pytest.raises(NodeError, match=r"gives no process .*Resource.*ulimit"):
+        fork_server.beside(0, close=-1)
+    assert sorted(Path("/proc/self/fd").iterdir()) == before

@@ -1,0 +1,130 @@
+"""What a process sets up for itself, seen in the kernel's own words."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pbonet.node.rt import _rt
+
+ROOT = Path(__file__).parents[3]
+
+
+def python(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", "from pbonet.node import _rt\n" + code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout
+
+
+def test_timer_slack() -> None:
+    code = "_rt.set_timer_slack(1); print(open('/proc/self/timerslack_ns').read())"
+    assert python(code).split() == ["1"]
+
+
+def test_pin() -> None:
+    core = max(os.sched_getaffinity(0))
+    code = f"import os; _rt.pin({core}); print(os.sched_getaffinity(0))"
+    assert python(code).strip() == f"{{{core}}}"
+
+
+@pytest.mark.skipif(
+    not _rt.probe().lock_memory, reason="the memlock limit is too small"
+)
+def test_memory_is_locked_as_it_is_touched() -> None:
+    code = """
+_rt.lock_memory()
+status = open('/proc/self/status').read().splitlines()
+print([line.split()[1] for line in status if line.startswith(('VmLck', 'VmRSS'))])
+"""
+    locked, resident = (int(kb) for kb in eval(python(code)))  # noqa: S307 - ours
+    assert locked > 0
+    assert resident < 200_000, "the whole address space was made present"
+
+
+def test_pages_shared_by_a_fork_are_populated() -> None:
+    """Writing to them afterwards takes no fault."""
+    code = """
+import os, resource
+data = bytearray(8 << 20)
+data[:] = b'x' * len(data)
+pid = os.fork()
+if pid == 0:
+    made = _rt.populate_pages()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for at in range(0, len(data), 4096):
+        data[at] = 1
+    taken = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+    os._exit(0 if made >= len(data) and taken < 100 else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+"""
+    assert python(code).strip() == "0"
+
+
+def test_the_stack_is_touched_down_to_the_depth_asked_for() -> None:
+    code = """
+import resource
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+_rt.prefault_stack(1 << 20)
+between = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+_rt.prefault_stack(1 << 20)
+print(between - before, resource.getrusage(resource.RUSAGE_SELF).ru_minflt - between)
+"""
+    first, second = (int(n) for n in python(code).split())
+    assert first >= 200
+    assert second < 10
+
+
+def test_clocks() -> None:
+    assert abs(_rt.monotonic_ns() - time.monotonic_ns()) < 10**9
+    before = _rt.thread_cpu_ns()
+    while _rt.thread_cpu_ns() - before < 10**6:
+        pass
+
+
+def test_an_orphan_without_a_slot_is_told_and_then_ended() -> None:
+    """The middle process dies; its child sees the descriptor and ends by the alarm."""
+    code = """
+import os, select, signal, sys
+parent = os.getpid()
+reader, writer = os.pipe()
+middle = os.fork()
+if middle == 0:
+    pid = os.getpid()
+    if os.fork() == 0:
+        fd = _rt.orphan_guard(signal.SIGUSR1, pid)
+        os.write(writer, b'ready ')
+        select.select([fd], [], [])
+        os.write(writer, b'told ' if _rt.orphaned() else b'wrong ')
+        while True:
+            pass
+    os.read(reader, 6)
+    os._exit(0)
+os.waitpid(middle, 0)
+os.close(writer)
+said = b''
+while data := os.read(reader, 100):  # until the child has gone
+    said += data
+print(said.decode())
+"""
+    assert python(code).strip() == "told"
+
+
+def test_a_parent_that_is_gone_already_is_noticed() -> None:
+    code = "_rt.orphan_guard(10, 999999); print(_rt.orphaned())"
+    assert python(code).strip() == "True"
+
+
+def test_the_guard_refuses_what_is_no_signal() -> None:
+    with pytest.raises(OSError, match="the watch over the parent cannot be set up"):
+        _rt.orphan_guard(signal.SIGKILL)

@@ -1,0 +1,236 @@
+"""The files in deploy/: each judged by its own tool, and their commands by pbonet's."""
+
+import os
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import dockerfile
+import pytest
+import typer
+
+from pbonet.cli import build
+from pbonet.config import read_agent
+from pbonet.node.agent import systemd_notify
+from pbonet.xm.net.session import check_endpoint
+
+ROOT = Path(__file__).resolve().parents[3]
+DEPLOY = ROOT / "deploy"
+CORES = Path("/sys/devices/system/cpu")
+UNIT = DEPLOY / "systemd" / "pbonet-agent@.service"
+
+
+def judge(tool, *words):
+    """Run a tool that an extra package brings; it says nothing, or the test fails."""
+    found = shutil.which(tool, path=Path(sys.executable).parent) or shutil.which(tool)
+    if found is None:
+        if os.environ.get("CI"):
+            pytest.fail(f"{tool} is missing")
+        pytest.skip(f"{tool} is not installed (pip install --group deploy)")
+    result = subprocess.run(
+        [found, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout
+    return result.stdout
+
+
+def parsed(words):
+    """Return the verb and its options, as the command line understands the words."""
+    group = typer.main.get_command(build())
+    name, verb, rest = group.resolve_command(None, list(words))
+    with verb.make_context(name, rest) as context:
+        return name, context.params
+
+
+def settings(section):
+    """Return the settings of a section of the unit file, one value each."""
+    found, here = {}, ""
+    for line in UNIT.read_text().splitlines():
+        if line.startswith("["):
+            here = line.strip("[]")
+        elif "=" in line and not line.startswith("#") and here == section:
+            key, _, value = line.partition("=")
+            found[key] = value
+    return found
+
+
+def test_dockerfile_has_no_fault():
+    judge("hadolint", DEPLOY / "Dockerfile")
+
+
+def test_scripts_have_no_fault():
+    judge("shellcheck", DEPLOY / "host-setup.sh")
+
+
+def unit_in(folder):
+    """Return the unit, with a program that is there."""
+    program = folder / "pbonet"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    unit = folder / UNIT.name
+    unit.write_text(UNIT.read_text().replace("/opt/pbonet/bin/pbonet", str(program)))
+    return unit
+
+
+@pytest.mark.slow
+def test_unit_is_valid(tmp_path):
+    """Its program is put where the host's set-up would, in a root of its own."""
+    assert judge("systemd-analyze", "verify", "--man=no", unit_in(tmp_path)) == ""
+
+
+def test_unit_starts_an_agent():
+    command = shlex.split(settings("Service")["ExecStart"])
+    name, options = parsed(command[1:])
+    assert name == "agent"
+    assert (options["name"], str(options["config"])) == ("%i", "/etc/pbonet/%i.toml")
+
+
+def test_unit_lets_control_outlive_the_agent():
+    """systemd would otherwise kill the RTPU process that the next agent takes over."""
+    service_ = settings("Service")
+    assert service_["KillMode"] == "process"
+    assert service_["Restart"] == "on-failure"
+    assert service_["Type"] == "notify"
+    assert service_["LimitRTPRIO"] == "95"
+    assert service_["LimitMEMLOCK"] == "infinity"
+
+
+def test_agent_file_of_the_host_is_read():
+    config = read_agent(DEPLOY / "agent.toml")
+    assert config.name is None
+
+
+def test_every_key_of_the_agent_file_is_read(tmp_path):
+    """Also those that are shown as comments."""
+    text = (DEPLOY / "agent.toml").read_text()
+    lines = [line.removeprefix("# ") for line in text.splitlines() if " = " in line]
+    file = tmp_path / "agent.toml"
+    file.write_text("\n".join(lines))
+    config = read_agent(file)
+    assert config.core is not None
+    assert config.connect
+    assert config.libraries
+    for endpoint in (*config.listen, *config.connect):
+        check_endpoint(endpoint)
+
+
+def test_image_runs_as_nobody_special():
+    steps = dockerfile.parse((DEPLOY / "Dockerfile").read_text())
+    users = [step.rest for step in steps if step.word == "USER"]
+    assert users[-1].isdigit()
+    assert int(users[-1]) > 0
+
+
+def host_setup(*words, **kernel):
+    """Have the set-up script say what it would do; skip where it has nothing to set up.
+
+    Args:
+        words: Its words.
+        kernel: What it shall read of this machine's cores.
+    """
+    command = [str(DEPLOY / "host-setup.sh"), *words]
+    if kernel:
+        if os.geteuid():
+            pytest.skip("only root may show a script other cores")
+        binds = [
+            f"mount --bind '{file}' {CORES / name}" for name, file in kernel.items()
+        ]
+        shell = " && ".join([*binds, 'exec "$@"'])
+        command = ["unshare", "--mount", "sh", "-ec", shell, "sh", *command]
+    shown = subprocess.run(command, capture_output=True, text=True, check=False)
+    if "has no systemd" in shown.stderr:
+        pytest.skip("this machine has no systemd")
+    return shown
+
+
+def test_host_setup_shows_and_does_nothing():
+    shown = host_setup("arm0", "arm-1")
+    assert shown.returncode == 0, shown.stderr
+    assert "/etc/pbonet/arm-1.toml" in shown.stdout
+    assert "Nothing was done" in shown.stdout
+    assert not Path("/etc/pbonet").exists()
+
+
+@pytest.fixture
+def eight(tmp_path):
+    """What the kernel says of a machine with eight cores, of which it keeps three."""
+    files = {"online": "0-7", "isolated": "2,6-7"}
+    for name, text in files.items():
+        (tmp_path / name).write_text(f"{text}\n")
+    return {name: tmp_path / name for name in files}
+
+
+def test_rtpus_get_the_cores_that_are_kept_free(eight):
+    """Unless a word names another; each leaves the others' cores alone."""
+    lines = host_setup("arm0", "eye0=5", "arm1", "arm2", "desk", **eight).stdout.split(
+        "\n"
+    )
+    own = [line.strip() for line in lines if line.startswith("    core = ")]
+    assert own == ["core = 2", "core = 5", "core = 6", "core = 7"]
+    cores = [line.strip() for line in lines if "CPUAffinity=" in line]
+    assert cores == [f"CPUAffinity=0 1 3 4 {core}" for core in (2, 5, 6, 7)]
+    assert "desk.service.d" not in "".join(lines)  # nothing is kept for it
+
+
+def test_without_cores_that_are_kept_nothing_is_said_of_them(eight):
+    eight["isolated"].write_text("\n")
+    assert "CPUAffinity" not in host_setup("arm0", **eight).stdout
+
+
+def test_a_core_that_is_not_there_is_refused(eight):
+    shown = host_setup("arm0=8", **eight)
+    assert shown.returncode == 2
+    assert "'arm0=8': this machine has the cores 0 1 2 3 4 5 6 7" in shown.stderr
+
+
+@pytest.mark.slow
+def test_cores_of_an_rtpu_are_valid(tmp_path):
+    """systemd reads what the set-up puts beside the unit, and would refuse nonsense."""
+    said = host_setup("arm0=0").stdout
+    if "CPUAffinity" not in said:
+        pytest.skip("this machine has one core")
+    unit = unit_in(tmp_path)
+    beside = tmp_path / f"{unit.name}.d"
+    beside.mkdir()
+    cores = re.search(r"CPUAffinity=.*", said)[0]
+    (beside / "cores.conf").write_text(f"[Service]\n{cores}\n")
+    assert judge("systemd-analyze", "verify", "--man=no", unit) == ""
+    (beside / "cores.conf").write_text("[Service]\nCPUAffinity=none\n")
+    assert "CPU affinity" in judge("systemd-analyze", "verify", "--man=no", unit)
+
+
+@pytest.mark.parametrize("name", ["0arm", "../arm", "a" * 32, ""])
+def test_host_setup_refuses_what_is_no_name(name):
+    shown = subprocess.run(
+        [DEPLOY / "host-setup.sh", name], capture_output=True, text=True, check=False
+    )
+    assert shown.returncode == 2
+    assert f"'{name}' is no name of an RTPU" in shown.stderr
+
+
+# -- what the manager is told ---
+
+
+@pytest.mark.parametrize("abstract", [False, True])
+def test_manager_is_told(tmp_path, monkeypatch, abstract):
+    name = f"@pbonet-test-{os.getpid()}" if abstract else str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(f"\0{name[1:]}" if abstract else name)
+        monkeypatch.setenv(systemd_notify.VARIABLE, name)
+        assert systemd_notify.tell("READY=1")
+        assert manager.recv(100) == b"READY=1"
+
+
+def test_manager_that_is_gone_is_no_matter(tmp_path, monkeypatch):
+    monkeypatch.setenv(systemd_notify.VARIABLE, str(tmp_path / "nobody"))
+    assert not systemd_notify.tell("READY=1")
+    monkeypatch.delenv(systemd_notify.VARIABLE)
+    assert not systemd_notify.tell("READY=1")

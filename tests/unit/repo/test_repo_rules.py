@@ -1,0 +1,101 @@
+"""Rules of the house that a tool can check over the whole tree."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+CODE = {".py", ".pyx", ".pxd", ".pyi", ".h", ".c", ".js", ".ts"}
+LONGEST = 500
+
+
+def tracked() -> list[Path]:
+    """Return the files of the checkout: what git would commit, or all outside git."""
+    git = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if git.returncode:
+        pytest.skip("not a git checkout, so build products cannot be told from sources")
+    return [path for name in git.stdout.splitlines() if (path := ROOT / name).is_file()]
+
+
+def test_no_file_of_code_is_longer_than_a_reader_can_hold() -> None:
+    too_long = {
+        str(path.relative_to(ROOT)): lines
+        for path in tracked()
+        if path.suffix in CODE
+        and (lines := len(path.read_text().splitlines())) > LONGEST
+    }
+    assert too_long == {}
+
+
+def test_native_headers_compile_without_python() -> None:
+    headers = [path for path in tracked() if path.suffix == ".h"]
+    assert headers
+    for header in headers:
+        assert "Python.h" not in header.read_text(), header
+
+
+def test_no_path_of_a_builders_machine_is_committed() -> None:
+    private = re.compile(r"(?<![\w.])/(?:home/\w+|root)/\w")
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in tracked()
+        if path.suffix in CODE | {".md", ".toml", ".svar", ".rmod", ".sbs", ".job"}
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if private.search(line)
+    ]
+    assert found == []
+
+
+def test_every_decision_says_whether_it_holds() -> None:
+    pages = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
+    assert pages
+    for page in pages:
+        text = page.read_text()
+        assert re.search(r"^Status: \w+", text, re.MULTILINE), page.name
+        for part in ("## Context", "## Decision", "## Consequences"):
+            assert part in text, f"{page.name} has no {part}"
+
+
+def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
+    """It may be set at any moment; only people are told the time of day."""
+    wall = re.compile(
+        r"CLOCK_REALTIME|gettimeofday|\btime\.time(_ns)?\b|\bdatetime\b|\blocaltime\b"
+        r"|\btime\(\s*(NULL|0)?\s*\)"
+    )
+    parts = ("node", "sched", "svar", "xm", "pbo", "io")
+    found = {
+        f"{path.parent.name}/{path.name}"
+        for path in tracked()
+        if path.suffix in CODE | {".pxi"}
+        and path.relative_to(ROOT).parts[0] == "pbonet"
+        and path.relative_to(ROOT).parts[1] in parts
+        and wall.search(path.read_text())
+    }
+    assert found == {
+        "node/events.py",  # the date of an event, for people
+        "node/logfiles.py",  # when a log begins, for people and for merging logs
+        "node/state.py",  # a number of claims that no process before it gave
+        "xm/credentials.py",  # how long a certificate still holds
+        "xm/filesystem.py",  # when a file was changed, for people
+        "xm/pki.py",  # from when to when a certificate holds
+        "svar/lock.h",  # where the C library cannot wait by another clock
+    }
+
+
+def test_no_merge_was_left_halfway() -> None:
+    mark = re.compile(rf"^({'<' * 7}|{'>' * 7}) ", re.MULTILINE)
+    found = [
+        str(path.relative_to(ROOT))
+        for path in tracked()
+        if path.suffix in CODE | {".md", ".toml", ".pxi", ".rmod", ".job"}
+        and mark.search(path.read_text())
+    ]
+    assert found == []

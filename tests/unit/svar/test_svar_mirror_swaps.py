@@ -1,0 +1,113 @@
+"""Writers that take each other's place on two machines, and packets out of order."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+from test_svar_mirror import Side, carry, meet, on
+
+from pbonet.svar.mirror import mirror_outbox, packets, table_mirror
+
+
+@pytest.fixture
+def sides():
+    made = [Side("a", keep=True), Side("b", keep=False), Side("c", keep=False)]
+    meet(*made)
+    yield made
+    for side in made:
+        side.close()
+
+
+def told(one, **how):
+    """Return what a machine tells, to be taken later."""
+    return packets.pack(one.mirror.tell(full=True, **how))
+
+
+def take(one, data):
+    return one.mirror.take(packets.unpack(data))
+
+
+def test_the_count_goes_on_wherever_the_writer_is(sides):
+    """Each one begins with what it finds on its machine; nobody sees it go back."""
+    a, b, _ = sides
+    where = {"one": a, "two": b}
+    tasks = {name: side.task(name, "Q") for name, side in where.items()}
+    seen = []
+    for name, turn in zip(itertools.cycle(where), range(6), strict=False):
+        side, task = where[name], tasks[name]
+        task.array("Q")[:] = side.table.read("Q")
+        task.claim()
+        for _ in range(3):
+            task.array("Q")[:] += 1.0
+            task.commit()
+            carry(side, *(other for other in sides if other is not side))
+            seen.append([float(one.table.read("Q")[0]) for one in sides])
+        task.release()
+        carry(side, *(other for other in sides if other is not side))
+        assert all(one.table.info("Q").owner is None for one in sides), turn
+    assert seen == [[n, n, n] for n in range(1, 19)]
+
+
+def test_what_the_old_writer_wrote_comes_behind_the_new_one(sides):
+    """Samples and states that were under way stay without effect, in any order."""
+    a, b, c = sides
+    old = on(a, "old", "Q", value=1.0)
+    meet(*sides)
+    old.array("Q")[:] = 2.0
+    old.commit()
+    late = packets.pack(a.mirror.tell()), told(a)
+    old.array("Q")[:] = 3.0
+    old.commit()
+    old.release()
+    last = told(a)
+    take(b, last)
+    new = b.task("new", "Q")
+    new.array("Q")[:] = b.table.read("Q") + 1.0
+    new.claim()
+    taken_over = told(b)
+    for order in itertools.permutations([*late, last, taken_over]):
+        for data in order:
+            take(c, data)
+        assert c.table.read("Q").tolist() == [4, 4, 4]
+        assert c.table.info("Q").owner == "new@host-b"
+    for data in late:
+        take(b, data)
+    assert b.table.read("Q").tolist() == [4, 4, 4]
+    assert b.table.info("Q").owner == "new"
+    for side in sides:
+        assert not side.mirror.conflicts()
+        assert not side.table.illegal
+
+
+def test_a_state_that_was_overtaken_brings_nothing_back(sides):
+    """A task that has come on again is not taken for one that is off."""
+    a, b, _ = sides
+    task = on(a, "task", "Q", value=1.0)
+    meet(*sides)
+    task.release()
+    off = told(a)
+    task.array("Q")[:] = 2.0
+    task.claim()
+    a.table.raise_illegal("hand off", "arm0/guard")
+    now = told(a)
+    assert take(b, now)
+    assert take(b, off), "nothing is to be asked for"
+    assert b.table.info("Q").owner == "task@host-a"
+    assert b.table.read("Q").tolist() == [2, 2, 2]
+    assert [cause.cause for cause in b.table.illegal] == ["hand off"]
+
+
+def test_a_carrier_that_stood_still_amid_a_look(sides, monkeypatch):
+    """It takes a commit for older than the last one, and goes on all the same."""
+    a, b, _ = sides
+    now, still = 10**12, 0
+    monkeypatch.setattr(table_mirror, "now_ns", lambda: now)
+    monkeypatch.setattr(mirror_outbox, "now_ns", lambda: now + still)
+    task = on(a, "task", "Q")
+    meet(*sides)
+    for lost in (0, 0, 8_000_000, 0, 0):
+        now, still = now + 1_000_000, lost
+        task.commit(now, 1)
+        carry(a, b)
+        assert abs(a.mirror.due()) <= 0.01

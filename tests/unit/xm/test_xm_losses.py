@@ -1,0 +1,117 @@
+"""What is said of agents that others have seen, and see no more."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from pbonet.master.tools import doctor
+from pbonet.xm.net import unreachable_reason
+from pbonet.xm.net.agents import AgentInfo, LinkReport, Lost, Way
+
+
+def lost(rtpu, host, ago, *, near=True):
+    return Lost(rtpu=rtpu, host=host, near=near, ago=ago)
+
+
+def agent(name, host, *gone):
+    return AgentInfo(
+        name=name,
+        domain="d",
+        host=host,
+        machine=host,
+        core=1,
+        cores=2,
+        pid=1,
+        rtpu_pid=2,
+        backend="fifo",
+        version="0",
+        python="3",
+        lost=list(gone),
+    )
+
+
+BEHIND = lost("arm2", "c", 11.5, near=False)
+NEIGHBOUR = lost("arm1", "b", 12.2)
+LONGER = lost("arm3", "d", 60.0, near=False)
+
+
+def test_who_was_behind_a_neighbour_is_lost_with_it():
+    found = list(unreachable_reason.grouped([NEIGHBOUR, BEHIND, LONGER]))
+    assert found == [(NEIGHBOUR, [BEHIND]), (LONGER, [])]
+
+
+def test_doctor_tells_which_machines_and_since_when():
+    infos = [agent("arm0", "a", NEIGHBOUR, BEHIND, LONGER), agent("arm4", "a")]
+    assert [str(one) for one in doctor.losses(infos)] == [
+        "WARN arm0 of a has not seen arm1 of b for 12 s, to which it had a link, and "
+        "with it arm2 of c; look at the network between a and b, and whether arm1 runs "
+        "on b; they link again by themselves",
+        "WARN arm0 of a has not seen arm3 of d for 60 s; look at the network between a "
+        "and d, and whether arm3 runs on d; they link again by themselves",
+    ]
+    (same,) = doctor.losses([agent("arm0", "a", lost("arm1", "a", 3.0))])
+    assert same.remedy == "see whether arm1 runs on a"
+
+
+@pytest.mark.parametrize(
+    ("rtpu", "by", "of"),
+    [
+        ("arm1", "arm0", "arm1"),
+        ("arm2", "arm0", "arm1"),
+        ("arm3", "arm4", "arm3"),
+        ("arm5", None, None),
+    ],
+)
+def test_who_had_a_link_knows_best(rtpu, by, of):
+    """What is behind a neighbour is told of by the loss of that; others don't know."""
+    infos = [
+        agent("arm0", "a", NEIGHBOUR, BEHIND, LONGER),
+        agent(
+            "arm4", "e", lost("arm3", "d", 61.0), lost("arm1", "b", 12.0, near=False)
+        ),
+    ]
+    found = unreachable_reason.first(rtpu, infos)
+    assert (found and (found[0].name, found[1].rtpu)) == (by and (by, of))
+
+
+def test_the_error_says_so():
+    loss = unreachable_reason.loss(agent("arm0", "a"), NEIGHBOUR)
+    remedy = unreachable_reason.remedy(agent("arm0", "a"), NEIGHBOUR)
+    error = unreachable_reason.unreachable("arm1", "d", ["arm0"], (loss, remedy))
+    assert str(error) == (
+        "arm1: the agent is out of reach (got arm0 of a has not seen arm1 of b for 12 "
+        "s, to which it had a link; RTPUs that can be reached: arm0); look at the "
+        "network between a and b, and whether arm1 runs on b; they link again by "
+        "themselves"
+    )
+
+
+def test_doctor_tells_what_agents_say_of_their_links():
+    """Of each pair once, by whichever of the two knows; what is amiss with a remedy."""
+    unasked = "its agent is seen, and no request finds its way there"
+    reports = {
+        "arm0": LinkReport(
+            rtpu="arm0",
+            ways=[Way(rtpu="arm1", trip=0.001, spread=0.0005, hops=2)],
+            double=["arm1"],
+        ),
+        "arm1": LinkReport(rtpu="arm1", ways=[Way(rtpu="arm2", error=unasked)]),
+        "arm2": LinkReport(rtpu="arm2", unseen=["arm0"]),
+    }
+    client = SimpleNamespace(call_all=lambda *_, **__: (reports, []))
+    found = [str(one) for one in doctor._pairs(client, list(reports))]
+    assert found == [
+        "PASS arm0 - arm1: round trip 1 ms, clocks +0.000000 s apart within 500 us, by "
+        "way of another agent",
+        "FAIL arm0 - arm2: they do not see each other; let one of them --connect to "
+        "the other, or both to a third",
+        f"FAIL arm1 - arm2: {unasked}; a link that was lost is restored within some "
+        "seconds: look again; if it stays so, start arm2 anew (kill -HUP, "
+        "docs/hosts.md)",
+        "WARN arm0 has two links to arm1: cuts elsewhere make them stall; let one of "
+        "the two name the other with --connect, not both, and start it again",
+        "WARN arm2 has a link to arm0, and does not see it; the agent makes the link "
+        "anew within some seconds; look again then",
+    ]
