@@ -7,7 +7,7 @@ that the exact test allows, with what a cycle of each task costs beyond its work
 into account (`SPARE`). Under MUF the tasks are the critical set and EDF orders them;
 under RM their rates do. Every policy gets the same events, from a fixed seed.
 
-*simulated* is `pbonet.analysis.schedule.simulate`. *real* are processes under the dispatcher on one
+*simulated* is `simulate`. *real* are processes under the dispatcher on one
 core, which spend their CPU time in Python; another process, on another core, writes the
 events into a pipe when their time has come, and a response time runs from that to the
 end of the event's cycle. Polling has no task type of its own: it is a periodic task

@@ -58,7 +58,7 @@ SVAR = "".join(
 AGENT = """
 import sys, msgspec
 from pbonet.config.model import AgentConfig
-from pbonet.node.life import main
+from pbonet.node.agent.agent_main import main
 sys.exit(main(msgspec.json.decode(sys.argv[1], type=AgentConfig)))
 """
 WRITER = """

@@ -1,8 +1,8 @@
 """How fast virtual time passes: seconds simulated by seconds taken.
 
-Measures `pbonet.analysis.schedule.simulate` (segments and response times kept) on sets of ten tasks
+Measures `simulate` (segments and response times kept) on sets of ten tasks
 at and around 100 Hz, without module code; beside it the twin of the dispatcher, which
-keeps every decision (`pbonet.analysis.schedule.inline`), and the whole of `simulate_job`. The
+keeps every decision (`inline`), and the whole of `simulate_job`. The
 median of five runs; the goal is 100 for the first line.
 
     python -m benchmarks.simulate [--seconds 20] [--json FILE]

@@ -111,7 +111,7 @@ def test_what_comes_while_it_starts_anew_is_heeded(program, tmp_path):
 LEAVES = """
 import os, signal, sys, threading
 from pathlib import Path
-from pbonet.node.life import Life
+from pbonet.node.agent.agent_main import Life
 
 class Agent:
     name = "arm0"

@@ -220,7 +220,7 @@ def test_a_message_that_did_not_arrive_is_put_back(hands):
     here, there, _ = hands
     here.do("q = xm.queue('parts')")
     there.do("q = xm.queue('vision0:parts')")
-    there.do("from pbonet.xm import resources as r")
+    there.do("from pbonet.xm.net import resource_messages as r")
     there.do("q._far._settle = lambda *a, **k: None")
     here.do("q.send(b'lost', 6)")
     assert there.do("q.receive()") == "b'lost'"

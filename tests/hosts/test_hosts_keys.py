@@ -17,7 +17,7 @@ from pbonet.xm.net.credentials import CA, CERT, KEY, Role
 
 STRANGER = """
 import json, sys, zenoh
-from pbonet.xm import keys, session
+from pbonet.xm.net import key_expressions as keys, session
 told = json.loads(sys.argv[1])
 link, domain = zenoh.open(zenoh.Config.from_json5(told["config"])), told["domain"]
 token = link.liveliness().declare_token(keys.rtpu(domain, "fake", "alive"))

@@ -208,7 +208,7 @@ TELLS = "from types import SimpleNamespace as Namespace\nfrom pbonet.node import
 def test_doctor_tells_agents_of_other_versions(lab):
     """One of an older release, and one that speaks another protocol."""
     older = f"{TELLS}\nagent.pbonet = Namespace(__version__='0.0.1')\n{AGENT}"
-    newer = f"from pbonet.xm import codec\ncodec.VERSION = 2\n{AGENT}"
+    newer = f"from pbonet.xm.net import codec\ncodec.VERSION = 2\n{AGENT}"
     for name, code in (("older", older), ("newer", newer)):
         lab.start(name, "b", listen=(), wait=False, code=code)
     try:

@@ -11,7 +11,7 @@ from pbonet.config import agent, job, rmod, sbs, svar
 from pbonet.config.write import meaning
 from pbonet.errors import ConfigError
 
-CASES = Path(__file__).parents[1] / "unit" / "config"
+CASES = Path(__file__).parents[1] / "unit" / "config" / "cases"
 PARSE = {
     ".svar": config.parse_svar,
     ".rmod": config.parse_rmod,

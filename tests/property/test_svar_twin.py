@@ -312,7 +312,7 @@ def run_units(**env: str) -> subprocess.CompletedProcess[str]:
     root = Path(__file__).resolve().parents[2]
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     tests = [
-        str(root / "tests" / "unit" / f"test_svar_{n}.py")
+        str(root / "tests" / "unit" / "svar" / f"test_svar_{n}.py")
         for n in ("flag", "guards", "local", "single", "table")
     ]
     return subprocess.run(

@@ -15,7 +15,7 @@ import pytest
 
 PROGRAM = """
 import json, sys
-from pbonet.xm import dialling, rundir
+from pbonet.xm.net import dialling, run_folder as rundir
 
 dialling.ASK_TIME = 10.0  # who is there answers, however busy the machine
 domain, name, listen, *connect = sys.argv[1:]

@@ -36,8 +36,8 @@ AGENT = """
 import json, sys
 from pbonet.config.model import AgentConfig
 from pbonet.node.agent import Agent
-from pbonet.node.life import main
-from pbonet.xm import session
+from pbonet.node.agent.agent_main import main
+from pbonet.xm.net import session
 import msgspec
 if sys.argv[2:]:
     session.LEASE_MS = int(sys.argv[2])

@@ -1,4 +1,4 @@
-"""Tasks and configurations for the tests of `pbonet.analysis.legality`, in a few words."""
+"""Tasks and configurations for the tests of `legality`, in a few words."""
 
 from collections.abc import Collection, Mapping
 

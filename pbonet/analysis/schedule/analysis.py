@@ -5,7 +5,7 @@ the tasks. All take integer nanoseconds and reckon exactly, so that a set that u
 core to its last nanosecond is not judged by a rounding error. What they promise holds
 for any phases of the releases.
 
-`pbonet.analysis.schedule.servers` has the closed formulas (equations 10 to 26); here are the tests
+`servers` has the closed formulas (equations 10 to 26); here are the tests
 that know every period, which never promise what cannot be kept, and accept more.
 """
 

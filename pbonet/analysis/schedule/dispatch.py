@@ -13,7 +13,7 @@ The rules (`docs/realtime.md` gives the reasons):
   cycle goes on with the deadline of the period that it now uses up (Stewart 1994,
   Listing 2). If that cycle had not even begun, it is the one that is missed.
 - However late a turn comes, only the newest release is granted; the others are missed.
-- Failures and reserves are watched as `pbonet.analysis.schedule.watch` says, behind the releases.
+- Failures and reserves are watched as `watch` says, behind the releases.
 - A task that stands by is engaged, that is, granted its `on`, when one of the tasks
   that it is the fallback of has fallen, or all that hand over to it are off. A fallback
   has its first release at once, as a cycle was lost, and its next one on the first

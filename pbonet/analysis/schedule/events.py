@@ -1,4 +1,4 @@
-"""What the records of the dispatcher's trace say (`pbonet.analysis.schedule.records.Decision`)."""
+"""What the records of the dispatcher's trace say (`records.Decision`)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The ``inline`` back end: the dispatcher's rules in virtual time, on one thread.
 
-Releases, ranking and misses are the twin's own (`pbonet.analysis.schedule.dispatch`); what a kernel
+Releases, ranking and misses are the twin's own (`dispatch`); what a kernel
 would do between two turns, running the most urgent task and preempting it, is worked
 out here. Nothing depends on a clock, so a run can be repeated to the last digit.
 """

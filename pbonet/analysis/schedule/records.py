@@ -1,6 +1,6 @@
 """What the real-time side says about itself, as typed records.
 
-The native core table (`pbonet.node.rt._rt`) fills them; status displays, ``pbonet doctor``
+The native core table (`_rt`) fills them; status displays, ``pbonet doctor``
 and the recorder read them. Times are integer nanoseconds, instants of CLOCK_MONOTONIC.
 """
 
@@ -187,7 +187,7 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
 
 
 class Histograms(Struct, frozen=True, kw_only=True):
-    """Log-linear histograms of one task; `pbonet.analysis.schedule.histogram` reads them."""
+    """Log-linear histograms of one task; `histogram` reads them."""
 
     jitter: list[int]
     cpu: list[int]
@@ -221,7 +221,7 @@ class Probe(Struct, frozen=True, kw_only=True):
 
 
 class Decision(Struct, frozen=True, array_like=True):
-    """One record of the dispatcher's trace, explained in `pbonet.analysis.schedule.dispatch`."""
+    """One record of the dispatcher's trace, explained in `dispatch`."""
 
     kind: int
     slot: int

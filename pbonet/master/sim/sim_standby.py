@@ -1,6 +1,6 @@
 """Standbys in virtual time: engaged by the dispatcher's own rules, at the same instant.
 
-A pair is arranged as `pbonet.node.rtpu.fallbacks` arranges it on an RTPU, while the original
+A pair is arranged as `fallbacks` arranges it on an RTPU, while the original
 is ON and the standby OFF, and as often. Nothing dies here; an original falls by ERROR.
 """
 

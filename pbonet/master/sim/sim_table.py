@@ -158,7 +158,7 @@ class _Outputs:
 
 
 class MemoryCopies:
-    """The local table of a task, and its copies; see `pbonet.node.task.port_transfer.Copies`.
+    """The local table of a task, and its copies; see `port_transfer.Copies`.
 
     Args:
         table: The global one; it has the variables behind all ports.

@@ -2,7 +2,7 @@
 
 The modules are loaded, bound and run as in a task process, by the same executor. Copies
 go to a table in plain memory, and releases are granted by the rules of the dispatcher
-(`pbonet.analysis.schedule.dispatch`), one for each RTPU. A cycle takes no virtual time: at one
+(`dispatch`), one for each RTPU. A cycle takes no virtual time: at one
 instant the RTPUs have their turn in the order of the ``.sbs`` file, and on each the
 more urgent task first. So a simulation shows what the control laws do; how long they
 take, and what a late cycle does, only a run in real time shows.

@@ -1,6 +1,6 @@
 """RTPUs in virtual time: a subsystem's agents without processes, network or devices.
 
-`VirtualRtpus` answers the requests that agents answer (`pbonet.xm.net.messages`), out of
+`VirtualRtpus` answers the requests that agents answer (`messages`), out of
 the simulation that `pbonet run --sim` uses. So a program that steers a `Subsystem` runs
 unchanged in virtual time, with every command and every refusal, and comes to the same
 result each time. What only time itself can do to tasks is not there: nothing is late,

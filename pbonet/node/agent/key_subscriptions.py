@@ -1,7 +1,7 @@
 """Keys of the network whose messages become events of tasks (`events` of agent.toml).
 
 The agent hears a key and hands what comes to its RTPU process, which puts it into a
-queue of that RTPU (`pbonet.node.rtpu.network_queues`). So a server or synchronous task waits for a
+queue of that RTPU (`network_queues`). So a server or synchronous task waits for a
 camera, an operator or a planner as it waits for a neighbour, and has nothing of the
 network in its process.
 """

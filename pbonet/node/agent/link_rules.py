@@ -1,6 +1,6 @@
 """What an agent does for a link, decided from what stands on its machine and elsewhere.
 
-Pure: `pbonet.node.agent.subsystem_links` looks, asks this, and acts. A link has at most one writer and
+Pure: `subsystem_links` looks, asks this, and acts. A link has at most one writer and
 one reader in the domain. Where both are on one machine, nothing is to be done. Else
 the agent of the reader's machine shows a *sink*, one of the writer's answers with a
 *source* that names the sink it serves, and records flow while both stand.

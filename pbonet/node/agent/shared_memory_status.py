@@ -1,7 +1,7 @@
 """An agent's view of its RTPU: out of shared memory, without waking anybody.
 
 What the core's table and the state variable tables say is read there; the little that
-only the RTPU process knows it has told before (`pbonet.node.rtpu.rtpu_snapshot`). So status,
+only the RTPU process knows it has told before (`rtpu_snapshot`). So status,
 profiles and values of variables are given, and variables set as an operator does,
 by the agent alone (Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
 """

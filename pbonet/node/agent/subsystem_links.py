@@ -2,7 +2,7 @@
 
 An agent looks after the links of its domain that stand on its machine. Whoever has an
 end there need not tell it: locks on the buffer's file say who is there, also of those
-that are killed. What is to be done `pbonet.node.agent.link_rules` says; it is done here.
+that are killed. What is to be done `link_rules` says; it is done here.
 """
 
 from __future__ import annotations

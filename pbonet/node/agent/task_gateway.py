@@ -1,4 +1,4 @@
-"""An agent's part in what its tasks ask of other machines; see `pbonet.xm.ipc.remote_channel`.
+"""An agent's part in what its tasks ask of other machines; see `remote_channel`.
 
 Tasks connect by a Unix socket. For each process the agent shows a liveliness token
 while a connection of it is open, so that what stands for it elsewhere ends with it.

@@ -4,7 +4,7 @@ A task that leaves cannot call an heir that has its core table on another machin
 it wrote last, and that it has ended, comes there with the table. So the calls go along
 in the same packet, and are made when that has been taken in: the heir finds the last
 values, and variables that nobody owns. A call that does not come, or too late, is made
-by the heir's own RTPU when the master sends the ``on``; see `pbonet.node.rtpu.cross_core_handover`.
+by the heir's own RTPU when the master sends the ``on``; see `cross_core_handover`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Puts what the agent has heard into queues of the RTPU; see `pbonet.node.agent.key_subscriptions`."""
+"""Puts what the agent has heard into queues of the RTPU; see `key_subscriptions`."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Which criticality and priority each task of an RTPU has (Stewart 1994, 6.2.3, 4.5.1).
 
-The rule is the one by which a configuration is verified, `pbonet.analysis.legality.criticalities`;
+The rule is the one by which a configuration is verified, `legality.criticalities`;
 here it is applied to what runs. All tasks of the RTPU count, of whichever subsystem,
 because they share its core, and so no master could do it.
 """

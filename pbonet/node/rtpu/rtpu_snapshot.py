@@ -2,7 +2,7 @@
 
 It tells its agent whenever that changes, ahead of the answer or event by which anybody
 else could hear of it. So the agent knows how everything stands without asking, and
-whoever asks for status wakes nobody on the RTPU's side (see `pbonet.node.agent.shared_memory_status`).
+whoever asks for status wakes nobody on the RTPU's side (see `shared_memory_status`).
 """
 
 from __future__ import annotations

@@ -113,7 +113,7 @@ class Rtpu:
         self.call_far: Callable[[str, list[Call]], None] | None = None
         """Has heirs of a subsystem on other machines called."""
         self.changed: Callable[[], None] | None = None
-        """Called when something may have changed that `pbonet.node.rtpu.rtpu_snapshot` tells."""
+        """Called when something may have changed that `rtpu_snapshot` tells."""
 
     async def start(self) -> None:
         """Take the core, start dispatching, start the fork server.

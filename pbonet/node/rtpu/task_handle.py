@@ -1,7 +1,7 @@
 """One task as the RTPU process holds it: its process, its socket, what is known of it.
 
 Nothing here decides what a signal means or when a task may have one; that is the work
-of `pbonet.node.rtpu.request_handlers`. This is the link: one message at a time, its answer within
+of `request_handlers`. This is the link: one message at a time, its answer within
 a time limit, and the certainty of hearing about the end.
 """
 

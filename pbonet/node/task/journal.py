@@ -119,7 +119,7 @@ class Indexed(Protocol):
 
 
 class Journal:
-    """The copies of a task, and a record of each; see `pbonet.node.task.port_transfer.Copies`.
+    """The copies of a task, and a record of each; see `port_transfer.Copies`.
 
     Args:
         local: What copies.

@@ -12,7 +12,7 @@ class Copies(Protocol):
     """What carries a task's ports between the local and the global table.
 
     Every method may raise a `PbonetError`. Those that return flags return 0 when all is
-    well; those in `pbonet.node.task.step_failures.REFUSED` are errors of the task, the others are
+    well; those in `step_failures.REFUSED` are errors of the task, the others are
     counted by whoever copies.
     """
 

@@ -199,7 +199,7 @@ def own_place(trace: str) -> str:
     """
     calls: list[tuple[str, str]] = []
     for call in _CALL.finditer(trace):
-        if Path(call[1]).parent == Path(__file__).parent:
+        if Path(__file__).parents[1] in Path(call[1]).parents:
             break  # from here on outwards it is the task's process
         calls.append((call[1], "{}:{} in {}".format(*call.groups())))
     return innermost(reversed(calls))

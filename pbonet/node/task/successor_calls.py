@@ -1,4 +1,4 @@
-"""A task's ways to its heirs on other RTPUs of the machine (`pbonet.node.rtpu.cross_core_handover`)."""
+"""A task's ways to its heirs on other RTPUs of the machine (`cross_core_handover`)."""
 
 from __future__ import annotations
 

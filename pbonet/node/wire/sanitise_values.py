@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 UNTOLD = TypeError, ValueError, OverflowError, RecursionError
-"""What `pbonet.node.wire.rtpu_messages.encode` raises for objects that no message can hold."""
+"""What `rtpu_messages.encode` raises for objects that no message can hold."""
 
 _NUMPY: tuple[type[object], ...] = np.generic, np.ndarray
 

@@ -148,7 +148,7 @@ class TaskProfile(Struct, kw_only=True):
     """CPU seconds of the shortest of the cycles in `cpu`; `most` of the longest."""
     most: float
     cpu: list[tuple[int, int]] = []
-    """Bins of `pbonet.analysis.schedule.histogram` that count cycles by CPU time, and the counts;
+    """Bins of `histogram` that count cycles by CPU time, and the counts;
     since the task was spawned, without the first cycle after each `on`."""
     jitter: list[tuple[int, int]] = []
     """The same for delays from release to cycle, every cycle."""

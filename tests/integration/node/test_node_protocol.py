@@ -76,7 +76,7 @@ def test_every_operation_on_the_page_exists():
 
 def test_every_error_that_an_agent_sends_is_on_the_page():
     sent = set()
-    for path in [*NODE.glob("*.py"), *NODE.parent.glob("svar/*.py")]:
+    for path in [*NODE.rglob("*.py"), *NODE.parent.rglob("svar/*.py")]:
         sent |= set(re.findall(r"\b(\w+Error)\(", path.read_text()))
     codes = {kind.code for kind in _tree(PbonetError) if kind.__name__ in sent}
     table = PAGE.split("### Errors")[1].split("## Claims")[0]
@@ -86,7 +86,7 @@ def test_every_error_that_an_agent_sends_is_on_the_page():
 
 def test_every_event_code_is_on_the_page():
     codes = set()
-    for path in NODE.glob("*.py"):
+    for path in NODE.rglob("*.py"):
         for text in re.findall(
             r"(?:events\.add|\.notice|wire\.Note|wire\.Notice)\((.{0,200})",
             path.read_text(),

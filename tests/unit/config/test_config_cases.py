@@ -16,7 +16,7 @@ from pbonet.config.write import meaning
 from pbonet.errors import ConfigError, ParameterError
 from pbonet.pbo import decode_params
 
-CASES = Path(__file__).parents[1] / "config"
+CASES = Path(__file__).parent / "cases"
 PARSE = {
     ".svar": config.parse_svar,
     ".rmod": config.parse_rmod,

@@ -13,7 +13,7 @@ from pbonet.config.reader import MAX_FILE, MAX_LINE, load
 from pbonet.config.types import TYPES, numpy_type
 from pbonet.errors import ConfigError, ConfigFileError
 
-CASES = Path(__file__).parents[1] / "config"
+CASES = Path(__file__).parent / "cases"
 LONG = 10_000_000
 HEAD = "NAME Q\nTYPE double\nDESC d\nUNITS rad\nNELEM 1\n"
 

@@ -9,7 +9,7 @@ from pbonet.config import read_rmod, read_svar
 from pbonet.config.model import LocalLine, TaskType
 from pbonet.errors import ConfigError
 
-CASES = Path(__file__).parents[1] / "config"
+CASES = Path(__file__).parent / "cases"
 
 
 def test_the_sample_as_printed_is_refused_for_its_typing_error() -> None:

@@ -70,14 +70,14 @@ def test_a_simulation_and_its_log_tell_the_line(job, shown):
 
 
 def test_a_crash_in_a_library_is_told_with_the_module_s_own_line():
-    folder = Path(own_place.__code__.co_filename).parents[1]
+    folder = Path(own_place.__code__.co_filename).parents[2]
     trace = f"""Fatal Python error: Segmentation fault
 
 Current thread 0x00007f (most recent call first):
   File "/usr/lib/python3.13/ctypes/__init__.py", line 519 in string_at
   File "/modules/pend/helper.py", line 7 in look
   File "/modules/pend/lqr.py", line 48 in cycle
-  File "{folder}/node/task.py", line 300 in _cycle
+  File "{folder}/node/task/task_process.py", line 300 in _cycle
   File "<string>", line 1 in <module>
 """
     assert own_place(trace) == "/modules/pend/helper.py:7 in look"

@@ -36,7 +36,7 @@ def test_every_error_that_a_user_can_meet_says_what_to_do():
     found = [
         line
         for part in PARTS
-        for path in sorted((PACKAGE / part).glob("*.py"))
+        for path in sorted((PACKAGE / part).rglob("*.py"))
         for line in without_remedy(path)
     ]
     assert [line for line in found if not any(one in line for one in WITHOUT)] == []

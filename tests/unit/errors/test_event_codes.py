@@ -19,7 +19,7 @@ TELLING = {"add", "notice", "Notice", "Note", "_say"}
 def told():
     """Return every code that stands as a word in a call that tells an event."""
     found = set()
-    for path in (ROOT / "pbonet" / "node").glob("*.py"):
+    for path in (ROOT / "pbonet" / "node").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if not isinstance(node, ast.Call):
                 continue

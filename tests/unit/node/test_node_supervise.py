@@ -207,7 +207,7 @@ def test_a_link_is_made_anew_when_there_are_descriptors_again(
 
 def test_an_end_is_told_though_descriptors_lack(ends, info, monkeypatch, caplog):
     _, hears, far, _ = ends
-    monkeypatch.setattr(rtpu_link.leftovers, "clean_after", lambda _: [])
+    monkeypatch.setattr(rtpu_link.cleanup, "clean_after", lambda _: [])
     pidfd = Lacking(os.pidfd_open, 3)
     monkeypatch.setattr(os, "pidfd_open", pidfd)
     os.kill(info.pid, signal.SIGKILL)
@@ -245,7 +245,7 @@ def test_an_agent_that_cannot_start_its_rtpu_process_again_ends(monkeypatch, tmp
 def test_who_stops_lets_go_of_tables_before_they_are_removed(ends, info, monkeypatch):
     """Else they stood, when the RTPU process is killed and cannot remove them."""
     link, hears, _, _ = ends
-    monkeypatch.setattr(rtpu_link.leftovers, "clean_after", lambda _: hears._note("c"))
+    monkeypatch.setattr(rtpu_link.cleanup, "clean_after", lambda _: hears._note("c"))
     os.kill(info.pid, signal.SIGKILL)
     assert link.shut_down(LIMIT)
     assert hears.heard[-2:] == ["let go", "c"]

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 
 def python(code: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", "from pbonet.node import _rt\n" + code],
+        [sys.executable, "-c", "from pbonet.node.rt import _rt\n" + code],
         cwd=ROOT,
         capture_output=True,
         text=True,

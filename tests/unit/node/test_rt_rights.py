@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[3]
 UNPRIVILEGED = """
 import json, os, sys
 from pbonet.errors import RealTimeError
-from pbonet.node import _rt
+from pbonet.node.rt import _rt
 if os.geteuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)
 said = [_rt.probe().reasons]
@@ -77,7 +77,7 @@ def test_a_group_without_budget_is_named() -> None:
     group = Path(f"/sys/fs/cgroup/cpu/pbonet-test-{os.getpid()}")
     code = (
         f"import os; open('{group}/cgroup.procs', 'w').write(str(os.getpid()));"
-        "from pbonet.node import _rt; p = _rt.probe();"
+        "from pbonet.node.rt import _rt; p = _rt.probe();"
         "print(p.backend, p.cgroup_rt_runtime_us, p.reasons[0])"
     )
     group.mkdir()

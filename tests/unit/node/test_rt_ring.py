@@ -60,7 +60,7 @@ def test_a_record_larger_than_the_ring_is_dropped(ring) -> None:
 def test_the_consumer_may_be_another_process(ring) -> None:
     ring.put(b"hello", cycle=7)
     code = (
-        "from pbonet.node import _rt; r = _rt.Ring.attach('sub.task');"
+        "from pbonet.node.rt import _rt; r = _rt.Ring.attach('sub.task');"
         "print([(x.cycle, x.data) for x in r.drain()])"
     )
     out = subprocess.run(

@@ -84,7 +84,7 @@ def test_two_members_share_one_table(path) -> None:
 
 def test_a_table_whose_members_are_dead_is_stale(path) -> None:
     code = (
-        "import os; from pbonet.node import _rt; t = _rt.CoreTable(1);"
+        "import os; from pbonet.node.rt import _rt; t = _rt.CoreTable(1);"
         "t.alloc('r', 't'); os.kill(os.getpid(), 9)"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)
@@ -100,7 +100,7 @@ def test_a_table_whose_members_are_dead_is_stale(path) -> None:
 
 def test_slots_of_a_dead_member_are_reclaimed_by_the_next_alloc(table) -> None:
     code = (
-        "import os; from pbonet.node import _rt; t = _rt.CoreTable(1);"
+        "import os; from pbonet.node.rt import _rt; t = _rt.CoreTable(1);"
         "[t.alloc('dead', str(k)) for k in range(127)]; os.kill(os.getpid(), 9)"
     )
     mine = table.alloc("r", "mine")

@@ -23,7 +23,7 @@ from pbonet.outside import (
     using,
 )
 from pbonet.testing import _outside
-from pbonet.xm.ipc import names
+from pbonet.xm.ipc import mailboxes, names
 
 ABOUT = TaskAbout(
     domain="d",
@@ -338,7 +338,7 @@ def test_mailboxes_work_on_what_was_heard() -> None:
         assert found == ([7, -1], (2, 0, 2))
         assert played(program, heard) == found
     finally:
-        xm.mailboxes.forget()
+        mailboxes.forget()
         xm.sweep("arm0", "d")
 
 

@@ -87,7 +87,7 @@ def test_two_runs_are_equal_bit_for_bit_even_in_two_processes(
     recording: Recording,
 ) -> None:
     script = (
-        f"import sys; sys.path[:0] = [r'{Path(__file__).parents[1]}', r'{ROOT}']\n"
+        f"import sys; sys.path[:0] = [r'{Path(__file__).parent}', r'{ROOT}']\n"
         "from test_sim_puma import JOB, digest, simulate\n"
         "print(digest(simulate(JOB, 2.0)))\n"
     )

@@ -11,9 +11,9 @@ from __future__ import annotations
 import sys
 
 import msgspec
-from pbonet.master import modules
-from pbonet.node import wire
-from pbonet.xm import codec, filing, messages, resources
+from pbonet.master.subsystem import remote_modules as modules
+from pbonet.node.wire import rtpu_messages as wire
+from pbonet.xm.net import codec, file_messages as filing, messages, resource_messages as resources
 
 
 class Fresh(msgspec.Struct):
