@@ -4,7 +4,8 @@ No container engine is needed: each stage is an overlay on `/`, so a step may fi
 than the base image has; what it installs, copies, makes and runs as whom is real. Run
 as root in a mount and process name space of its own, which takes all mounts with it:
 
-    unshare --mount --pid --fork python tests/support/dockerfile.py DOCKERFILE CONTEXT FOLDER \
+    unshare --mount --pid --fork \
+      python tests/support/dockerfile.py DOCKERFILE CONTEXT FOLDER \
       'SHELL COMMANDS OF THE IMAGE' 'OF ROOT IN IT'
 
 builds every stage, then runs the first commands in the last one as its user with its

@@ -302,7 +302,7 @@ class Host:
         """Wait as the module says; a message that arrives ends the wait."""
         self._waiting_outside = True
         if self.voice.waits() or self._asked_to_end:
-            raise task_channel.Interrupted  # it came before the wait could be interrupted
+            raise task_channel.Interrupted  # before the wait could be interrupted
         self.executor.instance.sync()
         self._waiting_outside = False
 

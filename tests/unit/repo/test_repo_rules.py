@@ -68,18 +68,15 @@ def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
         and path.relative_to(ROOT).parts[1] in parts
         and wall.search(path.read_text())
     }
-    assert (
-        found
-        == {
-            "node/wire/event_log.py",  # the date of an event, for people
-            "node/recorder/log_rotation.py",  # when a log begins, for people and for merging logs
-            "node/rtpu/rtpu_state.py",  # a number of claims that no process before it gave
-            "xm/net/credentials.py",  # how long a certificate still holds
-            "xm/ipc/filesystem.py",  # when a file was changed, for people
-            "xm/net/pki.py",  # from when to when a certificate holds
-            "svar/lock.h",  # where the C library cannot wait by another clock
-        }
-    )
+    assert found == {
+        "node/wire/event_log.py",  # the date of an event, for people
+        "node/recorder/log_rotation.py",  # when a log begins
+        "node/rtpu/rtpu_state.py",  # a number for claims that is new
+        "xm/net/credentials.py",  # how long a certificate still holds
+        "xm/ipc/filesystem.py",  # when a file was changed, for people
+        "xm/net/pki.py",  # from when to when a certificate holds
+        "svar/lock.h",  # where the C library cannot wait by another clock
+    }
 
 
 def test_no_merge_was_left_halfway() -> None:

@@ -13,7 +13,9 @@ import sys
 import msgspec
 from pbonet.master.subsystem import remote_modules as modules
 from pbonet.node.wire import rtpu_messages as wire
-from pbonet.xm.net import codec, file_messages as filing, messages, resource_messages as resources
+from pbonet.xm.net import codec, messages
+from pbonet.xm.net import file_messages as filing
+from pbonet.xm.net import resource_messages as resources
 
 
 class Fresh(msgspec.Struct):
