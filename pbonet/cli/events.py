@@ -35,11 +35,12 @@ def command(
 ) -> None:
     """Show what happened lately."""
     from pbonet.errors import StateError
+    from pbonet.master.configuration.environment import Place
     from pbonet.master.console import follow_events, oneshot
 
     from .table import show
 
-    place = oneshot.Place(
+    place = Place(
         domain=domain,
         connect=tuple(connect or ()),
         libraries=tuple(map(str, library or ())),

@@ -51,12 +51,12 @@ def command(
     """Run a job: assemble it, watch it, end it in order."""
     import msgspec
 
-    from pbonet.master.console import oneshot
+    from pbonet.master.configuration.environment import Place
     from pbonet.master.console.run import run
 
     outcome = run(
         file,
-        oneshot.Place(
+        Place(
             domain=domain,
             connect=tuple(connect or ()),
             libraries=tuple(map(str, library or ())),

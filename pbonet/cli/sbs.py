@@ -39,10 +39,11 @@ def command(
     debug: options.Debug = False,
 ) -> None:
     """Be the master of a subsystem: prompt, script, network."""
-    from pbonet.master.console import interfaces, oneshot
+    from pbonet.master.configuration.environment import Place
+    from pbonet.master.console import interfaces
 
     scripts = script or ([] if sys.stdin.isatty() or network else [interfaces.STDIN])
-    place = oneshot.Place(
+    place = Place(
         domain=domain,
         connect=tuple(connect or ()),
         libraries=tuple(map(str, library or ())),

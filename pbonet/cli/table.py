@@ -21,9 +21,10 @@ def verb(name: str) -> Callable[..., None]:
     command = find(name)
 
     def run(file: Path, **given: Any) -> None:  # noqa: ANN401 - what the table says
+        from pbonet.master.configuration.environment import Place
         from pbonet.master.console import oneshot
 
-        place = oneshot.Place(
+        place = Place(
             domain=given.pop("domain"),
             connect=tuple(given.pop("connect") or ()),
             libraries=tuple(map(str, given.pop("library") or ())),

@@ -30,10 +30,10 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show the table, states and events in Foxglove as they are now."""
-    from pbonet.master.console import oneshot
+    from pbonet.master.configuration.environment import Place
     from pbonet.master.tools import foxglove_server
 
-    place = oneshot.Place(
+    place = Place(
         domain=domain,
         connect=tuple(connect or ()),
         libraries=tuple(map(str, library or ())),

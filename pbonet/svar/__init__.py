@@ -1,7 +1,5 @@
 """The state variable table: how tasks exchange values (Stewart 1994, section 5.5)."""
 
-from pbonet.svar.mirror.mirror_outbox import MARK
-
 from .local import LocalTable
 from .native import survive_cuts
 from .result_codes import Flags
@@ -9,7 +7,6 @@ from .table import SPARE, Table
 from .table_records import Cause, Counts, Register, VarInfo
 
 __all__ = [
-    "MARK",
     "SPARE",
     "Cause",
     "Counts",

@@ -15,8 +15,8 @@ from pbonet.errors import LogError
 from pbonet.log import Log
 from pbonet.log.cycles import COLUMNS
 from pbonet.log.rewrite import merge
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console import live_status
-from pbonet.master.console.oneshot import Place
 from pbonet.master.console.run_simulated import simulate
 from pbonet.master.sim import sim_log
 from pbonet.master.sim.simulation import BEGIN_NS

@@ -13,6 +13,7 @@ from watching import wait_for
 
 from pbonet import cli
 from pbonet.errors import ConditionError, StateError, VerificationError
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot
 from pbonet.master.console.command_session import Desk
 from pbonet.master.subsystem.subsystem import Subsystem
@@ -79,7 +80,7 @@ def files(nodes, tmp_path):
 @pytest.fixture
 def place(nodes):
     nodes.agent_process("arm0")
-    return oneshot.Place(domain=nodes.domain, libraries=(str(nodes.library),))
+    return Place(domain=nodes.domain, libraries=(str(nodes.library),))
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from nodekit import rmod
 from watching import wait_for
 
 from pbonet.errors import ClaimError, NoAnswerError, StateError, UnknownTaskError
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.xm.net import messages as m
@@ -248,7 +249,7 @@ class TestSigwait:
 
     def test_verb_and_prompt(self, program):
         program.spawn("talks")
-        place = oneshot.Place(domain=program.domain)
+        place = Place(domain=program.domain)
         over = threading.Event()
 
         def turn_on():
@@ -306,7 +307,7 @@ class TestFollow:
     def test_a_flood_is_limited_and_counted(self, program):
         program.spawn("raises")
         program.control("raises", "on")
-        place = oneshot.Place(domain=program.domain)
+        place = Place(domain=program.domain)
 
         def told():
             reply = oneshot.run(

@@ -14,6 +14,7 @@ import pytest
 from watching import wait_for
 
 from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot
 from pbonet.master.console.interfaces import Script
 from pbonet.master.console.network_interface import Port
@@ -279,7 +280,7 @@ def test_port_that_is_closed_answers_no_more(arm, world):
 
 
 def test_verbs_use_the_port_of_a_living_master(arm, world, puma):
-    place = oneshot.Place(domain=world.domain)
+    place = Place(domain=world.domain)
     with pytest.raises(PbonetError, match="another master steers"):
         oneshot.run(puma, "spawn", {"rmod": "puma_pidg"}, place)
     with Port(arm, "puma", handover=False):

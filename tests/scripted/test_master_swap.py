@@ -19,6 +19,7 @@ from pbonet.errors import (
     UnreachableError,
     VerificationError,
 )
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot, render
 from pbonet.master.console.command_session import Desk
 from pbonet.master.console.network_interface import Port
@@ -387,7 +388,7 @@ def test_verbs_name_the_job_by_its_file(arm, files, world, capsys):
 
 def test_a_verb_asks_the_master_that_lives_for_the_job_it_names(arm, files, world):
     with Port(arm, arm.name, handover=False):
-        place = oneshot.Place(domain=world.domain)
+        place = Place(domain=world.domain)
         args = {"job": None, "dry_run": False}
         reply = oneshot.run(files.parent / "follow.job", "switch", args, place)
     assert reply.data["kills"] == ["qrdiff", "jttrace"]

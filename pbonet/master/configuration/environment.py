@@ -5,9 +5,20 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, NamedTuple
 
+from msgspec import Struct
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+
+class Place(Struct, frozen=True, kw_only=True):
+    """Where a subsystem is found."""
+
+    domain: str = "default"
+    connect: tuple[str, ...] = ()
+    libraries: tuple[str, ...] = ()
+    take_over: bool = False
 
 
 class Told(NamedTuple):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from .oneshot import Place
+    from pbonet.master.configuration.environment import Place
 
 LOOK_TIME: Final = 0.5
 """Seconds after which events are asked for though none was announced."""

@@ -24,9 +24,8 @@ from .watch_values import Listener
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from pbonet.master.configuration.environment import Place
     from pbonet.xm.net.messages import Event
-
-    from .oneshot import Place
 
 STDIN: Final = "-"
 

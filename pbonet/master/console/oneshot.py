@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import zenoh
-from msgspec import Struct
 
 from pbonet.config.library import Library
 from pbonet.errors import (
@@ -39,18 +38,11 @@ from .network_interface import Order
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pbonet.master.configuration.environment import Place
+
 _PAUSE = 0.05
 _FORWARD_TIME = 60.0
 """Seconds that a command may take which a master carries out for us."""
-
-
-class Place(Struct, frozen=True, kw_only=True):
-    """Where a subsystem is found."""
-
-    domain: str = "default"
-    connect: tuple[str, ...] = ()
-    libraries: tuple[str, ...] = ()
-    take_over: bool = False
 
 
 def run(

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from pbonet.log import Cycles
+    from pbonet.master.configuration.environment import Place
     from pbonet.xm.net.messages import RtpuStatus
 
     from .live_status import View
-    from .oneshot import Place
 
 _PERIOD: Final = 0.5
 """Seconds between two looks at the status."""

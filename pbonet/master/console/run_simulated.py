@@ -16,10 +16,10 @@ from .run import Interrupts, Outcome
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from pbonet.master.configuration.environment import Place
     from pbonet.master.sim.sim_log import SimLog
 
     from .live_status import View
-    from .oneshot import Place
 
 _SECONDS: Final = 10.0
 _SLICE: Final = 0.05

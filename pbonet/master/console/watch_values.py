@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from .oneshot import Place
+    from pbonet.master.configuration.environment import Place
 
 Data = dict[str, Any]
 

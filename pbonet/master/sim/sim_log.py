@@ -13,8 +13,8 @@ import msgspec
 from pbonet.config.library import Library
 from pbonet.errors import LogError, Severity
 from pbonet.log import Log
+from pbonet.master.configuration.recording_plan import RecordingPlan
 from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.subsystem.recording_control import Logbook
 from pbonet.node.recorder import recorder_process
 from pbonet.node.recorder.log_rotation import LogFiles, Time
 from pbonet.node.task import journal
@@ -25,8 +25,8 @@ from .simulation import BEGIN_NS
 
 if TYPE_CHECKING:
     from pbonet.log import LogWriter
+    from pbonet.master.configuration.environment import Place
     from pbonet.master.configuration.task_model import Member
-    from pbonet.master.console.oneshot import Place
     from pbonet.xm.net.messages import Event
 
     from .sim_events import SimEvents
@@ -135,7 +135,7 @@ class SimLog:
 
     def __init__(
         self,
-        book: Logbook,
+        book: RecordingPlan,
         files: Files,
         place: Place,
         runs: str | Path | None,
@@ -291,7 +291,7 @@ def begin(
         LogError: There is no such way to record.
         ConfigError: The job names what is neither one of its tasks nor a variable.
     """
-    book = Logbook(record)
+    book = RecordingPlan(record)
     files = Files(path, Library(place.libraries))
     book.of(files.read_job(), files)
     if not book.wanted:

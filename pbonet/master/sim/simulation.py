@@ -25,10 +25,10 @@ from pbonet.errors import (
 )
 from pbonet.io.policy import no_devices
 from pbonet.log import STABLE
+from pbonet.master.configuration import conditions
 from pbonet.master.configuration.failures import stuck
 from pbonet.master.configuration.subsystem_files import Files
 from pbonet.master.configuration.task_model import Member
-from pbonet.master.subsystem import conditions
 from pbonet.pbo import Signal, State
 from pbonet.xm.net import messages as m
 

@@ -18,7 +18,7 @@ from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc
 
 from . import constants
-from .conditions import Gate
+from .condition_gate import Gate
 
 if TYPE_CHECKING:
     import threading

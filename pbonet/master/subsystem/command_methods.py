@@ -12,7 +12,7 @@ import fnmatch
 from typing import TYPE_CHECKING, Any, Protocol, overload
 
 from pbonet.errors import StateError, UnknownVariableError, did_you_mean
-from pbonet.svar import MARK
+from pbonet.svar.mirror.mirror_outbox import MARK
 from pbonet.xm.net import messages as m
 
 from . import profiling, remote_modules

@@ -24,6 +24,7 @@ from pbonet.config.library import Library
 from pbonet.errors import NodeError, PbonetError
 from pbonet.master.configuration import environment
 from pbonet.master.configuration.clock import RealClock
+from pbonet.master.configuration.conditions import must_be_answerable
 from pbonet.master.configuration.failures import must_be_stopped
 from pbonet.master.configuration.subsystem_files import Files
 from pbonet.master.sim.virtual_rtpus import VirtualClient, VirtualClock, VirtualRtpus
@@ -40,7 +41,7 @@ from .argument_text import (
 )
 from .change_transaction import Changing
 from .command_methods import Calls
-from .conditions import in_time, must_be_answerable
+from .condition_gate import in_time
 from .embedded_agents import Embedded
 from .recording_control import book
 from .rtpu_clients import Fleet, client_name

@@ -20,7 +20,7 @@ from pbonet.pbo import State
 from . import assembly, constants
 from .argument_text import check_signal
 from .change_transaction import Opened
-from .conditions import Gate, in_time
+from .condition_gate import Gate, in_time
 from .first_cycle_check import prove
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.config.model import Variable
-    from pbonet.master.console.oneshot import Place
+    from pbonet.master.configuration.environment import Place
 
 STATES: Final = 0.5
 """Seconds between two looks at the tasks' states and the events."""

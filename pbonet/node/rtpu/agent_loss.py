@@ -13,7 +13,7 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import SvarError, SvarOwnerError
-from pbonet.svar import MARK
+from pbonet.svar.mirror.mirror_outbox import MARK
 
 if TYPE_CHECKING:
     from .rtpu_state import Rtpu

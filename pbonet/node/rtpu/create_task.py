@@ -23,7 +23,7 @@ from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import run_folder
 
-from .task_handle import Facts, Ready, Task
+from .task_handle import Facts, Task
 
 if TYPE_CHECKING:
     from pbonet.config.model import Rmod
@@ -248,7 +248,7 @@ async def _wait_until_off(rtpu: Rtpu, task: Task, limit: float) -> None:
             task=task.name,
         )
         raise
-    task.ready = msgspec.convert(done.result, Ready)
+    task.ready = msgspec.convert(done.result, rtpu_messages.TaskReady)
     rtpu.core.configure(task.facts.slot, tells=task.ready.tells)
     rtpu.signals.apply(rtpu.core, task)
     task.stopping = False

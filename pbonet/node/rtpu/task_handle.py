@@ -45,8 +45,6 @@ if TYPE_CHECKING:
 
     Make = Callable[[int], rtpu_messages.ToTask]
 
-DUMP_SIGNAL = signal.SIGQUIT
-"""Makes a task write where it stands into its crash file, whatever it is doing."""
 END_TIME = 1.0
 """Seconds that a task which said good-bye may take to end."""
 _SLICE = 0.1
@@ -69,19 +67,6 @@ class Facts(msgspec.Struct, kw_only=True):
     def outputs(self) -> list[str]:
         """The variables that the task writes in its cycles."""
         return [self.rmod.svar_name(port) for port in self.rmod.outvar]
-
-
-class Ready(msgspec.Struct, kw_only=True):
-    """What a task says about itself when its `init` is done."""
-
-    module: str
-    version: str
-    critical_ok: bool
-    tells: bool = False
-    """It has a handler of timing failures."""
-    notes: list[str] = []
-    signals: dict[str, int] = {}
-    """Names and bits of the module's own signals."""
 
 
 class Task:
@@ -110,7 +95,7 @@ class Task:
         self.facts = facts
         self.child = child
         self.state = State.NOT_CREATED
-        self.ready: Ready | None = None
+        self.ready: rtpu_messages.TaskReady | None = None
         self.freq = facts.rmod.freq or 0.0
         self.on_rank = 0
         """Counts up over all tasks as they are turned on; OFF goes the other way."""
@@ -332,7 +317,7 @@ class Task:
 
     async def where(self) -> str:
         """Return the task's Python stack, as text; for tasks that hang."""
-        self.child.send_signal(DUMP_SIGNAL)
+        self.child.send_signal(rtpu_messages.DUMP_SIGNAL)
         for _ in range(10):
             await asyncio.sleep(_DUMP_TIME / 10)
             if text := self.child.crash_text():

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 
-from pbonet.errors import Severity
-from pbonet.pbo import PREDEFINED, SIGNALS, Signal, signal_bits, signal_names
+from pbonet.node.wire.event_log import severity
+from pbonet.pbo import PREDEFINED, SIGNALS, signal_bits, signal_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -21,13 +21,6 @@ if TYPE_CHECKING:
     from pbonet.node.wire.event_log import EventLog
 
     from .task_handle import Task
-
-
-def severity(bits: int) -> Severity:
-    """Return how bad the signals are."""
-    if bits & (Signal.ERROR | Signal.SHUTDOWN):
-        return Severity.ERROR
-    return Severity.WARNING if bits & Signal.WARNING else Severity.INFO
 
 
 def by_name(counts: Iterable[int], own: dict[str, int]) -> dict[str, int]:

@@ -13,8 +13,8 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from pbonet.errors import MethodError, PbonetError, Severity
-from pbonet.node.rtpu.task_signals import severity
 from pbonet.node.wire import rtpu_messages
+from pbonet.node.wire.event_log import severity
 from pbonet.node.wire.sanitise_values import UNTOLD
 from pbonet.pbo import Notice, Signal, State, TaskContext, signal_names
 

@@ -26,7 +26,6 @@ from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rt import _rt
-from pbonet.node.rtpu.task_handle import DUMP_SIGNAL, Ready
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
 from pbonet.outside import Tape, Told, use
 from pbonet.pbo import State, bind, decode_params, text_of
@@ -52,7 +51,7 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     """Be the task that the specification describes; return the exit code."""
     orphan_fd = _rt.orphan_guard(task_channel.ORPHAN_SIGNAL, server)
     # Only its own stack: reading those of threads that run can end the process.
-    faulthandler.register(DUMP_SIGNAL, crash_fd, all_threads=False)
+    faulthandler.register(rtpu_messages.DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)
     data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
     os.close(spec_fd)
@@ -185,7 +184,7 @@ class Host:
         self.slot.command_level()
         if self.outside:
             task_channel.interrupt_waits(self.voice.sock, self._on_message)
-        ready = Ready(
+        ready = rtpu_messages.TaskReady(
             module=self.info.name,
             version=self.info.version,
             critical_ok=self.info.critical_ok,

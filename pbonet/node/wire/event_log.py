@@ -11,6 +11,7 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from pbonet.errors import Severity
+from pbonet.pbo import Signal
 from pbonet.xm.net.messages import Event
 
 if TYPE_CHECKING:
@@ -159,3 +160,10 @@ class LineBudget:
         """Return how many lines were held back since the last call."""
         count, self.suppressed = self.suppressed, 0
         return count
+
+
+def severity(bits: int) -> Severity:
+    """Return how bad the signals are."""
+    if bits & (Signal.ERROR | Signal.SHUTDOWN):
+        return Severity.ERROR
+    return Severity.WARNING if bits & Signal.WARNING else Severity.INFO

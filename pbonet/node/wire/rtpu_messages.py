@@ -13,6 +13,7 @@ None of this is public: both ends are always of one version, and say so when the
 
 from __future__ import annotations
 
+import signal
 import struct
 import sys
 from typing import TYPE_CHECKING, Any
@@ -476,3 +477,20 @@ def _checked(length: int) -> int:
 
 
 prepare(sys.modules[__name__])
+
+
+DUMP_SIGNAL = signal.SIGQUIT
+"""Makes a task write where it stands into its crash file, whatever it is doing."""
+
+
+class TaskReady(Struct, kw_only=True):
+    """What a task says about itself when its `init` is done."""
+
+    module: str
+    version: str
+    critical_ok: bool
+    tells: bool = False
+    """It has a handler of timing failures."""
+    notes: list[str] = []
+    signals: dict[str, int] = {}
+    """Names and bits of the module's own signals."""

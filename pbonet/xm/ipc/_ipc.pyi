@@ -19,14 +19,6 @@ from .names import Name
 PATROL_NS: int
 """How often a sleeper looks around, nanoseconds."""
 
-def stay_known() -> None:
-    """Have Python keep what it knows of this thread, which it did not start.
-
-    Else it is put together at each call and thrown away behind it, which takes longer
-    than many a call. A few dozen threads of a process can have this; for more it does
-    nothing.
-    """
-
 class Taken(IntEnum):
     """What a P came to; only a time-out is false."""
 

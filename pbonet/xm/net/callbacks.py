@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import zenoh
 
-from pbonet.xm.ipc._ipc import stay_known
+from ._threads import stay_known
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,7 +13,7 @@ from logshop import RMOD
 from pbonet.log import Did, Log, Step, text
 from pbonet.log.groups import size
 from pbonet.log.schema import StepSchema, head
-from pbonet.master.console.oneshot import Place
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run import run
 from pbonet.testing import verify
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pbonet.log import Log
-from pbonet.master.console.oneshot import Place
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run import run
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "puma"

@@ -10,7 +10,7 @@ from logshop import RMOD
 from test_log_whole import SVAR
 
 from pbonet.log import Log
-from pbonet.master.console.oneshot import Place
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run import run
 from pbonet.testing import rerun
 

@@ -18,7 +18,7 @@ from pbonet.errors import (
     StateError,
     UnknownTaskError,
 )
-from pbonet.master.console.oneshot import Place
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console.prompt import Prompt
 from pbonet.master.console.run import run
 from pbonet.master.sim.simulation import BEGIN_NS, Simulation
