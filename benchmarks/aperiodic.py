@@ -45,7 +45,7 @@ from pbonet.analysis.schedule.simulate import (
     poisson,
     simulate,
 )
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -178,7 +178,7 @@ def send(pipe: int, events: Sequence[tuple[int, int]], core: int) -> None:
     """Write the events when their time has come, away from `core`, then end."""
     others = os.sched_getaffinity(0) - {core}
     os.sched_setaffinity(0, others or {core})
-    _rt.set_timer_slack()
+    rt.set_timer_slack()
     begin = -(-(time.monotonic_ns() + LEAD) // HYPERPERIOD) * HYPERPERIOD
     for number, (at, cost) in enumerate(events):
         time.sleep(max(0, begin + at - time.monotonic_ns()) * 1e-9)
@@ -199,14 +199,14 @@ def start_sender(pipe: int, events: Sequence[tuple[int, int]], core: int) -> int
     return pid
 
 
-def start_tasks(core: _rt.CoreTable, one: Plan) -> dict[int, int]:
+def start_tasks(core: rt.CoreTable, one: Plan) -> dict[int, int]:
     """Start the periodic tasks; pids by slot."""
     started: dict[int, int] = {}
     for task, crit in zip(one.tasks, one.crits, strict=True):
         slot = core.alloc("bench", task.name)
         core.configure(slot, period_ns=task.period_ns, crit=crit)
 
-        def body(end: _rt.Slot, cost: int = task.cost_ns) -> None:
+        def body(end: rt.Slot, cost: int = task.cost_ns) -> None:
             clock = time.thread_time_ns
             end.run(lambda _dt: spend(clock() + cost), None)
 
@@ -214,7 +214,7 @@ def start_tasks(core: _rt.CoreTable, one: Plan) -> dict[int, int]:
     return started
 
 
-def poll(end: _rt.Slot, capacity: int, pipe: int, out: NDArray[np.int64]) -> None:
+def poll(end: rt.Slot, capacity: int, pipe: int, out: NDArray[np.int64]) -> None:
     """Serve what has come, in each period for as long as the capacity lasts."""
     os.set_blocking(pipe, False)
     clock = time.thread_time_ns
@@ -242,7 +242,7 @@ def poll(end: _rt.Slot, capacity: int, pipe: int, out: NDArray[np.int64]) -> Non
 
 
 def start_server(
-    core: _rt.CoreTable, one: Plan, kind: Kind, pipe: int, out: NDArray[np.int64]
+    core: rt.CoreTable, one: Plan, kind: Kind, pipe: int, out: NDArray[np.int64]
 ) -> tuple[int, int]:
     """Start the server; its slot and pid. `out` gets the response times."""
     slot = core.alloc("bench", "server")
@@ -250,7 +250,7 @@ def start_server(
     spare = SPARE if kind is Kind.PERIODIC else 0  # it keeps to its capacity itself
     core.configure(slot, period_ns=SERVER_PERIOD, maxc_ns=one.capacity_ns + spare)
 
-    def body(end: _rt.Slot) -> None:
+    def body(end: rt.Slot) -> None:
         if kind is Kind.PERIODIC:
             poll(end, one.capacity_ns, pipe, out)
             return
@@ -273,7 +273,7 @@ def start_server(
     return slot, rtbench.start_task(core, slot, body)
 
 
-def really(core: _rt.CoreTable, one: Plan, kind: Kind, seconds: float) -> Responses:
+def really(core: rt.CoreTable, one: Plan, kind: Kind, seconds: float) -> Responses:
     """Return response times in real execution."""
     here, there = os.pipe()
     with tempfile.TemporaryFile() as file:
@@ -318,8 +318,8 @@ def main() -> None:
     parser.add_argument("--policies", nargs="+", choices=POLICIES, default=POLICIES)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    core = _rt.CoreTable(args.core)
-    dispatcher = _rt.Dispatcher(core)
+    core = rt.CoreTable(args.core)
+    dispatcher = rt.Dispatcher(core)
     result: dict[str, object] = {"machine": rtbench.machine()}
     print(rtbench.machine())
     try:

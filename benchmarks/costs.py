@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.node.task.slot_timing import SlotWatch
 from pbonet.pbo import TaskContext
 
@@ -96,7 +96,7 @@ NAMES = (
 )
 
 
-def cases(end: _rt.Slot) -> tuple[Callable[[], None], ...]:
+def cases(end: rt.Slot) -> tuple[Callable[[], None], ...]:
     """Return what is timed in the task, in the order of `NAMES`."""
     task = TaskContext(watch=SlotWatch(end.failures))
 
@@ -114,7 +114,7 @@ def cases(end: _rt.Slot) -> tuple[Callable[[], None], ...]:
     )
 
 
-def sections_in_a_task(core: _rt.CoreTable, blocks: int) -> dict[str, list[float]]:
+def sections_in_a_task(core: rt.CoreTable, blocks: int) -> dict[str, list[float]]:
     """Return nanoseconds for one section, by case; one block is one cycle of each."""
     slot = core.alloc("bench", "costs")
     core.configure(slot, period_ns=20_000_000, crit=5)
@@ -123,7 +123,7 @@ def sections_in_a_task(core: _rt.CoreTable, blocks: int) -> dict[str, list[float
         out = np.memmap(file, dtype=np.int64, mode="w+", shape=shape)
         out[:] = 0
 
-        def body(end: _rt.Slot) -> None:
+        def body(end: rt.Slot) -> None:
             count, functions = -1, cases(end)
 
             def cycle(_dt: float) -> None:
@@ -137,7 +137,7 @@ def sections_in_a_task(core: _rt.CoreTable, blocks: int) -> dict[str, list[float
                 count += 1
                 out[blocks + 1, 0] = count
 
-            end.run(cycle, None, failing=lambda _kind: _rt.CONTINUE)
+            end.run(cycle, None, failing=lambda _kind: rt.CONTINUE)
 
         pid = rtbench.start_task(core, slot, body)
         rtbench.wait_for(lambda: out[blocks + 1, 0] >= blocks, "all blocks", 60.0)
@@ -159,8 +159,8 @@ def main() -> None:
     args = parser.parse_args()
     print(rtbench.machine())
     found = parts_in_c(args.core, args.blocks)
-    core = _rt.CoreTable(args.core)
-    dispatcher = _rt.Dispatcher(core)
+    core = rt.CoreTable(args.core)
+    dispatcher = rt.Dispatcher(core)
     try:
         dispatcher.start()
         found |= sections_in_a_task(core, args.blocks)

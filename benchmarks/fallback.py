@@ -32,8 +32,8 @@ from benchmarks.swap import PERIOD, RATE, RMOD
 from pbonet.analysis.schedule.events import Event
 from pbonet.master import Subsystem
 from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.node import rt
 from pbonet.node.ring._ring import Record, Ring
-from pbonet.node.rt import _rt
 from pbonet.xm.net.messages import AgentInfo, Hello
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def records(ring: Ring, wanted: float) -> list[Record]:
     return found
 
 
-def engaged(core: _rt.CoreTable, slot: int, since: int) -> tuple[int, int]:
+def engaged(core: rt.CoreTable, slot: int, since: int) -> tuple[int, int]:
     """Return when the dispatcher engaged a slot, and when it saw it armed."""
     _, _, found = core.trace(since)
     now = turn = 0
@@ -165,7 +165,7 @@ def one(subsystem: Subsystem, original: str, standby: str) -> list[float]:
     status = {status.task: status for status in subsystem.status_all()}
     rings = {name: Ring.attach(status[name].ring) for name in (standby, "guard")}
     agent = subsystem.fleet.call("bench0", Hello(), AgentInfo)
-    core = _rt.CoreTable(agent.core, member=False)
+    core = rt.CoreTable(agent.core, member=False)
     try:
         time.sleep(random.uniform(0.01, 0.02))
         for ring in rings.values():

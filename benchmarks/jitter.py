@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,9 +45,9 @@ OTHERS_NS = 10_000_000
 class Rig(NamedTuple):
     """What is measured with."""
 
-    core: _rt.CoreTable
+    core: rt.CoreTable
     tables: rtbench.Tables
-    dispatcher: _rt.Dispatcher
+    dispatcher: rt.Dispatcher
     period: int
     cycles: int
 
@@ -69,7 +69,7 @@ def run_task(rig: Rig, *, checks: bool) -> Block:
         out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 3,))
         out[:] = 0
 
-        def body(end: _rt.Slot) -> None:
+        def body(end: rt.Slot) -> None:
             local, now = rig.tables.local(0), time.monotonic_ns
             delays, count = out.data, -WARM_UP
 
@@ -85,7 +85,7 @@ def run_task(rig: Rig, *, checks: bool) -> Block:
                 if count == 0:
                     delays[cycles + 2] = end.missed
 
-            end.run(cycle, local, failing=lambda _kind: _rt.CONTINUE)
+            end.run(cycle, local, failing=lambda _kind: rt.CONTINUE)
 
         pid = rtbench.start_task(core, slot, body)
         bound = 10 + 3e-9 * rig.period * (cycles + WARM_UP)
@@ -101,11 +101,11 @@ def start_others(rig: Rig, count: int) -> dict[int, int]:
         slot = rig.core.alloc("bench", f"other{k}")
         rig.core.configure(slot, period_ns=OTHERS_NS + 7919 * k, crit=5, priority=k)
 
-        def body(end: _rt.Slot, k: int = k) -> None:
+        def body(end: rt.Slot, k: int = k) -> None:
             end.run(
                 lambda _dt: None,
                 rig.tables.local(k),
-                failing=lambda _kind: _rt.CONTINUE,
+                failing=lambda _kind: rt.CONTINUE,
             )
 
         started[slot] = rtbench.start_task(rig.core, slot, body)
@@ -193,8 +193,8 @@ def main() -> None:
     args = parser.parse_args()
     period = args.period_us * 1000
     cycles = int(args.seconds * 1e9 / period)
-    core, tables = _rt.CoreTable(args.core), rtbench.Tables(max(args.tasks))
-    dispatcher = _rt.Dispatcher(core)
+    core, tables = rt.CoreTable(args.core), rtbench.Tables(max(args.tasks))
+    dispatcher = rt.Dispatcher(core)
     rig = Rig(core, tables, dispatcher, period, cycles)
     result: dict[str, Any] = {}
     print(rtbench.machine())

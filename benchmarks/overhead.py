@@ -25,19 +25,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks import rtbench
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 
 
 class Load(NamedTuple):
     """Tasks that run."""
 
-    core: _rt.CoreTable
-    tasks: list[tuple[int, int, int, _rt.Ring]]
+    core: rt.CoreTable
+    tasks: list[tuple[int, int, int, rt.Ring]]
     """Slot, pid, period and ring of each."""
 
 
 def start(
-    core: _rt.CoreTable, tables: rtbench.Tables, count: int, rate: int, *, apart: bool
+    core: rt.CoreTable, tables: rtbench.Tables, count: int, rate: int, *, apart: bool
 ) -> Load:
     """Start `count` tasks with `rate` releases a second in all."""
     load = Load(core, [])
@@ -46,14 +46,14 @@ def start(
         slot = core.alloc("bench", f"overhead{k}")
         period = base + (7919 * k * base // (count * 100_000) if apart else 0)
         core.configure(slot, period_ns=period, crit=5, priority=k)
-        ring = _rt.Ring.create(f"overhead{k}", 1 << 22)
+        ring = rt.Ring.create(f"overhead{k}", 1 << 22)
 
-        def body(end: _rt.Slot, k: int = k, ring: _rt.Ring = ring) -> None:
+        def body(end: rt.Slot, k: int = k, ring: rt.Ring = ring) -> None:
             end.run(
                 lambda _dt: None,
                 tables.local(k),
                 ring=ring,
-                failing=lambda _kind: _rt.CONTINUE,
+                failing=lambda _kind: rt.CONTINUE,
             )
 
         load.tasks.append((slot, rtbench.start_task(core, slot, body), period, ring))
@@ -136,7 +136,7 @@ def line(name: str, blocks: list[dict[str, float]]) -> str:
 
 
 def measure(
-    core: _rt.CoreTable, tables: rtbench.Tables, args: argparse.Namespace
+    core: rt.CoreTable, tables: rtbench.Tables, args: argparse.Namespace
 ) -> dict[str, object]:
     """Print a line for each number of tasks; return the blocks."""
     found: dict[str, object] = {}
@@ -174,8 +174,8 @@ def arguments() -> argparse.Namespace:
 def main() -> None:
     """Measure and report."""
     args = arguments()
-    core, tables = _rt.CoreTable(args.core), rtbench.Tables(max(args.counts))
-    dispatcher = _rt.Dispatcher(core)
+    core, tables = rt.CoreTable(args.core), rtbench.Tables(max(args.counts))
+    dispatcher = rt.Dispatcher(core)
     level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
     cycles = int(args.rate * args.seconds)
     result: dict[str, object] = {"machine": rtbench.machine()}

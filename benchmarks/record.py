@@ -36,7 +36,7 @@ from pbonet.config.model import Variable
 from pbonet.log import Log, LogWriter, RunAbout, TaskAbout, last_run
 from pbonet.log.schema import HEAD_DTYPE, RECORD
 from pbonet.master.tools.playback import Span, play
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Table
 from pbonet.testing import verify
@@ -88,7 +88,7 @@ def recording(core: int, folder: str) -> Generator[subprocess.Popen[bytes]]:
 
 
 def cycle_cost(
-    core: _rt.CoreTable, tables: rtbench.Tables, way: str, seconds: float
+    core: rt.CoreTable, tables: rtbench.Tables, way: str, seconds: float
 ) -> float:
     """Return the CPU microseconds of a cycle of an empty module."""
     slot = core.alloc("bench", "record")
@@ -97,9 +97,9 @@ def cycle_cost(
     if way != "none":
         out = [Variable(name="O0_0", type="double", nelem=6)]
         about = msgspec.json.encode(_about(way, out))
-        ring = _rt.Ring.create(f"bench.rec.{way}", 1 << 20, about)
+        ring = rt.Ring.create(f"bench.rec.{way}", 1 << 20, about)
 
-    def body(end: _rt.Slot) -> None:
+    def body(end: rt.Slot) -> None:
         end.run(lambda _dt: None, tables.local(0), ring=ring)
 
     pid = rtbench.start_task(core, slot, body)
@@ -131,10 +131,10 @@ def costs(core_number: int, seconds: float, blocks: int) -> dict[str, list[float
 
 
 @contextlib.contextmanager
-def _dispatched(core_number: int) -> Generator[_rt.CoreTable]:
+def _dispatched(core_number: int) -> Generator[rt.CoreTable]:
     """Have tasks of a core released."""
-    core = _rt.CoreTable(core_number, member=True)
-    dispatcher = _rt.Dispatcher(core, "auto")
+    core = rt.CoreTable(core_number, member=True)
+    dispatcher = rt.Dispatcher(core, "auto")
     dispatcher.start()
     try:
         yield core
@@ -143,10 +143,10 @@ def _dispatched(core_number: int) -> Generator[_rt.CoreTable]:
         core.close()
 
 
-def _walk(table: Table, number: int, ring: _rt.Ring, walk: NDArray[np.float64]) -> Any:  # noqa: ANN401 - what a process does
+def _walk(table: Table, number: int, ring: rt.Ring, walk: NDArray[np.float64]) -> Any:  # noqa: ANN401 - what a process does
     """Return what a task does that reads the one before it and walks at random."""
 
-    def body(end: _rt.Slot) -> None:
+    def body(end: rt.Slot) -> None:
         names = [f"Y{(number - 1) % TASKS}"], [f"Y{number}"]
         local = table.local(f"t{number}", os.getpid(), invar=names[0], outvar=names[1])
         local.claim()
@@ -167,7 +167,7 @@ def recorder(core_number: int, seconds: float) -> dict[str, float]:
     outs = [Variable(name=f"Y{k}", type="double", nelem=6) for k in range(TASKS)]
     table = Table.create(f"bench{os.getpid()}", outs)
     rings = [
-        _rt.Ring.create(
+        rt.Ring.create(
             f"bench.rec.t{k}", 1 << 20, msgspec.json.encode(_about(f"t{k}", [out]))
         )
         for k, out in enumerate(outs)

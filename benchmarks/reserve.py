@@ -31,7 +31,7 @@ from benchmarks import rtbench
 from pbonet.analysis.schedule.dispatch import turns
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,7 +87,7 @@ WORK: dict[str, Callable[[], Callable[[], None]]] = {
 class Failures:
     """Reads from the trace what the dispatcher found about one slot."""
 
-    def __init__(self, core: _rt.CoreTable, slot: int) -> None:
+    def __init__(self, core: rt.CoreTable, slot: int) -> None:
         self._core, self._slot = core, slot
         self._next = core.trace(1 << 62)[0]
         self._mark = -1
@@ -116,7 +116,7 @@ class Failures:
             self._mark = used
 
 
-def run_task(core: _rt.CoreTable, work: str, cycles: int) -> Found:
+def run_task(core: rt.CoreTable, work: str, cycles: int) -> Found:
     """Measure one block.
 
     Raises:
@@ -132,7 +132,7 @@ def run_task(core: _rt.CoreTable, work: str, cycles: int) -> Found:
         out = np.memmap(file, dtype=np.int64, mode="w+", shape=(cycles + 3,))
         out[:] = 0
 
-        def body(end: _rt.Slot) -> None:
+        def body(end: rt.Slot) -> None:
             instants, function, count = out.data, WORK[work](), 0
 
             def failing(_kind: str) -> int:
@@ -141,7 +141,7 @@ def run_task(core: _rt.CoreTable, work: str, cycles: int) -> Found:
                 if count < cycles + 2:
                     instants[count] = at
                 count += 1
-                return _rt.CONTINUE
+                return rt.CONTINUE
 
             end.run(lambda _dt: function(), None, failing=failing)
 
@@ -202,8 +202,8 @@ def main() -> None:
     parser.add_argument("--core", type=int, default=1)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    core = _rt.CoreTable(args.core)
-    dispatcher = _rt.Dispatcher(core)
+    core = rt.CoreTable(args.core)
+    dispatcher = rt.Dispatcher(core)
     level = rtbench.LEVEL if dispatcher.backend == "fifo" else 0
     rivals = {"C, kernel, busy": "busy", "C, kernel, asleep": "asleep"}
     found: dict[str, list[Found]] = {name: [] for name in (*WORK, *rivals)}

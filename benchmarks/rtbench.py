@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pbonet.config.model import Variable
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.svar import LocalTable, Table
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Tables:
         return local
 
 
-def start_task(core: _rt.CoreTable, slot: int, body: Callable[[_rt.Slot], None]) -> int:
+def start_task(core: rt.CoreTable, slot: int, body: Callable[[rt.Slot], None]) -> int:
     """Fork a task's process, fit for real time as a node makes it; return its pid.
 
     Args:
@@ -91,13 +91,13 @@ def start_task(core: _rt.CoreTable, slot: int, body: Callable[[_rt.Slot], None])
         return pid
     status = 1
     try:
-        _rt.orphan_guard(signal.SIGUSR1, os.getppid())
-        _rt.lock_memory()
-        _rt.populate_pages()
-        _rt.prefault_stack()
-        _rt.set_timer_slack()
-        _rt.pin(core.core)
-        end = _rt.Slot(core, slot)
+        rt.orphan_guard(signal.SIGUSR1, os.getppid())
+        rt.lock_memory()
+        rt.populate_pages()
+        rt.prefault_stack()
+        rt.set_timer_slack()
+        rt.pin(core.core)
+        end = rt.Slot(core, slot)
         gc.collect()
         gc.freeze()
         gc.disable()
@@ -109,7 +109,7 @@ def start_task(core: _rt.CoreTable, slot: int, body: Callable[[_rt.Slot], None])
         os._exit(status)
 
 
-def watch(core: _rt.CoreTable, slot: int, period: int, *, on: bool) -> None:
+def watch(core: rt.CoreTable, slot: int, period: int, *, on: bool) -> None:
     """Have the dispatcher look after everything that can fail, or after nothing.
 
     With a reserve, a least time and a handler of its own priority every cycle gives the
@@ -131,7 +131,7 @@ def watch(core: _rt.CoreTable, slot: int, period: int, *, on: bool) -> None:
     )
 
 
-def end_task(core: _rt.CoreTable, slot: int, pid: int) -> None:
+def end_task(core: rt.CoreTable, slot: int, pid: int) -> None:
     """Ask a task to end, and wait for it.
 
     Raises:
@@ -182,7 +182,7 @@ def machine() -> str:
     load = " ".join(f"{x:.1f}" for x in os.getloadavg())
     return (
         f"{models[0] if models else platform.machine()}, {os.cpu_count()} cores, "
-        f"Linux {platform.release()} {_rt.probe().preempt}, "
+        f"Linux {platform.release()} {rt.probe().preempt}, "
         f"Python {platform.python_version()}, load {load}"
     )
 

@@ -41,8 +41,8 @@ from benchmarks.steering import VARIABLE, wait_for_records
 from pbonet.analysis.schedule.events import Event
 from pbonet.master import Subsystem
 from pbonet.master.subsystem.embedded_agents import Embedded
+from pbonet.node import rt
 from pbonet.node.ring._ring import Ring
-from pbonet.node.rt import _rt
 from pbonet.xm.net.messages import AgentInfo, Hello
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ PAIRS = (1, 5, 20)
 """So many tasks leave, and as many come: lists of 2, 10 and 40 signals."""
 STAY = ("reader", "other")
 """On the first and on the last RTPU."""
-ABOVE = _rt.DISPATCHER_LEVEL + 1
+ABOVE = rt.DISPATCHER_LEVEL + 1
 """The level of the C loop."""
 NOTED = PERIOD // 100
 """So many nanoseconds late a turn or the loop must be to be looked at at all."""
@@ -131,7 +131,7 @@ class Trace:
     """
 
     def __init__(self, core: int, tasks: tuple[str, ...]) -> None:
-        self._table = _rt.CoreTable(core, member=False)
+        self._table = rt.CoreTable(core, member=False)
         self._slots = {
             i
             for i in self._table.slots()

@@ -29,9 +29,8 @@ from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 from pbonet.config import parse_rmod, write_rmod
 from pbonet.errors import NodeError, PbonetError
 from pbonet.master.configuration.environment import Place
-from pbonet.master.console.run import Run
+from pbonet.master.console.run_job import Run
 from pbonet.master.subsystem.embedded_agents import assign_cores
-from pbonet.node.rt import _rt  # noqa: PLC2701 - its rights
 
 if TYPE_CHECKING:
     from pbonet.analysis.schedule.outcome import Outcome
@@ -269,7 +268,7 @@ def table(one: Seen, virtual: Outcome) -> list[str]:
 
 def must_have_fifo() -> None:
     """End with the reason where the kernel gives no real-time priorities."""
-    probe = _rt.probe()
+    probe = rt.probe()
     if not probe.fifo:
         reasons = "\n".join(f"  {reason}" for reason in probe.reasons)
         sys.exit(

@@ -22,7 +22,6 @@ from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.outcome import Account, Outcome, Segment
 from pbonet.analysis.schedule.records import Mode
 from pbonet.errors import NodeError
-from pbonet.node.rt import _rt  # noqa: PLC2701 - the trace of the core
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -101,7 +100,7 @@ class Watcher:
         self.slots: dict[int, SlotStatus] = {}
         """Name, period, criticality, priority, as they were while all tasks were ON."""
         self._core = core
-        self._table: _rt.CoreTable | None = None
+        self._table: rt.CoreTable | None = None
         self._next = 0
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._work, name="trace", daemon=True)
@@ -123,11 +122,11 @@ class Watcher:
         while not self._end.wait(_LOOK):
             if self._table is None:
                 with contextlib.suppress(NodeError):
-                    self._table = _rt.CoreTable(self._core, member=False)
+                    self._table = rt.CoreTable(self._core, member=False)
             if self._table is not None:
                 self._take(self._table)
 
-    def _take(self, table: _rt.CoreTable) -> None:
+    def _take(self, table: rt.CoreTable) -> None:
         found: dict[int, SlotStatus] = {}
         for slot in table.slots():
             with contextlib.suppress(NodeError):  # it was given back just now

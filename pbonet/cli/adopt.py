@@ -33,7 +33,7 @@ def command(
 
     import msgspec
 
-    from pbonet.master.configuration.adopt import adopt
+    from pbonet.master.configuration import adopt
     from pbonet.master.console import render
 
     found, warnings = adopt(

@@ -85,7 +85,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Be the agent of one RTPU: register, take commands, run tasks."""
-    from pbonet.config.agent import told_agent
+    from pbonet.config import told_agent
     from pbonet.node.agent import agent_main
     from pbonet.node.wire import process_setup
 

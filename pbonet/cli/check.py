@@ -24,7 +24,7 @@ def command(
     """
     import msgspec
 
-    from pbonet.master.configuration.check_files import check_file
+    from pbonet.master.configuration import check_file
 
     found = [check_file(path, library or (), host) for path in file]
     if json_:

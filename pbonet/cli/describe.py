@@ -19,7 +19,7 @@ def command(
     """Show what a module of this machine's libraries is, or what an RMOD runs."""
     import msgspec
 
-    from pbonet.config.library import Library
+    from pbonet.config import Library
     from pbonet.pbo import render
 
     found = Library(library or ())

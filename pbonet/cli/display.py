@@ -30,7 +30,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show variables of the table with unit, age and writer."""
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
     from pbonet.master.console import oneshot, watch_values
 
     place = Place(

@@ -24,7 +24,7 @@ def command(
     import msgspec
 
     from pbonet.master.tools import doctor
-    from pbonet.node.rt._rt import probe
+    from pbonet.node.rt import probe
     from pbonet.node.rtpu import cleanup
     from pbonet.xm.net import run_folder
 

@@ -35,7 +35,7 @@ def command(
 ) -> None:
     """Show what happened lately."""
     from pbonet.errors import StateError
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
     from pbonet.master.console import follow_events, oneshot
 
     from .table import show

@@ -106,8 +106,8 @@ def events(
 
     from pbonet.log import Log, last_run
     from pbonet.master.console import render
-    from pbonet.master.subsystem.event_filter import Choice
-    from pbonet.xm.net.messages import Event
+    from pbonet.master.subsystem import Choice
+    from pbonet.xm.net import Event
 
     wanted = Choice.of({"task": task, "code": code, "severity": severity})
     found = [msgspec.convert(one, Event) for one in Log(file or last_run()).events()]
@@ -199,7 +199,7 @@ def merge(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make one log of several, ordered by time."""
-    from pbonet.log.rewrite import merge as do
+    from pbonet.log import merge as do
 
     done = do(files, out)
     _written(
@@ -216,6 +216,6 @@ def recover(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Make a whole log of one that was cut short."""
-    from pbonet.log.rewrite import recover as do
+    from pbonet.log import recover as do
 
     _written(out, json_, do(file, out))

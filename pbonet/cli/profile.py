@@ -31,7 +31,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show how long cycles take: every figure, and the execution profile."""
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
     from pbonet.master.console import oneshot, profile_plot
 
     from .table import show

@@ -51,8 +51,8 @@ def command(
     """Run a job: assemble it, watch it, end it in order."""
     import msgspec
 
-    from pbonet.master.configuration.environment import Place
-    from pbonet.master.console.run import run
+    from pbonet.master.configuration import Place
+    from pbonet.master.console import run
 
     outcome = run(
         file,

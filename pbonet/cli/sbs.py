@@ -39,7 +39,7 @@ def command(
     debug: options.Debug = False,
 ) -> None:
     """Be the master of a subsystem: prompt, script, network."""
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
     from pbonet.master.console import interfaces
 
     scripts = script or ([] if sys.stdin.isatty() or network else [interfaces.STDIN])

@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from pbonet.master.console.commands import Arg, Command, Kind, Use, find
+from pbonet.master.console import Arg, Command, Kind, Use, find
 
 from . import options
 
@@ -21,7 +21,7 @@ def verb(name: str) -> Callable[..., None]:
     command = find(name)
 
     def run(file: Path, **given: Any) -> None:  # noqa: ANN401 - what the table says
-        from pbonet.master.configuration.environment import Place
+        from pbonet.master.configuration import Place
         from pbonet.master.console import oneshot
 
         place = Place(

@@ -30,7 +30,7 @@ def command(
     debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
     """Show the table, states and events in Foxglove as they are now."""
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
     from pbonet.master.tools import foxglove_server
 
     place = Place(

@@ -18,9 +18,6 @@ it is, so that the same code runs in real time, in simulation and in replay.
     Whether devices may be opened at all; the simulator says no.
 """
 
-from pbonet.outside import Outside
+from pbonet.lazy import attach
 
-from .policy import devices_allowed, no_devices
-from .serial_line import SerialLine
-
-__all__ = ["Outside", "SerialLine", "devices_allowed", "no_devices"]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

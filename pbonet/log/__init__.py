@@ -10,35 +10,6 @@ in it, ``fields`` how names of variables become names of fields; ``scan`` finds 
 whole in a file that was cut.
 """
 
-from .cycles import COLUMNS, STABLE, Cycles
-from .fields import field_name, variable_name
-from .part import Part
-from .reader import Life, Log, Message, files_of, last_run, log_name
-from .records import Attached, CodeFile, Did, RunAbout, Step, TaskAbout
-from .rows import Rows
-from .scan import is_complete
-from .writer import LogWriter
+from pbonet.lazy import attach
 
-__all__ = [
-    "COLUMNS",
-    "STABLE",
-    "Attached",
-    "CodeFile",
-    "Cycles",
-    "Did",
-    "Life",
-    "Log",
-    "LogWriter",
-    "Message",
-    "Part",
-    "Rows",
-    "RunAbout",
-    "Step",
-    "TaskAbout",
-    "field_name",
-    "files_of",
-    "is_complete",
-    "last_run",
-    "log_name",
-    "variable_name",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

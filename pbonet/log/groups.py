@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pbonet.svar.layout import padded, var_bytes
+from pbonet.svar import padded, var_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
 
 
 def pack(variables: Iterable[Variable], array: Callable[[str], NDArray[Any]]) -> bytes:

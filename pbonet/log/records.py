@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from msgspec import Struct
 
-from pbonet.config.model import Variable
+from pbonet.config import Variable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

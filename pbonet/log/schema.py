@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from pbonet.svar.layout import group_of, var_bytes
+from pbonet.svar import group_of, var_bytes
 
 from .fields import field_name
 from .records import Step
@@ -23,7 +23,7 @@ from .records import Step
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
 
     from .records import TaskAbout
     from .rows import Rows

@@ -12,7 +12,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io.chain import Chain
+from pbonet.io import Chain
 
 from ._values import PerElement, spread
 

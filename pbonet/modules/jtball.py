@@ -6,9 +6,7 @@ import numpy as np
 
 from pbonet import InConst, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import ParameterError
-from pbonet.io import SerialLine
-from pbonet.io.magellan import AXES, Ball
-from pbonet.io.recorded import RecordedBall
+from pbonet.io import AXES, Ball, RecordedBall, SerialLine
 
 from ._values import PerElement, spread
 

@@ -19,8 +19,7 @@ from pbonet import (
     Vector,
     param,
 )
-from pbonet.io.arm import SimulatedArm
-from pbonet.io.puma560 import PUMA560
+from pbonet.io import PUMA560, SimulatedArm
 
 from ._values import PerElement, spread
 

@@ -5,21 +5,6 @@ and semaphores give it more than that. Their answers stand on a tape, which the 
 ring takes along with each cycle; a replay gives them again and opens nothing.
 """
 
-from ._tape import Outside, Tape, active, plays, use
-from .answers import NotRecordedError
-from .playing import BrokenOffError, Player, refuse, using
-from .told import Told
+from pbonet.lazy import attach
 
-__all__ = [
-    "BrokenOffError",
-    "NotRecordedError",
-    "Outside",
-    "Player",
-    "Tape",
-    "Told",
-    "active",
-    "plays",
-    "refuse",
-    "use",
-    "using",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pbonet.config.model import Limit
+from pbonet.config import Limit
 from pbonet.errors import SvarError, SvarLayoutError
 
 from .layout import values_of
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
 
     from .layout import Group
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from pbonet.config.model import Variable
+from pbonet.config import Variable
 from pbonet.errors import SvarLayoutError
 
 if TYPE_CHECKING:

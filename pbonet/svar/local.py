@@ -15,7 +15,7 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.shm.closeable import Closing
+from pbonet.shm import Closing
 
 from . import guards, layout, native, table_files
 from .result_codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
 
 
 def _never() -> bool:

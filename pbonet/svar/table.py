@@ -14,7 +14,7 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.shm.closeable import Closing
+from pbonet.shm import Closing
 
 from . import guards, table_files
 from . import layout as lay
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
 
 SPARE = 4
 """How many times the whole table fits into its arena, beside the keeper's register."""

@@ -6,8 +6,6 @@ no process that has an end of a link has anything of the network. Importing this
 no network either.
 """
 
-from .ends import Reader, Writer
-from .places import sweep
-from .seen import seen
+from pbonet.lazy import attach
 
-__all__ = ["Reader", "Writer", "seen", "sweep"]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

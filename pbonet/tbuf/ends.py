@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbonet.outside import Outside, active
-from pbonet.shm.closeable import Closing
+from pbonet.shm import Closing
 from pbonet.xm.ipc import shm_object_files
 
 from . import layout, places
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import DTypeLike, NDArray
 
-    from pbonet.xm.ipc.names import Name
+    from pbonet.xm.ipc import Name
 
 
 class _Attached(Closing, End):

@@ -32,7 +32,7 @@ from ._tbuf import CARER, READER, WRITER, Buffer
 if TYPE_CHECKING:
     import numpy as np
 
-    from pbonet.xm.ipc.names import Name
+    from pbonet.xm.ipc import Name
 
 KIND = "tbuf"
 PATIENCE = 1.0

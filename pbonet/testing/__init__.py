@@ -16,24 +16,6 @@ sees an input when it is copied in, and an output appears when it is copied out.
 A run that was recorded is a test too: `replay` runs a task's code again on its log.
 """
 
-from ._bench import Bench
-from ._clock import FakeClock
-from ._replay import DivergedError, replay, verify
-from ._table import BenchTable, PortValues
-from ._verdict import Changed, Divergence, Replayed, Verdict
-from ._whole import rerun
+from pbonet.lazy import attach
 
-__all__ = [
-    "Bench",
-    "BenchTable",
-    "Changed",
-    "DivergedError",
-    "Divergence",
-    "FakeClock",
-    "PortValues",
-    "Replayed",
-    "Verdict",
-    "replay",
-    "rerun",
-    "verify",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from pbonet.analysis.schedule.criticality import INSIDE
-from pbonet.config.library import Library
+from pbonet.analysis.schedule import INSIDE
+from pbonet.config import Library
 from pbonet.errors import MethodError, PortError, did_you_mean
-from pbonet.node.task.executor import Executor
-from pbonet.node.task.step_failures import RAISED
+from pbonet.node.task import RAISED, Executor
 from pbonet.pbo import (
     METHODS,
     BoundedOutbox,

@@ -8,11 +8,10 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pbonet.config import parse_rmod
-from pbonet.config.library import Library
+from pbonet.config import Library, parse_rmod
 from pbonet.errors import PbonetError
-from pbonet.log.code import code_of
-from pbonet.node.task.journal import files_of
+from pbonet.log import code_of
+from pbonet.node.task import files_of
 
 from ._verdict import Changed
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any, Final
 
-from pbonet.node.task.step_failures import RAISED
+from pbonet.node.task import RAISED
 from pbonet.outside import BrokenOffError, NotRecordedError
 from pbonet.pbo import TimingFailure, line_of
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType
 
-    from pbonet.node.task.executor import Executor
+    from pbonet.node.task import Executor
     from pbonet.outside import Player, Told
     from pbonet.pbo import PythonWatch
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pbonet.log.groups import unpack
-from pbonet.svar.layout import group_of
+from pbonet.log import unpack
+from pbonet.svar import group_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.log import Life, Log, TaskAbout
-    from pbonet.log.records import Table
+    from pbonet.log import Life, Log, Table, TaskAbout
 
 Key = tuple[int, int]
 """Register and number of a commit."""

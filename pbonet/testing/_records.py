@@ -9,8 +9,7 @@ import msgspec
 import numpy as np
 
 from pbonet.errors import LogError
-from pbonet.log import Did, Step
-from pbonet.log.schema import CDR, StepSchema
+from pbonet.log import CDR, Did, Step, StepSchema
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

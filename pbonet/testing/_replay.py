@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pbonet.log import Life
-    from pbonet.log.records import Table
+    from pbonet.log import Life, Table
 
 
 class DivergedError(AssertionError):

@@ -12,20 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.config import parse_rmod
-from pbonet.config.library import Library
-from pbonet.config.model import Limit
+from pbonet.config import Library, Limit, parse_rmod
 from pbonet.errors import PbonetError, SvarOwnerError
-from pbonet.log import STABLE, Step
-from pbonet.log.groups import size, unpack
-from pbonet.log.schema import CDR, StepSchema
-from pbonet.node.task.executor import Executor
-from pbonet.node.task.parameters_in_task import set_param
-from pbonet.node.task.step_failures import RAISED
-from pbonet.node.task.task_ports import check_ports
+from pbonet.log import CDR, STABLE, Step, StepSchema, size, unpack
+from pbonet.node.task import RAISED, Executor, check_ports, set_param
 from pbonet.outside import BrokenOffError, NotRecordedError, Player
 from pbonet.pbo import PythonWatch, bind, decode_params
-from pbonet.svar.guards import Blamed
+from pbonet.svar import Blamed
 
 from . import _outside
 from ._failing import Failing, HandlerError
@@ -40,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
     from pbonet.log import Did, Life
 
 

@@ -12,14 +12,10 @@ import numpy as np
 
 from pbonet.config import parse_job, parse_sbs
 from pbonet.errors import LogError
-from pbonet.log import Log
-from pbonet.log.cycles import COLUMNS
-from pbonet.log.rewrite import merge
-from pbonet.master.configuration.environment import Place
-from pbonet.master.console import live_status
-from pbonet.master.console.run_simulated import simulate
-from pbonet.master.sim import sim_log
-from pbonet.master.sim.simulation import BEGIN_NS
+from pbonet.log import COLUMNS, Log, merge
+from pbonet.master.configuration import Place
+from pbonet.master.console import live_status, simulate
+from pbonet.master.sim import BEGIN_NS, sim_log
 
 from ._changed import changed
 from ._records import alike, must_have_cycles

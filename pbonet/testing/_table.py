@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pbonet.errors import PortError, did_you_mean
-from pbonet.node.wire.lifecycle import Step
+from pbonet.node.wire import Step
 from pbonet.ports import Kind, Port
-from pbonet.svar.guards import Blamed
+from pbonet.svar import Blamed
 
 if TYPE_CHECKING:
     from collections import deque

@@ -16,9 +16,7 @@ import msgspec
 import numpy as np
 
 from pbonet.errors import PbonetError
-from pbonet.log import Log, LogWriter, RunAbout
-from pbonet.log.groups import size
-from pbonet.log.schema import CDR, HEAD_DTYPE, RECORD, head
+from pbonet.log import CDR, HEAD_DTYPE, RECORD, Log, LogWriter, RunAbout, head, size
 
 from ._changed import changed
 from ._inputs import Commits
@@ -30,9 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pbonet.config.model import Variable
-    from pbonet.log import Life
-    from pbonet.log.records import Table
+    from pbonet.config import Variable
+    from pbonet.log import Life, Table
 
     from ._inputs import Key
 

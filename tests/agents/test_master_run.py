@@ -18,7 +18,7 @@ from rich.console import Console
 from watching import processes_of, wait_for
 
 from pbonet.master.configuration.environment import Place
-from pbonet.master.console import run as run_module
+from pbonet.master.console import run_job as run_module
 from pbonet.master.console.live_status import Screen
 from pbonet.master.sim.simulation import Simulation
 from pbonet.master.subsystem import subsystem_tasks

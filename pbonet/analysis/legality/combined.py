@@ -19,7 +19,7 @@ from .units import ANY, conversion, same_unit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
     from pbonet.pbo import ModuleInfo, PartInfo
     from pbonet.ports import Port
 

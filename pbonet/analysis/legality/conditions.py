@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from pbonet.config.conditions import Parsed, parse
+from pbonet.config import Parsed, parse
 from pbonet.errors import did_you_mean
 
 from .records import Code, Problem
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Condition, Variable
+    from pbonet.config import Condition, Variable
 
     Floats = NDArray[np.float64]
 

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule import soft
-from pbonet.analysis.schedule.analysis import Demand
-from pbonet.analysis.schedule.servers import Server, ServerKind
-from pbonet.config.model import TaskType
+from pbonet.analysis.schedule import Demand, Server, ServerKind, soft
+from pbonet.config import TaskType
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.config.types import numpy_type
-from pbonet.config.words import MAX_NAME
+from pbonet.config import MAX_NAME, numpy_type
 
 from .records import Code, Problem, Severity
 from .units import ANY, conversion, same_unit

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.config import missing_methods
-from pbonet.config.types import numpy_type
+from pbonet.config import missing_methods, numpy_type
 from pbonet.errors import did_you_mean
 from pbonet.ports import Kind, Port, accepts, wanted
 
@@ -17,7 +16,7 @@ from .units import ANY, conversion, same_unit
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
     from pbonet.pbo import ModuleInfo
 
 

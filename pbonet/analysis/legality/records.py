@@ -7,8 +7,8 @@ from enum import StrEnum
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule.soft import Profile
-from pbonet.config.model import Place, Rmod, RtpuEntry, SvarFile, Variable
+from pbonet.analysis.schedule import Profile
+from pbonet.config import Place, Rmod, RtpuEntry, SvarFile, Variable
 from pbonet.pbo import ModuleInfo
 
 COPY_SPEED = 1e9

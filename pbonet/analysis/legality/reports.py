@@ -14,10 +14,17 @@ from typing import TYPE_CHECKING
 import msgspec
 from msgspec import Struct
 
-from pbonet.analysis.schedule import analysis, soft, transfers
-from pbonet.analysis.schedule.analysis import Demand, Transformation
-from pbonet.analysis.schedule.servers import Server, ServerKind, server_size
-from pbonet.config.model import Scheduler, TaskType
+from pbonet.analysis.schedule import (
+    Demand,
+    Server,
+    ServerKind,
+    Transformation,
+    analysis,
+    server_size,
+    soft,
+    transfers,
+)
+from pbonet.config import Scheduler, TaskType
 
 from .demands import (
     Figure,
@@ -44,8 +51,8 @@ from .timing import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.analysis.schedule.criticality import Assigned
-    from pbonet.config.model import RtpuEntry
+    from pbonet.analysis.schedule import Assigned
+    from pbonet.config import RtpuEntry
 
 
 class Outlook(StrEnum):

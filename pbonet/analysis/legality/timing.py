@@ -6,17 +6,18 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, structs
 
-from pbonet.analysis.schedule import criticality, transfers
-from pbonet.analysis.schedule.analysis import (
+from pbonet.analysis.schedule import (
+    Assigned,
+    Timing,
     critical_set,
+    criticality,
     edf_schedulable,
     largest_server,
     level_guaranteed,
+    transfers,
     transform,
 )
-from pbonet.analysis.schedule.criticality import Assigned, Timing
-from pbonet.config.model import RtpuEntry, Scheduler
-from pbonet.config.types import element_type
+from pbonet.config import RtpuEntry, Scheduler, element_type
 
 from .demands import demands, is_periodic, is_server, reserve, servers
 from .records import Code, Configuration, Problem, Severity, Task
@@ -24,7 +25,7 @@ from .records import Code, Configuration, Problem, Severity, Task
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from pbonet.analysis.schedule.servers import Server
+    from pbonet.analysis.schedule import Server
 
 SERVER = 6
 """Criticality of a server with capacity left (section 6.5.2.1)."""

@@ -2,7 +2,7 @@
 
 The tasks that are ON get the criticalities and user priorities that the runtime would
 give them, and the execution times that are known of them. Module code runs only for a
-caller that brings it (`Code`); `pbonet.master.simcode` does.
+caller that brings it (`ModuleCode`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,16 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule import chart, criticality
-from pbonet.analysis.schedule.outcome import Outcome
-from pbonet.analysis.schedule.servers import ServerKind
-from pbonet.analysis.schedule.simulate import Core, PeriodicTask, ServerTask
-from pbonet.config.model import Scheduler, TaskType
+from pbonet.analysis.schedule import (
+    Core,
+    Outcome,
+    PeriodicTask,
+    ServerKind,
+    ServerTask,
+    chart,
+    criticality,
+)
+from pbonet.config import Scheduler, TaskType
 from pbonet.errors import VerificationError
 
 from .demands import SERVER_TYPES, effective, is_periodic, least, ns
@@ -28,8 +33,8 @@ from .timing import criticalities
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from pbonet.analysis.schedule.criticality import Assigned
-    from pbonet.config.model import RtpuEntry
+    from pbonet.analysis.schedule import Assigned
+    from pbonet.config import RtpuEntry
 
     from .records import Configuration, Task
 
@@ -48,7 +53,7 @@ class Times(StrEnum):
     """Drawn from the measured profile; without one, evenly from MINC to MAXC."""
 
 
-class Code(Protocol):
+class ModuleCode(Protocol):
     """Runs the tasks' own code while their cycles pass in virtual time."""
 
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
@@ -154,7 +159,7 @@ def simulate_job(
     assume: float | None = None,
     events: Mapping[str, Iterable[tuple[int, int]]] | None = None,
     keep: bool = True,
-    code: Code | None = None,
+    code: ModuleCode | None = None,
 ) -> JobOutcome:
     """Simulate the tasks of a configuration that are ON.
 
@@ -241,7 +246,7 @@ class _Builder(Struct, kw_only=True):
     priorities: dict[str, int]
     until_ns: int
     keep: bool
-    code: Code | None
+    code: ModuleCode | None
 
     def core(self, tasks: Sequence[Task], rtpu: RtpuEntry, *, limit: float) -> Core:
         """Return one RTPU before its first instant."""

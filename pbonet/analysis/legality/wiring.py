@@ -14,7 +14,7 @@ from .records import Code, Configuration, Problem, Severity, Task
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from pbonet.config.model import Rmod
+    from pbonet.config import Rmod
 
 
 def producers(rmods: Iterable[Rmod]) -> dict[str, tuple[str, ...]]:

@@ -13,10 +13,19 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule.criticality import PLANNED
-from pbonet.config import info_of, read_any
-from pbonet.config.library import Library, absent
-from pbonet.config.model import AgentConfig, JobFile, JobTask, Rmod, SbsFile, SvarFile
+from pbonet.analysis.schedule import PLANNED
+from pbonet.config import (
+    AgentConfig,
+    JobFile,
+    JobTask,
+    Library,
+    Rmod,
+    SbsFile,
+    SvarFile,
+    absent,
+    info_of,
+    read_any,
+)
 from pbonet.errors import PbonetError
 from pbonet.pbo import decode_params
 

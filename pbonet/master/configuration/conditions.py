@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 
 from pbonet.analysis import legality
-from pbonet.config.model import Condition
+from pbonet.config import Condition
 from pbonet.errors import ConditionError
 from pbonet.xm.net import messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pbonet.config.model import JobFile, Variable
+    from pbonet.config import JobFile, Variable
 
     Look = Callable[[list[str]], list[m.VarValue]]
 

@@ -8,12 +8,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from pbonet.config.job import LAST, MODES, last_seconds
-from pbonet.config.reader import load
+from pbonet.config import LAST, MODES, last_seconds, load
 from pbonet.errors import ConfigError, LogError, PbonetError, did_you_mean
 
 if TYPE_CHECKING:
-    from pbonet.config.model import JobFile
+    from pbonet.config import JobFile
 
     from .subsystem_files import Files
 

@@ -19,16 +19,15 @@ import msgspec
 from msgspec import Struct, structs
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule import soft
-from pbonet.analysis.schedule.histogram import BINS
+from pbonet.analysis.schedule import BINS, soft
 from pbonet.errors import ConfigFileError, StateError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from pbonet.config.model import Rmod, SvarFile
+    from pbonet.config import Rmod, SvarFile
     from pbonet.pbo import ModuleInfo
-    from pbonet.xm.net.messages import TaskProfile
+    from pbonet.xm.net import TaskProfile
 
 FOLDER = "profiles"
 ENOUGH = 100

@@ -16,27 +16,26 @@ from msgspec import Struct
 from pbonet.config import (
     Section,
     bundled,
+    load,
     parse_rmod,
     parse_sbs,
     parse_svar,
     read_job,
 )
-from pbonet.config.reader import load
 from pbonet.errors import (
     ConfigError,
     ConfigFileError,
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.xm.net.run_folder import NAME, check_name
+from pbonet.xm.net import NAME, check_name
 
 from .saved_profiles import Store
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.config.library import Library
-    from pbonet.config.model import JobFile, Rmod, SbsFile, SvarFile
+    from pbonet.config import JobFile, Library, Rmod, SbsFile, SvarFile
 
 
 class RmodSource(Struct, frozen=True):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from pbonet.analysis.legality import Task
-from pbonet.config.model import Place
+from pbonet.config import Place
 from pbonet.errors import UnknownTaskError, did_you_mean
 from pbonet.pbo import ModuleInfo, State
 
@@ -18,7 +18,7 @@ from .subsystem_files import RmodSource
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pbonet.config.model import Rmod
+    from pbonet.config import Rmod
 
 
 class Member(Struct, kw_only=True):

@@ -13,7 +13,7 @@ from pbonet.master.subsystem import profiling, status_fields
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.master.subsystem.switching import Transition
+    from pbonet.master.subsystem import Transition
 
     from .session_state import Seat
 

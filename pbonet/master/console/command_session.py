@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from pbonet.errors import ClaimError, NodeError, StateError, did_you_mean
-from pbonet.master.subsystem.argument_text import collected, is_sequence, sequence
+from pbonet.master.subsystem import collected, is_sequence, sequence
 
 from .commands import BY_NAME, COMMANDS, Arg, Command, Kind, Scope, find
 from .session_state import Seat

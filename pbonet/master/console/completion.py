@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import PbonetError
-from pbonet.master.subsystem import status_fields
-from pbonet.master.subsystem.subsystem_tasks import SIGNALS
+from pbonet.master.subsystem import SIGNALS, status_fields
 from pbonet.pbo import PREDEFINED, State
 
 from .commands import BY_NAME, Arg, Command, Kind

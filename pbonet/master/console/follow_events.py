@@ -13,18 +13,17 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from pbonet.errors import PbonetError
-from pbonet.master.subsystem.event_filter import Choice, since
-from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.master.subsystem import Choice, Subsystem, since
 from pbonet.xm.net import messages as m
 
 from . import render
-from .run import Interrupts
+from .run_job import Interrupts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
 
 LOOK_TIME: Final = 0.5
 """Seconds after which events are asked for though none was announced."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from pbonet.errors import ConfigFileError, PbonetError
-from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.master.subsystem import Subsystem
 
 from . import render
 from .command_session import Desk, Reply
@@ -24,8 +24,8 @@ from .watch_values import Listener
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from pbonet.master.configuration.environment import Place
-    from pbonet.xm.net.messages import Event
+    from pbonet.master.configuration import Place
+    from pbonet.xm.net import Event
 
 STDIN: Final = "-"
 

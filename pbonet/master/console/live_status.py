@@ -11,13 +11,13 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from pbonet.master.subsystem.status_fields import Window
+from pbonet.master.subsystem import Window
 from pbonet.pbo import State
 
 from . import render
 
 if TYPE_CHECKING:
-    from pbonet.xm.net.messages import Event, RtpuStatus
+    from pbonet.xm.net import Event, RtpuStatus
 
 _COLORS: Final = {"ON": "green", "OFF": "cyan", "ERROR": "red"}
 _HEAD: Final = (

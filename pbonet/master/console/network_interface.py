@@ -33,10 +33,8 @@ from pbonet.errors import (
     ProtocolError,
     StateError,
 )
-from pbonet.xm.net import codec, key_expressions, rpc
+from pbonet.xm.net import check_name, codec, direct, key_expressions, rpc
 from pbonet.xm.net import messages as m
-from pbonet.xm.net.callbacks import direct
-from pbonet.xm.net.run_folder import check_name
 
 from . import render
 from .command_session import Call, Desk, Reply, convert
@@ -45,7 +43,7 @@ from .commands import find
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.master.subsystem.subsystem import Subsystem
+    from pbonet.master.subsystem import Subsystem
 
 _KEPT: Final = 1000
 _DESKS: Final = 100

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import zenoh
 
-from pbonet.config.library import Library
+from pbonet.config import Library
 from pbonet.errors import (
     NoAnswerError,
     NodeError,
@@ -24,10 +24,8 @@ from pbonet.errors import (
     UnreachableError,
     did_you_mean,
 )
-from pbonet.master.configuration.failures import must_be_stopped
-from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.subsystem.rtpu_clients import client_name
-from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.master.configuration import Files, must_be_stopped
+from pbonet.master.subsystem import Subsystem, client_name
 from pbonet.xm.net import codec, key_expressions, rpc, run_folder, session
 from pbonet.xm.net import messages as m
 
@@ -38,7 +36,7 @@ from .network_interface import Order
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
 
 _PAUSE = 0.05
 _FORWARD_TIME = 60.0

@@ -24,7 +24,7 @@ from prompt_toolkit.output import create_output
 from prompt_toolkit.patch_stdout import patch_stdout
 
 from pbonet.errors import PbonetError, StateError
-from pbonet.master.subsystem.status_fields import Window
+from pbonet.master.subsystem import Window
 from pbonet.xm.net import messages as m
 
 from . import render
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from prompt_toolkit.key_binding.key_processor import KeyPress
     from prompt_toolkit.output import Output
 
-    from pbonet.master.subsystem.subsystem import Subsystem
+    from pbonet.master.subsystem import Subsystem
 
 STOP_KEYS: Final = (Keys.F12, Keys.ControlE)
 """Either one stops the subsystem, whatever the prompt is doing."""

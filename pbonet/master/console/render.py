@@ -10,17 +10,16 @@ import msgspec
 
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, Severity
-from pbonet.master.subsystem import status_fields
-from pbonet.master.subsystem.argument_text import is_sequence
-from pbonet.node.task.step_failures import placed
-from pbonet.xm.net.messages import Event
+from pbonet.master.subsystem import is_sequence, status_fields
+from pbonet.node.task import placed
+from pbonet.xm.net import Event
 
 from . import profile_plot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pbonet.master.configuration.adopt import Adopted
+    from pbonet.master.configuration import Adopted
 
 Data = dict[str, Any]
 

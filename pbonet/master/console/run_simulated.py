@@ -7,17 +7,16 @@ import time
 from typing import TYPE_CHECKING, Any, Final
 
 from pbonet.errors import MethodError, PbonetError
-from pbonet.master.sim import sim_log
-from pbonet.master.sim.simulation import Simulation
+from pbonet.master.sim import Simulation, sim_log
 
 from . import summary
-from .run import Interrupts, Outcome
+from .run_job import Interrupts, Outcome
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pbonet.master.configuration.environment import Place
-    from pbonet.master.sim.sim_log import SimLog
+    from pbonet.master.configuration import Place
+    from pbonet.master.sim import SimLog
 
     from .live_status import View
 

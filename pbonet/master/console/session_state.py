@@ -14,7 +14,7 @@ from pbonet.master.subsystem import status_fields
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.master.subsystem.subsystem import Subsystem
+    from pbonet.master.subsystem import Subsystem
 
 
 class Seat:

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from pbonet.master.subsystem.status_fields import delay_quantile, profile
+from pbonet.master.subsystem import delay_quantile, profile
 from pbonet.pbo import State
 
 from . import render
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable
 
     from pbonet.log import Cycles
-    from pbonet.xm.net.messages import RtpuStatus, TaskStatus
+    from pbonet.xm.net import RtpuStatus, TaskStatus
 
 HEAD = (
     *("task", "rtpu", "last state", "cycles", "missed", "Hz", "CPU avg", "CPU max"),

@@ -13,11 +13,9 @@ import msgspec
 import zenoh
 
 from pbonet.errors import Severity
-from pbonet.master.subsystem.argument_text import sequence
-from pbonet.master.subsystem.subsystem import Subsystem
-from pbonet.xm.net import codec, key_expressions
+from pbonet.master.subsystem import Subsystem, sequence
+from pbonet.xm.net import codec, direct, key_expressions
 from pbonet.xm.net import messages as m
-from pbonet.xm.net.callbacks import direct
 
 from . import render
 from .command_session import Call, Desk, convert
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from pbonet.master.configuration.environment import Place
+    from pbonet.master.configuration import Place
 
 Data = dict[str, Any]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pbonet.node.task.task_ports import ages, check_ports
+from pbonet.node.task import ages, check_ports
 from pbonet.outside import using
 from pbonet.pbo import BoundedOutbox, TaskContext, bind, decode_params
 
@@ -16,9 +16,8 @@ from .sim_task import SimTask
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.config.library import Library
-    from pbonet.config.model import Rmod
-    from pbonet.master.configuration.task_model import Member
+    from pbonet.config import Library, Rmod
+    from pbonet.master.configuration import Member
     from pbonet.pbo import ModuleInfo
 
     from .sim_log import SimLog

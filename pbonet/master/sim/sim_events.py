@@ -6,7 +6,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from pbonet.errors import MethodError, Severity
-from pbonet.node.wire.event_log import EventLog, severity
+from pbonet.node.wire import EventLog, severity
 from pbonet.pbo import Signal, State, signal_names
 
 if TYPE_CHECKING:

@@ -6,11 +6,8 @@ import contextlib
 import struct
 from typing import TYPE_CHECKING, Final
 
-from pbonet.log import STABLE, Did, Step
-from pbonet.log.groups import pack
-from pbonet.log.schema import RECORD
-from pbonet.node.task import journal
-from pbonet.node.task.executor import Executor
+from pbonet.log import RECORD, STABLE, Did, Step, pack
+from pbonet.node.task import Executor, journal
 from pbonet.outside import Outside, Tape, using
 from pbonet.pbo import Counted
 

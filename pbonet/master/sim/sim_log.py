@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from pbonet.config.library import Library
+from pbonet.config import Library
 from pbonet.errors import LogError, Severity
 from pbonet.log import Log
-from pbonet.master.configuration.recording_plan import RecordingPlan
-from pbonet.master.configuration.subsystem_files import Files
-from pbonet.node.recorder import recorder_process
-from pbonet.node.recorder.log_rotation import LogFiles, Time
+from pbonet.master.configuration import Files, RecordingPlan
+from pbonet.node.recorder import LogFiles, Time, recorder_process
 from pbonet.node.task import journal
 from pbonet.node.wire import rtpu_messages
 
@@ -25,9 +23,8 @@ from .simulation import BEGIN_NS
 
 if TYPE_CHECKING:
     from pbonet.log import LogWriter
-    from pbonet.master.configuration.environment import Place
-    from pbonet.master.configuration.task_model import Member
-    from pbonet.xm.net.messages import Event
+    from pbonet.master.configuration import Member, Place
+    from pbonet.xm.net import Event
 
     from .sim_events import SimEvents
     from .sim_journal import SimTime

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pbonet.log import COLUMNS, Cycles
-from pbonet.svar.layout import group_of
+from pbonet.svar import group_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
 
 
 class TaskRecord:

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.analysis.schedule.dispatch import SLOTS
-from pbonet.config.model import JobTask
+from pbonet.analysis.schedule import SLOTS
+from pbonet.config import JobTask
 from pbonet.errors import PbonetError, Severity, StateError
-from pbonet.node.rtpu import rtpu_snapshot
-from pbonet.node.rtpu.fallbacks import LIMIT, Pair
+from pbonet.node.rtpu import LIMIT, Pair, rtpu_snapshot
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from pbonet.master.configuration.task_model import Member
+    from pbonet.master.configuration import Member
 
     from .sim_task import SimTask, Turns
 

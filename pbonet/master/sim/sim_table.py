@@ -6,19 +6,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pbonet.config.model import Limit
+from pbonet.config import Limit
 from pbonet.errors import SvarOwnerError
-from pbonet.svar import Flags
-from pbonet.svar.guards import Blamed, blame, limits_of
-from pbonet.svar.layout import group_of, values_of
-from pbonet.xm.net.message_parts import VarValue, plain
+from pbonet.svar import Blamed, Flags, blame, group_of, limits_of, values_of
+from pbonet.xm.net import VarValue, plain
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Rmod, Variable
+    from pbonet.config import Rmod, Variable
 
     Values = NDArray[Any]
 

@@ -6,13 +6,19 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule.dispatch import Dispatcher
-from pbonet.analysis.schedule.events import After, Event, pack
-from pbonet.analysis.schedule.records import Decision, Kind, Mode
-from pbonet.config.model import Rmod, TaskType
+from pbonet.analysis.schedule import (
+    After,
+    Decision,
+    Dispatcher,
+    Event,
+    Kind,
+    Mode,
+    pack,
+)
+from pbonet.config import Rmod, TaskType
 from pbonet.errors import NodeError
-from pbonet.master.configuration.task_model import Member
-from pbonet.node.task.step_failures import placed
+from pbonet.master.configuration import Member
+from pbonet.node.task import placed
 from pbonet.pbo import BoundedOutbox, Signal, State
 from pbonet.xm.net import messages as m
 
@@ -23,7 +29,7 @@ from .sim_table import MemoryCopies
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.config.model import RtpuEntry
+    from pbonet.config import RtpuEntry
     from pbonet.pbo import Notice
 
 _BITS = 64

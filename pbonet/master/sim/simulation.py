@@ -13,9 +13,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule.criticality import PLANNED
-from pbonet.config.library import Library
-from pbonet.config.model import JobTask, TaskType
+from pbonet.analysis.schedule import PLANNED
+from pbonet.config import JobTask, Library, TaskType
 from pbonet.errors import (
     PbonetError,
     Severity,
@@ -23,12 +22,9 @@ from pbonet.errors import (
     UnknownTaskError,
     did_you_mean,
 )
-from pbonet.io.policy import no_devices
+from pbonet.io import no_devices
 from pbonet.log import STABLE
-from pbonet.master.configuration import conditions
-from pbonet.master.configuration.failures import stuck
-from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.configuration.task_model import Member
+from pbonet.master.configuration import Files, Member, conditions, stuck
 from pbonet.pbo import Signal, State
 from pbonet.xm.net import messages as m
 
@@ -43,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from pbonet.config.model import JobFile
+    from pbonet.config import JobFile
     from pbonet.pbo import Notice
 
     from .sim_log import SimLog

@@ -19,17 +19,14 @@ import msgspec
 
 from pbonet.config import parse_rmod
 from pbonet.errors import PbonetError, StateError, SvarOwnerError
-from pbonet.io.policy import no_devices
-from pbonet.master.configuration.subsystem_files import RmodSource
-from pbonet.master.configuration.task_model import Member
-from pbonet.node.task.module_inspector import inspect
-from pbonet.node.task.parameters_in_task import get_params, set_param
-from pbonet.node.wire.event_log import by_task
+from pbonet.io import no_devices
+from pbonet.master.configuration import Member, RmodSource
+from pbonet.node.task import get_params, inspect, set_param
+from pbonet.node.wire import by_task
 from pbonet.pbo import PREDEFINED, Notice, State, signal_names
 from pbonet.svar import guards
+from pbonet.xm.net import machine, rpc
 from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc
-from pbonet.xm.net.run_folder import machine
 
 from .sim_task import must_be_simulated, status_of
 from .simulation import REASON, Simulation
@@ -38,8 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from threading import Event
 
-    from pbonet.config.library import Library
-    from pbonet.master.configuration.subsystem_files import Files
+    from pbonet.config import Library
+    from pbonet.master.configuration import Files
 
     from .sim_task import SimTask
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
-from pbonet.master.configuration.failures import forced
+from pbonet.master.configuration import forced
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Collection, Generator, Sequence
 
-    from pbonet.config.model import JobFile, JobTask
-    from pbonet.master.configuration.task_model import Member
+    from pbonet.config import JobFile, JobTask
+    from pbonet.master.configuration import Member
 
     from .subsystem_tasks import Crew
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     import threading
 
-    from pbonet.master.configuration.clock import Clock
-    from pbonet.master.configuration.subsystem_files import Files
+    from pbonet.master.configuration import Clock, Files
 
     from .rtpu_clients import Fleet
     from .subsystem_tasks import Crew

@@ -12,7 +12,7 @@ import fnmatch
 from typing import TYPE_CHECKING, Any, Protocol, overload
 
 from pbonet.errors import StateError, UnknownVariableError, did_you_mean
-from pbonet.svar.mirror.mirror_outbox import MARK
+from pbonet.svar.mirror import MARK
 from pbonet.xm.net import messages as m
 
 from . import profiling, remote_modules
@@ -24,11 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from pbonet.master.configuration.clock import Clock
-    from pbonet.master.configuration.saved_profiles import Saved
-    from pbonet.master.configuration.subsystem_files import Files
-    from pbonet.master.configuration.task_model import Picture
-    from pbonet.master.console.commands import Command
+    from pbonet.master.configuration import Clock, Files, Picture, Saved
+    from pbonet.master.console import Command
     from pbonet.pbo import ModuleInfo
 
     from .task_signal_inbox import Inbox
@@ -273,7 +270,7 @@ class Calls(Opened, Protocol):
         Raises:
             NodeError: There is no such command.
         """
-        from pbonet.master.console.commands import COMMANDS, find
+        from pbonet.master.console import COMMANDS, find
 
         return COMMANDS if command is None else (find(command),)
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from pbonet.config.model import Condition, Place
+from pbonet.config import Condition, Place
 from pbonet.errors import ConditionError, StateError
-from pbonet.master.configuration.conditions import Asked, must_be_answerable, must_hold
+from pbonet.master.configuration import Asked, must_be_answerable, must_hold
 from pbonet.xm.net import messages as m
 
 from .argument_text import check_time
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from threading import Event
 
-    from pbonet.config.model import JobFile
-    from pbonet.master.configuration.clock import Clock
+    from pbonet.config import JobFile
+    from pbonet.master.configuration import Clock
 
     from .subsystem_tasks import Crew
 

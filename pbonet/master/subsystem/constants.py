@@ -19,7 +19,7 @@ from pbonet.xm.net import rpc
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 
-    from pbonet.master.configuration.task_model import Member
+    from pbonet.master.configuration import Member
 
     from .subsystem_tasks import Crew
 

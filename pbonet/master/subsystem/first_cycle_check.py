@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.config.model import TaskType
+from pbonet.config import TaskType
 from pbonet.errors import PbonetError, StateError
-from pbonet.master.configuration.failures import stuck
+from pbonet.master.configuration import stuck
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Sequence
 
-    from pbonet.master.configuration.clock import Clock
+    from pbonet.master.configuration import Clock
     from pbonet.xm.net import messages as m
 
     from .subsystem_tasks import Crew

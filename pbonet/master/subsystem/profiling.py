@@ -14,9 +14,9 @@ import msgspec
 
 from pbonet.analysis.schedule import histogram, soft
 from pbonet.errors import StateError
-from pbonet.master.configuration.saved_profiles import profile_of
+from pbonet.master.configuration import profile_of
+from pbonet.xm.net import TaskProfile
 from pbonet.xm.net import messages as m
-from pbonet.xm.net.messages import TaskProfile
 
 from . import status_fields
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from pathlib import Path
 
-    from pbonet.config.model import Rmod
-    from pbonet.master.configuration.saved_profiles import Saved
-    from pbonet.xm.net.messages import RtpuStatus
+    from pbonet.config import Rmod
+    from pbonet.master.configuration import Saved
+    from pbonet.xm.net import RtpuStatus
 
     from .subsystem_tasks import Crew
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import StateError
 from pbonet.log import Log, is_complete, log_name
-from pbonet.master.configuration.recording_plan import RecordingPlan
+from pbonet.master.configuration import RecordingPlan
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.master.configuration.subsystem_files import Files
+    from pbonet.master.configuration import Files
 
     from .rtpu_clients import Fleet
 

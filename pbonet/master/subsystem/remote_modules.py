@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from pbonet.config.library import no_module
+from pbonet.config import no_module
 from pbonet.errors import ModuleLoadError
 from pbonet.pbo import ModuleInfo
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc
 
 if TYPE_CHECKING:
-    from pbonet.config.library import Library
+    from pbonet.config import Library
 
     from .rtpu_clients import Fleet
 

@@ -32,7 +32,7 @@ from pbonet.xm.net import messages as m
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from pbonet.config.model import RtpuEntry, SbsFile
+    from pbonet.config import RtpuEntry, SbsFile
 
 T = TypeVar("T")
 

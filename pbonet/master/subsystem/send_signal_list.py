@@ -13,7 +13,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
-from pbonet.master.configuration.failures import stuck
+from pbonet.master.configuration import stuck
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc
@@ -23,7 +23,7 @@ from . import signal_list_split
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.master.configuration.task_model import Picture
+    from pbonet.master.configuration import Picture
 
     from .rtpu_clients import Fleet
 

@@ -6,12 +6,12 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pbonet.pbo import State
-from pbonet.xm.net.messages import MOST_CALLERS
+from pbonet.xm.net import MOST_CALLERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from pbonet.master.configuration.task_model import Picture
+    from pbonet.master.configuration import Picture
 
 
 def handed_over(

@@ -18,7 +18,7 @@ from pbonet.errors import StateError, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.xm.net.messages import TaskStatus
+    from pbonet.xm.net import TaskStatus
 
 Value: TypeAlias = str | int | float | bool | None
 

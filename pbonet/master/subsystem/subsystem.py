@@ -20,14 +20,16 @@ from typing import TYPE_CHECKING, Self
 from msgspec import structs
 
 from pbonet.analysis import legality
-from pbonet.config.library import Library
+from pbonet.config import Library
 from pbonet.errors import NodeError, PbonetError
-from pbonet.master.configuration import environment
-from pbonet.master.configuration.clock import RealClock
-from pbonet.master.configuration.conditions import must_be_answerable
-from pbonet.master.configuration.failures import must_be_stopped
-from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.sim.virtual_rtpus import VirtualClient, VirtualClock, VirtualRtpus
+from pbonet.master.configuration import (
+    Files,
+    RealClock,
+    environment,
+    must_be_answerable,
+    must_be_stopped,
+)
+from pbonet.master.sim import VirtualClient, VirtualClock, VirtualRtpus
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc, session
 
@@ -56,9 +58,8 @@ if TYPE_CHECKING:
 
     import zenoh
 
-    from pbonet.config.model import SbsFile
-    from pbonet.master.configuration.clock import Clock
-    from pbonet.master.configuration.task_model import Picture
+    from pbonet.config import SbsFile
+    from pbonet.master.configuration import Clock, Picture
 
 
 class Subsystem(Switching, Calls, Signalled):
@@ -272,7 +273,7 @@ class Subsystem(Switching, Calls, Signalled):
             NodeError: The name cannot be one.
             DuplicateNameError: Another master serves a port of this name.
         """
-        from pbonet.master.console.interfaces import serve
+        from pbonet.master.console import serve
 
         serve(self, portname)
 

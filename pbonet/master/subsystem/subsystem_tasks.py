@@ -12,12 +12,10 @@ from types import NoneType
 from typing import TYPE_CHECKING
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule.criticality import PLANNED
+from pbonet.analysis.schedule import PLANNED
 from pbonet.config import info_of, parse_rmod
 from pbonet.errors import PbonetError
-from pbonet.master.configuration.failures import already
-from pbonet.master.configuration.subsystem_files import RmodSource
-from pbonet.master.configuration.task_model import Member, Picture
+from pbonet.master.configuration import Member, Picture, RmodSource, already
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import rpc
@@ -29,8 +27,8 @@ from .warning_dedup import Standing
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pbonet.config.model import Rmod
-    from pbonet.master.configuration.subsystem_files import Files
+    from pbonet.config import Rmod
+    from pbonet.master.configuration import Files
     from pbonet.pbo import ModuleInfo
 
     from .recording_control import Logbook

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
     from pathlib import Path
 
-    from pbonet.config.model import JobFile
-    from pbonet.master.configuration.task_model import Member
+    from pbonet.config import JobFile
+    from pbonet.master.configuration import Member
 
     from .subsystem_tasks import Crew
 

@@ -17,10 +17,10 @@ import msgspec
 from msgspec import Struct
 
 import pbonet
-from pbonet.analysis.schedule.criticality import PLANNED
+from pbonet.analysis.schedule import PLANNED
 from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master.console import render
-from pbonet.master.subsystem.rtpu_clients import client_name
+from pbonet.master.subsystem import client_name
 from pbonet.svar import table_files as shared
 from pbonet.xm.net import credentials, rpc, run_folder, session
 from pbonet.xm.net import messages as m
@@ -29,7 +29,7 @@ from pbonet.xm.net import unreachable_reason as out
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from pbonet.analysis.schedule.records import Probe
+    from pbonet.analysis.schedule import Probe
 
 _LEAST_SHM: Final = 64 << 20
 """Bytes of shared memory that a subsystem with a few rings needs."""

@@ -14,12 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from pbonet.errors import NodeError, PbonetError
-from pbonet.log.events import LOG_SCHEMA, log_message
-from pbonet.master.console import render
-from pbonet.master.console.follow_events import Follower
-from pbonet.master.console.run import Interrupts
-from pbonet.master.subsystem.event_filter import Choice
-from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.log import LOG_SCHEMA, log_message
+from pbonet.master.console import Follower, Interrupts, render
+from pbonet.master.subsystem import Choice, Subsystem
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import session
 
@@ -27,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pbonet.config.model import Variable
-    from pbonet.master.configuration.environment import Place
+    from pbonet.config import Variable
+    from pbonet.master.configuration import Place
 
 STATES: Final = 0.5
 """Seconds between two looks at the tasks' states and the events."""

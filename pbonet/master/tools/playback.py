@@ -16,9 +16,7 @@ import numpy as np
 from msgspec import Struct
 
 from pbonet.errors import LogError, SvarLayoutError, UnknownVariableError
-from pbonet.log import Log, Step
-from pbonet.log.groups import unpack
-from pbonet.log.schema import StepSchema, head
+from pbonet.log import Log, Step, StepSchema, head, unpack
 from pbonet.svar import Table
 
 if TYPE_CHECKING:
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.model import Variable
+    from pbonet.config import Variable
     from pbonet.log import Life
 
 PREFIX: Final = "replay:"

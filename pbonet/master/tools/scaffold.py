@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from pbonet.config import write_rmod
-from pbonet.config.model import Rmod, TaskType
-from pbonet.config.types import element_type
+from pbonet.config import Rmod, TaskType, element_type, write_rmod
 from pbonet.errors import ConfigError
 from pbonet.ports import Kind, parse_shape, shape_text
 
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from pbonet.config.model import SvarFile
+    from pbonet.config import SvarFile
 
     from .scaffold_port import NewPort
 

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.config.types import TYPES, element_type
+from pbonet.config import TYPES, element_type
 from pbonet.errors import ConfigError, did_you_mean
 from pbonet.pbo import METHODS
 from pbonet.ports import NAME_FORM, SHAPES, Kind, name_fault, parse_shape
 
 if TYPE_CHECKING:
-    from pbonet.config.model import SvarFile, Variable
+    from pbonet.config import SvarFile, Variable
 
 _RESERVED = frozenset({
     *METHODS,

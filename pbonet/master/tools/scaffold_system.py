@@ -14,14 +14,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from pbonet.config.model import JobFile, JobTask, RtpuEntry, SbsFile, SvarFile, Variable
+from pbonet.config import (
+    JobFile,
+    JobTask,
+    RtpuEntry,
+    SbsFile,
+    SvarFile,
+    Variable,
+)
 from pbonet.errors import ConfigError, did_you_mean
 from pbonet.ports import solve_shapes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pbonet.config.model import Rmod
+    from pbonet.config import Rmod
     from pbonet.pbo import ModuleInfo
     from pbonet.ports import Port
 

@@ -13,21 +13,18 @@ from typing import TYPE_CHECKING, ClassVar
 from msgspec import structs
 
 from pbonet.analysis import legality
-from pbonet.config.library import Library
-from pbonet.config.model import TaskType
+from pbonet.config import Library, TaskType
 from pbonet.errors import ConfigFileError, PbonetError, SeveralError
-from pbonet.io.policy import no_devices
-from pbonet.master.configuration.check_files import planned
-from pbonet.master.configuration.saved_profiles import here
-from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.sim.simulation import BEGIN_NS, REASON, Simulation
+from pbonet.io import no_devices
+from pbonet.master.configuration import Files, here, planned
+from pbonet.master.sim import BEGIN_NS, REASON, Simulation
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.config.model import JobTask
-    from pbonet.master.configuration.task_model import Member
+    from pbonet.config import JobTask
+    from pbonet.master.configuration import Member
 
 _LOADS = frozenset({
     legality.Code.OVERLOAD,

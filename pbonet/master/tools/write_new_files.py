@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from pbonet.config import read_sbs, read_svar, write_job, write_sbs, write_svar
-from pbonet.config.library import Library
+from pbonet.config import Library, read_sbs, read_svar, write_job, write_sbs, write_svar
 from pbonet.errors import ConfigError, ConfigFileError
 from pbonet.ports import Kind
 

@@ -24,12 +24,18 @@ import zenoh
 
 import pbonet
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
-from pbonet.node.mirror.table_carrier import Mirrors
+from pbonet.node.mirror import Mirrors
 from pbonet.node.rtpu import cleanup
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import survive_cuts
-from pbonet.xm.net import dialling, key_expressions, run_folder, session
-from pbonet.xm.net.messages import AgentInfo, LinkReport
+from pbonet.xm.net import (
+    AgentInfo,
+    LinkReport,
+    dialling,
+    key_expressions,
+    run_folder,
+    session,
+)
 
 from . import restart_check
 from .certificate_expiry import KeyTerm
@@ -48,8 +54,8 @@ from .zenoh_server import Server
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.config.model import AgentConfig
-    from pbonet.node.rtpu.rtpu_snapshot import Known
+    from pbonet.config import AgentConfig
+    from pbonet.node.rtpu import Known
 
 log = logging.getLogger("pbonet.node")
 

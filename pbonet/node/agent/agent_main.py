@@ -10,8 +10,8 @@ import sys
 import threading
 from typing import TYPE_CHECKING
 
-from pbonet.config.library import absent
-from pbonet.node.rt import _rt
+from pbonet.config import absent
+from pbonet.node import rt
 
 from . import systemd_notify
 from .agent import Agent
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
-    from pbonet.config.model import AgentConfig
-    from pbonet.xm.net.messages import AgentInfo
+    from pbonet.config import AgentConfig
+    from pbonet.xm.net import AgentInfo
 
 log = logging.getLogger("pbonet.node")
 
@@ -61,7 +61,7 @@ class Life:
         """
         signal.pthread_sigmask(signal.SIG_BLOCK, HEEDED)
         for which in ENDS:
-            _rt.leave_to_next(which)
+            rt.leave_to_next(which)
         if self._stays:  # what else a hangup asks for, the next does anyway
             signal.signal(signal.SIGHUP, signal.SIG_IGN)
         if self._ends:

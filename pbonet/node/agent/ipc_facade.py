@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 
     import zenoh
 
-    from pbonet.xm.net import run_folder
-    from pbonet.xm.net.resource_messages import XmRequest
+    from pbonet.xm.net import XmRequest, run_folder
 
 
 class Mail:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.errors import NodeError, Severity
 from pbonet.node.wire import rtpu_messages
-from pbonet.xm.net.resource_messages import LONGEST
+from pbonet.xm.net import LONGEST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

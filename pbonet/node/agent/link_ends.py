@@ -16,16 +16,15 @@ import zenoh
 
 from pbonet.errors import PbonetError, XmError
 from pbonet.node.wire import process_setup
-from pbonet.tbuf import layout, places
-from pbonet.tbuf.native import READER, WRITER, In, Out, parts
-from pbonet.xm.net.callbacks import direct
+from pbonet.tbuf import READER, WRITER, In, Out, layout, parts, places
+from pbonet.xm.net import direct
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from pbonet.xm.ipc.names import Name
+    from pbonet.xm.ipc import Name
 
 LOOK_NS = 100_000_000
 """How long a sender sleeps at most before it looks whether it shall end."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     import zenoh
 
-    from pbonet.xm.net.messages import AgentInfo
+    from pbonet.xm.net import AgentInfo
 
 LOOKS = 3
 """A neighbour that is not seen in so many looks, a second apart, will not be."""

@@ -16,10 +16,8 @@ import msgspec
 
 from pbonet.config import agent_text
 from pbonet.errors import Severity
-from pbonet.node.rtpu import orphaned_rings
-from pbonet.node.rtpu.task_handle import describe_end
-from pbonet.node.wire import process_setup, rtpu_messages
-from pbonet.node.wire.command_record import command
+from pbonet.node.rtpu import describe_end, orphaned_rings
+from pbonet.node.wire import command, process_setup, rtpu_messages
 
 from .recorder_pipe import Feed
 
@@ -27,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping
     from typing import BinaryIO
 
-    from pbonet.config.model import AgentConfig
-    from pbonet.xm.net.messages import AnyRequest
+    from pbonet.config import AgentConfig
+    from pbonet.xm.net import AnyRequest
 
     Tell = Callable[[rtpu_messages.Note], None]
     _Told = Callable[[], rtpu_messages.Commanded]

@@ -30,11 +30,9 @@ from pbonet.errors import (
     XmLapsedError,
 )
 from pbonet.xm.ipc import mailboxes, names
-from pbonet.xm.net import codec, key_expressions, roles
+from pbonet.xm.net import FileWrite, codec, direct, key_expressions, roles
 from pbonet.xm.net import messages as m
 from pbonet.xm.net import resource_messages as r
-from pbonet.xm.net.callbacks import direct
-from pbonet.xm.net.file_messages import FileWrite
 
 from .idempotency import Repeats
 

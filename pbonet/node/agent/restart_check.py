@@ -18,7 +18,7 @@ from . import link_watchdog
 from .file_server import Filer
 
 if TYPE_CHECKING:
-    from pbonet.config.model import AgentConfig
+    from pbonet.config import AgentConfig
 
 _STAYS: Final = "put it back, or end the agent and start it again: its tasks turn OFF"
 _THE_PROCESS: Final = ("libraries", "runs", "awake")

@@ -22,8 +22,7 @@ import msgspec
 
 import pbonet
 from pbonet.errors import NodeError, ProtocolError
-from pbonet.node.rtpu import cleanup
-from pbonet.node.rtpu.rtpu_snapshot import Known
+from pbonet.node.rtpu import Known, cleanup
 from pbonet.node.wire import rtpu_messages
 
 from . import start_rtpu
@@ -467,7 +466,7 @@ class RtpuLink:
                 self._lacks(error)
         if orderly:
             return reason
-        from pbonet.node.rtpu.task_handle import describe_end
+        from pbonet.node.rtpu import describe_end
 
         code = self._process.returncode if self._process else None
         how = describe_end(code) if code is not None else reason

@@ -16,13 +16,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet import tbuf
 from pbonet.errors import NodeError, Severity, SvarError
-from pbonet.node.rt import _rt
-from pbonet.node.rtpu import claims, rtpu_snapshot, status
-from pbonet.node.rtpu.rtpu_snapshot import Known, KnownTask
-from pbonet.node.rtpu.tables import no_table, remove_unused, table_name
-from pbonet.node.wire import event_log
-from pbonet.node.wire.answer_packing import Answers, being_stopped
-from pbonet.node.wire.rtpu_messages import Note
+from pbonet.node import rt
+from pbonet.node.rtpu import (
+    Known,
+    KnownTask,
+    claims,
+    no_table,
+    remove_unused,
+    rtpu_snapshot,
+    status,
+    table_name,
+)
+from pbonet.node.wire import Answers, Note, being_stopped, event_log
 from pbonet.svar import Table
 from pbonet.tbuf import places
 from pbonet.xm.net import messages as m
@@ -32,8 +37,8 @@ from . import variable_values
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.analysis.schedule.records import SlotStatus
-    from pbonet.node.wire.rtpu_messages import Recorder, RtpuInfo
+    from pbonet.analysis.schedule import SlotStatus
+    from pbonet.node.wire import Recorder, RtpuInfo
 
 log = logging.getLogger("pbonet.node")
 
@@ -82,7 +87,7 @@ class Overview:
         self._news = threading.Condition()
         self._told = 0
         self._known = Known()
-        self._core: _rt.CoreTable | None = None
+        self._core: rt.CoreTable | None = None
         self._tables: dict[str, tuple[Table, bool]] = {}
         self._do: dict[type[m.Request], Callable[[Any], object]] = {
             m.Status: lambda request: self._status(
@@ -98,7 +103,7 @@ class Overview:
     def informed(self, info: RtpuInfo) -> None:
         """Look at the core of the RTPU process, and at the tables that it has open."""
         if self._core is None:
-            self._core = _rt.CoreTable(info.core, member=False)
+            self._core = rt.CoreTable(info.core, member=False)
         for subsystem in self._tables.keys() - info.tables.keys():
             self._let_go(subsystem)
         for subsystem, keep in info.tables.items():
@@ -320,7 +325,7 @@ class Overview:
         found[0].must_be_whole()
         return found
 
-    def _open(self) -> _rt.CoreTable:
+    def _open(self) -> rt.CoreTable:
         if self._core is None:
             raise restarting(self._rtpu)
         return self._core

@@ -18,11 +18,9 @@ import zenoh
 
 from pbonet.errors import PbonetError, Severity, XmError
 from pbonet.node.wire import rtpu_messages
-from pbonet.tbuf import places
-from pbonet.tbuf.native import CARER, READER, WRITER, Buffer
+from pbonet.tbuf import CARER, READER, WRITER, Buffer, places
 from pbonet.xm.ipc import names
-from pbonet.xm.net import key_expressions
-from pbonet.xm.net.callbacks import direct
+from pbonet.xm.net import direct, key_expressions
 
 from .link_ends import Receiver, Sender
 from .link_rules import IDLE, Duty, Elsewhere, Here, duty

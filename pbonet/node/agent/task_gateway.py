@@ -19,11 +19,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from pbonet.errors import PbonetError, ProtocolError
-from pbonet.xm.net import codec, key_expressions
+from pbonet.xm.net import Client, Declared, Letter, XmRequest, codec, key_expressions
 from pbonet.xm.net import messages as m
-from pbonet.xm.net.relay_messages import Letter
-from pbonet.xm.net.resource_messages import XmRequest
-from pbonet.xm.net.rpc import Client, Declared
 
 if TYPE_CHECKING:
     from pathlib import Path

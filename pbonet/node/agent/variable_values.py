@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import SvarError
 from pbonet.svar import Flags
-from pbonet.xm.net.message_parts import plain
-from pbonet.xm.net.messages import VarValue
+from pbonet.xm.net import VarValue, plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -23,10 +23,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 import zenoh
 
 from pbonet.errors import NodeError, PbonetError, ProtocolError
-from pbonet.xm.net import codec, key_expressions, roles, session
+from pbonet.xm.net import XmRequest, codec, direct, key_expressions, roles, session
 from pbonet.xm.net import messages as m
-from pbonet.xm.net.callbacks import direct
-from pbonet.xm.net.resource_messages import XmRequest
 
 from .idempotency import Noted, Repeats
 from .shared_memory_status import HANDLED
@@ -34,7 +32,7 @@ from .shared_memory_status import HANDLED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.xm.net.messages import AgentInfo, LinkReport
+    from pbonet.xm.net import AgentInfo, LinkReport
 
     from .shared_memory_status import Handled, Overview
 

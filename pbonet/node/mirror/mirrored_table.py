@@ -16,13 +16,11 @@ from typing import TYPE_CHECKING, Protocol
 import zenoh
 
 from pbonet.errors import Severity
-from pbonet.node.rtpu.tables import lock_to_carry, remove_unused, table_name
+from pbonet.node.rtpu import lock_to_carry, remove_unused, table_name
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Table
-from pbonet.svar.mirror import packets
-from pbonet.svar.mirror.table_mirror import Mirror
-from pbonet.xm.net import key_expressions
-from pbonet.xm.net.callbacks import direct
+from pbonet.svar.mirror import Mirror, packets
+from pbonet.xm.net import direct, key_expressions
 
 from . import remote_handover
 from .packet_queue import Incoming
@@ -30,9 +28,8 @@ from .packet_queue import Incoming
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pbonet.svar.native import Watch
-    from pbonet.xm.net.messages import Call
-    from pbonet.xm.net.rpc import Declared
+    from pbonet.svar import Watch
+    from pbonet.xm.net import Call, Declared
 
 log = logging.getLogger("pbonet.node")
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from pbonet.errors import PbonetError
-from pbonet.node.rt import _rt
-from pbonet.xm.net.messages import Call
+from pbonet.node import rt
+from pbonet.xm.net import Call
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,7 +52,7 @@ def make(table: Table, data: bytes, late_ns: int | None) -> bool:
         in_time = late_ns is not None and late_ns <= LATEST_NS
         if not (in_time and _free(table, call.outputs)):
             return False
-        core = _rt.CoreTable(call.core, member=False)
+        core = rt.CoreTable(call.core, member=False)
         try:
             return core.call(call.slot, call.life, call.ticket, call.caller)
         finally:

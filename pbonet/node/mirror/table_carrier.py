@@ -22,7 +22,7 @@ import zenoh
 
 from pbonet.errors import SvarError
 from pbonet.node.wire import rtpu_messages
-from pbonet.svar.native import Watch
+from pbonet.svar import Watch
 from pbonet.xm.net import key_expressions, run_folder
 from pbonet.xm.net import messages as m
 

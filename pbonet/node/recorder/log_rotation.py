@@ -20,7 +20,7 @@ import numpy as np
 import pbonet
 from pbonet.errors import LogError, Severity
 from pbonet.log import Attached, LogWriter, RunAbout, log_name
-from pbonet.node.ring._ring import parse
+from pbonet.node.ring import parse
 from pbonet.xm.net import run_folder
 
 if TYPE_CHECKING:

@@ -22,12 +22,12 @@ from msgspec.msgpack import Decoder
 
 from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import Attached, LogWriter, TaskAbout
-from pbonet.node.ring._ring import Ring
-from pbonet.node.rt import _rt
+from pbonet.node import rt
+from pbonet.node.ring import Ring
 from pbonet.node.rtpu import orphaned_rings
 from pbonet.node.wire import process_setup, rtpu_messages
 from pbonet.xm.ipc import folder_watch
-from pbonet.xm.net.messages import Event
+from pbonet.xm.net import Event
 
 from .log_rotation import LogFiles
 
@@ -107,7 +107,7 @@ class Recorder:
         self._unfit = 0
         self._flush = self._status = 0.0
         self._told: tuple[str, int] | None = None
-        self._core: _rt.CoreTable | None = None
+        self._core: rt.CoreTable | None = None
         self._events = Decoder(Event)
 
     # -- rings -------------------------------------------------------------------------
@@ -263,7 +263,7 @@ class Recorder:
         """Return the counts of every task, from shared memory."""
         try:
             if self._core is None:
-                self._core = _rt.CoreTable(self._wanted.core, member=False)
+                self._core = rt.CoreTable(self._wanted.core, member=False)
             owner = f"{self._wanted.domain}/{self._wanted.rtpu}"
             found = [self._core.snapshot(i) for i in self._core.slots(owner)]
         except (PbonetError, OSError):

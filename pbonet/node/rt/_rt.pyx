@@ -20,8 +20,8 @@ from pbonet.node.ring._ring cimport (
 )
 from pbonet.node.rt._rt_headers cimport *
 from pbonet.outside._tape cimport Tape, tape, tape_empty, tape_ready
-from pbonet.analysis.schedule.histogram import octaves
-from pbonet.analysis.schedule.records import (
+from pbonet.analysis.schedule import octaves
+from pbonet.analysis.schedule import (
     CoreStatus, Decision, Histograms, Kind, Mode, Section, SlotStatus,
 )
 from pbonet.svar._svar cimport Arena, LocalTable

@@ -6,8 +6,7 @@ import os
 import resource
 from pathlib import Path
 
-from pbonet.analysis.schedule.criticality import PLANNED
-from pbonet.analysis.schedule.records import Probe
+from pbonet.analysis.schedule import PLANNED, Probe
 
 _CAP_SYS_NICE = 23
 _CAP_IPC_LOCK = 14

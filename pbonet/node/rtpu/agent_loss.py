@@ -13,7 +13,7 @@ import time
 from typing import TYPE_CHECKING
 
 from pbonet.errors import SvarError, SvarOwnerError
-from pbonet.svar.mirror.mirror_outbox import MARK
+from pbonet.svar.mirror import MARK
 
 if TYPE_CHECKING:
     from .rtpu_state import Rtpu

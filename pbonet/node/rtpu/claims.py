@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet.errors import ClaimError
-from pbonet.xm.net.messages import Standing
+from pbonet.xm.net import Standing
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from pbonet.xm.net.messages import Claim, Request
+    from pbonet.xm.net import Claim, Request
 
 
 class Entry(Struct, kw_only=True):

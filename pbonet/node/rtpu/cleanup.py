@@ -18,8 +18,8 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import NodeError, PbonetError
-from pbonet.node.ring._ring import Ring
-from pbonet.node.rt import _rt
+from pbonet.node import rt
+from pbonet.node.ring import Ring
 from pbonet.node.wire import process_setup
 from pbonet.svar import table_files
 from pbonet.xm import sweep
@@ -169,5 +169,5 @@ def _sweep_mail(places: run_folder.Places) -> list[str]:
 def _sweep_core(core: int) -> list[str]:
     """Let the core table drop its dead members, and its file if none is left."""
     with contextlib.suppress(PbonetError, OSError):
-        _rt.CoreTable(core, member=True).close()
+        rt.CoreTable(core, member=True).close()
     return []

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple, TypedDict
 import msgspec
 from msgspec import structs
 
-from pbonet.analysis.schedule.records import Kind
-from pbonet.config import parse_rmod
-from pbonet.config.model import TaskType
+from pbonet.analysis.schedule import Kind
+from pbonet.config import TaskType, parse_rmod
 from pbonet.errors import (
     NoAnswerError,
     ParameterError,
@@ -18,7 +17,7 @@ from pbonet.errors import (
     Severity,
     StateError,
 )
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import run_folder
@@ -26,8 +25,8 @@ from pbonet.xm.net import run_folder
 from .task_handle import Facts, Task
 
 if TYPE_CHECKING:
-    from pbonet.config.model import Rmod
-    from pbonet.xm.net.messages import Spawn
+    from pbonet.config import Rmod
+    from pbonet.xm.net import Spawn
 
     from .rtpu_state import Rtpu
     from .tables import Opened
@@ -41,7 +40,7 @@ KINDS = {
 }
 SILENCE = 2
 """Periods after which a device that times a task counts as silent."""
-FASTEST = 1e9 / _rt.MIN_PERIOD_NS
+FASTEST = 1e9 / rt.MIN_PERIOD_NS
 """Hz."""
 HIGHEST_CRIT = 62
 """0 and 63 are reserved (section 4.5.1)."""

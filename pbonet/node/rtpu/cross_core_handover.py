@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule.records import Mode
+from pbonet.analysis.schedule import Mode
 from pbonet.errors import PbonetError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net.messages import Call
+from pbonet.xm.net import Call
 
 from .fallbacks import Home, come, rest
 

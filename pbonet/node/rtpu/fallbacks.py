@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule.records import Mode
+from pbonet.analysis.schedule import Mode
 from pbonet.errors import NoAnswerError, PbonetError, Severity, StateError
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 
@@ -28,7 +28,7 @@ from .task_handle import error_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pbonet.node.wire.event_log import EventLog
+    from pbonet.node.wire import EventLog
 
     from .task_handle import Make, Task
 
@@ -56,7 +56,7 @@ class End(Struct):
     """What a task that stands by waits for."""
 
     kind: int
-    """`_rt.FALLBACK` or `_rt.HANDOVER`."""
+    """`rt.FALLBACK` or `rt.HANDOVER`."""
     of: list[Task]
     """Whose end it is, and whose out-vars the task takes over."""
     owners: Sequence[str] = ()
@@ -79,7 +79,7 @@ class Home(Protocol):
     """What is needed of the RTPU that all these tasks are on."""
 
     name: str
-    core: _rt.CoreTable
+    core: rt.CoreTable
     events: EventLog
     tasks: dict[tuple[str, str], Task]
     stopping: set[str]
@@ -275,7 +275,7 @@ class Fallbacks:
             original = self._rtpu.need(pair.subsystem, pair.original)
             standby.stands_by, pair.arranged = pair.original, original
             try:
-                end = End(_rt.FALLBACK, [original], after)
+                end = End(rt.FALLBACK, [original], after)
                 await stand_by(self._rtpu, standby, end, TIME)
             except BaseException:
                 standby.stands_by = ""
@@ -341,7 +341,7 @@ class Fallbacks:
         if not (coming and self._unfallen(original, coming=True)):
             return []
         task.stands_by, pair.arranged = pair.original, original
-        self._rtpu.core.follow(task.facts.slot, _rt.FALLBACK, [original.facts.slot])
+        self._rtpu.core.follow(task.facts.slot, rt.FALLBACK, [original.facts.slot])
         return owners
 
     async def _heard(self, task: Task) -> None:

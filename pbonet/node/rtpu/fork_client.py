@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from pbonet.errors import NodeError
-from pbonet.node.task.task_output import PIPE_BYTES
+from pbonet.node.task import PIPE_BYTES
 from pbonet.node.wire import process_setup, rtpu_messages
 
 if TYPE_CHECKING:

@@ -14,13 +14,13 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
-from pbonet.analysis.schedule.records import Mode
-from pbonet.config.model import TaskType
+from pbonet.analysis.schedule import Mode
+from pbonet.config import TaskType
 from pbonet.errors import PbonetError
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.node.wire import lifecycle, rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net.messages import Call
+from pbonet.xm.net import Call
 
 from .fallbacks import End, come, rest, stand_by
 
@@ -225,7 +225,7 @@ class Exchange:
         self._rtpu.fallbacks.overtaken(task)
         task.engaged = asyncio.get_running_loop().create_future()
         after = self._after[task.name]
-        await stand_by(self._rtpu, task, End(_rt.HANDOVER, after), self._left)
+        await stand_by(self._rtpu, task, End(rt.HANDOVER, after), self._left)
         await self._rtpu.fallbacks.ready(task, [old.name for old in after])
 
     async def _send_heralds(self, task: Task) -> None:

@@ -19,7 +19,7 @@ from pbonet.errors import Severity, SvarError, SvarFullError
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from pbonet.node.wire.event_log import EventLog
+    from pbonet.node.wire import EventLog
 
     from .tables import Opened, Tables
 

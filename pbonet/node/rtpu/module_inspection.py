@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from pbonet.errors import ModuleLoadError, PbonetError, ProtocolError
-from pbonet.node.task.module_inspector import Inspected
+from pbonet.node.task import Inspected
 from pbonet.node.wire import rtpu_messages
 
 if TYPE_CHECKING:

@@ -8,8 +8,7 @@ from pbonet import xm
 from pbonet.errors import Severity, XmDestroyedError, XmError
 
 if TYPE_CHECKING:
-    from pbonet.node.wire import rtpu_messages
-    from pbonet.node.wire.event_log import EventLog
+    from pbonet.node.wire import EventLog, rtpu_messages
 
 
 class Inlets:

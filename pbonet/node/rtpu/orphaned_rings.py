@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import NodeError
-from pbonet.node.ring._ring import Ring
+from pbonet.node.ring import Ring
 
 if TYPE_CHECKING:
-    from pbonet.node.wire.rtpu_messages import Recording
+    from pbonet.node.wire import Recording
 
     from .task_handle import Task
 

@@ -8,7 +8,7 @@ import msgspec
 
 from pbonet.errors import Severity
 from pbonet.node.wire import rtpu_messages
-from pbonet.xm.net.messages import ParamValue
+from pbonet.xm.net import ParamValue
 
 from . import create_task
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet.analysis.legality import Task, criticalities
-from pbonet.analysis.schedule.criticality import PLANNED, dropped
-from pbonet.config.model import Scheduler
+from pbonet.analysis.schedule import PLANNED, dropped
+from pbonet.config import Scheduler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.config.model import Rmod, RtpuEntry
+    from pbonet.config import Rmod, RtpuEntry
 
 
 class Wish(Struct, kw_only=True):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from pbonet.errors import PbonetError, StateError
 from pbonet.node.wire import lifecycle
 from pbonet.pbo import State
-from pbonet.xm.net.messages import Reconfigured
+from pbonet.xm.net import Reconfigured
 
 from .handover import TRIP, Exchange, calling, exchanges, shortest_period
 from .signal_tasks import control, note
@@ -21,7 +21,7 @@ from .signal_tasks import control, note
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pbonet.xm.net.messages import Call, Reconfig
+    from pbonet.xm.net import Call, Reconfig
 
     from .handover import Item
     from .rtpu_state import Rtpu

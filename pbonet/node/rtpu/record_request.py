@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING
 
 from pbonet.errors import LogError
 from pbonet.node.wire import rtpu_messages
-from pbonet.xm.net import run_folder
-from pbonet.xm.net.messages import Recorded
+from pbonet.xm.net import Recorded, run_folder
 
 if TYPE_CHECKING:
-    from pbonet.xm.net.messages import Record
+    from pbonet.xm.net import Record
 
     from .rtpu_state import Rtpu
 

@@ -14,8 +14,7 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet.errors import PbonetError, ProtocolError, Severity, StateError
-from pbonet.node.wire import rtpu_messages
-from pbonet.node.wire.answer_packing import Answers, being_stopped
+from pbonet.node.wire import Answers, being_stopped, rtpu_messages
 from pbonet.xm.net import codec
 from pbonet.xm.net import messages as m
 

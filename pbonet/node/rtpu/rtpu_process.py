@@ -21,8 +21,7 @@ import msgspec
 from pbonet import tbuf
 from pbonet.errors import DuplicateNameError, NodeError, PbonetError, Severity
 from pbonet.node.task import fork_server
-from pbonet.node.wire import process_setup, rtpu_messages
-from pbonet.node.wire.event_log import EventLog
+from pbonet.node.wire import EventLog, process_setup, rtpu_messages
 from pbonet.svar import survive_cuts
 from pbonet.xm import live_on, sweep
 from pbonet.xm.net import run_folder
@@ -35,7 +34,7 @@ from .rtpu_snapshot import Teller
 from .rtpu_state import Rtpu
 
 if TYPE_CHECKING:
-    from pbonet.xm.net.messages import Event
+    from pbonet.xm.net import Event
 
 END_TIME = 2.0
 """Seconds that turning everything OFF may take when the process ends."""

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import UnknownTaskError, did_you_mean
-from pbonet.xm.net.messages import TaskStatus
+from pbonet.xm.net import TaskStatus
 
 from . import ranking
 from .claims import Claims, Entry
@@ -21,8 +21,8 @@ from .claims import Claims, Entry
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.config.model import Rmod
-    from pbonet.node.wire.event_log import EventLog
+    from pbonet.config import Rmod
+    from pbonet.node.wire import EventLog
 
     from .fallbacks import Fallbacks
     from .task_handle import Task

@@ -9,12 +9,11 @@ import time
 from typing import TYPE_CHECKING
 
 import pbonet
-from pbonet.analysis.schedule.records import Mode
-from pbonet.config.model import RtpuEntry, Scheduler, TaskType
+from pbonet.analysis.schedule import Mode
+from pbonet.config import RtpuEntry, Scheduler, TaskType
 from pbonet.errors import PbonetError, RealTimeError, Severity
-from pbonet.node.rt import _rt
-from pbonet.node.task.step_failures import own_place, placed
-from pbonet.node.task.task_channel import INTERRUPT
+from pbonet.node import rt
+from pbonet.node.task import INTERRUPT, own_place, placed
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
 from pbonet.pbo import Signal, State
 
@@ -42,10 +41,9 @@ from .timing_failure_events import Timekeeper
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
 
-    from pbonet.analysis.schedule.records import SlotStatus
-    from pbonet.node.wire.event_log import EventLog
-    from pbonet.xm.net import run_folder
-    from pbonet.xm.net.messages import Call, TaskStatus
+    from pbonet.analysis.schedule import SlotStatus
+    from pbonet.node.wire import EventLog
+    from pbonet.xm.net import Call, TaskStatus, run_folder
 
     from .task_handle import Task
 
@@ -99,9 +97,9 @@ class Rtpu:
         self.signals = Signals(events)
         self._timekeeper = Timekeeper(events)
         self.spawner = Spawner(config.core, forks, self._forks_died)
-        self.core: _rt.CoreTable
-        self.dispatcher: _rt.Dispatcher
-        self.vigil: _rt.Vigil
+        self.core: rt.CoreTable
+        self.dispatcher: rt.Dispatcher
+        self.vigil: rt.Vigil
         self.fallbacks = Fallbacks(self)
         self.heirs = Heirs(self)
         self.givers = Givers(self)
@@ -121,7 +119,7 @@ class Rtpu:
         Raises:
             PbonetError: One of these cannot be had.
         """
-        probe = _rt.probe()
+        probe = rt.probe()
         self.limits = list(probe.reasons)
         if self.config.core not in probe.cores:
             raise RealTimeError(
@@ -133,7 +131,7 @@ class Rtpu:
             )
         os.sched_setaffinity(0, process_setup.housekeeping_cores(self.config.core))
         try:
-            _rt.lock_memory()
+            rt.lock_memory()
         except RealTimeError as error:
             if probe.lock_memory:  # else it is among the reasons already
                 self.limits.append(f"memory is not locked: {error}")
@@ -142,10 +140,10 @@ class Rtpu:
         if self.config.awake:
             self._awake = cpu_idle_states.Awake()
             self.limits += self._awake.limits
-        self.core = _rt.CoreTable(self.config.core, member=True)
-        self.dispatcher = _rt.Dispatcher(self.core, self.config.backend)
+        self.core = rt.CoreTable(self.config.core, member=True)
+        self.dispatcher = rt.Dispatcher(self.core, self.config.backend)
         self.dispatcher.start()
-        self.vigil = _rt.Vigil(self.dispatcher)
+        self.vigil = rt.Vigil(self.dispatcher)
         self.save()
         self._watch = asyncio.create_task(self._watch_quietly(), name="watch")
 
@@ -161,9 +159,9 @@ class Rtpu:
         await self.spawner.close()
         for name in ("vigil", "dispatcher", "core"):
             held = getattr(self, name, None)
-            if isinstance(held, _rt.Dispatcher | _rt.Vigil):
+            if isinstance(held, rt.Dispatcher | rt.Vigil):
                 held.stop()
-            elif isinstance(held, _rt.CoreTable):
+            elif isinstance(held, rt.CoreTable):
                 held.close()
 
     def info(self) -> rtpu_messages.RtpuInfo:

@@ -18,7 +18,7 @@ from pbonet.errors import (
 )
 from pbonet.node.wire import lifecycle, rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net.messages import Stopped
+from pbonet.xm.net import Stopped
 
 from .task_handle import END_TIME
 

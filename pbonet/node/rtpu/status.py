@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from pbonet.analysis.schedule.histogram import edge_ns
-from pbonet.node.rt._rt import KINDS
+from pbonet.analysis.schedule import edge_ns
+from pbonet.node.rt import KINDS
 from pbonet.pbo import State
-from pbonet.xm.net.messages import (
+from pbonet.xm.net import (
     RtpuStatus,
     SectionStatus,
     TaskProfile,
@@ -24,8 +24,8 @@ from .task_signals import by_name
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from pbonet.analysis.schedule.records import CoreStatus, Histograms, SlotStatus
-    from pbonet.node.wire.rtpu_messages import Recorder
+    from pbonet.analysis.schedule import CoreStatus, Histograms, SlotStatus
+    from pbonet.node.wire import Recorder
 
     from .rtpu_snapshot import KnownTask
 

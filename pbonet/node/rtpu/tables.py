@@ -24,15 +24,14 @@ from pbonet.errors import (
     SvarMissingError,
 )
 from pbonet.svar import Table
-from pbonet.xm.net import run_folder
-from pbonet.xm.net.messages import TableInfo
+from pbonet.xm.net import TableInfo, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from pbonet.config.model import SvarFile
-    from pbonet.xm.net.messages import OpenTable
+    from pbonet.config import SvarFile
+    from pbonet.xm.net import OpenTable
 
 
 _LOCK = struct.Struct("hhqqi4x")

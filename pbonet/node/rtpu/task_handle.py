@@ -27,9 +27,8 @@ from pbonet.errors import (
     TaskDiedError,
     TaskError,
 )
-from pbonet.node.task.task_output import Lines
-from pbonet.node.wire import rtpu_messages
-from pbonet.node.wire.event_log import LineBudget
+from pbonet.node.task import Lines
+from pbonet.node.wire import LineBudget, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import codec
 
@@ -38,8 +37,8 @@ from .fork_client import ORPHANED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.config.model import Rmod
-    from pbonet.xm.net.messages import TaskStatus
+    from pbonet.config import Rmod
+    from pbonet.xm.net import TaskStatus
 
     from .fork_client import Child
 

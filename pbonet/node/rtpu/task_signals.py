@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct, field
 
-from pbonet.node.wire.event_log import severity
+from pbonet.node.wire import severity
 from pbonet.pbo import PREDEFINED, SIGNALS, signal_bits, signal_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.node.rt._rt import CoreTable
-    from pbonet.node.wire.event_log import EventLog
+    from pbonet.node.rt import CoreTable
+    from pbonet.node.wire import EventLog
 
     from .task_handle import Task
 

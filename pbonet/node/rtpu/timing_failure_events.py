@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbonet.errors import Severity
-from pbonet.node.rt._rt import KINDS
+from pbonet.node.rt import KINDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from pbonet.analysis.schedule.records import CoreStatus, SlotStatus
-    from pbonet.node.wire.event_log import EventLog
+    from pbonet.analysis.schedule import CoreStatus, SlotStatus
+    from pbonet.node.wire import EventLog
 
     from .task_handle import Task
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 from pbonet.pbo import Recovery, TimingFailure, line_of
 from pbonet.ports import here
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from .task_channel import SlotTime
 
 _RECOVERIES = {
-    Recovery.CONTINUE: _rt.CONTINUE,
-    Recovery.ABORT: _rt.ABORT,
-    Recovery.SKIP: _rt.SKIP,
+    Recovery.CONTINUE: rt.CONTINUE,
+    Recovery.ABORT: rt.ABORT,
+    Recovery.SKIP: rt.SKIP,
 }
 
 

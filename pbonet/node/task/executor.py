@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import MethodError, StateError
-from pbonet.node.wire.lifecycle import (
+from pbonet.node.wire import (
     NOT_MADE,
     RULES,
     Event,

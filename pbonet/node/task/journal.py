@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import msgspec
 
 from pbonet.errors import SvarError
-from pbonet.log import Did, Step, TaskAbout
-from pbonet.log.code import code_of
-from pbonet.log.groups import pack
-from pbonet.node.wire.sanitise_values import readable
+from pbonet.log import Did, Step, TaskAbout, code_of, pack
+from pbonet.node.wire import readable
 
 from .port_transfer import Copies
 from .step_failures import ALL_REFUSED
@@ -29,12 +27,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.config.library import Library
-    from pbonet.config.model import Rmod, Variable
-    from pbonet.node.wire.rtpu_messages import TaskSpec
+    from pbonet.config import Library, Rmod, Variable
+    from pbonet.node.wire import TaskSpec
     from pbonet.outside import Tape
     from pbonet.pbo import ModuleInfo
-    from pbonet.svar.guards import Blamed
+    from pbonet.svar import Blamed
 
     Variables = list[Variable]
 

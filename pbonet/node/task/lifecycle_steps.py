@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pbonet.errors import DeclarationError, PbonetError, PortError, SvarError
-from pbonet.node.wire.lifecycle import Step
+from pbonet.node.wire import Step
 from pbonet.pbo import Counted, PortBasedObject, check_sizes, memory
 from pbonet.ports import Kind
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 from msgspec import Struct
 
-from pbonet.config.library import Library
+from pbonet.config import Library
 from pbonet.errors import PbonetError, WireError
 from pbonet.node.wire import process_setup, rtpu_messages
 from pbonet.pbo import ModuleInfo

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pbonet.pbo import ModuleInfo, ParamInfo, find_param
-from pbonet.xm.net.messages import ParamValue
+from pbonet.xm.net import ParamValue
 
 if TYPE_CHECKING:
     from .executor import Executor

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from pbonet.svar.guards import Blamed
+    from pbonet.svar import Blamed
 
 
 class Copies(Protocol):

@@ -14,7 +14,7 @@ from pbonet.pbo import (
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from pbonet.node.rt._rt import Failures
+    from pbonet.node.rt import Failures
     from pbonet.outside import Told
 
 

@@ -20,8 +20,8 @@ from pbonet.pbo import (
 )
 
 if TYPE_CHECKING:
-    from pbonet.node.wire.lifecycle import Outcome, Rule, Step
-    from pbonet.svar.guards import Blamed
+    from pbonet.node.wire import Outcome, Rule, Step
+    from pbonet.svar import Blamed
 
 RAISED = (Exception, SystemExit, TaskFailure)
 """What is caught around a module's methods: everything but the wish to end Python."""

@@ -6,17 +6,17 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from pbonet.errors import PbonetError
-from pbonet.node.rt import _rt
+from pbonet.node import rt
 
 if TYPE_CHECKING:
-    from pbonet.xm.net.messages import Call
+    from pbonet.xm.net import Call
 
 
 class Heralds:
     """The heirs that a task calls when it has ended; in the task's process."""
 
     def __init__(self) -> None:
-        self._ways: list[tuple[_rt.CoreTable, Call]] = []
+        self._ways: list[tuple[rt.CoreTable, Call]] = []
         self.gone: list[str] = []
         """Heirs that were not there any more when they were called last."""
 
@@ -29,7 +29,7 @@ class Heralds:
         self.forget()
         for call in calls:
             with contextlib.suppress(PbonetError):
-                table = _rt.CoreTable(call.core, member=False)
+                table = rt.CoreTable(call.core, member=False)
                 self._ways.append((table, call))
         return [call.heir for call in calls if not self._sees(call)]
 

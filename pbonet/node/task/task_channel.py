@@ -13,16 +13,14 @@ from collections import Counter, deque
 from typing import TYPE_CHECKING
 
 from pbonet.errors import MethodError, PbonetError, Severity
-from pbonet.node.wire import rtpu_messages
-from pbonet.node.wire.event_log import severity
-from pbonet.node.wire.sanitise_values import UNTOLD
+from pbonet.node.wire import UNTOLD, rtpu_messages, severity
 from pbonet.pbo import Notice, Signal, State, TaskContext, signal_names
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
     from pbonet.errors import WireError
-    from pbonet.node.rt._rt import Slot
+    from pbonet.node.rt import Slot
     from pbonet.outside import Told
 
     from .executor import Executor

@@ -13,7 +13,7 @@ import os
 import sys
 from typing import TYPE_CHECKING
 
-from pbonet.node.wire.event_log import LineBudget
+from pbonet.node.wire import LineBudget
 
 if TYPE_CHECKING:
     from collections.abc import Callable

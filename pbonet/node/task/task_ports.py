@@ -12,7 +12,7 @@ from pbonet.ports import Kind
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.config.model import Rmod
+    from pbonet.config import Rmod
     from pbonet.pbo import ModuleInfo
     from pbonet.svar import LocalTable, Table
 

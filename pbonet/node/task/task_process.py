@@ -19,13 +19,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from pbonet.config import parse_rmod
-from pbonet.config.library import Library
-from pbonet.config.model import TaskType
+from pbonet.config import Library, TaskType, parse_rmod
 from pbonet.errors import MethodError, PbonetError, RealTimeError, Severity
 from pbonet.log import Did
-from pbonet.node.ring._ring import Ring
-from pbonet.node.rt import _rt
+from pbonet.node import rt
+from pbonet.node.ring import Ring
 from pbonet.node.wire import lifecycle, process_setup, rtpu_messages
 from pbonet.outside import Tape, Told, use
 from pbonet.pbo import State, bind, decode_params, text_of
@@ -44,12 +42,12 @@ from .task_flag_causes import Alarm
 from .task_ports import ages, check_ports, local_table
 
 if TYPE_CHECKING:
-    from pbonet.config.model import Rmod
+    from pbonet.config import Rmod
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     """Be the task that the specification describes; return the exit code."""
-    orphan_fd = _rt.orphan_guard(task_channel.ORPHAN_SIGNAL, server)
+    orphan_fd = rt.orphan_guard(task_channel.ORPHAN_SIGNAL, server)
     # Only its own stack: reading those of threads that run can end the process.
     faulthandler.register(rtpu_messages.DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)
@@ -97,8 +95,8 @@ class Host:
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         for which in (signal.SIGTERM, signal.SIGINT):
             signal.signal(which, self._on_signal)
-        self.core = _rt.CoreTable(spec.core, member=False)
-        self.slot = _rt.Slot(self.core, spec.slot)
+        self.core = rt.CoreTable(spec.core, member=False)
+        self.slot = rt.Slot(self.core, spec.slot)
         self.watch = SlotWatch(self.slot.failures)
         self.decoder: msgspec.msgpack.Decoder[rtpu_messages.ToTask] = (
             msgspec.msgpack.Decoder(rtpu_messages.ToTask)
@@ -173,13 +171,13 @@ class Host:
         """Make the process fit for real time, then say that the task is OFF."""
         notes: list[str] = []
         try:
-            _rt.lock_memory()
-            _rt.populate_pages()
+            rt.lock_memory()
+            rt.populate_pages()
         except RealTimeError as error:
             notes.append(f"memory is not locked: {error}")
-        _rt.prefault_stack()
-        _rt.set_timer_slack()
-        _rt.pin(self.spec.core)
+        rt.prefault_stack()
+        rt.set_timer_slack()
+        rt.pin(self.spec.core)
         process_setup.settle_memory()
         self.slot.command_level()
         if self.outside:
@@ -204,7 +202,7 @@ class Host:
     def live(self) -> None:
         """Obey messages and cycle until the task is killed or orphaned."""
         while not self._over:
-            if self._asked_to_end or _rt.orphaned():
+            if self._asked_to_end or rt.orphaned():
                 self.end(self._asked_to_end or "its parent process is gone")
             elif self.executor.state is State.ON:
                 self._cycle()
@@ -226,7 +224,7 @@ class Host:
 
     def _stand_by(self) -> None:
         """Wait, OFF, until the dispatcher engages the task or a message comes."""
-        if self.slot.stand_by() == _rt.ENGAGED:
+        if self.slot.stand_by() == rt.ENGAGED:
             self._engage()
         self._take()
 
@@ -275,10 +273,10 @@ class Host:
                 failing=self.telling,
                 aged=self._aged if self.rmod.critical else None,
             )
-            if reason == _rt.FLAGS:
+            if reason == rt.FLAGS:
                 self.time.cycling = False
                 self._fault(refused(self.slot.flags, self.local.blamed))
-            elif reason == _rt.ABORTED:
+            elif reason == rt.ABORTED:
                 self.time.cycling = False
                 self._begin_anew()
         except task_channel.Interrupted:
@@ -490,7 +488,7 @@ class Host:
         self.slot.disarm()
         with contextlib.suppress(PbonetError, OSError):
             self.local.close()
-        if _rt.orphaned():
+        if rt.orphaned():
             with contextlib.suppress(PbonetError, OSError):
                 self.ring.destroy()
 

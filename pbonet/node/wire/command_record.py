@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 
-from pbonet.xm.net.messages import Answer
+from pbonet.xm.net import Answer
 
 from . import rtpu_messages
 
 if TYPE_CHECKING:
-    from pbonet.xm.net.messages import AnyRequest
+    from pbonet.xm.net import AnyRequest
 
 LONGEST_TEXT: Final = 300
 """Characters of a text that stand in a log; longer ones are files, attached to it."""

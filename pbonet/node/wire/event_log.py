@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.errors import Severity
 from pbonet.pbo import Signal
-from pbonet.xm.net.messages import Event
+from pbonet.xm.net import Event
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -22,8 +22,7 @@ import msgspec
 from msgspec import Struct
 
 from pbonet.errors import NodeError, WireError
-from pbonet.xm.net.messages import Call
-from pbonet.xm.net.warm_decoders import prepare
+from pbonet.xm.net import Call, prepare
 
 from .sanitise_values import of_numpy, readable_tree
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pbonet.errors import SvarError
-from pbonet.svar import layout
-from pbonet.svar.native import now_ns
+from pbonet.svar import layout, now_ns
 
 from .epochs import Claim
 from .mirror_outbox import MARK
@@ -18,8 +17,7 @@ from .mirror_outbox import MARK
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.svar.local import LocalTable
-    from pbonet.svar.table import Table
+    from pbonet.svar import LocalTable, Table
 
     from .packets import Full, Group, News, Packet
 

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pbonet.errors import SvarDamagedError
-from pbonet.svar import layout
-from pbonet.svar.native import now_ns
+from pbonet.svar import layout, now_ns
 
 from .packets import Group, News
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pbonet.svar.table import Table
+    from pbonet.svar import Table
 
     from .epochs import Epochs
 

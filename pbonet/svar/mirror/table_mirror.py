@@ -13,7 +13,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from pbonet.errors import SvarError
-from pbonet.svar.native import now_ns
+from pbonet.svar import now_ns
 
 from . import packets
 from .epochs import HERE, Epochs
@@ -23,8 +23,7 @@ from .mirror_outbox import Outbox
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.svar.native import Watch
-    from pbonet.svar.table import Table
+    from pbonet.svar import Table, Watch
 
     from .packets import Packet
 

@@ -1,19 +1,5 @@
 """The table's protocol in plain Python, a test oracle; see `arena` and `local`."""
 
-from .arena import STATIC_BYTES, VERSION, Arena, Blueprint
-from .flag import CAUSES, CAUSES_EACH
-from .local import LocalTable
-from .process import now_ns, process_start, survive_cuts
+from pbonet.lazy import attach
 
-__all__ = [
-    "CAUSES",
-    "CAUSES_EACH",
-    "STATIC_BYTES",
-    "VERSION",
-    "Arena",
-    "Blueprint",
-    "LocalTable",
-    "now_ns",
-    "process_start",
-    "survive_cuts",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.svar.result_codes import ALIVE, FULL, RIVAL, Verdict
+from pbonet.svar import ALIVE, FULL, RIVAL, Verdict
 
 from .flag import FLAG_BYTES, Flag, identity
 from .process import lives, process_start, space

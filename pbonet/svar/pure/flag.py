@@ -6,7 +6,7 @@ import os
 import struct
 from typing import TYPE_CHECKING
 
-from pbonet.svar.result_codes import ALIVE, FULL
+from pbonet.svar import ALIVE, FULL
 
 from .process import UNKNOWN, now_ns, process_start, space
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.svar.result_codes import CONSTS, IN, ON, OUT_CONSTS, RIVAL, VARS, Flags
+from pbonet.svar import CONSTS, IN, ON, OUT_CONSTS, RIVAL, VARS, Flags
 
 from .arena import LINE, Arena, kept
 from .process import now_ns
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pbonet.svar.guards import Check
+    from pbonet.svar import Check
 
 TRIES, TRIES_WHOLE = 16, 256
 _TYPES = ("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8")

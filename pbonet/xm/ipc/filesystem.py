@@ -40,7 +40,7 @@ except ImportError as error:  # pragma: no cover - said once, by who lacks it
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pbonet.xm.net.resource_messages import XmRequest
+    from pbonet.xm.net import XmRequest
 
 T = TypeVar("T")
 

@@ -24,8 +24,8 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.outside import Outside, active, using
-from pbonet.shm.closeable import Closing
-from pbonet.xm.net.resource_messages import Interrupt
+from pbonet.shm import Closing
+from pbonet.xm.net import Interrupt
 
 from . import names, remote_channel
 from ._ipc import Full, Policy, Queue

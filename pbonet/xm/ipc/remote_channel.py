@@ -21,8 +21,14 @@ import msgspec
 
 from pbonet.errors import NoAnswerError, UnreachableError, XmError
 from pbonet.outside import Outside, active
-from pbonet.xm.net import codec, key_expressions, run_folder
-from pbonet.xm.net.relay_messages import Letter, read_names, read_result
+from pbonet.xm.net import (
+    Letter,
+    codec,
+    key_expressions,
+    read_names,
+    read_result,
+    run_folder,
+)
 
 from . import names
 
@@ -30,8 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from pbonet.xm.net.messages import Request
-    from pbonet.xm.net.rpc import Client, Declared
+    from pbonet.xm.net import Client, Declared, Request
 
 T = TypeVar("T")
 
@@ -193,8 +198,7 @@ def client(
         UnreachableError: No agent can be reached.
         XmError: The process was forked from one that used the network.
     """
-    from pbonet.xm.net import session
-    from pbonet.xm.net.rpc import Client
+    from pbonet.xm.net import Client, session
 
     if _forked:
         raise XmError(

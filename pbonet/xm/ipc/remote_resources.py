@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from _typeshed import ReadableBuffer
 
-    from pbonet.xm.net.messages import Request
+    from pbonet.xm.net import Request
 
     from .names import Name
 

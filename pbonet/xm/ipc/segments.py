@@ -24,7 +24,7 @@ from pbonet.errors import (
     XmLayoutError,
 )
 from pbonet.outside import refuse
-from pbonet.shm.closeable import Closing
+from pbonet.shm import Closing
 
 from . import names, shm_object_files
 

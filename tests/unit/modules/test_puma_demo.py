@@ -11,7 +11,7 @@ import pytest
 
 from pbonet.log import Log
 from pbonet.master.configuration.environment import Place
-from pbonet.master.console.run import run
+from pbonet.master.console.run_job import run
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "puma"
 

@@ -13,7 +13,7 @@ from pbonet.log.groups import size
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_simulated
 from pbonet.master.console.live_status import view
-from pbonet.master.console.run import run
+from pbonet.master.console.run_job import run
 from pbonet.master.sim import sim_log
 from pbonet.testing import rerun, verify
 

@@ -17,10 +17,7 @@ from typing import TYPE_CHECKING
 from msgspec import Struct, structs
 
 from pbonet.analysis import legality
-from pbonet.config import bundled, parse_rmod
-from pbonet.config.library import Library
-from pbonet.config.reader import load
-from pbonet.config.write import meaning, number
+from pbonet.config import Library, bundled, load, meaning, number, parse_rmod
 from pbonet.errors import (
     ConfigError,
     ConfigFileError,
@@ -35,7 +32,7 @@ from .subsystem_files import Files
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from pbonet.config.model import Rmod
+    from pbonet.config import Rmod
 
     from .saved_profiles import Saved
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pbonet.errors import XmError
 from pbonet.xm.ipc import names, shm_object_files
-from pbonet.xm.net.messages import TbufStatus
+from pbonet.xm.net import TbufStatus
 
 from . import places
 from ._tbuf import READER, WRITER, Buffer

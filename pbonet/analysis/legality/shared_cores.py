@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.analysis.schedule.criticality import INSIDE, PLANNED
-from pbonet.config.model import Scheduler, TaskType
+from pbonet.analysis.schedule import INSIDE, PLANNED
+from pbonet.config import Scheduler, TaskType
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,13 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec import Struct
 
 from pbonet.analysis import legality
-from pbonet.config.library import Library
+from pbonet.config import Library
 from pbonet.errors import PbonetError, SeveralError, Severity, StateError
-from pbonet.master.configuration.subsystem_files import Files
-from pbonet.master.subsystem import profiling
-from pbonet.master.subsystem.embedded_agents import Embedded
-from pbonet.master.subsystem.recording_control import Logbook
-from pbonet.master.subsystem.subsystem import Subsystem
+from pbonet.master.configuration import Files
+from pbonet.master.subsystem import Embedded, Logbook, Subsystem, profiling
 from pbonet.xm.net import messages as m
 
 from . import live_status, render, summary
@@ -30,8 +27,8 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from pbonet.log import Cycles
-    from pbonet.master.configuration.environment import Place
-    from pbonet.xm.net.messages import RtpuStatus
+    from pbonet.master.configuration import Place
+    from pbonet.xm.net import RtpuStatus
 
     from .live_status import View
 

@@ -1,0 +1,44 @@
+"""Reads a configuration file of any kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pbonet.errors import ConfigFileError
+
+from .agent import read_agent
+from .job import read_job
+from .model import AgentConfig, JobFile, Rmod, SbsFile, SvarFile
+from .rmod import read_rmod
+from .sbs import read_sbs
+from .svar import read_svar
+
+Record = SvarFile | Rmod | SbsFile | JobFile | AgentConfig
+
+_READERS: dict[str, Callable[[str | Path], Record]] = {
+    ".svar": read_svar,
+    ".rmod": read_rmod,
+    ".sbs": read_sbs,
+    ".job": read_job,
+    ".toml": read_agent,
+}
+
+
+def read_any(path: str | Path) -> Record:
+    """Return what the file at `path` says; its ending tells the format.
+
+    Raises:
+        ConfigFileError: It cannot be read, or its ending is unknown.
+        ConfigError: It says something that cannot be.
+    """
+    reader = _READERS.get(Path(path).suffix)
+    if reader is None:
+        raise ConfigFileError(
+            "the ending of the file's name tells no format",
+            where=str(path),
+            expected=" or ".join(_READERS),
+            got=Path(path).suffix or "no ending",
+            remedy="rename the file or name another",
+        )
+    return reader(path)

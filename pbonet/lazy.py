@@ -1,0 +1,48 @@
+"""Packages whose names are imported when they are first used.
+
+Each package lists the names that other packages may use in its ``__init__.pyi``,
+where type checkers find them. Its ``__init__.py`` calls `attach`, which reads the same
+list. So importing a package costs little, and each verb, agent and task loads only what
+it uses.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_LINE = re.compile(r"^from (\.[\w.]*) import (\w+) as \w+$", re.MULTILINE)
+
+
+def attach(
+    package: str, file: str
+) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package.
+
+    Args:
+        package: Its ``__name__``.
+        file: Its ``__file__``; beside it stands the ``__init__.pyi`` with a line
+            ``from .file import Name as Name`` for each name, and
+            ``from . import file as file`` for each file that is used as a whole.
+    """
+    listed = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
+    homes = {name: home for home, name in _LINE.findall(listed)}
+    names = sorted(homes)
+
+    def load(name: str) -> object:
+        home = homes.get(name)
+        if home is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if home == ".":
+            return import_module(f".{name}", package)
+        value: object = getattr(import_module(home, package), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return load, lambda: names, names

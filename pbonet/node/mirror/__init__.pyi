@@ -1,0 +1,1 @@
+from .table_carrier import Mirrors as Mirrors

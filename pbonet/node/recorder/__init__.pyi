@@ -1,0 +1,3 @@
+from . import recorder_process as recorder_process
+from .log_rotation import LogFiles as LogFiles
+from .log_rotation import Time as Time

@@ -1,0 +1,1 @@
+from .closeable import Closing as Closing
