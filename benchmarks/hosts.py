@@ -36,8 +36,7 @@ from benchmarks.plain import raw
 from pbonet.config.model import AgentConfig
 from pbonet.svar import Table
 from pbonet.testing.lan import Lan, missing
-from pbonet.xm.net import key_expressions, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m, session
 from pbonet.xm.net.rpc import Client
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ import argparse
 import platform
 import statistics
 import timeit
-from typing import TYPE_CHECKING, Any
-from typing import Annotated as A
+from typing import TYPE_CHECKING, Annotated as A, Any
 
 import numpy as np
 

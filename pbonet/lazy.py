@@ -9,7 +9,6 @@ it uses.
 from __future__ import annotations
 
 import re
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +16,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_LINE = re.compile(r"^from (\.[\w.]*) import (\w+) as \w+$", re.MULTILINE)
+_IMPORT = re.compile(r"^from ([\w.]+) import (?:\(([^)]*)\)|(.*))", re.MULTILINE)
+_NAME = re.compile(r"(\w+) as \w+")
 
 
 def attach(
@@ -32,8 +32,12 @@ def attach(
             ``from . import file as file`` for each file that is used as a whole.
     """
     listed = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
-    homes = {name: home for home, name in _LINE.findall(listed)}
-    names = sorted(homes)
+    homes = {
+        name: home
+        for home, several, one in _IMPORT.findall(listed)
+        for name in _NAME.findall(several or one)
+    }
+    names = sorted(homes, key=lambda name: (not name.isupper(), name))
 
     def load(name: str) -> object:
         home = homes.get(name)
@@ -41,8 +45,6 @@ def attach(
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         if home == ".":
             return import_module(f".{name}", package)
-        value: object = getattr(import_module(home, package), name)
-        setattr(sys.modules[package], name, value)
-        return value
+        return getattr(import_module(home, package), name)
 
     return load, lambda: names, names

@@ -31,6 +31,7 @@ from pbonet.errors import NodeError, PbonetError
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import Run
 from pbonet.master.subsystem.embedded_agents import assign_cores
+from pbonet.node import rt
 
 if TYPE_CHECKING:
     from pbonet.analysis.schedule.outcome import Outcome

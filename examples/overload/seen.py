@@ -22,6 +22,7 @@ from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.outcome import Account, Outcome, Segment
 from pbonet.analysis.schedule.records import Mode
 from pbonet.errors import NodeError
+from pbonet.node import rt
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -6,8 +6,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated as A
-from typing import Any
+from typing import Annotated as A, Any
 
 import typer
 

@@ -1,51 +1,55 @@
-from .agent import agent_text as agent_text
-from .agent import parse_agent as parse_agent
-from .agent import read_agent as read_agent
-from .agent import told_agent as told_agent
+from .agent import (
+    agent_text as agent_text,
+    parse_agent as parse_agent,
+    read_agent as read_agent,
+    told_agent as told_agent,
+)
 from .any_file import read_any as read_any
-from .bundle import Section as Section
-from .bundle import bundled as bundled
+from .bundle import Section as Section, bundled as bundled
 from .combining import info_of as info_of
-from .conditions import Parsed as Parsed
-from .conditions import parse as parse
-from .job import LAST as LAST
-from .job import MODES as MODES
-from .job import last_seconds as last_seconds
-from .job import parse_job as parse_job
-from .job import read_job as read_job
-from .job import write_job as write_job
-from .library import Library as Library
-from .library import absent as absent
-from .library import no_module as no_module
-from .model import AgentConfig as AgentConfig
-from .model import Condition as Condition
-from .model import JobFile as JobFile
-from .model import JobTask as JobTask
-from .model import Limit as Limit
-from .model import Place as Place
-from .model import Rmod as Rmod
-from .model import RtpuEntry as RtpuEntry
-from .model import SbsFile as SbsFile
-from .model import Scheduler as Scheduler
-from .model import SvarFile as SvarFile
-from .model import TaskType as TaskType
-from .model import Variable as Variable
-from .needs import Missing as Missing
-from .needs import missing_methods as missing_methods
+from .conditions import Parsed as Parsed, parse as parse
+from .job import (
+    LAST as LAST,
+    MODES as MODES,
+    last_seconds as last_seconds,
+    parse_job as parse_job,
+    read_job as read_job,
+    write_job as write_job,
+)
+from .library import Library as Library, absent as absent, no_module as no_module
+from .model import (
+    AgentConfig as AgentConfig,
+    Condition as Condition,
+    JobFile as JobFile,
+    JobTask as JobTask,
+    Limit as Limit,
+    Place as Place,
+    Rmod as Rmod,
+    RtpuEntry as RtpuEntry,
+    SbsFile as SbsFile,
+    Scheduler as Scheduler,
+    SvarFile as SvarFile,
+    TaskType as TaskType,
+    Variable as Variable,
+)
+from .needs import Missing as Missing, missing_methods as missing_methods
 from .reader import load as load
-from .rmod import parse_rmod as parse_rmod
-from .rmod import read_rmod as read_rmod
-from .rmod import rmod_name as rmod_name
-from .rmod import write_rmod as write_rmod
-from .sbs import parse_sbs as parse_sbs
-from .sbs import read_sbs as read_sbs
-from .sbs import write_sbs as write_sbs
-from .svar import parse_svar as parse_svar
-from .svar import read_svar as read_svar
-from .svar import write_svar as write_svar
-from .types import TYPES as TYPES
-from .types import element_type as element_type
-from .types import numpy_type as numpy_type
+from .rmod import (
+    parse_rmod as parse_rmod,
+    read_rmod as read_rmod,
+    rmod_name as rmod_name,
+    write_rmod as write_rmod,
+)
+from .sbs import parse_sbs as parse_sbs, read_sbs as read_sbs, write_sbs as write_sbs
+from .svar import (
+    parse_svar as parse_svar,
+    read_svar as read_svar,
+    write_svar as write_svar,
+)
+from .types import (
+    TYPES as TYPES,
+    element_type as element_type,
+    numpy_type as numpy_type,
+)
 from .words import MAX_NAME as MAX_NAME
-from .write import meaning as meaning
-from .write import number as number
+from .write import meaning as meaning, number as number

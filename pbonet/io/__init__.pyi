@@ -1,9 +1,9 @@
+from pbonet.outside import Outside as Outside
+
 from .arm import SimulatedArm as SimulatedArm
 from .chain import Chain as Chain
-from .magellan import AXES as AXES
-from .magellan import Ball as Ball
-from .policy import devices_allowed as devices_allowed
-from .policy import no_devices as no_devices
+from .magellan import AXES as AXES, Ball as Ball
+from .policy import devices_allowed as devices_allowed, no_devices as no_devices
 from .puma560 import PUMA560 as PUMA560
 from .recorded import RecordedBall as RecordedBall
 from .serial_line import SerialLine as SerialLine

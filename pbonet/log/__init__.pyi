@@ -1,38 +1,35 @@
-from . import export as export
-from . import orders as orders
-from . import text as text
+from . import export as export, orders as orders, text as text
 from .code import code_of as code_of
-from .cycles import COLUMNS as COLUMNS
-from .cycles import STABLE as STABLE
-from .cycles import Cycles as Cycles
-from .events import LOG_SCHEMA as LOG_SCHEMA
-from .events import log_message as log_message
-from .fields import field_name as field_name
-from .fields import variable_name as variable_name
-from .groups import pack as pack
-from .groups import size as size
-from .groups import unpack as unpack
+from .cycles import COLUMNS as COLUMNS, STABLE as STABLE, Cycles as Cycles
+from .events import LOG_SCHEMA as LOG_SCHEMA, log_message as log_message
+from .fields import field_name as field_name, variable_name as variable_name
+from .groups import pack as pack, size as size, unpack as unpack
 from .part import Part as Part
-from .reader import Life as Life
-from .reader import Log as Log
-from .reader import Message as Message
-from .reader import files_of as files_of
-from .reader import last_run as last_run
-from .reader import log_name as log_name
-from .records import Attached as Attached
-from .records import CodeFile as CodeFile
-from .records import Did as Did
-from .records import RunAbout as RunAbout
-from .records import Step as Step
-from .records import Table as Table
-from .records import TaskAbout as TaskAbout
-from .rewrite import merge as merge
-from .rewrite import recover as recover
+from .reader import (
+    Life as Life,
+    Log as Log,
+    Message as Message,
+    files_of as files_of,
+    last_run as last_run,
+    log_name as log_name,
+)
+from .records import (
+    Attached as Attached,
+    CodeFile as CodeFile,
+    Did as Did,
+    RunAbout as RunAbout,
+    Step as Step,
+    Table as Table,
+    TaskAbout as TaskAbout,
+)
+from .rewrite import merge as merge, recover as recover
 from .rows import Rows as Rows
 from .scan import is_complete as is_complete
-from .schema import CDR as CDR
-from .schema import HEAD_DTYPE as HEAD_DTYPE
-from .schema import RECORD as RECORD
-from .schema import StepSchema as StepSchema
-from .schema import head as head
+from .schema import (
+    CDR as CDR,
+    HEAD_DTYPE as HEAD_DTYPE,
+    RECORD as RECORD,
+    StepSchema as StepSchema,
+    head as head,
+)
 from .writer import LogWriter as LogWriter

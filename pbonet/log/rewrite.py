@@ -79,8 +79,7 @@ def _write(
     clocks: Sequence[Clock],
     file: Any,  # noqa: ANN401 - a file
 ) -> int:
-    from mcap.writer import CompressionType
-    from mcap.writer import Writer as McapWriter
+    from mcap.writer import CompressionType, Writer as McapWriter
 
     writer = McapWriter(file, chunk_size=256 << 10, compression=CompressionType.ZSTD)
     writer.start(profile="", library="pbonet")

@@ -1,11 +1,15 @@
-from ._tape import Outside as Outside
-from ._tape import Tape as Tape
-from ._tape import active as active
-from ._tape import plays as plays
-from ._tape import use as use
+from ._tape import (
+    Outside as Outside,
+    Tape as Tape,
+    active as active,
+    plays as plays,
+    use as use,
+)
 from .answers import NotRecordedError as NotRecordedError
-from .playing import BrokenOffError as BrokenOffError
-from .playing import Player as Player
-from .playing import refuse as refuse
-from .playing import using as using
+from .playing import (
+    BrokenOffError as BrokenOffError,
+    Player as Player,
+    refuse as refuse,
+    using as using,
+)
 from .told import Told as Told

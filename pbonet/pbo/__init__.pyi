@@ -1,64 +1,74 @@
-from ._bind import Memory as Memory
-from ._bind import bind as bind
-from ._bind import check_sizes as check_sizes
-from ._bind import memory as memory
-from ._combine import Fault as Fault
-from ._combine import Part as Part
-from ._combine import faults as faults
-from ._combined import Combined as Combined
-from ._combined import PartClass as PartClass
-from ._combined import combine as combine
-from ._describe import ModuleInfo as ModuleInfo
-from ._describe import ParamInfo as ParamInfo
-from ._describe import PartInfo as PartInfo
-from ._describe import combined_info as combined_info
-from ._describe import describe as describe
-from ._describe import local_text as local_text
-from ._describe import render as render
-from ._describe import source_version as source_version
-from ._handling import ErrorScope as ErrorScope
-from ._handling import Handling as Handling
-from ._handling import Jump as Jump
-from ._handling import innermost as innermost
-from ._handling import line_of as line_of
-from ._handling import number_of as number_of
-from ._handling import place_of as place_of
-from ._handling import said as said
-from ._handling import text_of as text_of
-from ._object import METHODS as METHODS
-from ._object import Interface as Interface
-from ._object import PortBasedObject as PortBasedObject
-from ._object import interface as interface
-from ._param import Param as Param
-from ._param import param as param
-from ._params import Params as Params
-from ._params import change_param as change_param
-from ._params import decode_params as decode_params
-from ._params import find_param as find_param
-from ._params import make_params as make_params
-from ._params import params_type as params_type
-from ._schedule import Counted as Counted
-from ._schedule import Schedule as Schedule
-from ._signals import PREDEFINED as PREDEFINED
-from ._signals import SIGNALS as SIGNALS
-from ._signals import Signal as Signal
-from ._signals import SignalInfo as SignalInfo
-from ._signals import UserSignal as UserSignal
-from ._signals import signal_bits as signal_bits
-from ._signals import signal_names as signal_names
-from ._task import Answer as Answer
-from ._task import BoundedOutbox as BoundedOutbox
-from ._task import Notice as Notice
-from ._task import Outbox as Outbox
-from ._task import State as State
-from ._task import TaskContext as TaskContext
-from ._task import TaskFailure as TaskFailure
-from ._timing import CycleAborted as CycleAborted
-from ._timing import PythonWatch as PythonWatch
-from ._timing import Recovery as Recovery
-from ._timing import Section as Section
-from ._timing import TimingFailure as TimingFailure
-from ._timing import Watch as Watch
-from ._timing import check_criticality as check_criticality
-from ._timing import check_deadline as check_deadline
-from ._timing import check_section as check_section
+from ._bind import (
+    Memory as Memory,
+    bind as bind,
+    check_sizes as check_sizes,
+    memory as memory,
+)
+from ._combine import Fault as Fault, Part as Part, faults as faults
+from ._combined import Combined as Combined, PartClass as PartClass, combine as combine
+from ._describe import (
+    ModuleInfo as ModuleInfo,
+    ParamInfo as ParamInfo,
+    PartInfo as PartInfo,
+    combined_info as combined_info,
+    describe as describe,
+    local_text as local_text,
+    render as render,
+    source_version as source_version,
+)
+from ._handling import (
+    ErrorScope as ErrorScope,
+    Handling as Handling,
+    Jump as Jump,
+    innermost as innermost,
+    line_of as line_of,
+    number_of as number_of,
+    place_of as place_of,
+    said as said,
+    text_of as text_of,
+)
+from ._object import (
+    METHODS as METHODS,
+    Interface as Interface,
+    PortBasedObject as PortBasedObject,
+    interface as interface,
+)
+from ._param import Param as Param, param as param
+from ._params import (
+    Params as Params,
+    change_param as change_param,
+    decode_params as decode_params,
+    find_param as find_param,
+    make_params as make_params,
+    params_type as params_type,
+)
+from ._schedule import Counted as Counted, Schedule as Schedule
+from ._signals import (
+    PREDEFINED as PREDEFINED,
+    SIGNALS as SIGNALS,
+    Signal as Signal,
+    SignalInfo as SignalInfo,
+    UserSignal as UserSignal,
+    signal_bits as signal_bits,
+    signal_names as signal_names,
+)
+from ._task import (
+    Answer as Answer,
+    BoundedOutbox as BoundedOutbox,
+    Notice as Notice,
+    Outbox as Outbox,
+    State as State,
+    TaskContext as TaskContext,
+    TaskFailure as TaskFailure,
+)
+from ._timing import (
+    CycleAborted as CycleAborted,
+    PythonWatch as PythonWatch,
+    Recovery as Recovery,
+    Section as Section,
+    TimingFailure as TimingFailure,
+    Watch as Watch,
+    check_criticality as check_criticality,
+    check_deadline as check_deadline,
+    check_section as check_section,
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import (
     TYPE_CHECKING,
+    Annotated as A,
     Any,
     ClassVar,
     Generic,
@@ -12,7 +13,6 @@ from typing import (
     get_args,
     get_origin,
 )
-from typing import Annotated as A
 
 from msgspec import Struct
 

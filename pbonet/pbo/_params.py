@@ -6,6 +6,7 @@ import math
 import re
 from typing import (
     TYPE_CHECKING,
+    Annotated as A,
     Any,
     ClassVar,
     Literal,
@@ -16,7 +17,6 @@ from typing import (
     get_args,
     get_origin,
 )
-from typing import Annotated as A
 
 import msgspec
 from msgspec import Struct, structs

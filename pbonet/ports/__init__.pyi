@@ -1,27 +1,29 @@
-from ._attributes import SCALARS as SCALARS
-from ._attributes import ArrayPort as ArrayPort
-from ._attributes import InScalar as InScalar
-from ._attributes import OutScalar as OutScalar
-from ._attributes import attribute as attribute
-from ._attributes import view as view
-from ._declare import MARKS as MARKS
-from ._declare import NAME_FORM as NAME_FORM
-from ._declare import SHAPES as SHAPES
-from ._declare import Declared as Declared
-from ._declare import InConst as InConst
-from ._declare import InVar as InVar
-from ._declare import Matrix as Matrix
-from ._declare import OutConst as OutConst
-from ._declare import OutVar as OutVar
-from ._declare import Vector as Vector
-from ._declare import make_port as make_port
-from ._declare import name_fault as name_fault
-from ._port import Kind as Kind
-from ._port import Port as Port
-from ._port import accepts as accepts
-from ._port import wanted as wanted
-from ._shapes import parse_shape as parse_shape
-from ._shapes import shape_text as shape_text
-from ._shapes import solve_shapes as solve_shapes
-from ._source import Declaring as Declaring
-from ._source import here as here
+from ._attributes import (
+    SCALARS as SCALARS,
+    ArrayPort as ArrayPort,
+    InScalar as InScalar,
+    OutScalar as OutScalar,
+    attribute as attribute,
+    view as view,
+)
+from ._declare import (
+    MARKS as MARKS,
+    NAME_FORM as NAME_FORM,
+    SHAPES as SHAPES,
+    Declared as Declared,
+    InConst as InConst,
+    InVar as InVar,
+    Matrix as Matrix,
+    OutConst as OutConst,
+    OutVar as OutVar,
+    Vector as Vector,
+    make_port as make_port,
+    name_fault as name_fault,
+)
+from ._port import Kind as Kind, Port as Port, accepts as accepts, wanted as wanted
+from ._shapes import (
+    parse_shape as parse_shape,
+    shape_text as shape_text,
+    solve_shapes as solve_shapes,
+)
+from ._source import Declaring as Declaring, here as here

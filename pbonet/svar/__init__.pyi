@@ -1,31 +1,34 @@
-from . import guards as guards
-from . import layout as layout
-from . import table_files as table_files
-from .guards import Blamed as Blamed
-from .guards import Check as Check
-from .guards import blame as blame
-from .guards import limits_of as limits_of
-from .layout import group_of as group_of
-from .layout import padded as padded
-from .layout import values_of as values_of
-from .layout import var_bytes as var_bytes
+from . import guards as guards, layout as layout, table_files as table_files
+from .guards import (
+    Blamed as Blamed,
+    Check as Check,
+    blame as blame,
+    limits_of as limits_of,
+)
+from .layout import (
+    group_of as group_of,
+    padded as padded,
+    values_of as values_of,
+    var_bytes as var_bytes,
+)
 from .local import LocalTable as LocalTable
-from .native import Watch as Watch
-from .native import now_ns as now_ns
-from .native import survive_cuts as survive_cuts
-from .result_codes import ALIVE as ALIVE
-from .result_codes import CONSTS as CONSTS
-from .result_codes import FULL as FULL
-from .result_codes import IN as IN
-from .result_codes import ON as ON
-from .result_codes import OUT_CONSTS as OUT_CONSTS
-from .result_codes import RIVAL as RIVAL
-from .result_codes import VARS as VARS
-from .result_codes import Flags as Flags
-from .result_codes import Verdict as Verdict
-from .table import SPARE as SPARE
-from .table import Table as Table
-from .table_records import Cause as Cause
-from .table_records import Counts as Counts
-from .table_records import Register as Register
-from .table_records import VarInfo as VarInfo
+from .native import Watch as Watch, now_ns as now_ns, survive_cuts as survive_cuts
+from .result_codes import (
+    ALIVE as ALIVE,
+    CONSTS as CONSTS,
+    FULL as FULL,
+    IN as IN,
+    ON as ON,
+    OUT_CONSTS as OUT_CONSTS,
+    RIVAL as RIVAL,
+    VARS as VARS,
+    Flags as Flags,
+    Verdict as Verdict,
+)
+from .table import SPARE as SPARE, Table as Table
+from .table_records import (
+    Cause as Cause,
+    Counts as Counts,
+    Register as Register,
+    VarInfo as VarInfo,
+)

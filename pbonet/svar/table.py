@@ -16,8 +16,7 @@ from pbonet.errors import (
 )
 from pbonet.shm import Closing
 
-from . import guards, table_files
-from . import layout as lay
+from . import guards, layout as lay, table_files
 from .local import LocalTable
 from .native import CAUSES, CAUSES_EACH, STATIC_BYTES, Arena, Blueprint, now_ns
 from .result_codes import ALIVE, FULL, RIVAL, STUCK, Verdict

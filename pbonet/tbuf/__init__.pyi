@@ -1,13 +1,13 @@
-from . import layout as layout
-from . import places as places
-from .ends import Reader as Reader
-from .ends import Writer as Writer
+from . import layout as layout, places as places
+from .ends import Reader as Reader, Writer as Writer
 from .link_status import seen as seen
-from .native import CARER as CARER
-from .native import READER as READER
-from .native import WRITER as WRITER
-from .native import Buffer as Buffer
-from .native import In as In
-from .native import Out as Out
-from .native import parts as parts
+from .native import (
+    CARER as CARER,
+    READER as READER,
+    WRITER as WRITER,
+    Buffer as Buffer,
+    In as In,
+    Out as Out,
+    parts as parts,
+)
 from .places import sweep as sweep

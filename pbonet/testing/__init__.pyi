@@ -1,12 +1,11 @@
 from ._bench import Bench as Bench
 from ._clock import FakeClock as FakeClock
-from ._replay import DivergedError as DivergedError
-from ._replay import replay as replay
-from ._replay import verify as verify
-from ._table import BenchTable as BenchTable
-from ._table import PortValues as PortValues
-from ._verdict import Changed as Changed
-from ._verdict import Divergence as Divergence
-from ._verdict import Replayed as Replayed
-from ._verdict import Verdict as Verdict
+from ._replay import DivergedError as DivergedError, replay as replay, verify as verify
+from ._table import BenchTable as BenchTable, PortValues as PortValues
+from ._verdict import (
+    Changed as Changed,
+    Divergence as Divergence,
+    Replayed as Replayed,
+    Verdict as Verdict,
+)
 from ._whole import rerun as rerun

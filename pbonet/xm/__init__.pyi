@@ -1,14 +1,16 @@
-from .ipc import Full as Full
-from .ipc import Mailbox as Mailbox
-from .ipc import Policy as Policy
-from .ipc import Queue as Queue
-from .ipc import Segment as Segment
-from .ipc import Semaphore as Semaphore
-from .ipc import Taken as Taken
-from .ipc import alive as alive
-from .ipc import interrupt as interrupt
-from .ipc import live_on as live_on
-from .ipc import queue as queue
-from .ipc import segment as segment
-from .ipc import semaphore as semaphore
-from .ipc import sweep as sweep
+from .ipc import (
+    Full as Full,
+    Mailbox as Mailbox,
+    Policy as Policy,
+    Queue as Queue,
+    Segment as Segment,
+    Semaphore as Semaphore,
+    Taken as Taken,
+    alive as alive,
+    interrupt as interrupt,
+    live_on as live_on,
+    queue as queue,
+    segment as segment,
+    semaphore as semaphore,
+    sweep as sweep,
+)

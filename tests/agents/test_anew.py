@@ -15,8 +15,7 @@ from nodekit import CORE, MISBEHAVING
 from watching import wait_for
 
 from pbonet.errors import PbonetError, XmAccessError
-from pbonet.xm.net import file_messages as f
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import file_messages as f, messages as m
 
 NO_GOOD = {
     "nmae = 'arm0'\n": "agent.toml:1:1: unknown key 'nmae'",

@@ -12,8 +12,7 @@ from watching import wait_for
 
 from pbonet.errors import PbonetError
 from pbonet.svar import Table
-from pbonet.xm.net import codec, key_expressions
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, key_expressions, messages as m
 
 KINDS = get_args(codec.AnyMessage)
 SLOW = {m.Modules, m.Links}

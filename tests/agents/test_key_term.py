@@ -6,8 +6,7 @@ import pytest
 from watching import free_port, wait_for
 
 from pbonet.errors import ConfigFileError, UnreachableError
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import pki, session
+from pbonet.xm.net import messages as m, pki, session
 from pbonet.xm.net.credentials import Role
 from pbonet.xm.net.rpc import Client
 

@@ -29,8 +29,14 @@ from pbonet.errors import (
     UnknownVariableError,
 )
 from pbonet.node.agent.agent import Agent
-from pbonet.xm.net import codec, dialling, key_expressions, run_folder, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import (
+    codec,
+    dialling,
+    key_expressions,
+    messages as m,
+    run_folder,
+    session,
+)
 
 
 def raw(nodes, rtpu, payload):

@@ -8,8 +8,7 @@ from patience import LIMIT
 from watching import wait_for
 
 from pbonet.errors import ClaimError, SvarError, SvarOwnerError, UnknownTaskError
-from pbonet.xm.net import key_expressions
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m
 from pbonet.xm.net.codec import Codec
 
 

@@ -16,9 +16,14 @@ from nodekit import Master, rmod
 from watching import free_port, wait_for
 
 from pbonet.errors import AccessError, UnreachableError
-from pbonet.xm.net import codec, key_expressions, pki, session
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import resource_messages as r
+from pbonet.xm.net import (
+    codec,
+    key_expressions,
+    messages as m,
+    pki,
+    resource_messages as r,
+    session,
+)
 from pbonet.xm.net.credentials import Role
 from pbonet.xm.net.rpc import Client
 

@@ -11,8 +11,7 @@ from nodekit import rmod, svar
 from patience import LIMIT
 
 from pbonet.errors import PbonetError
-from pbonet.xm.net import key_expressions
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m
 
 AGED = """
 NAME Z0

@@ -23,8 +23,7 @@ from watching import processes_of, wait_for
 from pbonet.config.model import AgentConfig
 from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
 from pbonet.testing.lan import Lan
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import session
+from pbonet.xm.net import messages as m, session
 from pbonet.xm.net.rpc import Client
 
 PORT = 7447

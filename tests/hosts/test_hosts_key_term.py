@@ -12,8 +12,7 @@ from hostkit import OWN_PORT, PORT, Lab
 from watching import wait_for
 
 from pbonet.errors import PbonetError
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import pki
+from pbonet.xm.net import messages as m, pki
 from pbonet.xm.net.credentials import FILES, Role
 
 SHORT = 20.0 / 86400

@@ -11,8 +11,7 @@ from hostkit import Lab
 from tbuf_rig import READER, WRITER, flows
 from watching import wait_for
 
-from pbonet.xm.net import key_expressions as names
-from pbonet.xm.net import pki
+from pbonet.xm.net import key_expressions as names, pki
 from pbonet.xm.net.credentials import CA, CERT, KEY, Role
 
 STRANGER = """

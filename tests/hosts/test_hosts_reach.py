@@ -11,8 +11,7 @@ from watching import wait_for
 
 import pbonet
 from pbonet.errors import PbonetError, ProtocolError, UnreachableError
-from pbonet.xm.net import dialling, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import dialling, messages as m, session
 from pbonet.xm.net.rpc import Client
 
 

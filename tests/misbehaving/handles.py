@@ -1,7 +1,6 @@
 """Fails in every cycle, and handles it in the way it is told."""
 
-from typing import Annotated as A
-from typing import Literal
+from typing import Annotated as A, Literal
 
 from pbonet import Handling, OutVar, Params, PortBasedObject, Vector, param
 from pbonet.errors import DeviceError

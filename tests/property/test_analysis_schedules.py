@@ -5,8 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from math import lcm
 
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from pbonet.analysis.schedule.analysis import (
     Demand,

@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import msgspec
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from oracle_lifecycle import ABORT, MEANWHILE, METHODS, SIGNALS, Note, Oracle, Ports
 from oracle_probe import OracleProbe, Told
 

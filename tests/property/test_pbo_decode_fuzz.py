@@ -1,11 +1,9 @@
 """LOCAL lines: whatever they say, there is a value within its bounds or one error."""
 
 import math
-from typing import Annotated as A
-from typing import Literal
+from typing import Annotated as A, Literal
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pbonet import Params, param
 from pbonet.config.model import LocalLine, Place

@@ -3,8 +3,7 @@
 import itertools
 import math
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pbonet.errors import PortError
 from pbonet.ports import Kind, Port, solve_shapes

@@ -6,8 +6,7 @@ import itertools
 import random
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event

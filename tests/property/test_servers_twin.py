@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pbonet.analysis.schedule.dispatch import Dispatcher
 from pbonet.analysis.schedule.events import Event, pack, pack_limits

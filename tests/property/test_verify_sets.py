@@ -4,8 +4,7 @@ import sys
 from itertools import combinations
 from pathlib import Path
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pbonet.analysis import legality
 

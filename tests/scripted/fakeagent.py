@@ -29,11 +29,11 @@ from pbonet.xm.net import (
     codec,
     dialling,
     key_expressions,
+    messages as m,
     roles,
     run_folder,
     session,
 )
-from pbonet.xm.net import messages as m
 
 MOVES = {
     ("OFF", "on"): "ON",

@@ -18,8 +18,14 @@ from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot
 from pbonet.master.console.interfaces import Script
 from pbonet.master.console.network_interface import Port
-from pbonet.xm.net import codec, key_expressions, rpc, run_folder, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import (
+    codec,
+    key_expressions,
+    messages as m,
+    rpc,
+    run_folder,
+    session,
+)
 
 FOREIGN = textwrap.dedent(
     """

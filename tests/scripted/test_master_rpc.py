@@ -16,8 +16,7 @@ from pbonet.errors import (
     UnknownTaskError,
     UnreachableError,
 )
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc, session
+from pbonet.xm.net import messages as m, rpc, session
 
 
 @pytest.fixture

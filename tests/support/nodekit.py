@@ -26,8 +26,7 @@ from pbonet.config.model import AgentConfig
 from pbonet.errors import PbonetError
 from pbonet.node.agent.agent import STOP_TIME, Agent
 from pbonet.node.rtpu import cleanup
-from pbonet.xm.net import key_expressions, run_folder, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m, run_folder, session
 from pbonet.xm.net.rpc import Client
 
 MISBEHAVING = Path(__file__).with_name("misbehaving")

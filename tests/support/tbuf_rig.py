@@ -19,8 +19,7 @@ from nodekit import AGENT, CORE, MISBEHAVING
 from watching import END_TIME, clean_folder, free_port, processes_of, wait_for
 
 from pbonet.config.model import AgentConfig
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import run_folder, session
+from pbonet.xm.net import messages as m, run_folder, session
 from pbonet.xm.net.rpc import Client
 
 END = """

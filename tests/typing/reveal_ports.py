@@ -5,8 +5,7 @@ parts that the answer has. Every line that ends in ``error`` must be refused, by
 checkers or by the one that is named, and no other line may be.
 """
 
-from typing import Annotated as A
-from typing import Literal, reveal_type
+from typing import Annotated as A, Literal, reveal_type
 
 import numpy as np
 from numpy.typing import NDArray

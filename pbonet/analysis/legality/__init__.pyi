@@ -1,53 +1,67 @@
-from .conditions import Outcome as Outcome
-from .conditions import check_conditions as check_conditions
-from .conditions import evaluate as evaluate
-from .conditions import named as named
-from .demands import Figure as Figure
-from .demands import Source as Source
-from .demands import effective as effective
-from .demands import least as least
-from .demands import worst as worst
-from .order import change_order as change_order
-from .order import flow_order as flow_order
-from .order import off_order as off_order
-from .order import on_order as on_order
-from .order import spawn_order as spawn_order
-from .order import user_priorities as user_priorities
-from .records import Code as Code
-from .records import Configuration as Configuration
-from .records import Problem as Problem
-from .records import Severity as Severity
-from .records import Task as Task
-from .reports import Outlook as Outlook
-from .reports import RtpuReport as RtpuReport
-from .reports import ServerReport as ServerReport
-from .reports import TaskReport as TaskReport
-from .reports import report as report
-from .reports import report_data as report_data
-from .reports import report_head as report_head
-from .reports import report_text as report_text
-from .shared_cores import Sharing as Sharing
-from .shared_cores import sharing as sharing
-from .timing import Load as Load
-from .timing import criticalities as criticalities
-from .timing import loads as loads
-from .timing import traffic as traffic
-from .units import conversion as conversion
-from .units import same_unit as same_unit
-from .verdict import ENDING as ENDING
-from .verdict import Change as Change
-from .verdict import Verdict as Verdict
-from .verdict import as_error as as_error
-from .verdict import as_text as as_text
-from .verdict import check as check
-from .verdict import frequency as frequency
-from .verdict import job as job
-from .verdict import judge as judge
-from .verdict import reconfig as reconfig
-from .verdict import signal as signal
-from .verdict import spawn as spawn
-from .virtual import JobOutcome as JobOutcome
-from .virtual import ModuleCode as ModuleCode
-from .virtual import Times as Times
-from .virtual import simulate_job as simulate_job
+from .conditions import (
+    Outcome as Outcome,
+    check_conditions as check_conditions,
+    evaluate as evaluate,
+    named as named,
+)
+from .demands import (
+    Figure as Figure,
+    Source as Source,
+    effective as effective,
+    least as least,
+    worst as worst,
+)
+from .order import (
+    change_order as change_order,
+    flow_order as flow_order,
+    off_order as off_order,
+    on_order as on_order,
+    spawn_order as spawn_order,
+    user_priorities as user_priorities,
+)
+from .records import (
+    Code as Code,
+    Configuration as Configuration,
+    Problem as Problem,
+    Severity as Severity,
+    Task as Task,
+)
+from .reports import (
+    Outlook as Outlook,
+    RtpuReport as RtpuReport,
+    ServerReport as ServerReport,
+    TaskReport as TaskReport,
+    report as report,
+    report_data as report_data,
+    report_head as report_head,
+    report_text as report_text,
+)
+from .shared_cores import Sharing as Sharing, sharing as sharing
+from .timing import (
+    Load as Load,
+    criticalities as criticalities,
+    loads as loads,
+    traffic as traffic,
+)
+from .units import conversion as conversion, same_unit as same_unit
+from .verdict import (
+    ENDING as ENDING,
+    Change as Change,
+    Verdict as Verdict,
+    as_error as as_error,
+    as_text as as_text,
+    check as check,
+    frequency as frequency,
+    job as job,
+    judge as judge,
+    reconfig as reconfig,
+    signal as signal,
+    spawn as spawn,
+)
+from .virtual import (
+    JobOutcome as JobOutcome,
+    ModuleCode as ModuleCode,
+    Times as Times,
+    simulate_job as simulate_job,
+)
 from .wiring import producers as producers

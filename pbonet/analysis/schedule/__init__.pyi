@@ -1,42 +1,49 @@
-from . import analysis as analysis
-from . import chart as chart
-from . import criticality as criticality
-from . import histogram as histogram
-from . import soft as soft
-from . import transfers as transfers
-from .analysis import Demand as Demand
-from .analysis import Transformation as Transformation
-from .analysis import critical_set as critical_set
-from .analysis import edf_schedulable as edf_schedulable
-from .analysis import largest_server as largest_server
-from .analysis import level_guaranteed as level_guaranteed
-from .analysis import transform as transform
-from .criticality import INSIDE as INSIDE
-from .criticality import PLANNED as PLANNED
-from .criticality import Assigned as Assigned
-from .criticality import Timing as Timing
-from .criticality import dropped as dropped
-from .dispatch import SLOTS as SLOTS
-from .dispatch import Dispatcher as Dispatcher
-from .events import After as After
-from .events import Event as Event
-from .events import pack as pack
-from .histogram import BINS as BINS
-from .histogram import edge_ns as edge_ns
-from .histogram import octaves as octaves
+from . import (
+    analysis as analysis,
+    chart as chart,
+    criticality as criticality,
+    histogram as histogram,
+    soft as soft,
+    transfers as transfers,
+)
+from .analysis import (
+    Demand as Demand,
+    Transformation as Transformation,
+    critical_set as critical_set,
+    edf_schedulable as edf_schedulable,
+    largest_server as largest_server,
+    level_guaranteed as level_guaranteed,
+    transform as transform,
+)
+from .criticality import (
+    INSIDE as INSIDE,
+    PLANNED as PLANNED,
+    Assigned as Assigned,
+    Timing as Timing,
+    dropped as dropped,
+)
+from .dispatch import SLOTS as SLOTS, Dispatcher as Dispatcher
+from .events import After as After, Event as Event, pack as pack
+from .histogram import BINS as BINS, edge_ns as edge_ns, octaves as octaves
 from .outcome import Outcome as Outcome
-from .records import CoreStatus as CoreStatus
-from .records import Decision as Decision
-from .records import Histograms as Histograms
-from .records import Kind as Kind
-from .records import Mode as Mode
-from .records import Probe as Probe
-from .records import Section as Section
-from .records import SlotStatus as SlotStatus
-from .servers import Server as Server
-from .servers import ServerKind as ServerKind
-from .servers import server_size as server_size
-from .simulate import Core as Core
-from .simulate import PeriodicTask as PeriodicTask
-from .simulate import ServerTask as ServerTask
+from .records import (
+    CoreStatus as CoreStatus,
+    Decision as Decision,
+    Histograms as Histograms,
+    Kind as Kind,
+    Mode as Mode,
+    Probe as Probe,
+    Section as Section,
+    SlotStatus as SlotStatus,
+)
+from .servers import (
+    Server as Server,
+    ServerKind as ServerKind,
+    server_size as server_size,
+)
+from .simulate import (
+    Core as Core,
+    PeriodicTask as PeriodicTask,
+    ServerTask as ServerTask,
+)
 from .soft import Profile as Profile

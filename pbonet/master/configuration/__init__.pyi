@@ -1,24 +1,20 @@
-from . import conditions as conditions
-from . import environment as environment
-from .adopt_times import Adopted as Adopted
-from .adopt_times import adopt as adopt
-from .check_files import check_file as check_file
-from .check_files import planned as planned
-from .clock import Clock as Clock
-from .clock import RealClock as RealClock
-from .conditions import Asked as Asked
-from .conditions import must_be_answerable as must_be_answerable
-from .conditions import must_hold as must_hold
+from . import conditions as conditions, environment as environment
+from .adopt_times import Adopted as Adopted, adopt as adopt
+from .check_files import check_file as check_file, planned as planned
+from .clock import Clock as Clock, RealClock as RealClock
+from .conditions import (
+    Asked as Asked,
+    must_be_answerable as must_be_answerable,
+    must_hold as must_hold,
+)
 from .environment import Place as Place
-from .failures import already as already
-from .failures import forced as forced
-from .failures import must_be_stopped as must_be_stopped
-from .failures import stuck as stuck
+from .failures import (
+    already as already,
+    forced as forced,
+    must_be_stopped as must_be_stopped,
+    stuck as stuck,
+)
 from .recording_plan import RecordingPlan as RecordingPlan
-from .saved_profiles import Saved as Saved
-from .saved_profiles import here as here
-from .saved_profiles import profile_of as profile_of
-from .subsystem_files import Files as Files
-from .subsystem_files import RmodSource as RmodSource
-from .task_model import Member as Member
-from .task_model import Picture as Picture
+from .saved_profiles import Saved as Saved, here as here, profile_of as profile_of
+from .subsystem_files import Files as Files, RmodSource as RmodSource
+from .task_model import Member as Member, Picture as Picture

@@ -1,18 +1,21 @@
-from . import follow_events as follow_events
-from . import interfaces as interfaces
-from . import live_status as live_status
-from . import oneshot as oneshot
-from . import profile_plot as profile_plot
-from . import render as render
-from . import watch_values as watch_values
-from .commands import COMMANDS as COMMANDS
-from .commands import Arg as Arg
-from .commands import Command as Command
-from .commands import Kind as Kind
-from .commands import Use as Use
-from .commands import find as find
+from . import (
+    follow_events as follow_events,
+    interfaces as interfaces,
+    live_status as live_status,
+    oneshot as oneshot,
+    profile_plot as profile_plot,
+    render as render,
+    watch_values as watch_values,
+)
+from .commands import (
+    COMMANDS as COMMANDS,
+    Arg as Arg,
+    Command as Command,
+    Kind as Kind,
+    Use as Use,
+    find as find,
+)
 from .follow_events import Follower as Follower
 from .interfaces import serve as serve
-from .run_job import Interrupts as Interrupts
-from .run_job import run as run
+from .run_job import Interrupts as Interrupts, run as run
 from .run_simulated import simulate as simulate

@@ -33,8 +33,7 @@ from pbonet.errors import (
     ProtocolError,
     StateError,
 )
-from pbonet.xm.net import check_name, codec, direct, key_expressions, rpc
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import check_name, codec, direct, key_expressions, messages as m, rpc
 
 from . import render
 from .command_session import Call, Desk, Reply, convert

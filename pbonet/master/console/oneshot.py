@@ -26,8 +26,14 @@ from pbonet.errors import (
 )
 from pbonet.master.configuration import Files, must_be_stopped
 from pbonet.master.subsystem import Subsystem, client_name
-from pbonet.xm.net import codec, key_expressions, rpc, run_folder, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import (
+    codec,
+    key_expressions,
+    messages as m,
+    rpc,
+    run_folder,
+    session,
+)
 
 from .command_session import Call, Desk, Reply, convert
 from .commands import find

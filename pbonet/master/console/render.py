@@ -329,8 +329,7 @@ def _params(data: Data) -> str:
 
 def _module(data: Data) -> str:
     if "module" in data:
-        from pbonet.pbo import ModuleInfo
-        from pbonet.pbo import render as render_module
+        from pbonet.pbo import ModuleInfo, render as render_module
 
         return render_module(msgspec.convert(data["module"], ModuleInfo)).rstrip()
     rows = [[one["name"], one["version"], one["doc"]] for one in data["modules"]]

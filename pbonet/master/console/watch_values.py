@@ -14,8 +14,7 @@ import zenoh
 
 from pbonet.errors import Severity
 from pbonet.master.subsystem import Subsystem, sequence
-from pbonet.xm.net import codec, direct, key_expressions
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, direct, key_expressions, messages as m
 
 from . import render
 from .command_session import Call, Desk, convert

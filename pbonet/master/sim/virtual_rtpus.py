@@ -25,8 +25,7 @@ from pbonet.node.task import get_params, inspect, set_param
 from pbonet.node.wire import by_task
 from pbonet.pbo import PREDEFINED, Notice, State, signal_names
 from pbonet.svar import guards
-from pbonet.xm.net import machine, rpc
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import machine, messages as m, rpc
 
 from .sim_task import must_be_simulated, status_of
 from .simulation import REASON, Simulation

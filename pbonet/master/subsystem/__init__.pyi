@@ -1,16 +1,18 @@
-from . import profiling as profiling
-from . import status_fields as status_fields
-from .argument_text import collected as collected
-from .argument_text import is_sequence as is_sequence
-from .argument_text import sequence as sequence
+from . import profiling as profiling, status_fields as status_fields
+from .argument_text import (
+    collected as collected,
+    is_sequence as is_sequence,
+    sequence as sequence,
+)
 from .embedded_agents import Embedded as Embedded
-from .event_filter import Choice as Choice
-from .event_filter import since as since
+from .event_filter import Choice as Choice, since as since
 from .recording_control import Logbook as Logbook
 from .rtpu_clients import client_name as client_name
-from .status_fields import Window as Window
-from .status_fields import delay_quantile as delay_quantile
-from .status_fields import profile as profile
+from .status_fields import (
+    Window as Window,
+    delay_quantile as delay_quantile,
+    profile as profile,
+)
 from .subsystem import Subsystem as Subsystem
 from .subsystem_tasks import SIGNALS as SIGNALS
 from .switching import Transition as Transition

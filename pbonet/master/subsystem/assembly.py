@@ -14,8 +14,7 @@ from pbonet.analysis import legality
 from pbonet.errors import PbonetError, SeveralError, StateError, UnknownTaskError
 from pbonet.master.configuration import forced
 from pbonet.pbo import State
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc
+from pbonet.xm.net import messages as m, rpc
 
 from . import constants
 from .condition_gate import Gate

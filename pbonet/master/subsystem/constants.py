@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from pbonet.analysis import legality
 from pbonet.errors import NoAnswerError, PbonetError
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc
+from pbonet.xm.net import messages as m, rpc
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterable, Mapping, Sequence

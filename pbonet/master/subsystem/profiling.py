@@ -15,8 +15,7 @@ import msgspec
 from pbonet.analysis.schedule import histogram, soft
 from pbonet.errors import StateError
 from pbonet.master.configuration import profile_of
-from pbonet.xm.net import TaskProfile
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import TaskProfile, messages as m
 
 from . import status_fields
 

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final
 from pbonet.errors import StateError
 from pbonet.log import Log, is_complete, log_name
 from pbonet.master.configuration import RecordingPlan
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc, run_folder
+from pbonet.xm.net import messages as m, rpc, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,8 +9,7 @@ import msgspec
 from pbonet.config import no_module
 from pbonet.errors import ModuleLoadError
 from pbonet.pbo import ModuleInfo
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc
+from pbonet.xm.net import messages as m, rpc
 
 if TYPE_CHECKING:
     from pbonet.config import Library

@@ -26,8 +26,7 @@ from pbonet.errors import (
     UnreachableError,
     did_you_mean,
 )
-from pbonet.xm.net import key_expressions, rpc
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m, rpc
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

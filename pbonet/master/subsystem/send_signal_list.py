@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 from pbonet.errors import NoAnswerError, PbonetError, UnreachableError
 from pbonet.master.configuration import stuck
 from pbonet.pbo import State
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc
+from pbonet.xm.net import messages as m, rpc
 
 from . import signal_list_split
 

@@ -30,8 +30,7 @@ from pbonet.master.configuration import (
     must_be_stopped,
 )
 from pbonet.master.sim import VirtualClient, VirtualClock, VirtualRtpus
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc, session
+from pbonet.xm.net import messages as m, rpc, session
 
 from . import assembly, constants, status_fields
 from .argument_text import (

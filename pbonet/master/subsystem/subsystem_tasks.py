@@ -17,8 +17,7 @@ from pbonet.config import info_of, parse_rmod
 from pbonet.errors import PbonetError
 from pbonet.master.configuration import Member, Picture, RmodSource, already
 from pbonet.pbo import State
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import rpc
+from pbonet.xm.net import messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
 from .unwritten_inputs import Unfed

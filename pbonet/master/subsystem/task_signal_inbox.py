@@ -15,8 +15,7 @@ from msgspec import Struct
 
 from pbonet.errors import NoAnswerError, StateError, did_you_mean
 from pbonet.pbo import PREDEFINED
-from pbonet.xm.net import key_expressions, rpc
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m, rpc
 
 from . import event_filter
 from .argument_text import check_time, names_of

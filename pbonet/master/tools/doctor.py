@@ -22,9 +22,14 @@ from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master.console import render
 from pbonet.master.subsystem import client_name
 from pbonet.svar import table_files as shared
-from pbonet.xm.net import credentials, rpc, run_folder, session
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import unreachable_reason as out
+from pbonet.xm.net import (
+    credentials,
+    messages as m,
+    rpc,
+    run_folder,
+    session,
+    unreachable_reason as out,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -17,8 +17,7 @@ from pbonet.errors import NodeError, PbonetError
 from pbonet.log import LOG_SCHEMA, log_message
 from pbonet.master.console import Follower, Interrupts, render
 from pbonet.master.subsystem import Choice, Subsystem
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import session
+from pbonet.xm.net import messages as m, session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,8 +15,7 @@ import msgspec
 import zenoh
 
 from pbonet.errors import ProtocolError
-from pbonet.xm.net import codec, run_folder
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable

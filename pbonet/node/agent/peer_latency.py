@@ -20,8 +20,14 @@ import zenoh
 
 from pbonet.errors import PbonetError, Severity
 from pbonet.node.wire import rtpu_messages
-from pbonet.xm.net import codec, dialling, direct, key_expressions, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import (
+    codec,
+    dialling,
+    direct,
+    key_expressions,
+    messages as m,
+    session,
+)
 
 from . import link_watchdog
 

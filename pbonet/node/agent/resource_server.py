@@ -30,9 +30,15 @@ from pbonet.errors import (
     XmLapsedError,
 )
 from pbonet.xm.ipc import mailboxes, names
-from pbonet.xm.net import FileWrite, codec, direct, key_expressions, roles
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import resource_messages as r
+from pbonet.xm.net import (
+    FileWrite,
+    codec,
+    direct,
+    key_expressions,
+    messages as m,
+    resource_messages as r,
+    roles,
+)
 
 from .idempotency import Repeats
 

@@ -19,8 +19,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from pbonet.errors import PbonetError, ProtocolError
-from pbonet.xm.net import Client, Declared, Letter, XmRequest, codec, key_expressions
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import (
+    Client,
+    Declared,
+    Letter,
+    XmRequest,
+    codec,
+    key_expressions,
+    messages as m,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -23,8 +23,15 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 import zenoh
 
 from pbonet.errors import NodeError, PbonetError, ProtocolError
-from pbonet.xm.net import XmRequest, codec, direct, key_expressions, roles, session
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import (
+    XmRequest,
+    codec,
+    direct,
+    key_expressions,
+    messages as m,
+    roles,
+    session,
+)
 
 from .idempotency import Noted, Repeats
 from .shared_memory_status import HANDLED

@@ -23,8 +23,7 @@ import zenoh
 from pbonet.errors import SvarError
 from pbonet.node.wire import rtpu_messages
 from pbonet.svar import Watch
-from pbonet.xm.net import key_expressions, run_folder
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m, run_folder
 
 from .call_once import Promises
 from .mirrored_table import ALONE, ANSWER_TIME, Carried

@@ -1,3 +1,2 @@
 from . import recorder_process as recorder_process
-from .log_rotation import LogFiles as LogFiles
-from .log_rotation import Time as Time
+from .log_rotation import LogFiles as LogFiles, Time as Time

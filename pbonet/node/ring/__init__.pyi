@@ -1,2 +1,1 @@
-from ._ring import Ring as Ring
-from ._ring import parse as parse
+from ._ring import Ring as Ring, parse as parse

@@ -1,5 +1,42 @@
-"""."""
+"""The real-time side of a task and of an RTPU: native, and imported whole."""
 
-from pbonet.lazy import attach
-
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
+from ._rt import (
+    ABORT as ABORT,
+    ABORTED as ABORTED,
+    COMMAND as COMMAND,
+    COMMAND_LEVEL as COMMAND_LEVEL,
+    CONTINUE as CONTINUE,
+    DISPATCHER_LEVEL as DISPATCHER_LEVEL,
+    ENGAGED as ENGAGED,
+    FAIL_SIGNAL as FAIL_SIGNAL,
+    FALLBACK as FALLBACK,
+    FLAGS as FLAGS,
+    HANDLER_BOUND_NS as HANDLER_BOUND_NS,
+    HANDOVER as HANDOVER,
+    KINDS as KINDS,
+    LAST as LAST,
+    LEAVE as LEAVE,
+    MIN_PERIOD_NS as MIN_PERIOD_NS,
+    ORPHAN as ORPHAN,
+    SKIP as SKIP,
+    SLOTS as SLOTS,
+    CoreTable as CoreTable,
+    Dispatcher as Dispatcher,
+    Failures as Failures,
+    Record as Record,
+    Ring as Ring,
+    Slot as Slot,
+    Vigil as Vigil,
+    leave_to_next as leave_to_next,
+    lock_memory as lock_memory,
+    monotonic_ns as monotonic_ns,
+    orphan_guard as orphan_guard,
+    orphaned as orphaned,
+    parse as parse,
+    pin as pin,
+    populate_pages as populate_pages,
+    prefault_stack as prefault_stack,
+    probe as probe,
+    set_timer_slack as set_timer_slack,
+    thread_cpu_ns as thread_cpu_ns,
+)

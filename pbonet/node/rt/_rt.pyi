@@ -14,9 +14,7 @@ from pbonet.analysis.schedule.records import (
     Probe,
     SlotStatus,
 )
-from pbonet.node.ring._ring import Record as Record
-from pbonet.node.ring._ring import Ring as Ring
-from pbonet.node.ring._ring import parse as parse
+from pbonet.node.ring._ring import Record as Record, Ring as Ring, parse as parse
 from pbonet.outside import Tape
 from pbonet.svar._svar import Arena, LocalTable
 

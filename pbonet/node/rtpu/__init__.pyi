@@ -1,14 +1,16 @@
-from . import claims as claims
-from . import cleanup as cleanup
-from . import orphaned_rings as orphaned_rings
-from . import rtpu_snapshot as rtpu_snapshot
-from . import status as status
-from .fallbacks import LIMIT as LIMIT
-from .fallbacks import Pair as Pair
-from .rtpu_snapshot import Known as Known
-from .rtpu_snapshot import KnownTask as KnownTask
-from .tables import lock_to_carry as lock_to_carry
-from .tables import no_table as no_table
-from .tables import remove_unused as remove_unused
-from .tables import table_name as table_name
+from . import (
+    claims as claims,
+    cleanup as cleanup,
+    orphaned_rings as orphaned_rings,
+    rtpu_snapshot as rtpu_snapshot,
+    status as status,
+)
+from .fallbacks import LIMIT as LIMIT, Pair as Pair
+from .rtpu_snapshot import Known as Known, KnownTask as KnownTask
+from .tables import (
+    lock_to_carry as lock_to_carry,
+    no_table as no_table,
+    remove_unused as remove_unused,
+    table_name as table_name,
+)
 from .task_handle import describe_end as describe_end

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pbonet.errors import PbonetError, ProtocolError, Severity, StateError
 from pbonet.node.wire import Answers, being_stopped, rtpu_messages
-from pbonet.xm.net import codec
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m
 
 from . import (
     create_task,

@@ -21,10 +21,8 @@ from . import (
     cleanup,
     cpu_idle_states,
     ranking,
-    status,
-)
-from . import (
     rtpu_snapshot as known,
+    status,
 )
 from .claims import Claims
 from .constant_owners import Givers

@@ -1,16 +1,9 @@
-from . import fork_server as fork_server
-from . import journal as journal
+from . import fork_server as fork_server, journal as journal
 from .executor import Executor as Executor
 from .journal import files_of as files_of
-from .module_inspector import Inspected as Inspected
-from .module_inspector import inspect as inspect
-from .parameters_in_task import get_params as get_params
-from .parameters_in_task import set_param as set_param
-from .step_failures import RAISED as RAISED
-from .step_failures import own_place as own_place
-from .step_failures import placed as placed
+from .module_inspector import Inspected as Inspected, inspect as inspect
+from .parameters_in_task import get_params as get_params, set_param as set_param
+from .step_failures import RAISED as RAISED, own_place as own_place, placed as placed
 from .task_channel import INTERRUPT as INTERRUPT
-from .task_output import PIPE_BYTES as PIPE_BYTES
-from .task_output import Lines as Lines
-from .task_ports import ages as ages
-from .task_ports import check_ports as check_ports
+from .task_output import PIPE_BYTES as PIPE_BYTES, Lines as Lines
+from .task_ports import ages as ages, check_ports as check_ports

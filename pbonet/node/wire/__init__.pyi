@@ -1,28 +1,34 @@
-from . import event_log as event_log
-from . import lifecycle as lifecycle
-from . import process_setup as process_setup
-from . import rtpu_messages as rtpu_messages
-from .answer_packing import Answers as Answers
-from .answer_packing import being_stopped as being_stopped
+from . import (
+    event_log as event_log,
+    lifecycle as lifecycle,
+    process_setup as process_setup,
+    rtpu_messages as rtpu_messages,
+)
+from .answer_packing import Answers as Answers, being_stopped as being_stopped
 from .command_record import command as command
-from .event_log import EventLog as EventLog
-from .event_log import LineBudget as LineBudget
-from .event_log import by_task as by_task
-from .event_log import severity as severity
-from .lifecycle import NOT_MADE as NOT_MADE
-from .lifecycle import RULES as RULES
-from .lifecycle import Event as Event
-from .lifecycle import Failure as Failure
-from .lifecycle import Outcome as Outcome
-from .lifecycle import Rule as Rule
-from .lifecycle import Step as Step
-from .lifecycle import outcome as outcome
-from .lifecycle import rule as rule
-from .lifecycle import signal_event as signal_event
-from .rtpu_messages import Note as Note
-from .rtpu_messages import Recorder as Recorder
-from .rtpu_messages import Recording as Recording
-from .rtpu_messages import RtpuInfo as RtpuInfo
-from .rtpu_messages import TaskSpec as TaskSpec
-from .sanitise_values import UNTOLD as UNTOLD
-from .sanitise_values import readable as readable
+from .event_log import (
+    EventLog as EventLog,
+    LineBudget as LineBudget,
+    by_task as by_task,
+    severity as severity,
+)
+from .lifecycle import (
+    NOT_MADE as NOT_MADE,
+    RULES as RULES,
+    Event as Event,
+    Failure as Failure,
+    Outcome as Outcome,
+    Rule as Rule,
+    Step as Step,
+    outcome as outcome,
+    rule as rule,
+    signal_event as signal_event,
+)
+from .rtpu_messages import (
+    Note as Note,
+    Recorder as Recorder,
+    Recording as Recording,
+    RtpuInfo as RtpuInfo,
+    TaskSpec as TaskSpec,
+)
+from .sanitise_values import UNTOLD as UNTOLD, readable as readable

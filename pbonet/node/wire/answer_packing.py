@@ -6,8 +6,7 @@ import traceback
 from typing import TYPE_CHECKING
 
 from pbonet.errors import NodeError, PbonetError, StateError, SvarFullError
-from pbonet.xm.net import codec
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -52,6 +52,23 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     """Where to write one `Ready` when commands can be taken."""
 
 
+DUMP_SIGNAL = signal.SIGQUIT
+"""Makes a task write where it stands into its crash file, whatever it is doing."""
+
+
+class TaskReady(Struct, kw_only=True):
+    """What a task says about itself when its `init` is done."""
+
+    module: str
+    version: str
+    critical_ok: bool
+    tells: bool = False
+    """It has a handler of timing failures."""
+    notes: list[str] = []
+    signals: dict[str, int] = {}
+    """Names and bits of the module's own signals."""
+
+
 class Ready(Struct, kw_only=True):
     """How the start of an RTPU process or of a fork server went."""
 
@@ -476,20 +493,3 @@ def _checked(length: int) -> int:
 
 
 prepare(sys.modules[__name__])
-
-
-DUMP_SIGNAL = signal.SIGQUIT
-"""Makes a task write where it stands into its crash file, whatever it is doing."""
-
-
-class TaskReady(Struct, kw_only=True):
-    """What a task says about itself when its `init` is done."""
-
-    module: str
-    version: str
-    critical_ok: bool
-    tells: bool = False
-    """It has a handler of timing failures."""
-    notes: list[str] = []
-    signals: dict[str, int] = {}
-    """Names and bits of the module's own signals."""

@@ -1,10 +1,13 @@
-from .arena import STATIC_BYTES as STATIC_BYTES
-from .arena import VERSION as VERSION
-from .arena import Arena as Arena
-from .arena import Blueprint as Blueprint
-from .flag import CAUSES as CAUSES
-from .flag import CAUSES_EACH as CAUSES_EACH
+from .arena import (
+    STATIC_BYTES as STATIC_BYTES,
+    VERSION as VERSION,
+    Arena as Arena,
+    Blueprint as Blueprint,
+)
+from .flag import CAUSES as CAUSES, CAUSES_EACH as CAUSES_EACH
 from .local import LocalTable as LocalTable
-from .process import now_ns as now_ns
-from .process import process_start as process_start
-from .process import survive_cuts as survive_cuts
+from .process import (
+    now_ns as now_ns,
+    process_start as process_start,
+    survive_cuts as survive_cuts,
+)

@@ -1,19 +1,19 @@
-from . import folder_watch as folder_watch
-from . import mailboxes as mailboxes
-from . import names as names
-from . import shm_object_files as shm_object_files
-from ._ipc import Full as Full
-from ._ipc import Policy as Policy
-from ._ipc import Queue as Queue
-from ._ipc import Semaphore as Semaphore
-from ._ipc import Taken as Taken
-from .attach_or_create import queue as queue
-from .attach_or_create import segment as segment
-from .attach_or_create import semaphore as semaphore
-from .mailboxes import Mailbox as Mailbox
-from .mailboxes import interrupt as interrupt
-from .names import Name as Name
-from .names import live_on as live_on
+from . import (
+    folder_watch as folder_watch,
+    mailboxes as mailboxes,
+    names as names,
+    shm_object_files as shm_object_files,
+)
+from ._ipc import (
+    Full as Full,
+    Policy as Policy,
+    Queue as Queue,
+    Semaphore as Semaphore,
+    Taken as Taken,
+)
+from .attach_or_create import queue as queue, segment as segment, semaphore as semaphore
+from .mailboxes import Mailbox as Mailbox, interrupt as interrupt
+from .names import Name as Name, live_on as live_on
 from .remote_channel import alive as alive
 from .segments import Segment as Segment
 from .shm_object_files import sweep as sweep

@@ -1,55 +1,59 @@
-from . import access_control as access_control
-from . import codec as codec
-from . import credentials as credentials
-from . import dialling as dialling
-from . import event_codes as event_codes
-from . import file_messages as file_messages
-from . import key_expressions as key_expressions
-from . import messages as messages
-from . import pki as pki
-from . import resource_messages as resource_messages
-from . import roles as roles
-from . import rpc as rpc
-from . import run_folder as run_folder
-from . import session as session
-from . import unreachable_reason as unreachable_reason
+from . import (
+    access_control as access_control,
+    codec as codec,
+    credentials as credentials,
+    dialling as dialling,
+    event_codes as event_codes,
+    file_messages as file_messages,
+    key_expressions as key_expressions,
+    messages as messages,
+    pki as pki,
+    resource_messages as resource_messages,
+    roles as roles,
+    rpc as rpc,
+    run_folder as run_folder,
+    session as session,
+    unreachable_reason as unreachable_reason,
+)
 from .callbacks import direct as direct
 from .file_messages import FileWrite as FileWrite
-from .message_parts import VarValue as VarValue
-from .message_parts import plain as plain
-from .messages import MOST_CALLERS as MOST_CALLERS
-from .messages import AgentInfo as AgentInfo
-from .messages import Answer as Answer
-from .messages import AnyRequest as AnyRequest
-from .messages import Call as Call
-from .messages import Claim as Claim
-from .messages import Event as Event
-from .messages import LinkReport as LinkReport
-from .messages import OpenTable as OpenTable
-from .messages import ParamValue as ParamValue
-from .messages import Reconfig as Reconfig
-from .messages import Reconfigured as Reconfigured
-from .messages import Record as Record
-from .messages import Recorded as Recorded
-from .messages import Request as Request
-from .messages import RtpuStatus as RtpuStatus
-from .messages import SectionStatus as SectionStatus
-from .messages import Spawn as Spawn
-from .messages import Standing as Standing
-from .messages import Stopped as Stopped
-from .messages import TableInfo as TableInfo
-from .messages import TaskProfile as TaskProfile
-from .messages import TaskStatus as TaskStatus
-from .messages import TbufStatus as TbufStatus
-from .relay_messages import Letter as Letter
-from .relay_messages import read_names as read_names
-from .relay_messages import read_result as read_result
-from .resource_messages import LONGEST as LONGEST
-from .resource_messages import Interrupt as Interrupt
-from .resource_messages import XmRequest as XmRequest
-from .rpc import Client as Client
-from .rpc import Declared as Declared
-from .run_folder import NAME as NAME
-from .run_folder import check_name as check_name
-from .run_folder import machine as machine
+from .message_parts import VarValue as VarValue, plain as plain
+from .messages import (
+    MOST_CALLERS as MOST_CALLERS,
+    AgentInfo as AgentInfo,
+    Answer as Answer,
+    AnyRequest as AnyRequest,
+    Call as Call,
+    Claim as Claim,
+    Event as Event,
+    LinkReport as LinkReport,
+    OpenTable as OpenTable,
+    ParamValue as ParamValue,
+    Reconfig as Reconfig,
+    Reconfigured as Reconfigured,
+    Record as Record,
+    Recorded as Recorded,
+    Request as Request,
+    RtpuStatus as RtpuStatus,
+    SectionStatus as SectionStatus,
+    Spawn as Spawn,
+    Standing as Standing,
+    Stopped as Stopped,
+    TableInfo as TableInfo,
+    TaskProfile as TaskProfile,
+    TaskStatus as TaskStatus,
+    TbufStatus as TbufStatus,
+)
+from .relay_messages import (
+    Letter as Letter,
+    read_names as read_names,
+    read_result as read_result,
+)
+from .resource_messages import (
+    LONGEST as LONGEST,
+    Interrupt as Interrupt,
+    XmRequest as XmRequest,
+)
+from .rpc import Client as Client, Declared as Declared
+from .run_folder import NAME as NAME, check_name as check_name, machine as machine
 from .warm_decoders import prepare as prepare

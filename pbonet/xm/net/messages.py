@@ -9,24 +9,27 @@ answered again and not executed twice.
 
 from __future__ import annotations
 
-from typing import Annotated as A
-from typing import Any, TypeAlias
+from typing import Annotated as A, Any, TypeAlias
 
 from msgspec import Meta, Struct
 
 from pbonet.errors import WireError
 
 from . import message_parts as values
-from .agents import AgentInfo as AgentInfo  # noqa: PLC0414 - taken from here
-from .agents import LinkReport as LinkReport  # noqa: PLC0414 - taken from here
-from .agents import Lost as Lost  # noqa: PLC0414 - taken from here
-from .agents import TableNews as TableNews  # noqa: PLC0414 - taken from here
-from .agents import Way as Way  # noqa: PLC0414 - taken from here
-from .statuses import RtpuStatus as RtpuStatus  # noqa: PLC0414
-from .statuses import SectionStatus as SectionStatus  # noqa: PLC0414
-from .statuses import TaskProfile as TaskProfile  # noqa: PLC0414
-from .statuses import TaskStatus as TaskStatus  # noqa: PLC0414
-from .statuses import TbufStatus as TbufStatus  # noqa: PLC0414
+from .agents import (
+    AgentInfo as AgentInfo,  # noqa: PLC0414 - taken from here
+    LinkReport as LinkReport,  # noqa: PLC0414 - taken from here
+    Lost as Lost,  # noqa: PLC0414 - taken from here
+    TableNews as TableNews,  # noqa: PLC0414 - taken from here
+    Way as Way,  # noqa: PLC0414 - taken from here
+)
+from .statuses import (
+    RtpuStatus as RtpuStatus,  # noqa: PLC0414
+    SectionStatus as SectionStatus,  # noqa: PLC0414
+    TaskProfile as TaskProfile,  # noqa: PLC0414
+    TaskStatus as TaskStatus,  # noqa: PLC0414
+    TbufStatus as TbufStatus,  # noqa: PLC0414
+)
 
 VERSION = 1
 MOST_CALLERS = 32

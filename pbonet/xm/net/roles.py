@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from pbonet.errors import AccessError
 
-from . import file_messages
-from . import messages as m
+from . import file_messages, messages as m
 
 LEAVES = ("sbs", "status")
 _LOOKING = (

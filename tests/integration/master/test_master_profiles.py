@@ -12,8 +12,7 @@ from pbonet.analysis.schedule import histogram
 from pbonet.cli import main
 from pbonet.config import read_rmod
 from pbonet.errors import StateError, UnknownTaskError
-from pbonet.master.configuration import adopt_times as adopt
-from pbonet.master.configuration import saved_profiles
+from pbonet.master.configuration import adopt_times as adopt, saved_profiles
 from pbonet.master.console.command_session import Desk
 from pbonet.master.subsystem.subsystem import Subsystem
 

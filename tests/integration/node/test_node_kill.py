@@ -14,8 +14,7 @@ from pbonet.errors import NodeError, SvarMissingError
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rt import _rt
 from pbonet.node.rtpu import cleanup
-from pbonet.xm.net import codec, run_folder
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m, run_folder
 
 ABOVE_TASKS = 90
 """A level above those of all cycles, and below the dispatcher's."""

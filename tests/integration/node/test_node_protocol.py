@@ -10,8 +10,7 @@ import msgspec
 import pytest
 
 from pbonet.errors import PbonetError, _tree
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import run_folder
+from pbonet.xm.net import messages as m, run_folder
 
 PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text()
 RECORDS = [

@@ -10,8 +10,7 @@ from logparts import run
 from pbonet.errors import StateError
 from pbonet.log import Log, LogWriter
 from pbonet.node.wire.command_record import command
-from pbonet.xm.net import codec
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m
 
 REFUSED = StateError("it is OFF already").to_wire()
 COMMANDS = [

@@ -19,8 +19,7 @@ from pbonet.node.recorder import recorder_process as recording
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rtpu import orphaned_rings
 from pbonet.node.wire import rtpu_messages
-from pbonet.xm.net import codec
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m
 
 ABOUT = TaskAbout(
     domain="d",

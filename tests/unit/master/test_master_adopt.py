@@ -14,8 +14,7 @@ from pbonet.cli import main
 from pbonet.config import parse_rmod, read_rmod
 from pbonet.config.library import Library
 from pbonet.errors import ConfigError, ConfigFileError, UnknownTaskError
-from pbonet.master.configuration import adopt_times as adopt
-from pbonet.master.configuration import saved_profiles
+from pbonet.master.configuration import adopt_times as adopt, saved_profiles
 
 PUMA = Path(__file__).parents[3] / "examples" / "puma"
 TEXT = """# the joint velocities

@@ -3,8 +3,7 @@
 import os
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pbonet.errors import Severity
 from pbonet.node.task.task_output import LONGEST_LINE, DroppingWriter, Lines

@@ -16,8 +16,7 @@ from pbonet.node.rt import _rt
 from pbonet.node.rtpu.rtpu_snapshot import Known
 from pbonet.node.wire.rtpu_messages import RtpuInfo
 from pbonet.xm.ipc import names
-from pbonet.xm.net import key_expressions
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import key_expressions, messages as m
 from pbonet.xm.net.codec import Codec
 
 INFO = RtpuInfo(pid=1, core=1, version="", backend="", limits=[], claims={})

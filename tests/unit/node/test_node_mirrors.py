@@ -12,8 +12,11 @@ import zenoh
 from watching import wait_for
 
 from pbonet.config.model import Variable
-from pbonet.node.mirror import packet_queue, remote_handover
-from pbonet.node.mirror import table_carrier as mirrors_module
+from pbonet.node.mirror import (
+    packet_queue,
+    remote_handover,
+    table_carrier as mirrors_module,
+)
 from pbonet.node.mirror.mirrored_table import Carried
 from pbonet.node.mirror.table_carrier import Mirrors
 from pbonet.node.rtpu.tables import table_name

@@ -15,8 +15,7 @@ from patience import LIMIT
 import pbonet
 from pbonet.config.model import AgentConfig
 from pbonet.errors import NodeError
-from pbonet.node.agent import agent as agents
-from pbonet.node.agent import rtpu_link
+from pbonet.node.agent import agent as agents, rtpu_link
 from pbonet.node.wire import rtpu_messages
 
 CONFIG = rtpu_messages.RtpuConfig(domain="d", name="arm0", core=0)

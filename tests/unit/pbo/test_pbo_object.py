@@ -1,8 +1,7 @@
 """What a module's class may look like, and what is known about it."""
 
 import pathlib
-from typing import Annotated as A
-from typing import Generic, TypeVar
+from typing import Annotated as A, Generic, TypeVar
 
 import msgspec
 import pytest
@@ -22,6 +21,7 @@ from pbonet.errors import DeclarationError
 from pbonet.pbo import (
     METHODS,
     ModuleInfo,
+    TaskContext as Context,
     bind,
     describe,
     interface,
@@ -29,7 +29,6 @@ from pbonet.pbo import (
     render,
     source_version,
 )
-from pbonet.pbo import TaskContext as Context
 from pbonet.ports import Kind
 
 

@@ -1,7 +1,6 @@
 """Parameters: declared once, decoded from LOCAL lines, refused in whole sentences."""
 
-from typing import Annotated as A
-from typing import ClassVar, Literal
+from typing import Annotated as A, ClassVar, Literal
 
 import pytest
 

@@ -1,8 +1,7 @@
 """How ports are declared: what is refused, with the whole sentence."""
 
 from pathlib import Path
-from typing import Annotated as A
-from typing import Any
+from typing import Annotated as A, Any
 
 import numpy as np
 import pytest

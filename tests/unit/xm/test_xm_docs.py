@@ -7,9 +7,7 @@ from typing import get_args
 import msgspec
 import pytest
 
-from pbonet.xm.net import file_messages as f
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import resource_messages as r
+from pbonet.xm.net import file_messages as f, messages as m, resource_messages as r
 
 PAGE = (Path(__file__).parents[3] / "docs" / "protocol.md").read_text()
 ROWS = dict(re.findall(r"^\| `(xm_\w+)` \|([^\n]*)", PAGE, re.MULTILINE))

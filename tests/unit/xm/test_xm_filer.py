@@ -15,8 +15,7 @@ from pbonet.errors import (
     XmNameError,
 )
 from pbonet.node.agent import file_server as server
-from pbonet.xm.net import file_messages as f
-from pbonet.xm.net import roles
+from pbonet.xm.net import file_messages as f, roles
 
 
 @pytest.fixture

@@ -2,8 +2,7 @@
 
 import pytest
 
-from pbonet.xm.net import messages as m
-from pbonet.xm.net import roles
+from pbonet.xm.net import messages as m, roles
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pbonet.errors import NodeError, ProtocolError
-from pbonet.xm.net import codec, credentials, pki, unreachable_reason
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, credentials, messages as m, pki, unreachable_reason
 from pbonet.xm.net.credentials import Role
 from pbonet.xm.net.rpc import placed
 
