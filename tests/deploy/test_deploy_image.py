@@ -98,7 +98,7 @@ def test_image_and_host_as_their_files_say(tmp_path):
     done = subprocess.run(
         [
             *("unshare", "--mount", "--pid", "--fork", "--kill-child", sys.executable),
-            ROOT / "tests" / "dockerfile.py",
+            ROOT / "tests" / "support" / "dockerfile.py",
             *(tree / "deploy" / "Dockerfile", tree, tmp_path / "stages"),
             *(AS_USER, AS_ROOT),
         ],

@@ -29,7 +29,7 @@ from pbonet.node.rtpu import cleanup
 from pbonet.xm.net import key_expressions, messages as m, run_folder, session
 from pbonet.xm.net.rpc import Client
 
-MISBEHAVING = Path(__file__).with_name("misbehaving")
+MISBEHAVING = Path(__file__).parents[1] / "misbehaving"
 CORE = max(os.sched_getaffinity(0))
 AGENT = """
 import json, sys

@@ -19,7 +19,7 @@ from watching import wait_for
 from pbonet.errors import MethodError, StateError
 from pbonet.xm.net import messages as m
 
-PROBE = Path(__file__).parents[2] / "oracle_probe.py"
+PROBE = Path(__file__).parents[2] / "oracles" / "oracle_probe.py"
 SVAR = "".join(
     f"NAME {name}\nTYPE int\nDESC none\nUNITS none\nNELEM 1\nINIT 0\n\n"
     for name in ("C_IN", "C_OUT", "X", "Y")
