@@ -1,4 +1,5 @@
 from . import sim_log as sim_log
+from .rtpu_in_process import VirtualTask as VirtualTask
 from .sim_log import SimLog as SimLog
 from .simulation import Simulation as Simulation
 from .virtual_rtpus import (

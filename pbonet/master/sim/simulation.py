@@ -1,8 +1,8 @@
 """A job in virtual time: one thread, no devices, the same result every time.
 
-The RTPUs are those of `pbonet.master.sim.virtual_rtpus`; here is what a master does for a job. A
-cycle takes no virtual time. So a simulation shows what the control laws do; how long
-they take, and what a late cycle does, only a run in real time shows.
+The RTPUs are those of `virtual_rtpus`; here is what a master does for a job. A cycle
+takes no virtual time. So a simulation shows what the control laws do; how long they
+take, and what a late cycle does, only a run in real time shows.
 """
 
 from __future__ import annotations

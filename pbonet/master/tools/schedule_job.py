@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from pbonet.config import JobTask
-    from pbonet.master import VirtualTask
     from pbonet.master.configuration import Member
+    from pbonet.master.sim import VirtualTask
 
 _LOADS = frozenset({
     legality.Code.OVERLOAD,

@@ -11,7 +11,7 @@ import pytest
 
 from pbonet.log import COLUMNS, Cycles, Log
 from pbonet.master import Subsystem
-from pbonet.master.console.oneshot import Place
+from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.master.sim.simulation import simulate
 from pbonet.svar.table_files import folder
