@@ -14,6 +14,7 @@ from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_simulated
 from pbonet.master.console.live_status import view
 from pbonet.master.console.run_job import run
+from pbonet.master.configuration import Place
 from pbonet.master.sim import sim_log
 from pbonet.testing import rerun, verify
 

@@ -21,6 +21,7 @@ from pbonet.errors import (
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.prompt import Prompt
 from pbonet.master.console.run_job import run
+from pbonet.master.configuration import Place
 from pbonet.master.sim.simulation import BEGIN_NS, Simulation
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.master.tools.schedule_job import simulate
