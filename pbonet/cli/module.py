@@ -31,8 +31,8 @@ def command(
         List the modules that the RTPUs of a subsystem have:
         pbonet module arm.sbs
     """
-    from pbonet.master.tools import local_modules
     from pbonet.master.console import oneshot
+    from pbonet.master.tools import local_modules
 
     from .table import show
 

@@ -15,9 +15,9 @@ from logshop import RMOD, Shop, drive
 from pbonet.errors import LogError, ModuleLoadError
 from pbonet.log import Log, LogWriter, text
 from pbonet.log.rewrite import merge
+from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
-from pbonet.master.configuration import Place
 from pbonet.testing import rerun, verify
 
 OTHER = ADDS.replace("dt / 3.0", "dt / (3.5 if self.task.name == 'a' else 3.0)")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pbonet.log import Log
+from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
-from pbonet.master.configuration import Place
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "puma"
 

@@ -18,10 +18,10 @@ from pbonet.errors import (
     StateError,
     UnknownTaskError,
 )
+from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.prompt import Prompt
 from pbonet.master.console.run_job import run
-from pbonet.master.configuration import Place
 from pbonet.master.sim.simulation import BEGIN_NS, Simulation
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.master.tools.schedule_job import simulate
