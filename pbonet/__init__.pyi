@@ -1,5 +1,6 @@
-from pbonet.master import Subsystem as Subsystem
-from pbonet.pbo import (
+from .errors import PbonetError as PbonetError
+from .master import Subsystem as Subsystem
+from .pbo import (
     Answer as Answer,
     Handling as Handling,
     Params as Params,
@@ -12,7 +13,7 @@ from pbonet.pbo import (
     UserSignal as UserSignal,
     param as param,
 )
-from pbonet.ports import (
+from .ports import (
     InConst as InConst,
     InVar as InVar,
     Matrix as Matrix,
@@ -20,7 +21,5 @@ from pbonet.ports import (
     OutVar as OutVar,
     Vector as Vector,
 )
-
-from .errors import PbonetError as PbonetError
 
 __version__: str

@@ -28,7 +28,6 @@ from pbonet.analysis.schedule import chart
 from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 from pbonet.config import parse_rmod, write_rmod
 from pbonet.errors import NodeError, PbonetError
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import Run
 from pbonet.master.subsystem.embedded_agents import assign_cores

@@ -36,7 +36,6 @@ def command(
         pbonet events arm.sbs 10 --follow
     """
     from pbonet.errors import StateError
-    from pbonet.master.configuration import Place
     from pbonet.master.console import follow_events, oneshot
 
     from .table import show

@@ -290,7 +290,7 @@ def _task_of(writer: str | None) -> str | None:
     """Return the task's name of a writer, which may be on another machine."""
     if writer is None:
         return None
-    from pbonet.svar import MARK
+    from pbonet.svar.mirror import MARK
 
     return writer.partition(MARK)[0]
 

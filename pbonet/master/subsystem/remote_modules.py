@@ -25,7 +25,8 @@ _LOAD_TIME = 10.0
 def _answer() -> type[list[ModuleInfo]]:
     """Return the type of an answer, prepared before several threads decode it.
 
-    See `pbonet.xm.net.warm_decoders`. It is loaded with numpy, and only when modules are asked.
+    See `pbonet.xm.net.warm_decoders`. It is loaded with numpy, so only where modules
+    are asked for.
     """
     from pbonet.pbo import ModuleInfo
 

@@ -13,7 +13,6 @@ from logshop import RMOD
 from pbonet.log import Did, Log, Step, text
 from pbonet.log.groups import size
 from pbonet.log.schema import StepSchema, head
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.testing import verify

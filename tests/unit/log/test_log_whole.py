@@ -15,7 +15,6 @@ from logshop import RMOD, Shop, drive
 from pbonet.errors import LogError, ModuleLoadError
 from pbonet.log import Log, LogWriter, text
 from pbonet.log.rewrite import merge
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.testing import rerun, verify

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from pbonet.log import Log
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 

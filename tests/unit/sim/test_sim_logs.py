@@ -10,7 +10,6 @@ from test_log_whole import SVAR
 from pbonet.errors import LogError
 from pbonet.log import Log, Step, text
 from pbonet.log.groups import size
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import run_simulated
 from pbonet.master.console.live_status import view

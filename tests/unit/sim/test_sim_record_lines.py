@@ -10,7 +10,6 @@ from logshop import RMOD
 from test_log_whole import SVAR
 
 from pbonet.log import Log
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.testing import rerun

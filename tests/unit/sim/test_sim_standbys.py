@@ -18,7 +18,6 @@ from pbonet.errors import (
     StateError,
     UnknownTaskError,
 )
-from pbonet.master.configuration import Place
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.prompt import Prompt
 from pbonet.master.console.run_job import run
