@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Profile
 from pbonet.config import Place, Rmod, RtpuEntry, SvarFile, Variable
-from pbonet.pbo import ModuleInfo
+
+if TYPE_CHECKING:
+    from pbonet.pbo import ModuleInfo
 
 COPY_SPEED = 1e9
 """Bytes a second that all tasks together may move between table and local tables.

@@ -10,7 +10,7 @@ from msgspec import Struct
 from pbonet.analysis.legality import Task
 from pbonet.config import Place
 from pbonet.errors import UnknownTaskError, did_you_mean
-from pbonet.pbo import ModuleInfo, State
+from pbonet.pbo import State
 
 from .saved_profiles import Saved, with_times
 from .subsystem_files import RmodSource
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.config import Rmod
+    from pbonet.pbo import ModuleInfo
 
 
 class Member(Struct, kw_only=True):

@@ -272,6 +272,7 @@ def help_(seat: Seat, given: Given) -> Data:
                 "usage": command.usage,
                 "help": command.help,
                 "changes": command.changes,
+                "examples": [list(example) for example in command.examples],
                 "args": [
                     {
                         "name": arg.name,

@@ -432,6 +432,7 @@ def _help(data: Data) -> str:
             + "; the last one used if left out" * arg["last"]
             for arg in commands[0]["args"]
         )
+        lines.extend(f"  {line:32}  # {use}" for line, use in commands[0]["examples"])
     return "\n".join(lines)
 
 
