@@ -120,6 +120,12 @@ class VirtualRtpus:
         """The subsystem's table, once it is open."""
         return next(iter(self.world.tables.values()))
 
+    def client(
+        self, domain: str, name: str, warned: Callable[[str, str], None]
+    ) -> rpc.Client:
+        """Return what asks these RTPUs in place of agents; see `rpc.Client`."""
+        return VirtualClient(self, domain, name, warned=warned)
+
     # -- requests ----------------------------------------------------------------------
 
     def answer(self, rtpu: str, request: m.Request) -> m.Answer:

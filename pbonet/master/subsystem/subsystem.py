@@ -109,13 +109,13 @@ class Subsystem(Switching, Calls, Signalled):
         """Set by `stop`; an assembly that is under way then gives up."""
         self.watch = watch
         self.simulation: VirtualRtpus | None = None
-        """What stands for the RTPUs in virtual time; it has the ``recording``."""
+        """The RTPUs in virtual time; it has the ``recording``."""
         self.clock: Clock = RealClock()
         if virtual:
-            from pbonet.master.sim import VirtualClock, VirtualRtpus
+            from pbonet.master import sim  # with it come the RTPU and the task
 
-            self.simulation = VirtualRtpus(self.files)
-            self.clock = VirtualClock(self.simulation)
+            self.simulation = sim.VirtualRtpus(self.files)
+            self.clock = sim.VirtualClock(self.simulation)
         self._agents = (
             Embedded(domain, libraries=[*map(str, libraries)], connect=connect)
             if embed and not virtual
@@ -216,9 +216,7 @@ class Subsystem(Switching, Calls, Signalled):
             self._warn(f"{rtpu}: {text}")
 
         if self.simulation is not None:
-            from pbonet.master.sim import VirtualClient
-
-            return VirtualClient(self.simulation, self.domain, name, warned=warned)
+            return self.simulation.client(self.domain, name, warned)
         opened = opened or session.client(self.domain, connect=self._connect)
         return rpc.Client(opened, self.domain, name, warned=warned)
 
