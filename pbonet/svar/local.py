@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pbonet import shm
 from pbonet.errors import (
     SvarError,
     SvarFullError,
@@ -15,7 +16,6 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.shm import Closing
 
 from . import guards, layout, native, table_files
 from .result_codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
@@ -33,7 +33,7 @@ def _never() -> bool:
     return False
 
 
-class LocalTable(Closing, native.LocalTable):
+class LocalTable(shm.Closeable, native.LocalTable):
     """Private copies of a task's variables, and the transfers to and from the table.
 
     Made by `Table.local`. Variables are named by name, or by their index in the table.

@@ -51,7 +51,6 @@ def make(native, folder: Path):
         np.array([round((v.maxage or 0) * 1e9) for v in VARIABLES], np.int64),
         layout.encode(VARIABLES),
         layout.layout_hash(VARIABLES),
-        0o600,
         1,
     )
     path = folder / native.__name__.rpartition(".")[2]

@@ -40,7 +40,7 @@ cdef class CoreTable:
     def __cinit__(self, int core, *, bint member=True):
         self.core = core
         self.member = member
-        self.path = _path(f"core{core}")
+        self.path = str(shm.path_of(f"core{core}"))
         cdef int error
         self.file = strdup(os.fsencode(self.path))
         with nogil:
