@@ -17,8 +17,8 @@ from pbonet.errors import (
 )
 
 from . import guards, layout as lay, table_files
+from ._svar import CAUSES, CAUSES_EACH, Arena, Blueprint, now_ns
 from .local import LocalTable
-from .native import CAUSES, CAUSES_EACH, Arena, Blueprint, now_ns
 from .result_codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .table_records import Cause, Register, VarInfo
 

@@ -17,7 +17,7 @@ from pbonet.errors import (
     SvarMissingError,
 )
 
-from .native import STATIC_BYTES, VERSION, Arena
+from ._svar import STATIC_BYTES, VERSION, Arena
 from .result_codes import Verdict
 
 if TYPE_CHECKING:

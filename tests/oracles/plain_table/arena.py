@@ -2,7 +2,7 @@
 
 It works on the same file, byte for byte and step for step as the C headers do. Python
 has neither fences nor atomic words, and no lock is taken here: nothing but tests may
-use it. `PBONET_PURE=1` selects it.
+use it. `use_plain_table` puts it in the place of the native one.
 """
 
 from __future__ import annotations
