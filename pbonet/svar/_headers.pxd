@@ -11,7 +11,7 @@ cdef extern from "local.h" nogil:
         uint64_t cycle
     struct pb_static:
         uint32_t n_vars, n_regs, version
-        uint64_t size, text, text_bytes, live, mode, keep_stamps
+        uint64_t size, text, text_bytes, live, keep_stamps
         uint8_t layout[16]
     struct pb_var:
         uint64_t bytes

@@ -40,7 +40,7 @@ cdef class Blueprint:
     cdef pb_var *vars
 
     def __init__(self, const uint64_t[::1] sizes, const int64_t[::1] maxages, bytes text,
-                 bytes layout, unsigned mode, unsigned spare):
+                 bytes layout, unsigned spare):
         cdef Py_ssize_t i, n = sizes.shape[0]
         if maxages.shape[0] != n or len(layout) != 16:
             raise ValueError("sizes, maxages and layout do not fit together")
@@ -53,7 +53,6 @@ cdef class Blueprint:
             self.vars[i].maxage_ns = maxages[i]
         self.fixed.n_vars = n
         self.fixed.text_bytes = len(text)
-        self.fixed.mode = mode
         memcpy(self.fixed.layout, <const char *>layout, 16)
         pb_lay_out(&self.fixed, self.vars, spare)
 
@@ -113,10 +112,6 @@ cdef class Arena:
     @property
     def version(self) -> int:
         return (<pb_static *>self.base).version
-
-    @property
-    def mode(self) -> int:
-        return table(self).fixed.mode
 
     @property
     def layout(self) -> bytes:

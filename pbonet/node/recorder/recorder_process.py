@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import msgspec
 from msgspec.msgpack import Decoder
 
+from pbonet import shm
 from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import Attached, LogWriter, TaskAbout
 from pbonet.node import rt
@@ -99,7 +100,7 @@ class Recorder:
         self._files = LogFiles(wanted, self._say, self._enter_all)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
-        self._folder = os.environ.get("PBONET_SHM_DIR") or orphaned_rings.FOLDER
+        self._folder = str(shm.folder())
         self._changes = folder_watch.Changes(self._folder)
         self._waiting = False
         """Whether there are rings that may yet be followed."""
@@ -157,7 +158,7 @@ class Recorder:
 
     def _found(self) -> Iterator[tuple[tuple[str, int], str]]:
         """Yield the rings that may be ours: path and inode, and name."""
-        first = f"pbonet.{os.geteuid()}."
+        first = shm.own("")
         ours = f"{first}{self._wanted.domain}.{self._wanted.subsystem}."
         with os.scandir(self._folder) as entries:
             for entry in entries:

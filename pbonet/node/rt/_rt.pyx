@@ -11,6 +11,7 @@ from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
 from libc.stdlib cimport calloc, free, malloc
 from libc.string cimport memset, strdup, strncat
 
+from pbonet import shm
 from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node.ring import _ring
 from pbonet.node.rt import rt_capabilities as rights
@@ -49,11 +50,6 @@ cdef enum:
     COPY_TORN = 1
     COPY_STALE = 2
     COPY_FLAGS = 15
-
-
-def _path(str name) -> str:
-    folder = os.environ.get("PBONET_SHM_DIR", "/dev/shm")
-    return os.path.join(folder, f"pbonet.{os.geteuid()}.{name}")
 
 
 include "_rt_table.pxi"

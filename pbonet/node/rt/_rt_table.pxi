@@ -41,7 +41,8 @@ cdef class CoreTable:
     def __cinit__(self, int core, *, bint member=True, int64_t virtual_ns=0):
         self.core = core
         self.member = member
-        self.path = _path(f"virtual{os.getpid()}.{core}" if virtual_ns else f"core{core}")
+        name = f"virtual{os.getpid()}.{core}" if virtual_ns else f"core{core}"
+        self.path = str(shm.path_of(name))
         cdef int error
         self.file = strdup(os.fsencode(self.path))
         with nogil:

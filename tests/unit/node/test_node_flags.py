@@ -9,7 +9,7 @@ from pbonet.errors import SvarFullError, UnknownVariableError
 from pbonet.node.rtpu.illegal_flag import Flags
 from pbonet.node.wire.event_log import EventLog
 from pbonet.svar import Table
-from pbonet.svar.native import CAUSES_EACH
+from pbonet.svar._svar import CAUSES_EACH
 
 SVAR = """NAME Y
 TYPE double

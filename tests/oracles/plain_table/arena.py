@@ -2,7 +2,7 @@
 
 It works on the same file, byte for byte and step for step as the C headers do. Python
 has neither fences nor atomic words, and no lock is taken here: nothing but tests may
-use it. `PBONET_PURE=1` selects it.
+use it. `use_plain_table` puts it in the place of the native one.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
     from .local import Group
 
-VERSION, STATIC_BYTES = 2, 144
+VERSION, STATIC_BYTES = 3, 136
 SLOTS, LINE = 4, 64
 _EVER = 1 << 64
 _NUMBERS = (1 << 56) - 1
 FREE, HELD, LEFT = range(3)
 _MAGIC = b"pbSVAR\r\n"
-_STATIC = struct.Struct("<8s4I2Q16s11Q")
+_STATIC = struct.Struct("<8s4I2Q16s10Q")
 _MUTEX = {"x86_64": 40, "aarch64": 48}.get(platform.machine(), 40)
 _UIDS = 64 + _MUTEX
 _REG_BYTES, _TASK, _TASK_BYTES = 256, 144, 64
@@ -67,13 +67,12 @@ _ABI = _LIVE_BYTES + _MUTEX
 class Blueprint:
     """What a table will look like (arena.h)."""
 
-    def __init__(  # noqa: PLR0917 - as the native one
+    def __init__(
         self,
         sizes: NDArray[Any],
         maxages: NDArray[Any],
         text: bytes,
         layout: bytes,
-        mode: int,
         spare: int,
     ) -> None:
         n = len(sizes)
@@ -94,7 +93,7 @@ class Blueprint:
         self.size = _round(arena + SLOTS * slots, 4096)
         places = (variables, records, len(text), live, regs, directory, dir_stride)
         counts = (VERSION, _ABI, n, regs_n, self.size, 0, layout)
-        self.fixed = _STATIC.pack(_MAGIC, *counts, *places, arena, keep, stamps, mode)
+        self.fixed = _STATIC.pack(_MAGIC, *counts, *places, arena, keep, stamps)
 
 
 class Arena(Flag):
@@ -136,7 +135,7 @@ class Arena(Flag):
         ]
         self.flag = self.live + _UIDS + 8
         (self.regs, self.dir, self.dir_stride, self.arena) = fields[12:16]
-        (self.keep_bytes, self.keep_stamps, self.mode) = fields[16:]
+        (self.keep_bytes, self.keep_stamps) = fields[16:]
 
     def verify(self) -> int:
         """Judge the file (keeper.h)."""

@@ -149,7 +149,7 @@ class LocalTable:
         """Write no more, and leave the variables to the heir's claim."""
         self.groups[VARS].live = False
 
-    def give(self, which: int, leave: bool) -> int:  # noqa: FBT001
+    def give(self, which: int, leave: bool) -> int:
         """Give a group's variables up."""
         group = self.groups[which]
         group.live = False
