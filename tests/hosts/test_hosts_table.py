@@ -188,7 +188,7 @@ def test_a_swap_between_machines(cell):
 
 def leave(cell, here, old, there, new):
     """Have a task stand by on another machine, and the one before it leave."""
-    heirs = m.Heirs(after={new: [old]}, far=True, timeout=LIMIT)
+    heirs = m.Successors(after={new: [old]}, far=True, timeout=LIMIT)
     calls = cell.look(there, heirs, dict[str, list[m.Call]])
     off = m.Reconfig(items=[(old, "off")], handover={old: ["Y0"]}, calls=calls)
     assert cell.look(here, off, m.Reconfigured).done == 1

@@ -351,9 +351,18 @@ cdef class Slot:
         self.is_aged = False
         rt_arm(&self.task)
 
-    def disarm(self) -> None:
+    def disarm(self, calls=()) -> list:
+        # Called first: if the task is killed in here, either it is seen to die while it
+        # is ON, or its successors come. Its own core's dispatcher wakes up once.
         self.live()
+        cdef CoreTable table
+        cdef list heard = []
+        for table, slot, life, ticket, caller in calls:
+            heard.append(table.count_call(slot, life, ticket, caller))
+            if table.t is not self.task.table:
+                rt_kick(table.t)
         rt_rest(&self.task)
+        return heard
 
     def fall(self) -> None:
         self.live()

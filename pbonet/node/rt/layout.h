@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 8,
+    RT_VERSION = 9,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -83,8 +83,7 @@ struct rt_config {
     _Atomic int32_t tells;              /* the module has a failure handler */
     _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
     _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
-    _Atomic uint64_t callers;           /* of other cores: ticket << 32 | one bit each */
-    _Atomic uint32_t called;            /* one of these has ended, and counts on it */
+    _Atomic uint64_t callers;           /* who have not called yet; see call.h */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 
@@ -151,6 +150,7 @@ struct rt_state {
     uint64_t failures[RT_FAILURES], overruns, held_off;
     struct rt_piece pieces[RT_PIECES];
     int32_t after_kind;
+    uint32_t ticket;                    /* of the calls that it waits for; 0: for none */
     uint64_t after[RT_MASKS];
 };
 

@@ -1,46 +1,61 @@
-"""Heirs of tasks on other RTPUs of the machine: they stand by, and are called.
+"""Successors: tasks that stand by until all who hand over to them have called.
 
-An heir one of whose predecessors has another dispatcher cannot wait for it in its own
-core table. It waits for calls instead (``call.h``): each predecessor, as
-its `off` has ended, calls in the heir's core table, and the dispatcher there engages
-the heir in its next turn. No message is waited for in between, and no master.
+A task that takes over stands by with a ticket in its slot (``call.h``). Each of its
+predecessors calls when its `off` has ended, and the dispatcher engages the successor in
+its next turn. No message is waited for in between, and no master. It is the same
+whether they are on one core, on two cores of a machine, or on two machines: there the
+agent calls with the news of the table (`farcalls`), and the ``on`` of the master does
+so at the latest.
 
-A ticket, which no other wait has had, tells whose call it is. Who does not find it in
-the table that he sees is on another machine, or too late.
-
-Where they are known to be on another machine the agents call (`farcalls`), and the
-``on`` of the master has the heir engaged at the latest.
+A ticket, which no other wait has had, tells whose call it is. A caller that does not
+find it in the slot comes too late.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import secrets
 from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Mode
-from pbonet.errors import PbonetError
+from pbonet.errors import NoAnswerError, PbonetError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
-from pbonet.xm.net import Call
+from pbonet.xm.net import LAST_TICKET, Call
 
-from .fallbacks import Home, come, rest
+from .task_handle import error_of
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
+
+    from pbonet.node import rt
 
     from .fallbacks import Fallbacks
     from .illegal_flag import Flags
     from .task_handle import Task
 
 
-class HeirsHome(Home, Protocol):
-    """What is needed beside that of the RTPU that the heirs are on."""
+class Home(Protocol):
+    """What successors need of their RTPU."""
 
-    fallbacks: Fallbacks
+    core: rt.CoreTable
     flags: Flags
+
+    @property
+    def fallbacks(self) -> Fallbacks:
+        """The tasks that stand by for a failure."""
+        ...
+
+    def of(self, subsystem: str) -> list[Task]:
+        """Return the tasks of a subsystem."""
+        ...
+
+    def need(self, subsystem: str, name: str) -> Task:
+        """Return a task, or raise UnknownTaskError."""
+        ...
 
     def rank(self, *joining: Task) -> None:
         """Rank all tasks anew; those that join count already."""
@@ -52,24 +67,24 @@ class HeirsHome(Home, Protocol):
 
 
 class Waiting(Struct):
-    """An heir that stands by, or has come on and was not asked for yet."""
+    """A successor that stands by, or has come on and was not asked for yet."""
 
     task: Task
     after: list[str]
-    """Who calls it."""
+    """Its predecessors, which call it."""
+    calls: list[Call]
+    """One for each of them."""
     timer: asyncio.TimerHandle
-    calls: list[Call] = []
-    """Those of an heir that is called from another machine."""
 
 
-class Heirs:
-    """The heirs of one RTPU.
+class Successors:
+    """The successors of one RTPU.
 
     Args:
-        rtpu: Whose.
+        rtpu: Where they are.
     """
 
-    def __init__(self, rtpu: HeirsHome) -> None:
+    def __init__(self, rtpu: Home) -> None:
         self._rtpu = rtpu
         self._waiting: dict[tuple[str, str], Waiting] = {}
 
@@ -85,24 +100,24 @@ class Heirs:
 
         Args:
             subsystem: Whose tasks.
-            after: The heirs, and for each the tasks, on any RTPU, that it waits for.
+            after: The successors, and of each its predecessors, on any RTPU.
             limit: Seconds after which they stand by no longer.
-            far: Whether those they wait for are on another machine.
+            far: Whether the predecessors are on another machine.
 
         Returns:
-            For each task that is waited for whom it has to call.
+            For each predecessor the calls that it has to make.
 
         Raises:
             PbonetError: One could not take over: why. None of them stands by.
         """
-        rtpu = self._rtpu
-        tasks = {name: rtpu.need(subsystem, name) for name in after}
+        tasks = {name: self._rtpu.need(subsystem, name) for name in after}
         calls: dict[str, list[Call]] = {}
+        self._rtpu.rank(*(task for name, task in tasks.items() if after[name]))
         try:
             for name, task in tasks.items():
                 await self.withdraw(task)
                 if after[name]:
-                    made = await self._stand_by(task, after[name], limit, far=far)
+                    made = await self.stand_by(task, after[name], limit, far=far)
                     for old, call in zip(after[name], made, strict=True):
                         calls.setdefault(old, []).append(call)
         except BaseException:
@@ -111,15 +126,26 @@ class Heirs:
             raise
         return calls
 
-    async def _stand_by(
-        self, task: Task, after: list[str], limit: float, *, far: bool
+    async def stand_by(
+        self, task: Task, after: list[str], limit: float, *, far: bool = False
     ) -> list[Call]:
+        """Have a task stand by; return how each of its predecessors calls it.
+
+        Args:
+            task: It is OFF, and counts already among the ranked ones.
+            after: Its predecessors.
+            limit: Seconds that getting ready may take, and standing by.
+            far: Whether they are on another machine.
+
+        Raises:
+            PbonetError: It could not take over: why.
+        """
         rtpu, slot = self._rtpu, task.facts.slot
+        await self.withdraw(task)
         owners = self._owners(task) if far else []
         await rtpu.fallbacks.withdraw(task)
-        rtpu.rank(task)
         task.engaged = asyncio.get_running_loop().create_future()
-        ticket = secrets.randbelow(0xFFFFFFFF) + 1
+        ticket = secrets.randbelow(LAST_TICKET) + 1
         life = rtpu.core.expect(slot, ticket, len(after))
         try:
             await task.command(
@@ -129,13 +155,11 @@ class Heirs:
             )
             await rtpu.fallbacks.ready(task, [*after, *owners])
         except BaseException:
-            rtpu.core.follow(slot, 0, [])
+            rtpu.core.follow(slot, [])
             raise
-        key = task.facts.subsystem, task.name
-        timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
         calls = [
             Call(
-                heir=task.name,
+                successor=task.name,
                 outputs=task.facts.outputs,
                 core=rtpu.core.core,
                 slot=slot,
@@ -146,25 +170,28 @@ class Heirs:
             )
             for caller in range(len(after))
         ]
-        self._waiting[key] = Waiting(task, after, timer, calls if far else [])
+        key = task.facts.subsystem, task.name
+        timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
+        self._waiting[key] = Waiting(task, after, calls, timer)
         return calls
 
     def _owners(self, task: Task) -> list[str]:
         """Return who owns the variables of a task, as this machine's table names it."""
         return sorted(self._rtpu.flags.owners(task.facts.subsystem, task.facts.outputs))
 
-    def waits(self, task: Task) -> bool:
-        """Tell whether a task stands by, or came on and was not asked for yet.
-
-        One of its name that has died meanwhile is another one.
-        """
+    def _of(self, task: Task) -> Waiting | None:
+        """Return the wait of a task; one of its name that has died is another task."""
         waiting = self._waiting.get((task.facts.subsystem, task.name))
-        return waiting is not None and waiting.task is task
+        return waiting if waiting is not None and waiting.task is task else None
+
+    def waits(self, task: Task) -> bool:
+        """Tell whether a task stands by, or came on and was not asked for yet."""
+        return self._of(task) is not None
 
     def callers(self, task: Task) -> list[str]:
         """Return the tasks that a task waits for, on any RTPU."""
-        waiting = self._waiting.get((task.facts.subsystem, task.name))
-        return waiting.after if waiting is not None and waiting.task is task else []
+        waiting = self._of(task)
+        return waiting.after if waiting is not None else []
 
     async def asked(self, task: Task) -> bool:
         """Take note that the ``on`` of a task is asked for.
@@ -174,10 +201,11 @@ class Heirs:
             for another machine is called from here, if nobody writes its variables any
             more; else it stands by no longer.
         """
-        waiting = self._waiting.get((task.facts.subsystem, task.name))
-        if waiting is None or waiting.task is not task:
+        waiting = self._of(task)
+        if waiting is None:
             return False
-        if waiting.calls and task.engaged and not task.engaged.done():
+        far = any(call.far for call in waiting.calls)
+        if far and task.engaged and not task.engaged.done():
             if self._owners(task):
                 await self.withdraw(task)
                 return task.engaged.done()
@@ -187,24 +215,37 @@ class Heirs:
         return True
 
     async def come(self, task: Task, limit: float) -> None:
-        """Wait until an heir has come on.
+        """Wait until a successor has come on; see `give_up` if it does not.
 
         Raises:
-            PbonetError: Its `on` failed, or nobody called it in time.
+            NoAnswerError: It was not engaged in time.
+            PbonetError: Its `on` failed.
         """
         self._forget(task)
+        if task.engaged is None:
+            return
         try:
-            await come(task, limit)
-        except PbonetError:
-            await self._rtpu.fallbacks.spare(task)
-            if task.state is State.OFF:
-                await rest(self._rtpu, task)
-            raise
+            notice = await asyncio.wait_for(asyncio.shield(task.engaged), limit)
+        except TimeoutError:
+            raise NoAnswerError(
+                "the task did not come on in time",
+                where=task.name,
+                remedy="look at its state, and at what else its RTPU has to do",
+            ) from None
+        if notice.error is not None:
+            raise error_of(notice)
+
+    async def give_up(self, task: Task) -> None:
+        """Have a task that did not come on stand by no longer, nor its fallback."""
+        self._forget(task)
+        await self._rtpu.fallbacks.spare(task)
+        if task.state is State.OFF:
+            await rest(self._rtpu.core, task)
 
     async def withdraw(self, task: Task) -> None:
         """Have a task stand by no longer, if it does."""
         if self._forget(task) and task.engaged and not task.engaged.done():
-            await rest(self._rtpu, task)
+            await rest(self._rtpu.core, task)
 
     def died(self, task: Task, *, called: bool = False, ended: bool = False) -> None:
         """Keep the flag up for a task that has died as it was about to come on.
@@ -214,8 +255,9 @@ class Heirs:
 
         Args:
             task: The task.
-            called: Those before it call it, and one of them has ended. The exchange is
-                not this RTPU's alone: the entry stands until all is written anew.
+            called: One of its predecessors has ended, and counts on it. The exchange
+                need not be this RTPU's alone: the entry stands until all is written
+                anew.
             ended: Their exchange has; who writes now goes on.
         """
         rtpu, subsystem, outputs = self._rtpu, task.facts.subsystem, task.facts.outputs
@@ -243,7 +285,7 @@ class Heirs:
     def dismiss(self, task: Task) -> None:
         """Have a task not engaged any more, without a word to it: it is being ended."""
         if self._forget(task):
-            self._rtpu.core.follow(task.facts.slot, 0, [])
+            self._rtpu.core.follow(task.facts.slot, [])
 
     def _forget(self, task: Task) -> bool:
         waiting = self._waiting.pop((task.facts.subsystem, task.name), None)
@@ -252,8 +294,19 @@ class Heirs:
         return waiting is not None and waiting.task is task
 
     def _expire(self, key: tuple[str, str]) -> None:
-        """Whoever wanted the exchange has not gone on with it."""
+        """End a wait that the master has not gone on with."""
         waiting = self._waiting.get(key)
         if waiting is not None:
             withdrawn = self.withdraw(waiting.task)
             self._rtpu.later(withdrawn, f"{key[1]} stands by no longer")
+
+
+async def rest(core: rt.CoreTable, task: Task) -> None:
+    """Have a task that did not come on stand by no longer.
+
+    Of one that has died it stays known what it waited for, until its end is heard of.
+    """
+    if not core.snapshot(task.facts.slot).dead:
+        core.follow(task.facts.slot, [])
+    with contextlib.suppress(PbonetError):
+        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)

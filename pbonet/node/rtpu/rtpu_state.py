@@ -26,7 +26,7 @@ from . import (
 )
 from .claims import Claims
 from .constant_owners import Givers
-from .cross_core_handover import Heirs
+from .cross_core_handover import Successors
 from .fallbacks import Fallbacks
 from .fork_client import Server, Spawner
 from .illegal_flag import Flags
@@ -99,7 +99,7 @@ class Rtpu:
         self.dispatcher: rt.Dispatcher
         self.vigil: rt.Vigil
         self.fallbacks = Fallbacks(self)
-        self.heirs = Heirs(self)
+        self.successors = Successors(self)
         self.givers = Givers(self)
         self.limits: list[str] = []
         self.locks_memory = True
@@ -107,7 +107,7 @@ class Rtpu:
         self._awake: cpu_idle_states.Awake | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
-        """Has heirs of a subsystem on other machines called."""
+        """Has successors on other machines called."""
         self.changed: Callable[[], None] | None = None
         """Called when something may have changed that `rtpu_snapshot` tells."""
 
@@ -439,7 +439,7 @@ class Rtpu:
         last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
         if slot.comes:
-            self.heirs.died(task, called=slot.called)
+            self.successors.died(task, called=slot.called)
         elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
             self._raise_flag(task, "has died")
         trace = task.child.crash_text()

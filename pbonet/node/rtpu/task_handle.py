@@ -178,39 +178,6 @@ class Task:
         finally:
             self._lock.release()
 
-    async def off_and_prepare(
-        self, off: Make, prepare: Make, limit: float, *, last: bool
-    ) -> tuple[rtpu_messages.Done, PbonetError | None]:
-        """Send an ``off``, and what the task is to hear behind it without being asked.
-
-        Args:
-            off: Makes the first message from its number.
-            prepare: Makes the second one.
-            limit: As for `command`.
-            last: As for `command`.
-
-        Returns:
-            The answer to the first message, and what went wrong with the second.
-
-        Raises:
-            PbonetError: As `command`, of the first message.
-        """
-        left = await self._turn(limit)
-        try:
-            first = self._ask("off", off, last=last)
-            try:
-                second = self._ask("prepare", prepare, last=last)
-            except PbonetError as error:
-                return await self.wait_for(first, "off", left, of=limit), error
-            done = await self.wait_for(first, "off", left, of=limit)
-            try:
-                await self.wait_for(second, "prepare", limit)
-            except PbonetError as error:
-                return done, error
-            return done, None
-        finally:
-            self._lock.release()
-
     def _ask(
         self, what: str, make: Make, *, last: bool
     ) -> asyncio.Future[rtpu_messages.Done]:

@@ -242,7 +242,7 @@ class Ending(Struct, tag="ending"):
 
 
 class Called(Struct, tag="called"):
-    """Tasks have ended whose heirs are on other machines."""
+    """Tasks have ended whose successors are on other machines."""
 
     subsystem: str
     calls: list[Call]
@@ -292,9 +292,11 @@ class Signal(Struct, tag="signal"):
     arg: str = ""
     handover: bool = False
     cede: bool = False
-    """For ``off``: the heir takes the out-vars itself; see `Prepare`."""
+    """For ``off``: the successors, which are called, take the out-vars themselves."""
     replaces: list[str] = []
     """For ``reinit``: tasks that leave, and whose constants it takes over."""
+    then: Prepare | None = None
+    """For ``off``: what the task stands by for when it is OFF."""
 
 
 class Prepare(Struct, tag="prepare"):
@@ -310,11 +312,8 @@ class Prepare(Struct, tag="prepare"):
     more, and takes them from nobody who does again."""
 
 
-class Herald(Struct, tag="herald"):
-    """Find those who take over on other RTPUs; they are called behind the next `off`.
-
-    Answered with the names of those that cannot be found.
-    """
+class Calls(Struct, tag="calls"):
+    """Find the successors, which are called after the next `off` that cedes."""
 
     n: int
     calls: list[Call]
@@ -348,7 +347,7 @@ class SetFreq(Struct, tag="freq"):
     hz: float
 
 
-ToTask = Signal | Prepare | Herald | Disown | SetParam | GetParam | SetFreq
+ToTask = Signal | Prepare | Calls | Disown | SetParam | GetParam | SetFreq
 
 
 # -- task to RTPU process -------------------------------------------------------------

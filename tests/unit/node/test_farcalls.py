@@ -14,7 +14,7 @@ from pbonet.errors import TaskDiedError
 from pbonet.master.subsystem.send_signal_list import send
 from pbonet.node.mirror import remote_handover
 from pbonet.node.rtpu import cross_core_handover
-from pbonet.node.rtpu.cross_core_handover import Heirs, Waiting
+from pbonet.node.rtpu.cross_core_handover import Successors, Waiting
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m
 
@@ -89,7 +89,7 @@ class Away(Rtpu):
         self.called = []
 
     def call_far(self, subsystem, calls):
-        self.called.append((subsystem, [one.heir for one in calls]))
+        self.called.append((subsystem, [one.successor for one in calls]))
 
 
 def far(heir, *outputs):
@@ -119,10 +119,10 @@ def test_the_heirs_of_one_that_fails_are_not(rtpu, table):
 
 
 class Apart(Fleet):
-    """RTPUs on machines of their own."""
+    """RTPUs on machines of their own, which have one host name."""
 
-    def host(self, rtpu):
-        return rtpu
+    def agent(self, rtpu):
+        return SimpleNamespace(machine=rtpu, host="robot")
 
 
 def test_a_master_has_heirs_on_other_machines_stand_by(picture):
@@ -149,9 +149,9 @@ def heir_of(rtpu, one):
         name="heir", state=State.OFF, engaged=loop.create_future(),
         facts=SimpleNamespace(subsystem="arm", outputs=["Y0"], slot=one.slot),
     )  # fmt: skip
-    made = Heirs(rtpu)
+    made = Successors(rtpu)
     timer = loop.call_later(3600.0, int)
-    made._waiting["arm", "heir"] = Waiting(task, ["old"], timer, [one])
+    made._waiting["arm", "heir"] = Waiting(task, ["old"], [one], timer)
     return made, task
 
 
