@@ -3,7 +3,7 @@
 Everything that can be done beforehand is: the new task stands by, OFF, and has been
 found able to take over (Stewart 1994, section 3.10). Then the next cycle of the old one
 is ordered to be its last. After that, still at the level of its cycles, its `off` runs
-and it calls its successors (`heirs`). The dispatcher grants each of them its `on`,
+and it calls its successors (`successors`). The dispatcher grants each of them its `on`,
 which takes the variables over as one event; its first cycle is released on the next
 point of the grid. From the order on no message is waited for, neither of the network
 nor between processes.
@@ -22,7 +22,7 @@ from pbonet.node.wire import lifecycle, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import Call
 
-from .cross_core_handover import rest
+from .successors import rest
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence

@@ -26,11 +26,11 @@ from . import (
 )
 from .claims import Claims
 from .constant_owners import Givers
-from .cross_core_handover import Successors
 from .fallbacks import Fallbacks
 from .fork_client import Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
+from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
 from .task_signals import Signals

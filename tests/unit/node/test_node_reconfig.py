@@ -13,10 +13,10 @@ from pbonet.config.model import TaskType
 from pbonet.errors import PbonetError, TaskDiedError, UnknownTaskError
 from pbonet.node.rt import _rt
 from pbonet.node.rtpu import reconfig
-from pbonet.node.rtpu.cross_core_handover import Successors
 from pbonet.node.rtpu.handover import Exchange
 from pbonet.node.rtpu.illegal_flag import Flags
 from pbonet.node.rtpu.rtpu_state import Rtpu as Process
+from pbonet.node.rtpu.successors import Successors
 from pbonet.node.wire import rtpu_messages
 from pbonet.node.wire.event_log import EventLog
 from pbonet.pbo import State

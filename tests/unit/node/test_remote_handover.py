@@ -13,8 +13,8 @@ from test_node_reconfig import Rtpu, call, carry_out, rtpu, table
 from pbonet.errors import TaskDiedError
 from pbonet.master.subsystem.send_signal_list import send
 from pbonet.node.mirror import remote_handover
-from pbonet.node.rtpu import cross_core_handover
-from pbonet.node.rtpu.cross_core_handover import Successors, Waiting
+from pbonet.node.rtpu import successors
+from pbonet.node.rtpu.successors import Successors, Waiting
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m
 
@@ -172,7 +172,7 @@ def test_its_on_is_judged_as_any_while_another_one_writes(
     async def rest(_rtpu, task):
         rested.append(task.name)
 
-    monkeypatch.setattr(cross_core_handover, "rest", rest)
+    monkeypatch.setattr(successors, "rest", rest)
 
     async def ask():
         made, task = heir_of(rtpu, waiting)
