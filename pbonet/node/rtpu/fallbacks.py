@@ -22,7 +22,7 @@ from pbonet.errors import PbonetError, Severity, StateError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 
-from .successors import rest
+from .task_handle import rest
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -22,7 +22,7 @@ from pbonet.node.wire import lifecycle, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import Call
 
-from .successors import rest
+from .task_handle import rest
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence

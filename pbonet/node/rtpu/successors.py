@@ -14,19 +14,18 @@ find it in the slot comes too late.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import secrets
 from typing import TYPE_CHECKING, Protocol
 
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Mode
-from pbonet.errors import NoAnswerError, PbonetError
+from pbonet.errors import NoAnswerError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import LAST_TICKET, Call
 
-from .task_handle import error_of
+from .task_handle import error_of, rest
 
 if TYPE_CHECKING:
     from collections.abc import Coroutine
@@ -299,14 +298,3 @@ class Successors:
         if waiting is not None:
             withdrawn = self.withdraw(waiting.task)
             self._rtpu.later(withdrawn, f"{key[1]} stands by no longer")
-
-
-async def rest(core: rt.CoreTable, task: Task) -> None:
-    """Have a task that did not come on stand by no longer.
-
-    Of one that has died it stays known what it waited for, until its end is heard of.
-    """
-    if not core.snapshot(task.facts.slot).dead:
-        core.follow(task.facts.slot, [])
-    with contextlib.suppress(PbonetError):
-        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.config import Rmod
+    from pbonet.node import rt
     from pbonet.xm.net import TaskStatus
 
     from .fork_client import Child
@@ -456,3 +457,14 @@ def describe_end(code: int) -> str:
         "SIGALRM": " (did not turn itself off in time)",
     }
     return f"signal {name}{words.get(name, '')}"
+
+
+async def rest(core: rt.CoreTable, task: Task) -> None:
+    """Have a task that did not come on stand by no longer.
+
+    Of one that has died it stays known what it waited for, until its end is heard of.
+    """
+    if not core.snapshot(task.facts.slot).dead:
+        core.follow(task.facts.slot, [])
+    with contextlib.suppress(PbonetError):
+        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)
