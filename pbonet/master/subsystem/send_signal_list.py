@@ -79,23 +79,14 @@ class _Sending:
         """
         found = signal_list_split.across(self._picture, self._items)
         for task, olds in found.items():
-            if len(self._machines([task, *olds])) == 1:
-                self._stand_by(task, olds)
-            elif all(
-                self._are_apart(*one) for one in signal_list_split.bound(found, task)
-            ):
-                self._stand_by(task, olds, far=True)
+            self._stand_by(task, olds)
 
-    def _machines(self, tasks: Sequence[str]) -> set[str]:
-        rtpus = {self._picture.find(task).rtpu for task in tasks}
-        return {self._fleet.agent(rtpu).machine for rtpu in rtpus}
+    def _machine(self, task: str) -> str:
+        return self._fleet.agent(self._picture.find(task).rtpu).machine
 
-    def _are_apart(self, task: str, olds: list[str]) -> bool:
-        """Tell whether tasks leave one RTPU for a successor on another machine."""
-        rtpus = {self._picture.find(old).rtpu for old in olds}
-        return len(rtpus) == 1 and not self._machines([task]) & self._machines(olds)
-
-    def _stand_by(self, task: str, olds: list[str], *, far: bool = False) -> None:
+    def _stand_by(self, task: str, olds: list[str]) -> None:
+        here = self._machine(task)
+        far = [old for old in olds if self._machine(old) != here]
         timeout = self._limit * (len(self._items) + 1)
         request = m.Successors(after={task: olds}, timeout=timeout, far=far)
         self.successors[task] = olds

@@ -32,10 +32,10 @@ def handed_over(
 def across(picture: Picture, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
     """Return tasks that take over from tasks on other RTPUs, and from which.
 
-    These call them as soon as they have ended. So they do successors on their own RTPU
-    that share a predecessor with such a task. Left out are
-    those whose predecessors do not stand side by side in the list, and those that share
-    a predecessor with one of these.
+    These call them as soon as they have ended, and successors on their own RTPU that
+    share a predecessor with such a task. Left out are those whose predecessors do not
+    stand side by side in the list, and those that share a predecessor with one of
+    these.
     """
     olds = _predecessors(picture, items)
     far = {task for task in olds if len(_rtpus(picture, [task, *olds[task]])) > 1}
@@ -59,11 +59,6 @@ def _sharing(olds: Mapping[str, list[str]], tasks: set[str]) -> set[str]:
     }:
         found |= more
     return found
-
-
-def bound(olds: Mapping[str, list[str]], task: str) -> list[tuple[str, list[str]]]:
-    """Return a task and all that share predecessors with it, each with its own."""
-    return [(one, olds[one]) for one in olds if one in _sharing(olds, {task})]
 
 
 def _predecessors(

@@ -36,7 +36,7 @@ def packed(calls: Sequence[Call]) -> list[bytes]:
 
 
 def make(table: Table, data: bytes, late_ns: int | None) -> bool:
-    """Make a call, unless its time is over or others write what the successor will.
+    """Make a call, unless its time is over or somebody writes what was handed over.
 
     Args:
         table: This machine's, which knows already what went with the call.

@@ -15,6 +15,8 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from pbonet.analysis.schedule import Mode
 from pbonet.config import TaskType
 from pbonet.errors import PbonetError
@@ -222,7 +224,7 @@ class Exchange:
 
     async def _learn(self, task: Task) -> None:
         """Have a task find the successors that it calls itself."""
-        if near := [call for call in self._calls[task.name] if not call.far]:
+        if near := self._near(task):
             await task.command(
                 "calls", lambda n: rtpu_messages.Calls(n, near), self._left
             )
@@ -234,11 +236,11 @@ class Exchange:
         have ended there by the news that nobody owns them any more.
         """
         await self._rtpu.successors.withdraw(task)
-        cede = not self._is_far(task)
+        cede, calls = not self._is_far(task), bool(self._near(task))
         gone = await self._rtpu.fallbacks.turn_off(
             task,
             lambda n, then: rtpu_messages.Signal(
-                n, "off", handover=True, cede=cede, then=then
+                n, "off", handover=True, cede=cede, calls=calls, then=then
             ),
             self._left,
             last=task.facts.rmod.tasktype is TaskType.PERIODIC,
@@ -270,16 +272,26 @@ class Exchange:
                 break
             await asyncio.sleep(_LOOK)
 
+    def _near(self, task: Task) -> list[Call]:
+        """Return the calls that a task makes itself."""
+        return [call for call in self._calls[task.name] if not call.far]
+
     def _is_far(self, task: Task) -> bool:
-        """Tell whether a task's successors are on other machines: the agent calls."""
+        """Tell whether a task has a successor on another machine: the agent calls it."""
         return any(call.far for call in self._calls[task.name])
 
     def _call_far(self) -> None:
         """Have the agent call on other machines; here all is done for them."""
-        ended = [one for one in self._olds if one.name in self._ended]
-        calls = [call for one in ended for call in self._calls[one.name] if call.far]
+        calls: list[Call] = []
+        for task in self._olds:
+            if task.name in self._ended:
+                calls += [
+                    structs.replace(call, outputs=_both(call, task))
+                    for call in self._calls[task.name]
+                    if call.far
+                ]
         if calls and self._rtpu.call_far is not None:
-            self._rtpu.call_far(ended[0].facts.subsystem, calls)
+            self._rtpu.call_far(self._olds[0].facts.subsystem, calls)
 
     def _due(self, task: Task, *, elsewhere: bool = False) -> list[str]:
         """Return which outputs of a task are written by those that it calls itself.
@@ -288,13 +300,10 @@ class Exchange:
             task: It leaves.
             elsewhere: Whether only those on other RTPUs count.
         """
-        theirs = {
-            output
-            for call in self._calls[task.name]
-            if not call.far and not (elsewhere and call.successor in self._after)
-            for output in call.outputs
-        }
-        return [output for output in task.facts.outputs if output in theirs]
+        calls = self._near(task)
+        if elsewhere:
+            calls = [call for call in calls if call.successor not in self._after]
+        return sorted({output for call in calls for output in _both(call, task)})
 
     def _written(self, task: Task, outputs: Sequence[str]) -> bool:
         subsystem = task.facts.subsystem
@@ -359,3 +368,8 @@ class Exchange:
             (tasks[name], lifecycle.Event(signal), self.failed.get(name))
             for name, signal in self._items
         ]
+
+
+def _both(call: Call, task: Task) -> list[str]:
+    """Return what a task and the successor that it calls both write."""
+    return [output for output in task.facts.outputs if output in call.outputs]

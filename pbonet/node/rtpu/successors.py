@@ -4,7 +4,7 @@ A task that takes over stands by with a ticket in its slot (``call.h``). Each of
 predecessors calls when its `off` has ended, and the dispatcher engages the successor in
 its next turn. No message is waited for in between, and no master. It is the same
 whether they are on one core, on two cores of a machine, or on two machines: there the
-agent calls with the news of the table (`farcalls`), and the ``on`` of the master does
+agent calls with the news of the table, and the ``on`` of the master does
 so at the latest.
 
 A ticket, which no other wait has had, tells whose call it is. A caller that does not
@@ -28,7 +28,7 @@ from pbonet.xm.net import LAST_TICKET, Call
 from .task_handle import error_of, rest
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine
+    from collections.abc import Collection, Coroutine
 
     from pbonet.node import rt
 
@@ -93,7 +93,7 @@ class Successors:
         after: dict[str, list[str]],
         limit: float,
         *,
-        far: bool = False,
+        far: Collection[str] = (),
     ) -> dict[str, list[Call]]:
         """Have tasks stand by for others; an empty list ends that.
 
@@ -101,7 +101,7 @@ class Successors:
             subsystem: Whose tasks.
             after: The successors, and of each its predecessors, on any RTPU.
             limit: Seconds after which they stand by no longer.
-            far: Whether the predecessors are on another machine.
+            far: Those of the predecessors that are on other machines.
 
         Returns:
             For each predecessor the calls that it has to make.
@@ -126,7 +126,7 @@ class Successors:
         return calls
 
     async def stand_by(
-        self, task: Task, after: list[str], limit: float, *, far: bool = False
+        self, task: Task, after: list[str], limit: float, *, far: Collection[str] = ()
     ) -> list[Call]:
         """Have a task stand by; return how each of its predecessors calls it.
 
@@ -134,14 +134,15 @@ class Successors:
             task: It is OFF, and counts already among the ranked ones.
             after: Its predecessors.
             limit: Seconds that getting ready may take, and standing by.
-            far: Whether they are on another machine.
+            far: Those of them that are on other machines.
 
         Raises:
             PbonetError: It could not take over: why.
         """
         rtpu, slot = self._rtpu, task.facts.slot
         await self.withdraw(task)
-        owners = self._owners(task) if far else []
+        away = [one for one in after if one in far]
+        owners = sorted(self._owners(task)) if away else []
         await rtpu.fallbacks.withdraw(task)
         task.engaged = asyncio.get_running_loop().create_future()
         ticket = secrets.randbelow(LAST_TICKET) + 1
@@ -149,7 +150,7 @@ class Successors:
         try:
             await task.command(
                 "prepare",
-                lambda n: rtpu_messages.Prepare(n, after, owners, far=far),
+                lambda n: rtpu_messages.Prepare(n, after, owners, far=away),
                 limit,
             )
             await rtpu.fallbacks.ready(task, [*after, *owners])
@@ -165,18 +166,18 @@ class Successors:
                 life=life,
                 ticket=ticket,
                 caller=caller,
-                far=far,
+                far=old in far,
             )
-            for caller in range(len(after))
+            for caller, old in enumerate(after)
         ]
         key = task.facts.subsystem, task.name
         timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
         self._waiting[key] = Waiting(task, after, calls, timer)
         return calls
 
-    def _owners(self, task: Task) -> list[str]:
+    def _owners(self, task: Task) -> set[str]:
         """Return who owns the variables of a task, as this machine's table names it."""
-        return sorted(self._rtpu.flags.owners(task.facts.subsystem, task.facts.outputs))
+        return self._rtpu.flags.owners(task.facts.subsystem, task.facts.outputs)
 
     def _of(self, task: Task) -> Waiting | None:
         """Return the wait of a task; one of its name that has died is another task."""
@@ -196,19 +197,22 @@ class Successors:
         """Take note that the ``on`` of a task is asked for.
 
         Returns:
-            Whether it comes by itself: it stands by, or came on already. One that waits
-            for another machine is called from here, if nobody writes its variables any
-            more; else it stands by no longer.
+            Whether it comes by itself: it stands by, or came on already. For those of
+            its predecessors that are on other machines it is called from here, if they
+            write none of its variables any more; else it stands by no longer.
         """
         waiting = self._of(task)
         if waiting is None:
             return False
-        far = any(call.far for call in waiting.calls)
+        pairs = list(zip(waiting.after, waiting.calls, strict=True))
+        far = [call for _, call in pairs if call.far]
         if far and task.engaged and not task.engaged.done():
-            if self._owners(task):
+            if self._owners(task).difference(
+                old for old, call in pairs if not call.far
+            ):
                 await self.withdraw(task)
                 return task.engaged.done()
-            for call in waiting.calls:
+            for call in far:
                 core = self._rtpu.core
                 core.call(call.slot, call.life, call.ticket, call.caller)
         return True

@@ -421,7 +421,7 @@ class Host:
             self.executor.signal(
                 which, message.arg, handover=message.handover, cede=message.cede
             )
-        gone = self._after_signal(cede=message.cede)
+        gone = self._after_signal(calls=message.calls)
         if message.then is not None and self.executor.state is State.OFF:
             with contextlib.suppress(PbonetError):
                 self._prepare(message.then)
@@ -441,7 +441,7 @@ class Host:
             self.local.heir_of([])
             raise
         if wanted.far:
-            self.local.heir_of([])
+            self.local.heir_of([one for one in after if one not in wanted.far])
         self.heir_of = after
         self._engaged = rtpu_messages.encode(
             rtpu_messages.Notice(
@@ -452,23 +452,23 @@ class Host:
             )
         )
 
-    def _after_signal(self, *, cede: bool = False) -> list[str]:
+    def _after_signal(self, *, calls: bool = False) -> list[str]:
         """Bring the slot in line with the state; return successors that have died."""
         state = self.executor.state
         gone: list[str] = []
         if state is not State.ON:
-            gone = self._disarm(cede=cede)
+            gone = self._disarm(calls=calls)
             gc.collect()
             gc.freeze()
         if state is State.NOT_CREATED:
             self._over = True
         return gone
 
-    def _disarm(self, *, cede: bool = False) -> list[str]:
+    def _disarm(self, *, calls: bool = False) -> list[str]:
         """Take part in no releases; in ERROR, have the fallback engaged.
 
         Args:
-            cede: Have the successors engaged if the task is OFF in order.
+            calls: Whether the successors are called if the task is OFF in order.
 
         Returns:
             Successors that have died.
@@ -476,7 +476,7 @@ class Host:
         gone: list[str] = []
         if self.executor.state is State.ERROR:
             self.slot.fall()
-        elif cede and self.executor.state is State.OFF:
+        elif calls and self.executor.state is State.OFF:
             gone = self.calls.leave(self.slot)
         else:
             self.slot.disarm()

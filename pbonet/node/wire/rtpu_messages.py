@@ -292,7 +292,9 @@ class Signal(Struct, tag="signal"):
     arg: str = ""
     handover: bool = False
     cede: bool = False
-    """For ``off``: the successors, which are called, take the out-vars themselves."""
+    """For ``off``: the successors take the out-vars themselves; else it releases them."""
+    calls: bool = False
+    """For ``off``: the successors are called that were found; see `Calls`."""
     replaces: list[str] = []
     """For ``reinit``: tasks that leave, and whose constants it takes over."""
     then: Prepare | None = None
@@ -307,13 +309,13 @@ class Prepare(Struct, tag="prepare"):
     """Tasks whose out-vars it takes over then; empty: stand by no longer."""
     owners: list[str] = []
     """Tasks that own these variables before those do."""
-    far: bool = False
-    """They are on another machine: it comes on when nobody owns the variables there any
-    more, and takes them from nobody who does again."""
+    far: list[str] = []
+    """Those of them that are on other machines. They have given the variables up when
+    the task is engaged, which takes them from nobody who owns them again."""
 
 
 class Calls(Struct, tag="calls"):
-    """Find the successors, which are called after the next `off` that cedes."""
+    """Find the successors, which an `off` engages that says so."""
 
     n: int
     calls: list[Call]

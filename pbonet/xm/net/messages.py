@@ -139,7 +139,8 @@ class Call(Struct, kw_only=True):
 
     successor: str
     outputs: list[str]
-    """The variables that the successor writes."""
+    """The variables that the successor writes; of a call from another machine those
+    that the caller wrote, too."""
     core: A[int, Meta(ge=0, lt=1024)]
     slot: A[int, Meta(ge=0, lt=128)]
     life: _Word
@@ -164,8 +165,8 @@ class Successors(Request, tag="successors"):
     stands by no longer."""
     timeout: float = 5.0
     """Seconds; then they stand by no longer."""
-    far: bool = False
-    """Those they wait for are on another machine."""
+    far: list[str] = []
+    """Those of the predecessors that are on other machines."""
 
 
 class Reconfig(Request, tag="reconfig"):

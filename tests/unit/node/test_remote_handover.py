@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
-from test_master_sending import ITEMS, TASKS, Fleet, picture
+from test_master_sending import ITEMS, Fleet, picture
 from test_node_reconfig import Rtpu, call, carry_out, rtpu, table
 
 from pbonet.errors import TaskDiedError
@@ -16,7 +16,6 @@ from pbonet.node.mirror import remote_handover
 from pbonet.node.rtpu import successors
 from pbonet.node.rtpu.successors import Successors, Waiting
 from pbonet.pbo import State
-from pbonet.xm.net import messages as m
 
 __all__ = ["picture", "rtpu", "table"]
 TICKET = 77
@@ -121,8 +120,14 @@ def test_the_heirs_of_one_that_fails_are_not(rtpu, table):
 class Apart(Fleet):
     """RTPUs on machines of their own, which have one host name."""
 
+    def __init__(self, beside="none"):
+        super().__init__()
+        self.beside = beside
+        """An RTPU that shares a machine with that of the successor."""
+
     def agent(self, rtpu):
-        return SimpleNamespace(machine=rtpu, host="robot")
+        machine = "arm2" if rtpu == self.beside else rtpu
+        return SimpleNamespace(machine=machine, host="robot")
 
 
 def test_a_master_has_heirs_on_other_machines_stand_by(picture):
@@ -130,16 +135,24 @@ def test_a_master_has_heirs_on_other_machines_stand_by(picture):
     items = [("a", "off"), ("both", "on")]
     assert send(picture, fleet, items, 1.0) == {"a": "OFF", "both": "ON"}
     (first, heir), (second, off), (third, on) = fleet.sent
-    assert (first, heir.after, heir.far) == ("arm2", {"both": ["a"]}, True)
+    assert (first, heir.after, heir.far) == ("arm2", {"both": ["a"]}, ["a"])
     assert (second, list(off.calls)) == ("arm0", ["a"])
     assert (third, on.items) == ("arm2", [("both", "on")])
 
 
-def test_who_follows_tasks_of_two_machines_is_sent_messages(picture):
-    fleet = Apart()
+@pytest.mark.parametrize(
+    ("beside", "far"), [("none", ["a", "b"]), ("arm1", ["a"])], ids=["far", "mixed"]
+)
+def test_a_successor_of_tasks_on_two_machines_stands_by(picture, beside, far):
+    """Both leave at the same time; one may be on the successor's own machine."""
+    fleet = Apart(beside)
     send(picture, fleet, ITEMS, 1.0)
-    assert [rtpu for rtpu, _ in fleet.sent] == [TASKS[one][0] for one, _ in ITEMS]
-    assert all(isinstance(one, m.Reconfig) and not one.calls for _, one in fleet.sent)
+    (first, successors), together, (_, one), (_, other), (last, _) = fleet.sent
+    assert (first, successors.after) == ("arm2", {"both": ["a", "b"]})
+    assert successors.far == far
+    assert together == ("at once", ["arm0", "arm1"])
+    assert (list(one.calls), list(other.calls)) == (["a"], ["b"])
+    assert last == "arm2"
 
 
 def heir_of(rtpu, one):
