@@ -277,7 +277,7 @@ class Exchange:
         return [call for call in self._calls[task.name] if not call.far]
 
     def _is_far(self, task: Task) -> bool:
-        """Tell whether a task has a successor on another machine: the agent calls it."""
+        """Tell whether the agent calls a successor, which is on another machine."""
         return any(call.far for call in self._calls[task.name])
 
     def _call_far(self) -> None:

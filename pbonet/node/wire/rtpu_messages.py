@@ -292,7 +292,7 @@ class Signal(Struct, tag="signal"):
     arg: str = ""
     handover: bool = False
     cede: bool = False
-    """For ``off``: the successors take the out-vars themselves; else it releases them."""
+    """For ``off``: it goes on owning the out-vars until successors take them."""
     calls: bool = False
     """For ``off``: the successors are called that were found; see `Calls`."""
     replaces: list[str] = []
