@@ -29,7 +29,6 @@ from pbonet.master.configuration import (
     must_be_answerable,
     must_be_stopped,
 )
-from pbonet.master.sim import VirtualClient, VirtualClock, VirtualRtpus
 from pbonet.xm.net import messages as m, rpc, session
 
 from . import assembly, constants, status_fields
@@ -59,6 +58,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import SbsFile
     from pbonet.master.configuration import Clock, Picture
+    from pbonet.master.sim import VirtualRtpus
 
 
 class Subsystem(Switching, Calls, Signalled):
@@ -108,11 +108,14 @@ class Subsystem(Switching, Calls, Signalled):
         self.stopped = threading.Event()
         """Set by `stop`; an assembly that is under way then gives up."""
         self.watch = watch
-        self.simulation = VirtualRtpus(self.files) if virtual else None
-        """What stands for the RTPUs in virtual time; it has the ``recording``."""
-        self.clock: Clock = (
-            VirtualClock(self.simulation) if self.simulation else RealClock()
-        )
+        self.simulation: VirtualRtpus | None = None
+        """The RTPUs in virtual time; it has the ``recording``."""
+        self.clock: Clock = RealClock()
+        if virtual:
+            from pbonet.master import sim  # with it come the RTPU and the task
+
+            self.simulation = sim.VirtualRtpus(self.files)
+            self.clock = sim.VirtualClock(self.simulation)
         self._agents = (
             Embedded(domain, libraries=[*map(str, libraries)], connect=connect)
             if embed and not virtual
@@ -213,7 +216,7 @@ class Subsystem(Switching, Calls, Signalled):
             self._warn(f"{rtpu}: {text}")
 
         if self.simulation is not None:
-            return VirtualClient(self.simulation, self.domain, name, warned=warned)
+            return self.simulation.client(self.domain, name, warned)
         opened = opened or session.client(self.domain, connect=self._connect)
         return rpc.Client(opened, self.domain, name, warned=warned)
 

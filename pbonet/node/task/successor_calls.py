@@ -9,6 +9,8 @@ from pbonet.errors import PbonetError, StateError
 from pbonet.node import rt
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pbonet.xm.net import Call
 
 
@@ -17,10 +19,13 @@ class Calls:
 
     Args:
         core: The core table of the task.
+        open_core: Opens the table of another core by its number.
     """
 
-    def __init__(self, core: rt.CoreTable) -> None:
-        self._core = core
+    def __init__(
+        self, core: rt.CoreTable, open_core: Callable[[int], rt.CoreTable]
+    ) -> None:
+        self._core, self._open_core = core, open_core
         self._tables: list[rt.CoreTable] = []
         """Of other cores."""
         self._calls: list[tuple[rt.CoreTable, Call]] = []
@@ -50,7 +55,7 @@ class Calls:
         if call.core == self._core.core:
             return self._core
         with contextlib.suppress(PbonetError):
-            self._tables.append(rt.CoreTable(call.core, member=False))
+            self._tables.append(self._open_core(call.core))
             return self._tables[-1]
         return None
 
