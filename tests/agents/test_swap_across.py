@@ -22,6 +22,7 @@ from pbonet.errors import (
 )
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.node.ring._ring import Ring
+from pbonet.node.rt import _rt
 from pbonet.svar import Table
 from pbonet.xm.net import messages as m
 
@@ -80,7 +81,7 @@ def arm(nodes, tmp_path):
 
 def stand_by(arm, heir, *olds, limit=LIMIT):
     """Have a task of arm1 stand by for some of arm0; return whom these have to call."""
-    request = m.Heirs(after={heir: list(olds)}, timeout=limit)
+    request = m.Successors(after={heir: list(olds)}, timeout=limit)
     return arm.fleet.call("arm1", request, dict[str, list[m.Call]])
 
 
@@ -171,7 +172,8 @@ def test_an_heir_that_is_killed_between_two_calls(arm):
     os.kill(arm.status("b").tid, signal.SIGKILL)
     died = "b has died (arm1/b)"
     wait_for(lambda: "TASK_DIED" in {event.code for event in arm.events()}, "its end")
-    assert turn_off(arm, "a", calls).unseen == ["b"]
+    refused = turn_off(arm, "a", calls).error
+    assert refused["what"] == "b cannot take over: it does not stand by"
     told = [(event.code, event.text) for event in arm.events() if died in event.text]
     assert told[0] == ("ILLEGAL", died)
     wait_for(lambda: died not in causes(arm), "that a is seen to write all of it")
@@ -181,10 +183,11 @@ def test_an_heir_that_is_killed_between_two_calls(arm):
 
 def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
     calls = stand_by(arm, "b", "a")
-    arm.fleet.call("arm1", m.Heirs(after={"b": []}), dict[str, list[m.Call]])
+    arm.fleet.call("arm1", m.Successors(after={"b": []}), dict[str, list[m.Call]])
     stand_by(arm, "b", "a")
     answer = turn_off(arm, "a", calls)
-    assert (answer.unseen, answer.done, answer.rest) == (["b"], 0, [("a", "off")])
+    assert answer.error["what"] == "b cannot take over: it does not stand by"
+    assert (answer.done, answer.rest) == (0, [("a", "off")])
     assert states(arm) == {"a": "ON", "b": "OFF", "c": "OFF", "d": "OFF"}
 
 
@@ -198,10 +201,12 @@ def test_an_heir_stands_by_for_a_limited_time(arm):
 
     calls = wait_for(waits, "an heir that stands by")
 
-    def expired():
-        return turn_off(arm, "c", {"c": calls["a"]}).unseen == ["b"]
-
-    wait_for(expired, "the end of standing by")
+    (one,) = calls["a"]
+    with closing(_rt.CoreTable(one.core, member=False)) as core:
+        slot = one.slot, one.life, one.ticket, one.caller
+        wait_for(lambda: not core.expects(*slot), "the end of standing by")
+    refused = turn_off(arm, "a", calls).error
+    assert refused["what"] == "b cannot take over: it does not stand by"
     assert arm.control("b", "reinit").state == "OFF"
     assert arm.swap("a", "b").states == {"a": "OFF", "b": "ON"}
 

@@ -93,12 +93,8 @@ class Dispatcher:
         if state.mode is not Mode.STANDS or state.engaged or state.dead:
             return
         whom = [self._state(one) for one in range(SLOTS) if state.after >> one & 1]
-        if state.after_kind == After.FALLBACK:
-            called = any(one.fell for one in whom)
-        else:
-            called = not any(one.armed or one.fell for one in whom)
-            called &= state.after_kind == After.HANDOVER
-        if called:
+        fell = state.after_kind == After.FALLBACK and any(one.fell for one in whom)
+        if fell or state.after_kind == After.HANDOVER:
             state.engaged = state.ready = True
             state.rel_ns = now
             state.dl_ns = now + (state.deadline or state.period)

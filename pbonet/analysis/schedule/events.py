@@ -68,14 +68,14 @@ class Event(IntEnum):
 
 
 class After(IntEnum):
-    """Whose end a task that stands by waits for."""
+    """What engages a task that stands by."""
 
     ALONE = 0
-    """Nobody's."""
+    """Nothing yet."""
     FALLBACK = 1
-    """One of them goes to ERROR, or dies while it is armed."""
+    """One of some slots goes to ERROR, or dies while it is armed."""
     HANDOVER = 2
-    """All of them are turned off in order."""
+    """Nothing more is missing: all who hand over to it have called."""
 
 
 def pack(crit: int, priority: int, kind: int) -> int:

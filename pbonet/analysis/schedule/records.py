@@ -65,9 +65,9 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     dead: bool
     """The task's process is gone."""
     comes: bool
-    """It stands by, and comes on as soon as those have ended whose place it takes."""
+    """It stands by and is engaged, or one that hands over to it has ended."""
     called: bool
-    """One of those has ended on another core, and has called it."""
+    """One that hands over to it has ended, and has called it."""
     fell: bool
     """It failed while it was ON: who stands by for it is engaged at once."""
     period_ns: int

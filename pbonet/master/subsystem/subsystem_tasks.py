@@ -220,7 +220,7 @@ class Crew:
         member.info = self.info(member.rtpu, member.rmod)
         store = self.files.profiles
         if store.hosts(member.name):
-            host = self.fleet.host(member.rtpu)
+            host = self.fleet.agent(member.rtpu).host
             member.saved, note = store.find(member.rmod, host, member.info)
             if note and note not in self._noted:
                 self._noted.add(note)

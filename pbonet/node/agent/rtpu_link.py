@@ -59,7 +59,7 @@ class Listener(Protocol):
         """Take an event for the network."""
 
     def called(self, call: rtpu_messages.Called) -> None:
-        """Take that heirs on other machines are to be called."""
+        """Take that successors on other machines are to be called."""
 
     def informed(self, info: rtpu_messages.RtpuInfo) -> None:
         """Take who the RTPU process is, as it has changed."""

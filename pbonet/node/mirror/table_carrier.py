@@ -176,7 +176,7 @@ class Mirrors:
         self.do(spread)
 
     def call(self, call: rtpu_messages.Called) -> None:
-        """Have other machines call heirs when they know how the table stands here."""
+        """Have other machines take the table, then call successors there."""
 
         def spread() -> None:
             carried = self._carried.get(call.subsystem)

@@ -3,7 +3,7 @@
 Nothing here knows modules, commands or the network. `docs/realtime.md` explains it.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
 from typing import Final
 
@@ -133,21 +133,20 @@ class CoreTable:
 
         With `last` it looks behind its next cycle, and comes back at the level of that.
         """
-    def follow(self, i: int, kind: int, slots: Iterable[int]) -> None:
-        """Say whose end a task that stands by waits for.
+    def follow(self, i: int, slots: Collection[int]) -> None:
+        """Have a task that stands by engaged when one of these slots falls.
 
         Args:
             i: The slot that stands by.
-            kind: FALLBACK, HANDOVER, or 0 for nobody's.
-            slots: FALLBACK: it is engaged when one of them falls. HANDOVER: when all of
-                them are off in order.
+            slots: Those that it is the fallback of; none: it waits for nothing, and for
+                no callers either.
         """
     def expect(self, i: int, ticket: int, callers: int) -> int:
-        """Have a task that stands by wait for tasks of other cores, which call.
+        """Have a task that stands by engaged when all who hand over to it have called.
 
         Args:
-            i: The slot that stands by; it is engaged when all have called.
-            ticket: A number that no other wait has had.
+            i: The slot that stands by.
+            ticket: A number that no other wait has had, from 1 to 2**31 - 1.
             callers: How many they are, up to 32.
 
         Returns:
@@ -371,8 +370,18 @@ class Slot:
         Raises:
             RealTimeError: Another process holds the slot's lock.
         """
-    def disarm(self) -> None:
-        """No more releases, until `run` arms again. Idempotent."""
+    def disarm(
+        self, calls: Iterable[tuple[CoreTable, int, int, int, int]] = ()
+    ) -> list[bool]:
+        """No more releases, until `run` arms again. Idempotent.
+
+        Args:
+            calls: Successors that are engaged by that: of each the core table, and the
+                arguments of `CoreTable.call`.
+
+        Returns:
+            Which of them waited for it.
+        """
     def command_level(self) -> None:
         """Go to the level of commands (after ``init``); nothing under ``park``."""
     def signal(self, bits: int) -> int:

@@ -26,11 +26,11 @@ from . import (
 )
 from .claims import Claims
 from .constant_owners import Givers
-from .cross_core_handover import Heirs
 from .fallbacks import Fallbacks
 from .fork_client import Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
+from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
 from .task_signals import Signals
@@ -99,7 +99,7 @@ class Rtpu:
         self.dispatcher: rt.Dispatcher
         self.vigil: rt.Vigil
         self.fallbacks = Fallbacks(self)
-        self.heirs = Heirs(self)
+        self.successors = Successors(self)
         self.givers = Givers(self)
         self.limits: list[str] = []
         self.locks_memory = True
@@ -107,7 +107,7 @@ class Rtpu:
         self._awake: cpu_idle_states.Awake | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
-        """Has heirs of a subsystem on other machines called."""
+        """Has successors on other machines called."""
         self.changed: Callable[[], None] | None = None
         """Called when something may have changed that `rtpu_snapshot` tells."""
 
@@ -449,7 +449,7 @@ class Rtpu:
         last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
         if slot.comes:
-            self.heirs.died(task, called=slot.called)
+            self.successors.died(task, called=slot.called)
         elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
             self._raise_flag(task, "has died")
         trace = task.child.crash_text()

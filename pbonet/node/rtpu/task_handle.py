@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.config import Rmod
+    from pbonet.node import rt
     from pbonet.xm.net import TaskStatus
 
     from .fork_client import Child
@@ -175,39 +176,6 @@ class Task:
         try:
             answer = self._ask(what, make, last=last)
             return await self.wait_for(answer, what, left, of=limit)
-        finally:
-            self._lock.release()
-
-    async def off_and_prepare(
-        self, off: Make, prepare: Make, limit: float, *, last: bool
-    ) -> tuple[rtpu_messages.Done, PbonetError | None]:
-        """Send an ``off``, and what the task is to hear behind it without being asked.
-
-        Args:
-            off: Makes the first message from its number.
-            prepare: Makes the second one.
-            limit: As for `command`.
-            last: As for `command`.
-
-        Returns:
-            The answer to the first message, and what went wrong with the second.
-
-        Raises:
-            PbonetError: As `command`, of the first message.
-        """
-        left = await self._turn(limit)
-        try:
-            first = self._ask("off", off, last=last)
-            try:
-                second = self._ask("prepare", prepare, last=last)
-            except PbonetError as error:
-                return await self.wait_for(first, "off", left, of=limit), error
-            done = await self.wait_for(first, "off", left, of=limit)
-            try:
-                await self.wait_for(second, "prepare", limit)
-            except PbonetError as error:
-                return done, error
-            return done, None
         finally:
             self._lock.release()
 
@@ -489,3 +457,14 @@ def describe_end(code: int) -> str:
         "SIGALRM": " (did not turn itself off in time)",
     }
     return f"signal {name}{words.get(name, '')}"
+
+
+async def rest(core: rt.CoreTable, task: Task) -> None:
+    """Have a task that did not come on stand by no longer.
+
+    Of one that has died it stays known what it waited for, until its end is heard of.
+    """
+    if not core.snapshot(task.facts.slot).dead:
+        core.follow(task.facts.slot, [])
+    with contextlib.suppress(PbonetError):
+        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)

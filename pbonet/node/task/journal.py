@@ -196,7 +196,7 @@ class Journal:
         return self._copied(Step.COMMIT, flags, self._about.outvar)
 
     def cede(self) -> None:
-        """Write the out-vars no more, and leave them to an heir's claim."""
+        """Write the out-vars no more, and leave them to a successor's claim."""
         self._local.cede()
 
     def release(self) -> None:

@@ -49,7 +49,7 @@ class Copies(Protocol):
         ...
 
     def cede(self) -> None:
-        """Write the out-vars no more, and leave them to an heir's claim."""
+        """Write the out-vars no more, and leave them to a successor's claim."""
 
     def release(self) -> None:
         """Give up the out-vars, whose values stand."""

@@ -1,11 +1,11 @@
-"""A task's ways to its heirs on other RTPUs of the machine (`cross_core_handover`)."""
+"""The calls by which a task that has ended engages its successors (``call.h``)."""
 
 from __future__ import annotations
 
 import contextlib
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PbonetError
+from pbonet.errors import PbonetError, StateError
 from pbonet.node import rt
 
 if TYPE_CHECKING:
@@ -14,50 +14,69 @@ if TYPE_CHECKING:
     from pbonet.xm.net import Call
 
 
-class Heralds:
-    """The heirs that a task calls when it has ended; in the task's process.
+class Calls:
+    """The successors of a task; in the task's process.
 
     Args:
-        open_core: Opens the table of a core by its number.
+        core: The core table of the task.
+        open_core: Opens the table of another core by its number.
     """
 
-    def __init__(self, open_core: Callable[[int], rt.CoreTable]) -> None:
-        self._open_core = open_core
-        self._ways: list[tuple[rt.CoreTable, Call]] = []
-        self.gone: list[str] = []
-        """Heirs that were not there any more when they were called last."""
+    def __init__(
+        self, core: rt.CoreTable, open_core: Callable[[int], rt.CoreTable]
+    ) -> None:
+        self._core, self._open_core = core, open_core
+        self._tables: list[rt.CoreTable] = []
+        """Of other cores."""
+        self._calls: list[tuple[rt.CoreTable, Call]] = []
 
-    def learn(self, calls: list[Call]) -> list[str]:
-        """Find the heirs; return those that are not to be seen from here.
+    def learn(self, calls: list[Call]) -> None:
+        """Find the successors, whom the next `off` with a handover engages.
 
         Args:
-            calls: Whom to call; replaces whoever was to be called before.
+            calls: Replace those that were learned before.
+
+        Raises:
+            StateError: A successor does not stand by any more; nobody is called.
         """
         self.forget()
-        for call in calls:
-            with contextlib.suppress(PbonetError):
-                table = self._open_core(call.core)
-                self._ways.append((table, call))
-        return [call.heir for call in calls if not self._sees(call)]
+        self._calls = [(table, one) for one in calls if (table := self._table(one))]
+        found = [call for table, call in self._calls if table.expects(*_slot(call))]
+        if missing := [call.successor for call in calls if call not in found]:
+            self.forget()
+            raise StateError(
+                f"{' and '.join(missing)} cannot take over: it does not stand by",
+                expected="a successor that waits for the end of this task",
+                remedy="give the swap again",
+            )
 
-    def _sees(self, call: Call) -> bool:
-        return any(
-            one is call
-            and table.expects(call.slot, call.life, call.ticket, call.caller)
-            for table, one in self._ways
-        )
+    def _table(self, call: Call) -> rt.CoreTable | None:
+        """Return the core table that a successor's slot is in, if it is there."""
+        if call.core == self._core.core:
+            return self._core
+        with contextlib.suppress(PbonetError):
+            self._tables.append(self._open_core(call.core))
+            return self._tables[-1]
+        return None
 
-    def call(self) -> None:
-        """Tell all of them that the task has ended; once."""
-        self.gone = [
-            call.heir
-            for table, call in self._ways
-            if not table.call(call.slot, call.life, call.ticket, call.caller)
-        ]
+    def leave(self, slot: rt.Slot) -> list[str]:
+        """Take part in no releases any more, and engage the successors.
+
+        Returns:
+            Those that have died since they were found.
+        """
+        heard = slot.disarm([(table, *_slot(call)) for table, call in self._calls])
+        calls = zip(self._calls, heard, strict=True)
+        gone = [call.successor for (_, call), there in calls if not there]
         self.forget()
+        return gone
 
     def forget(self) -> None:
         """Call nobody any more."""
-        for table, _ in self._ways:
+        for table in self._tables:
             table.close()
-        self._ways = []
+        self._tables, self._calls = [], []
+
+
+def _slot(call: Call) -> tuple[int, int, int, int]:
+    return call.slot, call.life, call.ticket, call.caller

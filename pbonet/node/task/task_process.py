@@ -36,7 +36,7 @@ from .executor import Executor
 from .parameters_in_task import get_params, set_param
 from .slot_timing import SlotWatch
 from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused
-from .successor_calls import Heralds
+from .successor_calls import Calls
 from .task_channel import Context, SlotTime, Voice
 from .task_flag_causes import Alarm
 from .task_ports import ages, check_ports, local_table
@@ -95,7 +95,6 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
-        self.heralds = Heralds(self.open_core)
         self.heir_of: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
@@ -103,6 +102,7 @@ class Host:
         self._wake_read = -1
         self.core = core
         self.slot = rt.Slot(core, spec.slot)
+        self.calls = Calls(core, self.open_core)
         self.watch = SlotWatch(self.slot.failures)
         self.decoder: msgspec.msgpack.Decoder[rtpu_messages.ToTask] = (
             msgspec.msgpack.Decoder(rtpu_messages.ToTask)
@@ -434,12 +434,11 @@ class Host:
     def _do(self, message: rtpu_messages.ToTask) -> object:
         match message:
             case rtpu_messages.Signal():
-                self._signal(message)
-                return self.heralds.gone
+                return self._signal(message)
             case rtpu_messages.Prepare():
                 self._prepare(message)
-            case rtpu_messages.Herald():
-                return self.heralds.learn(message.calls)
+            case rtpu_messages.Calls():
+                self.calls.learn(message.calls)
             case rtpu_messages.Disown():
                 self.local.release()
             case rtpu_messages.SetParam():
@@ -455,7 +454,12 @@ class Host:
                     self.context.freq = message.hz
         return None
 
-    def _signal(self, message: rtpu_messages.Signal) -> None:
+    def _signal(self, message: rtpu_messages.Signal) -> tuple[list[str], bool]:
+        """Carry out a signal.
+
+        Returns:
+            Successors that were called and have died, and whether the task stands by.
+        """
         which = message.signal
         if which == "on":
             self.time.turned_on()
@@ -464,7 +468,11 @@ class Host:
             self.executor.signal(
                 which, message.arg, handover=message.handover, cede=message.cede
             )
-        self._after_signal(cede=message.cede)
+        gone = self._after_signal(calls=message.calls)
+        if message.then is not None and self.executor.state is State.OFF:
+            with contextlib.suppress(PbonetError):
+                self._prepare(message.then)
+        return gone, bool(self.heir_of)
 
     def _prepare(self, wanted: rtpu_messages.Prepare) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
@@ -480,7 +488,7 @@ class Host:
             self.local.heir_of([])
             raise
         if wanted.far:
-            self.local.heir_of([])
+            self.local.heir_of([one for one in after if one not in wanted.far])
         self.heir_of = after
         self._engaged = rtpu_messages.encode(
             rtpu_messages.Notice(
@@ -491,27 +499,40 @@ class Host:
             )
         )
 
-    def _after_signal(self, *, cede: bool = False) -> None:
-        """Bring the slot in line with the state, and call heirs, who wait for that."""
+    def _after_signal(self, *, calls: bool = False) -> list[str]:
+        """Bring the slot in line with the state; return successors that have died."""
         state = self.executor.state
+        gone: list[str] = []
         if state is not State.ON:
-            self._disarm()
-            if cede and state is State.OFF:
-                self.heralds.call()
+            gone = self._disarm(calls=calls)
             self._tidy()
         if state is State.NOT_CREATED:
             self._over = True
+        return gone
 
     def _tidy(self) -> None:
         """Have the collector of garbage find nothing in the cycles to come."""
         gc.collect()
         gc.freeze()
 
-    def _disarm(self) -> None:
-        """Take part in no releases; in ERROR, have whoever stands by engaged."""
-        fails = self.executor.state is State.ERROR
-        (self.slot.fall if fails else self.slot.disarm)()
+    def _disarm(self, *, calls: bool = False) -> list[str]:
+        """Take part in no releases; in ERROR, have the fallback engaged.
+
+        Args:
+            calls: Whether the successors are called if the task is OFF in order.
+
+        Returns:
+            Successors that have died.
+        """
+        gone: list[str] = []
+        if self.executor.state is State.ERROR:
+            self.slot.fall()
+        elif calls and self.executor.state is State.OFF:
+            gone = self.calls.leave(self.slot)
+        else:
+            self.slot.disarm()
         self.alarm.end()
+        return gone
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
         wired = PbonetError.to_wire(error) if error else None  # its line goes beside

@@ -242,7 +242,7 @@ class Ending(Struct, tag="ending"):
 
 
 class Called(Struct, tag="called"):
-    """Tasks have ended whose heirs are on other machines."""
+    """Tasks have ended whose successors are on other machines."""
 
     subsystem: str
     calls: list[Call]
@@ -292,9 +292,13 @@ class Signal(Struct, tag="signal"):
     arg: str = ""
     handover: bool = False
     cede: bool = False
-    """For ``off``: the heir takes the out-vars itself; see `Prepare`."""
+    """For ``off``: it goes on owning the out-vars until successors take them."""
+    calls: bool = False
+    """For ``off``: the successors are called that were found; see `Calls`."""
     replaces: list[str] = []
     """For ``reinit``: tasks that leave, and whose constants it takes over."""
+    then: Prepare | None = None
+    """For ``off``: what the task stands by for when it is OFF."""
 
 
 class Prepare(Struct, tag="prepare"):
@@ -305,16 +309,13 @@ class Prepare(Struct, tag="prepare"):
     """Tasks whose out-vars it takes over then; empty: stand by no longer."""
     owners: list[str] = []
     """Tasks that own these variables before those do."""
-    far: bool = False
-    """They are on another machine: it comes on when nobody owns the variables there any
-    more, and takes them from nobody who does again."""
+    far: list[str] = []
+    """Those of them that are on other machines. They have given the variables up when
+    the task is engaged, which takes them from nobody who owns them again."""
 
 
-class Herald(Struct, tag="herald"):
-    """Find those who take over on other RTPUs; they are called behind the next `off`.
-
-    Answered with the names of those that cannot be found.
-    """
+class Calls(Struct, tag="calls"):
+    """Find the successors, which an `off` engages that says so."""
 
     n: int
     calls: list[Call]
@@ -348,7 +349,7 @@ class SetFreq(Struct, tag="freq"):
     hz: float
 
 
-ToTask = Signal | Prepare | Herald | Disown | SetParam | GetParam | SetFreq
+ToTask = Signal | Prepare | Calls | Disown | SetParam | GetParam | SetFreq
 
 
 # -- task to RTPU process -------------------------------------------------------------

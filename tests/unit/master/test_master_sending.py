@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from nodekit import rmod
 
@@ -31,12 +33,12 @@ class Fleet:
         self.sent = []
         """(RTPU, request) in the order in which they were sent."""
 
-    def host(self, _rtpu):
-        return "here"
+    def agent(self, _rtpu):
+        return SimpleNamespace(machine="here", host="robot")
 
     def call(self, rtpu, request, _result, **_limit):
         self.sent.append((rtpu, request))
-        if isinstance(request, m.Heirs):
+        if isinstance(request, m.Successors):
             return {old: [call(old)] for olds in request.after.values() for old in olds}
         answers = self.answers.get(rtpu, [])
         answer = answers.pop(0) if answers else done(request.items)
@@ -59,7 +61,7 @@ class Fleet:
 def call(old):
     outputs = ["Y0", "Y1"]
     return m.Call(
-        heir="both", outputs=outputs, core=1, slot=9, life=1, ticket=1,
+        successor="both", outputs=outputs, core=1, slot=9, life=1, ticket=1,
         caller=int(old == "b"),
     )  # fmt: skip
 
@@ -132,13 +134,3 @@ def test_one_refuses(picture):
     error = stuck(picture, Fleet(arm1=[refused]))
     assert "item 2 of 3, off b: another list" in str(error)
     assert "done: off a; not sent: on both" in str(error)
-
-
-def test_one_is_on_another_machine_after_all(picture):
-    """Whatever its name: its part goes by message, as does the heir's."""
-    unseen = m.Reconfigured(done=0, rest=[("b", "off")], unseen=["both"])
-    fleet = Fleet(arm1=[unseen])
-    assert send(picture, fleet, ITEMS, 1.0) == {"a": "OFF", "b": "OFF", "both": "ON"}
-    again = [request for rtpu, request in fleet.sent if rtpu == "arm1"]
-    assert [one.items for one in again] == [[("b", "off")], [("b", "off")]]
-    assert [list(one.calls) for one in again] == [["b"], []]

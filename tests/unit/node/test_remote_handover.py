@@ -7,16 +7,15 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
-from test_master_sending import ITEMS, TASKS, Fleet, picture
+from test_master_sending import ITEMS, Fleet, picture
 from test_node_reconfig import Rtpu, call, carry_out, rtpu, table
 
 from pbonet.errors import TaskDiedError
 from pbonet.master.subsystem.send_signal_list import send
 from pbonet.node.mirror import remote_handover
-from pbonet.node.rtpu import cross_core_handover
-from pbonet.node.rtpu.cross_core_handover import Heirs, Waiting
+from pbonet.node.rtpu import successors
+from pbonet.node.rtpu.successors import Successors, Waiting
 from pbonet.pbo import State
-from pbonet.xm.net import messages as m
 
 __all__ = ["picture", "rtpu", "table"]
 TICKET = 77
@@ -89,7 +88,7 @@ class Away(Rtpu):
         self.called = []
 
     def call_far(self, subsystem, calls):
-        self.called.append((subsystem, [one.heir for one in calls]))
+        self.called.append((subsystem, [one.successor for one in calls]))
 
 
 def far(heir, *outputs):
@@ -119,10 +118,16 @@ def test_the_heirs_of_one_that_fails_are_not(rtpu, table):
 
 
 class Apart(Fleet):
-    """RTPUs on machines of their own."""
+    """RTPUs on machines of their own, which have one host name."""
 
-    def host(self, rtpu):
-        return rtpu
+    def __init__(self, beside="none"):
+        super().__init__()
+        self.beside = beside
+        """An RTPU that shares a machine with that of the successor."""
+
+    def agent(self, rtpu):
+        machine = "arm2" if rtpu == self.beside else rtpu
+        return SimpleNamespace(machine=machine, host="robot")
 
 
 def test_a_master_has_heirs_on_other_machines_stand_by(picture):
@@ -130,16 +135,24 @@ def test_a_master_has_heirs_on_other_machines_stand_by(picture):
     items = [("a", "off"), ("both", "on")]
     assert send(picture, fleet, items, 1.0) == {"a": "OFF", "both": "ON"}
     (first, heir), (second, off), (third, on) = fleet.sent
-    assert (first, heir.after, heir.far) == ("arm2", {"both": ["a"]}, True)
+    assert (first, heir.after, heir.far) == ("arm2", {"both": ["a"]}, ["a"])
     assert (second, list(off.calls)) == ("arm0", ["a"])
     assert (third, on.items) == ("arm2", [("both", "on")])
 
 
-def test_who_follows_tasks_of_two_machines_is_sent_messages(picture):
-    fleet = Apart()
+@pytest.mark.parametrize(
+    ("beside", "far"), [("none", ["a", "b"]), ("arm1", ["a"])], ids=["far", "mixed"]
+)
+def test_a_successor_of_tasks_on_two_machines_stands_by(picture, beside, far):
+    """Both leave at the same time; one may be on the successor's own machine."""
+    fleet = Apart(beside)
     send(picture, fleet, ITEMS, 1.0)
-    assert [rtpu for rtpu, _ in fleet.sent] == [TASKS[one][0] for one, _ in ITEMS]
-    assert all(isinstance(one, m.Reconfig) and not one.calls for _, one in fleet.sent)
+    (first, successors), together, (_, one), (_, other), (last, _) = fleet.sent
+    assert (first, successors.after) == ("arm2", {"both": ["a", "b"]})
+    assert successors.far == far
+    assert together == ("at once", ["arm0", "arm1"])
+    assert (list(one.calls), list(other.calls)) == (["a"], ["b"])
+    assert last == "arm2"
 
 
 def heir_of(rtpu, one):
@@ -149,9 +162,9 @@ def heir_of(rtpu, one):
         name="heir", state=State.OFF, engaged=loop.create_future(),
         facts=SimpleNamespace(subsystem="arm", outputs=["Y0"], slot=one.slot),
     )  # fmt: skip
-    made = Heirs(rtpu)
+    made = Successors(rtpu)
     timer = loop.call_later(3600.0, int)
-    made._waiting["arm", "heir"] = Waiting(task, ["old"], timer, [one])
+    made._waiting["arm", "heir"] = Waiting(task, ["old"], [one], timer)
     return made, task
 
 
@@ -172,7 +185,7 @@ def test_its_on_is_judged_as_any_while_another_one_writes(
     async def rest(_rtpu, task):
         rested.append(task.name)
 
-    monkeypatch.setattr(cross_core_handover, "rest", rest)
+    monkeypatch.setattr(successors, "rest", rest)
 
     async def ask():
         made, task = heir_of(rtpu, waiting)

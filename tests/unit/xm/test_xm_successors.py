@@ -9,12 +9,12 @@ from pbonet.xm.net import messages as m
 from pbonet.xm.net.codec import Codec
 
 CALL = {
-    "heir": "b",
+    "successor": "b",
     "outputs": ["Y0"],
     "core": 1023,
     "slot": _rt.SLOTS - 1,
     "life": 2**32 - 1,
-    "ticket": 2**32 - 1,
+    "ticket": 2**31 - 1,
     "caller": 31,
 }
 NUMBERS = ("core", "slot", "life", "ticket", "caller")
@@ -28,7 +28,7 @@ def reconfig(**wrong):
 
 def heirs(count):
     after = {"b": [f"a{k}" for k in range(count)]}
-    return Codec().pack(m.Heirs(after=after))
+    return Codec().pack(m.Successors(after=after))
 
 
 @pytest.mark.parametrize("name", NUMBERS)
