@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pbonet.master.sim import Simulation, sim_log
 
 from . import summary
-from .run_job import Interrupts, Outcome
+from .run_end import Interrupts, Outcome
 
 if TYPE_CHECKING:
     from pathlib import Path

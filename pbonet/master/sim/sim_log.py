@@ -17,7 +17,7 @@ from pbonet.master.configuration import Files, RecordingPlan
 from pbonet.node.recorder import LogFiles, Time, recorder_process
 from pbonet.node.wire import rtpu_messages
 
-from .virtual_rtpus import BEGIN_NS
+from .virtual_loop import BEGIN_NS
 
 if TYPE_CHECKING:
     from pbonet.log import LogWriter, TaskAbout

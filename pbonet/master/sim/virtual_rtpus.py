@@ -25,7 +25,7 @@ from pbonet.xm.net import Codec, failure, machine, messages as m, rpc
 
 from .rtpu_in_process import VirtualRtpu, World
 from .sim_recording import Recording
-from .virtual_loop import make_loop, running
+from .virtual_loop import BEGIN_NS, make_loop, running
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
@@ -44,8 +44,6 @@ T = TypeVar("T")
 HOST = "virtual"
 """The name of the machine that is none."""
 REASON = "this is a simulation"
-BEGIN_NS = 1_000_000_000
-"""The virtual clock's first instant."""
 _NUMBERS = itertools.count(1)
 
 
