@@ -1,4 +1,4 @@
-"""What the shell offers while a command line is typed, and the scripts that ask.
+"""Completion of command lines in the shell, and the scripts for it.
 
 The scripts run ``pbonet --complete SHELL WORD...``, of which the last word is the one
 under the cursor. Where nothing is offered the shell completes names of files.

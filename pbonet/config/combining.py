@@ -1,4 +1,4 @@
-"""What an RMOD runs, whether it is one module or several (Stewart 1994, 3.8.1)."""
+"""The module, or the combined modules, that an RMOD runs (Stewart 1994, 3.8.1)."""
 
 from __future__ import annotations
 

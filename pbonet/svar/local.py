@@ -139,7 +139,7 @@ class LocalTable(shm.Closeable, NativeTable):
 
     @property
     def owner(self) -> int:
-        """What `Table.reap` knows the task by; 0 when it writes nothing."""
+        """Identity of the task for `Table.reap`; 0 when it writes nothing."""
         return self._owner
 
     @property

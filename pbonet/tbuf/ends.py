@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class _Attached(shm.Closeable, End):
-    """What both ends have in common."""
+    """Base of both ends."""
 
     name: str
     """Its full name."""

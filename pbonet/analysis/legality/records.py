@@ -1,4 +1,4 @@
-"""What is verified, and what is found: plain records, no files and no network."""
+"""Configurations to verify and problems found: plain records, no files, no network."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ A tenth of what a slow machine's memory moves, so that modules keep the rest.
 
 
 class Severity(StrEnum):
-    """What becomes of a change that has the problem."""
+    """The consequence of the problem for a change."""
 
     REFUSE = "refuse"
     WARN = "warn"
 
 
 class Code(StrEnum):
-    """What kind of problem it is; for programs."""
+    """The kind of problem; for programs."""
 
     TWO_WRITERS = "two-writers"
     """Equation 1 is broken."""
@@ -88,7 +88,7 @@ class Problem(Struct, frozen=True, kw_only=True):
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What makes two problems the same one, before and after a change."""
+        """Key by which two problems, before and after a change, are the same."""
         return (self.code, self.tasks, self.ports, self.variables)
 
 

@@ -23,7 +23,7 @@ _EXACT = 1 + 1e-9
 
 
 class Sharing(Struct, frozen=True, kw_only=True):
-    """What several RTPUs ask of the core that they share."""
+    """The demand of several RTPUs on the core that they share."""
 
     rtpus: tuple[str, ...]
     utilization: float

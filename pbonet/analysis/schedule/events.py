@@ -1,4 +1,4 @@
-"""What the records of the dispatcher's trace say (`records.Decision`)."""
+"""Meaning of the records of the dispatcher's trace (`records.Decision`)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Event(IntEnum):
-    """What a record of the trace says; ``a``, ``b`` and ``arg`` are its arguments."""
+    """Kind of a record of the trace; ``a``, ``b`` and ``arg`` are its arguments."""
 
     TURN = 1
     """Heads each turn: at instant a; the next event is at b (0: none); arg 1: park."""
@@ -68,7 +68,7 @@ class Event(IntEnum):
 
 
 class After(IntEnum):
-    """What engages a task that stands by."""
+    """The event that engages a task that stands by."""
 
     ALONE = 0
     """Nothing yet."""

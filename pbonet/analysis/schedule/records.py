@@ -1,4 +1,4 @@
-"""What the real-time side says about itself, as typed records.
+"""State of the real-time side as typed records.
 
 The native core table (`_rt`) fills them; status displays, ``pbonet doctor``
 and the recorder read them. Times are integer nanoseconds, instants of CLOCK_MONOTONIC.
@@ -27,7 +27,7 @@ class Kind(IntEnum):
 
 
 class Mode(IntEnum):
-    """What a task's slot asks of the dispatcher."""
+    """Requests of a task's slot to the dispatcher."""
 
     OFF = 0
     """No releases."""
@@ -200,7 +200,7 @@ class Probe(Struct, frozen=True, kw_only=True):
     """``fifo`` or ``park``."""
     fifo: bool
     errno: int
-    """What the kernel answered to SCHED_FIFO; 0 when it agreed."""
+    """The kernel's error number for SCHED_FIFO; 0 when it agreed."""
     reasons: list[str]
     """One sentence each: what is reduced, why, and what would help."""
     rtprio_limit: int

@@ -1,4 +1,4 @@
-"""What is raised when a change was carried out in part, or a task stands already."""
+"""Errors for a change that was carried out in part, or a task that exists already."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ANEW = {
     State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
     State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
 }
-"""What to do about a task that is there already."""
+"""The remedy for a task that exists already."""
 
 
 def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:

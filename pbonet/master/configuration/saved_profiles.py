@@ -39,7 +39,7 @@ Bins: TypeAlias = tuple[tuple[int, int], ...]
 
 
 class Run(Struct, frozen=True, kw_only=True):
-    """What one process of a task was measured to need; times in seconds."""
+    """Measured execution times of one process of a task; seconds."""
 
     tid: int
     """The process; 0 for several runs joined."""
@@ -97,7 +97,7 @@ class Saved(Struct, frozen=True, kw_only=True):
     bins: Bins
     """Bins of `pbonet.analysis.schedule.histogram` and how many cycles each counts."""
     runs: tuple[Run, ...] = ()
-    """What the figures above are joined from, in the order of saving."""
+    """The runs that the figures above are joined from, in the order of saving."""
 
     def behind(self, earlier: Saved) -> Saved:
         """Return this profile of one run together with those saved before."""

@@ -72,7 +72,7 @@ class Files:
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self.profiles = Store(path, self.table)
-        """What was measured of its tasks."""
+        """Saved profiles of its tasks."""
         self._folders: list[Path] = []
         self._look_in(path.parent)
         if self.job is not None:

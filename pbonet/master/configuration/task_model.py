@@ -1,4 +1,4 @@
-"""What a master knows of its subsystem's tasks."""
+"""The tasks of a subsystem as its master knows them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Member(Struct, kw_only=True):
     told: Mapping[str, Place] = {}
     """As in `verify.Task`."""
     saved: Saved | None = None
-    """What was measured of it on its machine, if that was saved."""
+    """Its saved profile on its machine, if there is one."""
     fallback_of: str = ""
     """The task that it stands by for."""
 
@@ -46,7 +46,7 @@ class Member(Struct, kw_only=True):
 
     @property
     def rmod(self) -> Rmod:
-        """What its RMOD says."""
+        """The record of its RMOD."""
         return self.source.record
 
     @property

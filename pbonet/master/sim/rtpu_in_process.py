@@ -57,7 +57,7 @@ _HEARD = 1 << 14
 
 
 class World:
-    """What the RTPUs of a simulation have in common.
+    """The state that the RTPUs of a simulation share.
 
     Args:
         loop: Their time.
@@ -213,7 +213,7 @@ class VirtualTables(Tables):
 
 
 class VirtualOverview(Overview):
-    """What an agent knows of its RTPU.
+    """An agent's knowledge of its RTPU.
 
     Args:
         rtpu: The RTPU.

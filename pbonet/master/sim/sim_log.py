@@ -33,7 +33,7 @@ UNTIL_STOPPED: Final = -1.0
 
 
 class _Rtpu:
-    """What is recorded of one RTPU.
+    """The log of one RTPU.
 
     Args:
         wanted: What, and where to.

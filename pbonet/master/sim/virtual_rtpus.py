@@ -79,7 +79,7 @@ class VirtualRtpus:
         self.told: list[Callable[[], None]] = []
         """Called whenever something happens."""
         self.epoch_ns = 0
-        """What is added to virtual time to get nanoseconds since 1970."""
+        """Offset from virtual time to nanoseconds since 1970."""
         self._lock = threading.RLock()
         self._codec = Codec()
         self._loop = make_loop(BEGIN_NS)

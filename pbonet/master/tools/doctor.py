@@ -1,4 +1,4 @@
-"""What a machine and a domain lack, each with a remedy (``pbonet doctor``)."""
+"""Findings about a machine and a domain, each with a remedy (``pbonet doctor``)."""
 
 from __future__ import annotations
 

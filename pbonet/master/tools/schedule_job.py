@@ -33,7 +33,7 @@ _LOADS = frozenset({
     legality.Code.TIMES,
     legality.Code.BANDWIDTH,
 })
-"""What a start is refused for, and what a simulation is there to show."""
+"""Problems that prevent a start and that a simulation is there to show."""
 
 
 def simulate(

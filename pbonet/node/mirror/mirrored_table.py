@@ -53,7 +53,7 @@ TOLD_NS = 10_000_000_000
 
 
 class Owner(Protocol):
-    """Whose thread does the work: see `Mirrors`."""
+    """The thread that does the work: see `Mirrors`."""
 
     session: zenoh.Session
     domain: str

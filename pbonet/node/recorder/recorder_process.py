@@ -77,7 +77,7 @@ class Followed:
         self.ring = ring
         self.about = about
         self.writer: LogWriter | None = None
-        """Whose file says what the task is, under this number."""
+        """File that describes the task of this number."""
         self.number = 0
         self.lost = 0
 
@@ -332,7 +332,7 @@ def add(writer: LogWriter, followed: Followed, text: bytes) -> None:
 
 
 class Pipe:
-    """What the agent says, from a pipe that may end at any time.
+    """Messages of the agent, from a pipe that may end at any time.
 
     Args:
         fd: Its end for reading.

@@ -37,7 +37,7 @@ IDLE: Final = 7
 """In virtual time: there is nothing to do at this instant."""
 FALLBACK: Final = 1
 HANDOVER: Final = 2
-"""What `CoreTable.follow` takes; `pbonet.analysis.schedule.events.After`."""
+"""Kinds of events for `CoreTable.follow`; `pbonet.analysis.schedule.events.After`."""
 
 FAIL_SIGNAL: Final[int]
 KINDS: Final[tuple[str, ...]]
@@ -283,17 +283,17 @@ class Vigil:
         """End the thread. Idempotent."""
 
 class Failures:
-    """What the dispatcher and a module have to say to each other in a cycle."""
+    """Messages between the dispatcher and a module within a cycle."""
 
     criticality: int
     deadline: float
     """Seconds from the release; setting it moves the deadline of this cycle."""
     @property
     def own_criticality(self) -> int:
-        """What the task was ranked by, whatever has become of it in this cycle."""
+        """The task's own criticality, whatever it was changed to in this cycle."""
     @property
     def error(self) -> BaseException | None:
-        """What the failure handler failed with in the last `Slot.run`."""
+        """The exception of the failure handler in the last `Slot.run`."""
     @property
     def section(self) -> AbstractContextManager[None]:
         """Holds failures off while it is entered; nests."""
@@ -310,7 +310,7 @@ class Slot:
     index: int
     failures: Failures
     tape: Tape | None
-    """What the module hears from outside; each record takes it along."""
+    """The module's inputs from outside the table; each record carries them."""
     stamp_ns: int
     """When the outputs that are committed were measured; 0: at the commit."""
     def __init__(self, table: CoreTable, i: int) -> None: ...

@@ -53,7 +53,7 @@ class Pair(Struct):
 
 
 class Waits(Protocol):
-    """What is needed of the successors."""
+    """The part of the successors that is needed here."""
 
     def waits(self, task: Task) -> bool:
         """Tell whether a task stands by, or came on and was not asked for yet."""
@@ -65,7 +65,7 @@ class Waits(Protocol):
 
 
 class Home(Protocol):
-    """What is needed of the RTPU that all these tasks are on."""
+    """The part of the RTPU of all these tasks that is needed here."""
 
     name: str
     core: rt.CoreTable

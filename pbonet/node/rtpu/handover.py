@@ -148,7 +148,7 @@ class Exchange:
         self._unheard: set[str] = set()
         """Tasks that have ended and whose successors have died."""
         self.failed: dict[str, PbonetError] = {}
-        """What went wrong, by task."""
+        """Errors, by task."""
 
     @property
     def undone(self) -> list[Item]:

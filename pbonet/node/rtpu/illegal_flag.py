@@ -37,7 +37,7 @@ class _Handed(Struct):
 
 
 class _Unfed(Struct):
-    """What a master has found: inputs without a writer."""
+    """A master's finding: inputs without a writer."""
 
     opened: Opened
     """The table whose flag is up for it."""
@@ -45,7 +45,7 @@ class _Unfed(Struct):
 
 
 class Flags:
-    """What one RTPU has raised, and on the keeper of a table what masters have.
+    """Causes raised by one RTPU, and on a table's keeper those of masters.
 
     Args:
         rtpu: Its name.

@@ -1,4 +1,4 @@
-"""What an RTPU does on request: the SBS server's part (Stewart 1994, section 4.5).
+"""Handlers of the requests to an RTPU: the SBS server (Stewart 1994, section 4.5).
 
 `handle` takes a request as it came from the network and gives the packed answer; it
 never raises. A request with the same client and id is executed once, however often it

@@ -86,10 +86,10 @@ class Rtpu:
         """The same, as they came with the spawn."""
         self.ranks: dict[Key, ranking.Ranked] = {}
         self.recordings: dict[str, rtpu_messages.Recording] = {}
-        """What the agent is to have recorded, by subsystem."""
+        """Recordings that the agent is to make, by subsystem."""
         self.stopping: set[str] = set()
         self.lists: dict[str, list[tuple[str, str]]] = {}
-        """What is being carried out of lists of signals, by subsystem."""
+        """Lists of signals that are being carried out, by subsystem."""
         self._chores: set[asyncio.Task[None]] = set()
         self.turned_on = 0
         self.signals = Signals(events)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class Home(Protocol):
-    """What successors need of their RTPU."""
+    """The part of an RTPU that successors need."""
 
     core: rt.CoreTable
     flags: Flags

@@ -53,7 +53,7 @@ _DUMP_TIME = 0.1
 
 
 class Facts(msgspec.Struct, kw_only=True):
-    """What a task was made from; does not change while it lives."""
+    """The configuration of a task; does not change while it lives."""
 
     subsystem: str
     name: str
@@ -145,7 +145,7 @@ class Task:
 
     @property
     def busy(self) -> str:
-        """What the task is carrying out now; empty when it waits for a message."""
+        """The task's current command; empty when it waits for a message."""
         return next(iter(self._busy.values()), "")
 
     async def command(

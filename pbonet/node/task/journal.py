@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class Local(Copies, Protocol):
-    """What copies, and says what it has committed."""
+    """A transfer that reports what it has committed."""
 
     @property
     def array(self) -> Callable[[str], NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""What each step of a task's life does: a copy, or a method of the module."""
+"""The steps of a task's life: copies, and methods of the module."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What carries a task's ports in and out, as the executor sees it."""
+"""Transfer of a task's ports in and out, as the executor sees it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class Copies(Protocol):
-    """What carries a task's ports between the local and the global table.
+    """Transfer of a task's ports between the local and the global table.
 
     Every method may raise a `PbonetError`. Those that return flags return 0 when all is
     well; those in `step_failures.REFUSED` are errors of the task, the others are

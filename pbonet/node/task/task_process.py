@@ -98,7 +98,7 @@ class Host:
         self.heir_of: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
-        """What it says when it has come on, made beforehand: its first cycle waits."""
+        """Its message after `on`, made beforehand because its first cycle waits."""
         self._wake_read = -1
         self.core = core
         self.slot = rt.Slot(core, spec.slot)

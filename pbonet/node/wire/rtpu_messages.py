@@ -1,4 +1,4 @@
-"""What the processes of one RTPU say to each other: msgpack structs and their framing.
+"""Messages between the processes of one RTPU: msgpack structs and their framing.
 
 Three links, all Unix sockets of one machine and one user:
 
@@ -37,7 +37,7 @@ LARGEST_PACKET = 200_000
 
 
 class RtpuConfig(Struct, frozen=True, kw_only=True):
-    """What an agent tells the RTPU process that it starts, on its command line."""
+    """Settings of an RTPU process, on its command line."""
 
     domain: str
     name: str
@@ -57,7 +57,7 @@ DUMP_SIGNAL = signal.SIGQUIT
 
 
 class TaskReady(Struct, kw_only=True):
-    """What a task says about itself when its `init` is done."""
+    """A task's description of itself when its `init` is done."""
 
     module: str
     version: str
@@ -110,7 +110,7 @@ class Shutdown(Struct, tag="shutdown"):
 
 
 class Arrived(Struct, tag="arrived"):
-    """What came over the network for a queue of this RTPU."""
+    """A message from the network for a queue of this RTPU."""
 
     queue: str
     data: bytes
@@ -142,7 +142,7 @@ class LogLimits(Struct, frozen=True):
 
 
 class Recording(Struct, kw_only=True):
-    """What is to be recorded; in a memory file of the recorder."""
+    """The plan of a recording; in a memory file of the recorder."""
 
     domain: str
     rtpu: str
@@ -208,7 +208,7 @@ FromRecorder = Note | Recorder
 
 
 class RtpuInfo(Struct, tag="info", kw_only=True):
-    """Who the RTPU process is."""
+    """Identity of the RTPU process."""
 
     pid: int
     core: int
@@ -219,7 +219,7 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     tables: dict[str, bool] = {}
     """Subsystems whose tables are open, and whether operators set variables there."""
     recordings: dict[str, Recording] = {}
-    """What is to be recorded, by subsystem."""
+    """Recordings, by subsystem."""
 
 
 class Answered(Struct, tag="answered"):
@@ -415,7 +415,7 @@ class TaskSpec(Struct, kw_only=True):
 
 
 class InspectSpec(Struct, kw_only=True):
-    """What an inspector has to describe."""
+    """Modules that an inspector describes."""
 
     libraries: tuple[str, ...]
     name: str | None = None

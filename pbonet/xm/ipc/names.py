@@ -30,7 +30,7 @@ class Home(NamedTuple):
     domain: str
     rtpu: str
     priority: Callable[[], int]
-    """What its waits have that name no priority: a task's criticality."""
+    """Default priority of its waits: a task's criticality."""
     subsystem: str = ""
     """Of a task; empty for other processes."""
 

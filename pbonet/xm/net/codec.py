@@ -27,7 +27,7 @@ class _Version(Struct):
 
 
 MALFORMED = (msgspec.MsgspecError, UnicodeDecodeError)
-"""What decoding raises: msgspec lets text that is no UTF-8 out as it is."""
+"""Exceptions of decoding: msgspec passes text that is not UTF-8 as it is."""
 
 
 class Codec:

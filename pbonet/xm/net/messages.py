@@ -1,4 +1,4 @@
-"""What travels between masters and agents: msgpack maps, defined once.
+"""Messages between masters and agents: msgpack maps, defined once.
 
 Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``,
 where ``op`` names the operation and the other fields are its arguments; an answer is
@@ -42,7 +42,7 @@ VarValue: TypeAlias = values.VarValue
 
 
 class Request(Struct, kw_only=True, tag_field="op"):
-    """What every request carries."""
+    """Fields of every request."""
 
     v: int = VERSION
     id: str = ""
@@ -166,7 +166,7 @@ class Successors(Request, tag="successors"):
     timeout: float = 5.0
     """Seconds; then they stand by no longer."""
     far: list[str] = []
-    """Those of the predecessors that are on other machines."""
+    """Predecessors that are on other machines."""
 
 
 class Reconfig(Request, tag="reconfig"):
@@ -301,7 +301,7 @@ class Sigmask(Request, tag="sigmask"):
     """
 
     task: str = ""
-    """Whose mask is changed; empty: the subsystem's."""
+    """The task whose mask is changed; empty: the subsystem's mask."""
     names: list[str] | None = None
     """The new mask; None: none is changed."""
     unset: bool = False
@@ -424,12 +424,12 @@ class Reconfigured(Struct, kw_only=True):
     error: WireError | None = None
     """Of the first item of `rest`."""
     rest: list[tuple[str, str]] = []
-    """What was not carried out, that which failed first; empty without an error. Tasks
+    """Items that were not carried out, the failed one first; empty at success. Tasks
     that are exchanged together need not fail in the order of the list."""
 
 
 class Stopped(Struct, kw_only=True):
-    """What a stop did."""
+    """The result of a stop."""
 
     off: list[str]
     killed: list[str]
