@@ -7,11 +7,11 @@ import random
 
 import pytest
 from hypothesis import given, settings, strategies as st
+from plain_dispatcher.dispatch import replay
+from plain_dispatcher.levels import HIGH, LOW, assign_levels
 
-from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Kind, Mode
-from pbonet.analysis.schedule.urgency import HIGH, LOW, assign_levels
 from pbonet.node.rt import _rt
 
 PERIODS = [100_000, 250_000, 333_333, 1_000_000, 1_000_000, 2_000_000, 7_777_777]

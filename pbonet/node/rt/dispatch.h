@@ -1,7 +1,7 @@
 /* The dispatcher's turn: a pure function over the core table.
  *
- * The twin of pbonet/analysis/schedule/dispatch.py, which explains the rules. A turn takes in what
- * tasks and RTPU processes wrote since the last one, decides, and leaves both in the
+ * tests/oracles/plain_dispatcher/dispatch.py says the rules in Python, and docs/realtime.md
+ * gives the reasons. A turn takes in what tasks and RTPU processes wrote since the last one, decides, and leaves both in the
  * trace, inputs first. It makes no call into the kernel: `loop.h` acts on the decisions.
  *
  * A leader may be killed at any instruction. So each slot's state is replaced whole,

@@ -55,7 +55,7 @@ enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended its
 enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was it armed before? */
 enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
 
-/* One record of the trace; pbonet/analysis/schedule/dispatch.py says what the kinds mean. */
+/* One record of the trace; pbonet/analysis/schedule/events.py says what the kinds mean. */
 struct rt_event {
     int64_t a, b;
     uint32_t arg;

@@ -14,7 +14,7 @@ from pbonet.master import Subsystem
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console.run_job import run
 from pbonet.master.sim.simulation import simulate
-from pbonet.svar.table_files import folder
+from pbonet.shm import folder
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 JOBS = ["puma/puma", "servoing/inverse", "servoing/combined", "pick_and_place/descend"]

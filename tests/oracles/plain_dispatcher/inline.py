@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
+from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.records import Decision, Kind, Mode
+from pbonet.analysis.schedule.urgency import urgency
+
 from .dispatch import Dispatcher
-from .events import Event, pack
-from .records import Decision, Kind, Mode
+from .inputs import pack
 from .slotstate import SlotState
-from .urgency import urgency
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from .events import Event
-from .records import Kind
-from .urgency import NEVER
+from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.records import Kind
+from pbonet.analysis.schedule.urgency import NEVER
 
 if TYPE_CHECKING:
     from .slotstate import SlotState

@@ -26,10 +26,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .events import After, Event
-from .records import Decision, Kind, Mode
+from pbonet.analysis.schedule.events import Event, turns
+from pbonet.analysis.schedule.records import Decision, Kind, Mode
+from pbonet.analysis.schedule.urgency import NEVER, urgency
+
+from .inputs import After
+from .levels import assign_levels
 from .slotstate import SlotState, arms, returns
-from .urgency import NEVER, assign_levels, urgency
 from .watch import Watch, contained, disarm, due, limited, over
 
 if TYPE_CHECKING:
@@ -284,26 +287,6 @@ def replay(trace: Iterable[Decision]) -> int:
             raise ValueError(msg)
         releases += sum(record.kind == Event.RELEASE for record in decisions)
     return releases
-
-
-def turns(
-    trace: Iterable[Decision],
-) -> Iterable[tuple[Decision, list[Decision], list[Decision]]]:
-    """Split a trace into turns: the head, the inputs, the decisions."""
-    head: Decision | None = None
-    inputs: list[Decision] = []
-    decisions: list[Decision] = []
-    for record in trace:
-        if record.kind == Event.TURN:
-            if head is not None:
-                yield head, inputs, decisions
-            head, inputs, decisions = record, [], []
-        elif record.kind < Event.RELEASE:
-            inputs.append(record)
-        else:
-            decisions.append(record)
-    if head is not None:
-        yield head, inputs, decisions
 
 
 def _show(records: list[Decision]) -> str:

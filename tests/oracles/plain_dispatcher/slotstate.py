@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct, field
 
-from .records import Mode
+from pbonet.analysis.schedule.records import Mode
 
 
 class SlotState(Struct):
