@@ -56,7 +56,7 @@ class _Recorder(Recorder):
         host.ring.want(always=mode == "all")
         key = about.task, len(self._rings)
         self._begin(key, host.ring, about)
-        host.drain = partial(self._take, self._rings[key])
+        host.drain, host.recorded = partial(self._take, self._rings[key]), True
         self._hosts[about.task] = host
 
     def last(self, seconds: float) -> None:
