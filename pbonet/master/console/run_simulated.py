@@ -88,6 +88,7 @@ def simulate(
     finally:
         if log is not None:
             log.end(simulation.now_ns, passed)
+        simulation.close()
     for event in simulation.events:
         view.say(event)
     view.say(f"{passed:g} s of virtual time took {time.monotonic() - begin:.2f} s")

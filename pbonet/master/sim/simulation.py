@@ -406,6 +406,9 @@ def simulate(
         PbonetError: The job cannot be assembled.
     """
     simulation = Simulation(path, folders)
-    recording = simulation.run(seconds)
+    try:
+        recording = simulation.run(seconds)
+    finally:
+        simulation.close()
     recording.about |= {"seconds": seconds, "events": simulation.events}
     return recording

@@ -93,6 +93,7 @@ def simulate(
         finally:
             if run is not None:
                 run.stop()
+                run.close()
     return outcome, [*told, *(run.events if run else [])]
 
 

@@ -403,7 +403,7 @@ cdef class Slot:
 
     @property
     def now_ns(self) -> int:
-        return rt_time(self.task.table)
+        return rt_time(self.table.open())
 
     @property
     def release_ns(self) -> int:
