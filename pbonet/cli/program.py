@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import sys
-import traceback
 from typing import TYPE_CHECKING
 
 from pbonet.errors import PbonetError
@@ -82,11 +80,16 @@ def _show(error: PbonetError, *, as_data: bool, debug: bool) -> None:
     """
     warnings: list[str] = getattr(error, "__notes__", [])
     if as_data:
-        print(json.dumps({"error": error.to_wire(), "warnings": warnings}))
+        import msgspec
+
+        found = {"error": error.to_wire(), "warnings": warnings}
+        print(msgspec.json.encode(found).decode())
     else:
         for warning in warnings:
             sys.stderr.write(f"WARNING> {warning}\n")
         sys.stderr.write(f"pbonet: {error}\n")
     if debug:
+        import traceback
+
         sys.stderr.write(f"{error.debug.rstrip()}\n" if error.debug else "")
         sys.stderr.write("".join(traceback.format_exception(error)))

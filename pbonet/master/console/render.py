@@ -11,7 +11,6 @@ import msgspec
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.subsystem import is_sequence, status_fields
-from pbonet.node.task import placed
 from pbonet.xm.net import Event
 
 from . import profile_plot
@@ -391,6 +390,8 @@ def event(one: Event) -> str:
     cycle = f" cycle={one.cycle}" if one.cycle else ""
     number = f" errnum={one.errnum}" if one.errnum else ""
     first, more, rest = one.text.partition("\n")
+    from pbonet.node.task import placed
+
     said = f"{placed(first, one.place)}{more}{rest}"
     return f"{clock} {severity:7} {place} {one.code}{cycle}{number} {said}"
 

@@ -42,7 +42,6 @@ from .argument_text import (
 from .change_transaction import Changing
 from .command_methods import Calls
 from .condition_gate import in_time
-from .embedded_agents import Embedded
 from .recording_control import book
 from .rtpu_clients import Fleet, client_name
 from .subsystem_tasks import CONTROL_TIME, Crew
@@ -59,6 +58,8 @@ if TYPE_CHECKING:
     from pbonet.config import SbsFile
     from pbonet.master.configuration import Clock, Picture
     from pbonet.master.sim import VirtualRtpus
+
+    from .embedded_agents import Embedded
 
 
 class Subsystem(Switching, Calls, Signalled):
@@ -114,13 +115,15 @@ class Subsystem(Switching, Calls, Signalled):
         if virtual:
             from pbonet.master import sim  # with it come the RTPU and the task
 
-            self.simulation = sim.VirtualRtpus(self.files)
-            self.clock = sim.VirtualClock(self.simulation)
-        self._agents = (
-            Embedded(domain, libraries=[*map(str, libraries)], connect=connect)
-            if embed and not virtual
-            else None
-        )
+            self.simulation = VirtualRtpus(self.files)
+            self.clock = VirtualClock(self.simulation)
+        self._agents: Embedded | None = None
+        if embed and not virtual:
+            from .embedded_agents import Embedded
+
+            self._agents = Embedded(
+                domain, libraries=[*map(str, libraries)], connect=connect
+            )
         self.shown = status_fields.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = status_fields.Baselines()
