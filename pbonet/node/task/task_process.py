@@ -95,7 +95,7 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
-        self.heir_of: list[str] = []
+        self.predecessors: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
         """What it says when it has come on, made beforehand: its first cycle waits."""
@@ -251,7 +251,7 @@ class Host:
                 self.end(self._asked_to_end or "its parent process is gone")
             elif self.executor.state is State.ON:
                 self._cycle()
-            elif self.heir_of:
+            elif self.predecessors:
                 self._stand_by()
             else:
                 self._wait()
@@ -276,7 +276,7 @@ class Host:
     def _engage(self) -> None:
         """Come on, because others have ended; nobody has sent the signal."""
         failed: PbonetError | None = None
-        self.heir_of = []
+        self.predecessors = []
         kind = self.slot.after or -1  # none: it was taken back before it could run
         self.local.given_up = lambda: self.slot.after != kind
         self.time.turned_on()
@@ -287,7 +287,7 @@ class Host:
         except PbonetError as error:
             failed = error
         finally:
-            self.local.heir_of([])
+            self.local.take_over_from([])
         if self.executor.state is State.ON:
             self.slot.arm()
             self.voice.send(self._engaged)
@@ -472,24 +472,24 @@ class Host:
         if message.then is not None and self.executor.state is State.OFF:
             with contextlib.suppress(PbonetError):
                 self._prepare(message.then)
-        return gone, bool(self.heir_of)
+        return gone, bool(self.predecessors)
 
     def _prepare(self, wanted: rtpu_messages.Prepare) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
-        self.heir_of, after = [], wanted.after
-        self.local.heir_of([])
+        self.predecessors, after = [], wanted.after
+        self.local.take_over_from([])
         if not after:
             return
         lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)
-        self.local.heir_of([*after, *wanted.owners])
+        self.local.take_over_from([*after, *wanted.owners])
         try:
             self.local.check_claim()
         except PbonetError:
-            self.local.heir_of([])
+            self.local.take_over_from([])
             raise
         if wanted.far:
-            self.local.heir_of([one for one in after if one not in wanted.far])
-        self.heir_of = after
+            self.local.take_over_from([one for one in after if one not in wanted.far])
+        self.predecessors = after
         self._engaged = rtpu_messages.encode(
             rtpu_messages.Notice(
                 severity=int(Severity.INFO),

@@ -155,7 +155,7 @@ def test_a_successor_of_tasks_on_two_machines_stands_by(picture, beside, far):
     assert last == "arm2"
 
 
-def heir_of(rtpu, one):
+def waits_for(rtpu, one):
     """Return the heirs of an RTPU, and one that waits for that call."""
     loop = asyncio.get_running_loop()
     task = SimpleNamespace(
@@ -170,7 +170,7 @@ def heir_of(rtpu, one):
 
 def test_its_on_has_an_heir_engaged_whom_nobody_has_called(rtpu, waiting):
     async def ask():
-        made, task = heir_of(rtpu, waiting)
+        made, task = waits_for(rtpu, waiting)
         return await made.asked(task), made.waits(task)
 
     assert asyncio.run(ask()) == (True, True)
@@ -188,7 +188,7 @@ def test_its_on_is_judged_as_any_while_another_one_writes(
     monkeypatch.setattr(successors, "rest", rest)
 
     async def ask():
-        made, task = heir_of(rtpu, waiting)
+        made, task = waits_for(rtpu, waiting)
         return await made.asked(task), made.waits(task)
 
     with table.local("other", 1, outvar=["Y0"]) as other:
