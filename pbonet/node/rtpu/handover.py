@@ -64,7 +64,7 @@ def plan(
     alone: set[str] = set()
     for name, signal in items:
         task = rtpu.tasks.get((subsystem, name))
-        if task is None or name in found or not _is_exchanged(rtpu, task, signal):
+        if task is None or name in found or not _is_exchanged(task, signal):
             break
         found[name] = []
         if signal == "off":
@@ -85,14 +85,14 @@ def plan(
     return closed
 
 
-def _is_exchanged(rtpu: Rtpu, task: Task, signal: str) -> bool:
+def _is_exchanged(task: Task, signal: str) -> bool:
     """Tell whether an item may be part of an exchange."""
     wanted = {"off": State.ON, "on": State.OFF}.get(signal)
     return (
         task.state is wanted
         and bool(task.facts.outputs)
         and not task.busy
-        and not (signal == "on" and rtpu.successors.waits(task))
+        and (signal == "off" or task.waiting is None)
     )
 
 

@@ -41,7 +41,7 @@ class Played:
 
     def __init__(self, rtpu, name, outputs):
         self.rtpu, self.name, self.state = rtpu, name, State.ON
-        self.freq, self.busy, self.engaged = 100.0, "", None
+        self.freq, self.busy, self.engaged, self.waiting = 100.0, "", None, None
         self.gone = asyncio.Event()
         slot = rtpu.core.alloc("arm0", name)
         rtpu.core.post(slot, mode=Mode.ON)
