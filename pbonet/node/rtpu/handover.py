@@ -223,8 +223,9 @@ class Exchange:
             self._calls[old].append(call)
 
     async def _learn(self, task: Task) -> None:
-        """Have a task find the successors that it calls itself."""
-        if near := self._near(task):
+        """Have a task find the successors on other cores that it calls itself."""
+        near, here = self._near(task), self._rtpu.core.core
+        if any(call.core != here for call in near):
             await task.command(
                 "calls", lambda n: rtpu_messages.Calls(n, near), self._left
             )
@@ -236,7 +237,7 @@ class Exchange:
         have ended there by the news that nobody owns them any more.
         """
         await self._rtpu.successors.withdraw(task)
-        cede, calls = not self._is_far(task), bool(self._near(task))
+        cede, calls = not self._is_far(task), self._near(task)
         gone = await self._rtpu.fallbacks.turn_off(
             task,
             lambda n, then: rtpu_messages.Signal(

@@ -323,7 +323,6 @@ def test_an_exchange_that_fails_gives_variables_up_first(rtpu, monkeypatch):
     assert list(asyncio.run(asyncio.wait_for(run(), LIMIT))) == ["new"]
     assert done == [
         ("prepare", "new"),
-        ("calls", "old"),
         ("off", "old"),
         ("disown", "old"),
         ("spare", "new"),
