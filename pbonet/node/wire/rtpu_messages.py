@@ -316,7 +316,7 @@ class Prepare(Struct, tag="prepare"):
 
 
 class Calls(Struct, tag="calls"):
-    """Find successors on other cores, as the next ``off`` engages them: it takes time."""
+    """Find successors on other cores, which the next ``off`` engages; it takes long."""
 
     n: int
     calls: list[Call]
