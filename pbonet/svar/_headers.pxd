@@ -40,8 +40,8 @@ cdef extern from "local.h" nogil:
         uint32_t n
         const uint32_t *vars
         const uint64_t *at
-        const char *heir_of
-        uint32_t n_heir_of
+        const char *predecessors
+        uint32_t n_predecessors
         const pb_last *ends
     struct pb_check:
         uint32_t type, rule, var

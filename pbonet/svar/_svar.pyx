@@ -324,13 +324,13 @@ cdef class LocalTable:
     def succeed(self, unsigned which, list names) -> None:
         """Let claims of a group take its variables from these tasks, though they live."""
         cdef pb_group *g = &local(self).outputs[which].group
-        cdef bytes heirs
-        heirs = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
-        if self.heirs is None:
-            self.heirs = [b"", b""]
-        self.heirs[which] = heirs       # keeps them where they are
-        g.heir_of = <const char *>heirs
-        g.n_heir_of = len(names)
+        cdef bytes joined
+        joined = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
+        if self.predecessors is None:
+            self.predecessors = [b"", b""]
+        self.predecessors[which] = joined       # keeps them where they are
+        g.predecessors = <const char *>joined
+        g.n_predecessors = len(names)
         g.ends = NULL
 
     def note_ends(self, unsigned which) -> int:
@@ -346,7 +346,7 @@ cdef class LocalTable:
         return code
 
     def cede(self) -> None:
-        """Write no more, and leave the variables to the heir's claim."""
+        """Write no more, and leave the variables to the successor's claim."""
         local(self).outputs[PB_GROUP_VARS].live = False
 
     def give(self, unsigned which, bint leave) -> int:

@@ -208,7 +208,7 @@ class LocalTable(shm.Closeable, NativeTable):
                 set or taken over since; that needs a fresh one, and none is left.
         """
         if self.given_up():
-            self.heir_of([])
+            self.take_over_from([])
         return self._take(VARS, now_ns, cycle)
 
     def check_claim(self) -> None:
@@ -225,7 +225,7 @@ class LocalTable(shm.Closeable, NativeTable):
         """Give the out-vars up; their values stand until another task takes over."""
         self._check(self.give(VARS, False))  # noqa: FBT003
 
-    def heir_of(self, tasks: Iterable[str]) -> None:
+    def take_over_from(self, tasks: Iterable[str]) -> None:
         """Say which tasks hand over: `claim` takes their variables though they live.
 
         So the variables go from one task to the other as one event, and are never

@@ -387,7 +387,9 @@ class VirtualTask(Host):
             pass
         if self._over:
             self._close()
-        elif self.executor.state is State.OFF and self.heir_of and not self._stands:
+        elif (
+            self.executor.state is State.OFF and self.predecessors and not self._stands
+        ):
             self._stands = True
             self.slot.stand_by()
 

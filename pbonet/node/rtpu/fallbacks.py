@@ -52,18 +52,6 @@ class Pair(Struct):
     """The original that the standby waits for, or has waited for last."""
 
 
-class Waits(Protocol):
-    """The part of the successors that is needed here."""
-
-    def waits(self, task: Task) -> bool:
-        """Tell whether a task stands by, or came on and was not asked for yet."""
-        ...
-
-    def callers(self, task: Task) -> list[str]:
-        """Return the tasks that a task waits for, on any RTPU."""
-        ...
-
-
 class Home(Protocol):
     """The part of the RTPU of all these tasks that is needed here."""
 
@@ -73,11 +61,6 @@ class Home(Protocol):
     tasks: dict[tuple[str, str], Task]
     stopping: set[str]
     lists: dict[str, list[tuple[str, str]]]
-
-    @property
-    def successors(self) -> Waits:
-        """The tasks that stand by until others hand over to them."""
-        ...
 
     def of(self, subsystem: str) -> list[Task]:
         """Return the tasks of a subsystem."""
@@ -240,7 +223,7 @@ class Fallbacks:
     def _succeeds(self, standby: Task) -> bool:
         """Tell whether a list is about to turn a task on, here or elsewhere."""
         listed = self._rtpu.lists.get(standby.facts.subsystem, ())
-        return (standby.name, "on") in listed or self._rtpu.successors.waits(standby)
+        return (standby.name, "on") in listed or standby.waiting is not None
 
     def _unengaged(self, standby: Task) -> bool:
         """Tell whether the dispatcher lets a task rest, that it has not told of yet."""
@@ -327,7 +310,7 @@ class Fallbacks:
         if pair is None or both is None:
             return None
         original = both[1]
-        owners = list(self._rtpu.successors.callers(original))
+        owners = [*original.waiting.after] if original.waiting is not None else []
         coming = original.state is State.OFF and task.name in owners
         if not (coming and self._unfallen(original, coming=True)):
             return None

@@ -64,7 +64,7 @@ def plan(
     alone: set[str] = set()
     for name, signal in items:
         task = rtpu.tasks.get((subsystem, name))
-        if task is None or name in found or not _is_exchanged(rtpu, task, signal):
+        if task is None or name in found or not _is_exchanged(task, signal):
             break
         found[name] = []
         if signal == "off":
@@ -85,14 +85,14 @@ def plan(
     return closed
 
 
-def _is_exchanged(rtpu: Rtpu, task: Task, signal: str) -> bool:
+def _is_exchanged(task: Task, signal: str) -> bool:
     """Tell whether an item may be part of an exchange."""
     wanted = {"off": State.ON, "on": State.OFF}.get(signal)
     return (
         task.state is wanted
         and bool(task.facts.outputs)
         and not task.busy
-        and not (signal == "on" and rtpu.successors.waits(task))
+        and (signal == "off" or task.waiting is None)
     )
 
 
@@ -223,8 +223,9 @@ class Exchange:
             self._calls[old].append(call)
 
     async def _learn(self, task: Task) -> None:
-        """Have a task find the successors that it calls itself."""
-        if near := self._near(task):
+        """Have a task find the successors on other cores that it calls itself."""
+        near, here = self._near(task), self._rtpu.core.core
+        if any(call.core != here for call in near):
             await task.command(
                 "calls", lambda n: rtpu_messages.Calls(n, near), self._left
             )
@@ -236,7 +237,7 @@ class Exchange:
         have ended there by the news that nobody owns them any more.
         """
         await self._rtpu.successors.withdraw(task)
-        cede, calls = not self._is_far(task), bool(self._near(task))
+        cede, calls = not self._is_far(task), self._near(task)
         gone = await self._rtpu.fallbacks.turn_off(
             task,
             lambda n, then: rtpu_messages.Signal(

@@ -17,15 +17,13 @@ import asyncio
 import secrets
 from typing import TYPE_CHECKING, Protocol
 
-from msgspec import Struct
-
 from pbonet.analysis.schedule import Mode
 from pbonet.errors import NoAnswerError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import LAST_TICKET, Call
 
-from .task_handle import error_of, rest
+from .task_handle import Waiting, error_of, rest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Coroutine
@@ -65,17 +63,6 @@ class Home(Protocol):
         ...
 
 
-class Waiting(Struct):
-    """A successor that stands by, or has come on and was not asked for yet."""
-
-    task: Task
-    after: list[str]
-    """Its predecessors, which call it."""
-    calls: list[Call]
-    """One for each of them."""
-    timer: asyncio.TimerHandle
-
-
 class Successors:
     """The successors of one RTPU.
 
@@ -85,7 +72,6 @@ class Successors:
 
     def __init__(self, rtpu: Home) -> None:
         self._rtpu = rtpu
-        self._waiting: dict[tuple[str, str], Waiting] = {}
 
     async def expect(
         self,
@@ -170,28 +156,13 @@ class Successors:
             )
             for caller, old in enumerate(after)
         ]
-        key = task.facts.subsystem, task.name
-        timer = asyncio.get_running_loop().call_later(limit, self._expire, key)
-        self._waiting[key] = Waiting(task, after, calls, timer)
+        timer = asyncio.get_running_loop().call_later(limit, self._expire, task)
+        task.waiting = Waiting(after, calls, timer)
         return calls
 
     def _owners(self, task: Task) -> set[str]:
         """Return who owns the variables of a task, as this machine's table names it."""
         return self._rtpu.flags.owners(task.facts.subsystem, task.facts.outputs)
-
-    def _of(self, task: Task) -> Waiting | None:
-        """Return the wait of a task; one of its name that has died is another task."""
-        waiting = self._waiting.get((task.facts.subsystem, task.name))
-        return waiting if waiting is not None and waiting.task is task else None
-
-    def waits(self, task: Task) -> bool:
-        """Tell whether a task stands by, or came on and was not asked for yet."""
-        return self._of(task) is not None
-
-    def callers(self, task: Task) -> list[str]:
-        """Return the tasks that a task waits for, on any RTPU."""
-        waiting = self._of(task)
-        return waiting.after if waiting is not None else []
 
     async def asked(self, task: Task) -> bool:
         """Take note that the ``on`` of a task is asked for.
@@ -201,7 +172,7 @@ class Successors:
             its predecessors that are on other machines it is called from here, if they
             write none of its variables any more; else it stands by no longer.
         """
-        waiting = self._of(task)
+        waiting = task.waiting
         if waiting is None:
             return False
         pairs = list(zip(waiting.after, waiting.calls, strict=True))
@@ -291,14 +262,14 @@ class Successors:
             self._rtpu.core.follow(task.facts.slot, [])
 
     def _forget(self, task: Task) -> bool:
-        waiting = self._waiting.pop((task.facts.subsystem, task.name), None)
+        """Forget what a task waits for; return whether it waited."""
+        waiting, task.waiting = task.waiting, None
         if waiting is not None:
             waiting.timer.cancel()
-        return waiting is not None and waiting.task is task
+        return waiting is not None
 
-    def _expire(self, key: tuple[str, str]) -> None:
+    def _expire(self, task: Task) -> None:
         """End a wait that the master has not gone on with."""
-        waiting = self._waiting.get(key)
-        if waiting is not None:
-            withdrawn = self.withdraw(waiting.task)
-            self._rtpu.later(withdrawn, f"{key[1]} stands by no longer")
+        if task.waiting is not None:
+            withdrawn = self.withdraw(task)
+            self._rtpu.later(withdrawn, f"{task.name} stands by no longer")

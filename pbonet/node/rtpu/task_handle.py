@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import Rmod
     from pbonet.node import rt
-    from pbonet.xm.net import TaskStatus
+    from pbonet.xm.net import Call, TaskStatus
 
     from .fork_client import Child
 
@@ -67,6 +67,16 @@ class Facts(msgspec.Struct, kw_only=True):
     def outputs(self) -> list[str]:
         """The variables that the task writes in its cycles."""
         return [self.rmod.svar_name(port) for port in self.rmod.outvar]
+
+
+class Waiting(msgspec.Struct):
+    """What a successor stands by for; see `successors`."""
+
+    after: list[str]
+    """Its predecessors, on any RTPU, which call it."""
+    calls: list[Call]
+    """One for each of them."""
+    timer: asyncio.TimerHandle
 
 
 class Task:
@@ -110,6 +120,8 @@ class Task:
         """Its status as it ended."""
         self.stands_by = ""
         """The task that this one is the fallback of, while it stands by for it."""
+        self.waiting: Waiting | None = None
+        """Its predecessors, while it stands by for them or has not been asked for."""
         self.engaged: asyncio.Future[rtpu_messages.Notice] | None = None
         """Resolves when the dispatcher has engaged the task and its `on` has run."""
         self.stopping = False

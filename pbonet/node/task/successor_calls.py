@@ -6,16 +6,19 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from pbonet.errors import PbonetError, StateError
-from pbonet.node import rt
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from pbonet.node import rt
     from pbonet.xm.net import Call
 
+Found = tuple["rt.CoreTable", int, int, int, int]
+"""Where a successor stands by, as `rt.Slot.disarm` takes it."""
 
-class Calls:
-    """The successors of a task; in the task's process.
+
+class Successors:
+    """Where the successors of a task stand by; in the task's process.
 
     Args:
         core: The core table of the task.
@@ -26,57 +29,39 @@ class Calls:
         self, core: rt.CoreTable, open_core: Callable[[int], rt.CoreTable]
     ) -> None:
         self._core, self._open_core = core, open_core
-        self._tables: list[rt.CoreTable] = []
-        """Of other cores."""
-        self._calls: list[tuple[rt.CoreTable, Call]] = []
+        self._others: dict[int, rt.CoreTable] = {}
+        """The tables of other cores that were opened, by core."""
 
-    def learn(self, calls: list[Call]) -> None:
-        """Find the successors, whom the next `off` with a handover engages.
-
-        Args:
-            calls: Replace those that were learned before.
+    def find(self, calls: Sequence[Call]) -> list[Found]:
+        """Find the successors that calls are for.
 
         Raises:
-            StateError: A successor does not stand by any more; nobody is called.
+            StateError: One does not stand by any more.
         """
-        self.forget()
-        self._calls = [(table, one) for one in calls if (table := self._table(one))]
-        found = [call for table, call in self._calls if table.expects(*_slot(call))]
-        if missing := [call.successor for call in calls if call not in found]:
-            self.forget()
-            raise StateError(
-                f"{' and '.join(missing)} cannot take over: it does not stand by",
-                expected="a successor that waits for the end of this task",
-                remedy="give the swap again",
-            )
+        found: list[Found] = []
+        for call in calls:
+            table = self._table(call.core)
+            slot = call.slot, call.life, call.ticket, call.caller
+            if table is None or not table.expects(*slot):
+                raise StateError(
+                    f"{call.successor} cannot take over: it does not stand by",
+                    expected="a successor that waits for the end of this task",
+                    remedy="give the swap again",
+                )
+            found.append((table, *slot))
+        return found
 
-    def _table(self, call: Call) -> rt.CoreTable | None:
-        """Return the core table that a successor's slot is in, if it is there."""
-        if call.core == self._core.core:
+    def _table(self, core: int) -> rt.CoreTable | None:
+        """Return the table of a core, if there is one."""
+        if core == self._core.core:
             return self._core
-        with contextlib.suppress(PbonetError):
-            self._tables.append(self._open_core(call.core))
-            return self._tables[-1]
-        return None
+        if core not in self._others:
+            with contextlib.suppress(PbonetError):
+                self._others[core] = self._open_core(core)
+        return self._others.get(core)
 
-    def leave(self, slot: rt.Slot) -> list[str]:
-        """Take part in no releases any more, and engage the successors.
-
-        Returns:
-            Those that have died since they were found.
-        """
-        heard = slot.disarm([(table, *_slot(call)) for table, call in self._calls])
-        calls = zip(self._calls, heard, strict=True)
-        gone = [call.successor for (_, call), there in calls if not there]
-        self.forget()
-        return gone
-
-    def forget(self) -> None:
-        """Call nobody any more."""
-        for table in self._tables:
+    def close(self) -> None:
+        """Close the tables of other cores."""
+        for table in self._others.values():
             table.close()
-        self._tables, self._calls = [], []
-
-
-def _slot(call: Call) -> tuple[int, int, int, int]:
-    return call.slot, call.life, call.ticket, call.caller
+        self._others.clear()

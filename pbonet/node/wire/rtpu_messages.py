@@ -293,8 +293,9 @@ class Signal(Struct, tag="signal"):
     handover: bool = False
     cede: bool = False
     """For ``off``: it goes on owning the out-vars until successors take them."""
-    calls: bool = False
-    """For ``off``: the successors are called that were found; see `Calls`."""
+    calls: list[Call] = []
+    """For ``off``: how the task engages its successors. One that does not stand by any
+    more fails the ``off`` before it begins."""
     replaces: list[str] = []
     """For ``reinit``: tasks that leave, and whose constants it takes over."""
     then: Prepare | None = None
@@ -315,7 +316,7 @@ class Prepare(Struct, tag="prepare"):
 
 
 class Calls(Struct, tag="calls"):
-    """Find the successors, which an `off` engages that says so."""
+    """Find successors on other cores, which the next ``off`` engages; it takes long."""
 
     n: int
     calls: list[Call]

@@ -288,7 +288,7 @@ class Arena(Flag):
     def _hands_over(self, group: Group, v: int, holder: int) -> bool:
         if group.ends is not None and group.ends[v] != self.last_of(holder):
             return False
-        return self._task(holder) in group.heir_of
+        return self._task(holder) in group.predecessors
 
     def _asked(self, group: Group, r: int, v: int, to: int, *, constants: bool) -> str:
         """Return what becomes of a variable of a group that stands in `r`.

@@ -38,7 +38,7 @@ class Group:
         self.first = self.bytes = self.reg = self.uid = 0
         self.checks: list[Check] = []
         self.live = False
-        self.heir_of: set[str] = set()
+        self.predecessors: set[str] = set()
         self.ends: dict[int, tuple[int, int] | None] | None = None
         """What the owner of each variable had committed when those had ended."""
         self.data = memoryview(b"")
@@ -132,7 +132,7 @@ class LocalTable:
 
     def succeed(self, which: int, names: list[bytes]) -> None:
         """Let claims of a group take its variables from these tasks."""
-        self.groups[which].heir_of = {name[:63].decode() for name in names}
+        self.groups[which].predecessors = {name[:63].decode() for name in names}
         self.groups[which].ends = None
 
     def note_ends(self, which: int) -> int:
@@ -146,7 +146,7 @@ class LocalTable:
         return 0
 
     def cede(self) -> None:
-        """Write no more, and leave the variables to the heir's claim."""
+        """Write no more, and leave the variables to the successor's claim."""
         self.groups[VARS].live = False
 
     def give(self, which: int, leave: bool) -> int:

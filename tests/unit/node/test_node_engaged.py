@@ -30,7 +30,7 @@ class Standing(Host):
         self.executor = SimpleNamespace(state=State.OFF, signal=self._come_on)
         self.voice = SimpleNamespace(send=lambda _: None, notice=self._failed)
         self.core = SimpleNamespace()
-        self.heir_of = []
+        self.predecessors = []
         self.meanwhile = lambda: None
         self.error = None
 
@@ -110,7 +110,7 @@ def test_a_fallback_whose_on_is_slow_takes_nothing_from_the_one_before(table, ol
     failed = table.local("original", ME, outvar=["Y0"])
     new.prepare("original", owners=["old"])
     old.cede()
-    failed.heir_of(["old"])
+    failed.take_over_from(["old"])
     failed.claim()
     failed.release()  # it is in ERROR
     new.engage(old.claim)
@@ -121,7 +121,7 @@ def test_a_fallback_takes_over_from_its_original(table, old, new):
     failed = table.local("original", ME, outvar=["Y0"])
     new.prepare("original", owners=["old"])
     old.cede()
-    failed.heir_of(["old"])
+    failed.take_over_from(["old"])
     failed.claim()
     new.engage()
     assert (new.executor.state, writer(table)) == (State.ON, "new")
@@ -154,7 +154,7 @@ def test_a_far_heir_does_not_come_on_where_somebody_came_back_before_it_ran(tabl
 def test_who_cannot_take_over_does_not_stand_by(far_old, new):
     with pytest.raises(SvarOwnerError, match="owner old@host-a"):
         new.prepare("old", far=["old"])
-    assert new.heir_of == []
+    assert new.predecessors == []
     far_old.release()
     new.prepare("old", far=["old"])
-    assert new.heir_of == ["old"]
+    assert new.predecessors == ["old"]

@@ -46,7 +46,7 @@ class FakeTask:
         self.name = name
         self.facts = SimpleNamespace(subsystem="arm", slot=slot, outputs=["Y"])
         self.state = state
-        self.stands_by = ""
+        self.stands_by, self.waiting = "", None
         self.stopping = False
         self.gone = asyncio.Event()
         self.heard = []
@@ -82,11 +82,7 @@ class Home:
         self.tasks = {("arm", one.name): one for one in (self.first, self.second)}
         self.stopping = set()
         self.lists = {}
-        self.called = []
-        self.successors = SimpleNamespace(
-            waits=lambda task: task is self.first and bool(self.called),
-            callers=lambda task: self.called if task is self.first else [],
-        )
+        self.successors = SimpleNamespace(dismiss=lambda _task: None)
         self.fallbacks = Fallbacks(self)
         asyncio.run(self.fallbacks.pair("arm", STANDBY, ORIGINAL))
 
@@ -98,7 +94,7 @@ class Home:
 
     def turn_off(self, *callers):
         """Turn the standby off, while its original waits for these."""
-        self.called = list(callers)
+        self.first.waiting = SimpleNamespace(after=list(callers))
 
         def off(n, then):
             return rtpu_messages.Signal(n, "off", handover=True, cede=True, then=then)
@@ -236,7 +232,6 @@ def test_nobody_gets_ready_again_for_a_task_that_is_killed(restless, monkeypatch
     """It has two fallbacks: while one is sent to rest, the other one's time comes."""
     home, third = restless, restless.tasks["arm", "third"]
     pairs = home.fallbacks
-    home.successors.dismiss = lambda _task: None
     left = []
 
     async def killed(*_, **_more):

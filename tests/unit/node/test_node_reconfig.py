@@ -41,7 +41,7 @@ class Played:
 
     def __init__(self, rtpu, name, outputs):
         self.rtpu, self.name, self.state = rtpu, name, State.ON
-        self.freq, self.busy, self.engaged = 100.0, "", None
+        self.freq, self.busy, self.engaged, self.waiting = 100.0, "", None, None
         self.gone = asyncio.Event()
         slot = rtpu.core.alloc("arm0", name)
         rtpu.core.post(slot, mode=Mode.ON)
@@ -323,7 +323,6 @@ def test_an_exchange_that_fails_gives_variables_up_first(rtpu, monkeypatch):
     assert list(asyncio.run(asyncio.wait_for(run(), LIMIT))) == ["new"]
     assert done == [
         ("prepare", "new"),
-        ("calls", "old"),
         ("off", "old"),
         ("disown", "old"),
         ("spare", "new"),

@@ -1,4 +1,4 @@
-"""Heirs on other machines: who has them called, what is asked for, who calls."""
+"""Successors on other machines: what is asked for, and when the agent calls."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from pbonet.errors import TaskDiedError
 from pbonet.master.subsystem.send_signal_list import send
 from pbonet.node.mirror import remote_handover
 from pbonet.node.rtpu import successors
-from pbonet.node.rtpu.successors import Successors, Waiting
+from pbonet.node.rtpu.successors import Successors
+from pbonet.node.rtpu.task_handle import Waiting
 from pbonet.pbo import State
 
 __all__ = ["picture", "rtpu", "table"]
@@ -50,7 +51,7 @@ def test_an_heir_is_called_once(rtpu, table, waiting):
     ids=str,
 )
 def test_a_call_to_somebody_else_is_not_heard(rtpu, table, waiting, wrong):
-    """All machines get it; one has the heir."""
+    """All machines get it; one has the successor."""
     (data,) = remote_handover.packed([msgspec.structs.replace(waiting, **wrong)])
     assert not remote_handover.make(table, data, 0)
     assert not remote_handover.make(table, data[:-1], 0)
@@ -155,23 +156,22 @@ def test_a_successor_of_tasks_on_two_machines_stands_by(picture, beside, far):
     assert last == "arm2"
 
 
-def heir_of(rtpu, one):
-    """Return the heirs of an RTPU, and one that waits for that call."""
+def waits_for(rtpu, one):
+    """Return the successors of an RTPU, and one that waits for that call."""
     loop = asyncio.get_running_loop()
     task = SimpleNamespace(
         name="heir", state=State.OFF, engaged=loop.create_future(),
         facts=SimpleNamespace(subsystem="arm", outputs=["Y0"], slot=one.slot),
     )  # fmt: skip
-    made = Successors(rtpu)
     timer = loop.call_later(3600.0, int)
-    made._waiting["arm", "heir"] = Waiting(task, ["old"], [one], timer)
-    return made, task
+    task.waiting = Waiting(["old"], [one], timer)
+    return Successors(rtpu), task
 
 
 def test_its_on_has_an_heir_engaged_whom_nobody_has_called(rtpu, waiting):
     async def ask():
-        made, task = heir_of(rtpu, waiting)
-        return await made.asked(task), made.waits(task)
+        made, task = waits_for(rtpu, waiting)
+        return await made.asked(task), task.waiting is not None
 
     assert asyncio.run(ask()) == (True, True)
     assert not awaited(rtpu, waiting)
@@ -188,8 +188,8 @@ def test_its_on_is_judged_as_any_while_another_one_writes(
     monkeypatch.setattr(successors, "rest", rest)
 
     async def ask():
-        made, task = heir_of(rtpu, waiting)
-        return await made.asked(task), made.waits(task)
+        made, task = waits_for(rtpu, waiting)
+        return await made.asked(task), task.waiting is not None
 
     with table.local("other", 1, outvar=["Y0"]) as other:
         other.claim()
