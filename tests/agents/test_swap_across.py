@@ -347,11 +347,11 @@ def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
         error = swap.exception(60.0)
     assert isinstance(error, ReconfigError), error
     what, rest = {
-        "arm0": ("sent, and not known whether done: off old; not sent: on d", 2),
-        "arm1": ("done: off old; sent, and not known whether done: on d", 1),
+        "arm0": ("done: on d; sent, and not known whether done: off old", "off old"),
+        "arm1": ("done: off old; sent, and not known whether done: on d", "on d"),
     }[killed]
     assert what in str(error)
-    assert error.rest == (("old", "off"), ("d", "on"))[-rest:]
+    assert [f"{verb} {task}" for task, verb in error.rest] == [rest]
     nodes.agent_process(killed)
     arm.detach()
     wait_for(lambda: is_opened(arm), "the end of the old master's token")
@@ -417,5 +417,5 @@ def test_the_flag_goes_down_as_soon_as_the_successor_writes(arm, nodes, tmp_path
     finally:
         for ring in rings.values():
             ring.close()
-    beside, elsewhere = (min(some) for some in zip(*found, strict=True))
-    assert elsewhere <= beside + 4, found
+    beside, elsewhere = (sum(some) for some in zip(*found, strict=True))
+    assert elsewhere <= beside + 3 * len(found), found

@@ -71,11 +71,9 @@ def call(old):
 
 
 def status(rtpu, task, state):
-    numbers = dict.fromkeys(
-        "tid crit cycle miss ref_f mez_f mez_t ptime tot_c tick min_c max_c last_c warn"
-        .split(),
-        0,
-    )  # fmt: skip
+    counts = ["tid", "crit", "cycle", "miss", "tick", "warn"]
+    times = ["ref_f", "mez_f", "mez_t", "ptime", "tot_c", "min_c", "max_c", "last_c"]
+    numbers = dict.fromkeys([*counts, *times], 0)
     one = m.TaskStatus(
         rmod="counts", task=task, rtpu=rtpu, S="", state=state, **numbers
     )
