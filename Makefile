@@ -46,7 +46,7 @@ check: setup  ## Lint, types, layers
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --config scripts/rooms.toml
 
 mypy: setup
 	$(BIN)/mypy

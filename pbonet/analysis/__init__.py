@@ -1,1 +1,1 @@
-"""."""
+"""Judges configurations: legal, in order, schedulable? Nothing is run or asked."""

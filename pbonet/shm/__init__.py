@@ -1,4 +1,4 @@
-"""."""
+"""Files in shared memory that table, links and express mail have in common."""
 
 from pbonet.lazy import attach
 

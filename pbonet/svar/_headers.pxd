@@ -82,6 +82,7 @@ cdef extern from "local.h" nogil:
         pb_plan plans[3]
         pb_outputs outputs[2]
         pb_counts counts
+        int64_t virtual_ns
         uint64_t *consumed
         uint32_t n_consumed, fault_var
         uint64_t fault_element

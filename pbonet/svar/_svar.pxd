@@ -40,6 +40,8 @@ cdef class LocalTable:
     cdef readonly unsigned long long out_uid     # register of the out-vars; 0: none
     cdef readonly unsigned long long out_number  # number of its last commit there
     cdef unsigned long long stored, stored_set  # generation and commits from outside, see below
+    cdef public bint held      # commits are judged, and sent by `publish`
+    cdef long long held_ns
     cdef int c_copy_in(self) noexcept nogil
     # Inputs as a log has them: bytes of the in-vars if they cannot be rebuilt from what
     # other tasks committed since the last store, else 0; the variables one by one; and

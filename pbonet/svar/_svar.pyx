@@ -374,6 +374,10 @@ cdef class LocalTable:
 
     cdef int c_commit(self, long long now_ns, unsigned long long cycle) noexcept nogil:
         self.cycles = cycle
+        if self.held:
+            self.flags = pb_judge(local(self), local(self).outputs + PB_GROUP_VARS)
+            self.held_ns = 0 if self.flags else now_ns
+            return self.flags
         self.flags = pb_commit(local(self), local(self).outputs + PB_GROUP_VARS, now_ns, cycle)
         self.out_number = pb_committed(local(self).outputs + PB_GROUP_VARS)
         return self.flags
@@ -421,7 +425,23 @@ cdef class LocalTable:
 
     def commit(self, long long now_ns=0, unsigned long long cycle=0) -> int:
         """Send the out-vars as one group; returns flags, and sends nothing if any is set."""
+        self.publish()
         return self.c_commit(now_ns or pb_now(), cycle or self.cycles + 1)
+
+    def publish(self) -> None:
+        """Send what a commit has judged while `held` was set; nothing when it has not."""
+        cdef long long now_ns = self.held_ns
+        self.held_ns, self.held = 0, False
+        if now_ns:
+            self.c_commit(now_ns, self.cycles)
+
+    @property
+    def virtual_ns(self) -> int:
+        return local(self).virtual_ns
+
+    @virtual_ns.setter
+    def virtual_ns(self, int64_t now_ns):
+        local(self).virtual_ns = now_ns
 
     def read_one(self, unsigned v, unsigned long long at) -> int:
         return pb_read_one(local(self), v, at)

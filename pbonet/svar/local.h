@@ -40,12 +40,17 @@ struct pb_local {
     struct pb_plan plans[PB_PLANS];
     struct pb_outputs outputs[PB_GROUPS];
     struct pb_counts counts;
+    int64_t virtual_ns; /* the time, where it is virtual; else 0 */
     uint64_t *consumed; /* pairs of register uid and sequence, room for the largest plan */
     uint32_t n_consumed;
     uint32_t fault_var; /* of the last refused commit, or the stale input */
     uint64_t fault_element;
     struct pb_seen flag;
 };
+
+static inline int64_t pb_time(const struct pb_local *l) {
+    return l->virtual_ns ? l->virtual_ns : pb_now();
+}
 
 static inline bool pb_too_old(const struct pb_age *age, int64_t now) {
     return age->maxage_ns &&
@@ -55,14 +60,14 @@ static inline bool pb_too_old(const struct pb_age *age, int64_t now) {
 /* Whether an in-var is too old now, as the last copy brought it. */
 static inline bool pb_is_stale(const struct pb_local *l, uint32_t v) {
     const struct pb_plan *p = l->plans + PB_PLAN_IN;
-    const int64_t now = pb_now();
+    const int64_t now = pb_time(l);
     for (uint32_t i = 0; i < p->n_ages; i++)
         if (p->ages[i].var == v) return pb_too_old(p->ages + i, now);
     return false;
 }
 
 static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
-    int64_t now = pb_now();
+    int64_t now = pb_time(l);
     for (uint32_t i = 0; i < p->n_ages; i++) {
         if (!pb_too_old(p->ages + i, now)) continue;
         l->fault_var = p->ages[i].var;

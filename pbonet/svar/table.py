@@ -23,7 +23,7 @@ from .result_codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .table_records import Cause, Register, VarInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -52,6 +52,8 @@ class Table(Closing):
         self._arena: Arena | None = arena
         self._variables = lay.decode(arena.text)
         self._index = {v.name: i for i, v in enumerate(self._variables)}
+        self.virtual: Callable[[], int] | None = None
+        """Tells the time, in nanoseconds, where it is virtual."""
 
     @classmethod
     def create(
@@ -203,7 +205,7 @@ class Table(Closing):
         number = self._number(which)
         variable = self._variables[number]
         value, (_, live, time_ns, cycle, uid, seq, task) = self._look(number)
-        age = now_ns() - time_ns if time_ns else None
+        age = self._now() - time_ns if time_ns else None
         stale = variable.maxage is not None and (
             age is None or age > variable.maxage * 1e9
         )
@@ -237,7 +239,7 @@ class Table(Closing):
         value = guards.typed(self.name, variable, values)
         room = _room(variable)
         room[: value.nbytes] = value.view(np.uint8)
-        code = self._open().set(number, room, now_ns(), wait)
+        code = self._open().set(number, room, self._now(), wait)
         if code == RIVAL:
             owner = self.info(number).owner
             raise SvarOwnerError(
@@ -303,7 +305,7 @@ class Table(Closing):
             sorted({self.index(name) for name in names})
             for names in (inconst, outconst, invar, outvar)
         ]
-        return LocalTable.make(
+        made = LocalTable.make(
             self._open(),
             self._variables,
             table=self.name,
@@ -312,6 +314,12 @@ class Table(Closing):
             ports=ports,
             keep=keep,
         )
+        if self.virtual is not None:
+            made.virtual_ns = self.virtual()
+        return made
+
+    def _now(self) -> int:
+        return now_ns() if self.virtual is None else self.virtual()
 
     def registers(self) -> list[Register]:
         """Return who holds which register; a recorder names writers by it.

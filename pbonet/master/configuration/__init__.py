@@ -1,4 +1,4 @@
-"""."""
+"""The files, tasks, conditions and saved profiles that a master works with."""
 
 from pbonet.lazy import attach
 

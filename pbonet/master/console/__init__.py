@@ -1,4 +1,4 @@
-"""."""
+"""The commands, and the interfaces that give them: prompt, verbs, network (4.4)."""
 
 from pbonet.lazy import attach
 

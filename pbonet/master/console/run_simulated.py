@@ -6,7 +6,6 @@ import math
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from pbonet.errors import MethodError, PbonetError
 from pbonet.master.sim import Simulation, sim_log
 
 from . import summary
@@ -78,10 +77,7 @@ def simulate(
     begin, passed = time.monotonic(), 0.0
     try:
         with interrupts.caught():
-            try:
-                simulation.start()
-            except MethodError as error:  # with its line, as agents would tell it
-                raise PbonetError.from_wire(error.to_wire()) from error
+            simulation.start()
             on = ", ".join(n for n, now in simulation.states().items() if now == "ON")
             view.say(f"job {simulation.job.name} is ON in virtual time: {on}")
             try:

@@ -1,4 +1,4 @@
-"""."""
+"""A subsystem in virtual time: RTPUs without processes, network or devices."""
 
 from pbonet.lazy import attach
 

@@ -15,20 +15,16 @@ from pbonet.errors import LogError, Severity
 from pbonet.log import Log
 from pbonet.master.configuration import Files, RecordingPlan
 from pbonet.node.recorder import LogFiles, Time, recorder_process
-from pbonet.node.task import journal
 from pbonet.node.wire import rtpu_messages
 
-from .sim_journal import SimJournal
-from .simulation import BEGIN_NS
+from .virtual_rtpus import BEGIN_NS
 
 if TYPE_CHECKING:
-    from pbonet.log import LogWriter
-    from pbonet.master.configuration import Member, Place
+    from pbonet.log import LogWriter, TaskAbout
+    from pbonet.master.configuration import Place
     from pbonet.xm.net import Event
 
-    from .sim_events import SimEvents
-    from .sim_journal import SimTime
-    from .sim_table import MemoryCopies, MemoryTable
+    from .rtpu_in_process import VirtualTask
 
 FLUSH: Final = 0.5
 """Seconds, of real time, of which at most a simulation that is killed lacks the end."""
@@ -67,14 +63,16 @@ class _Rtpu:
         """Return how a task is recorded."""
         return self.wanted.tasks.get(task, self.wanted.mode)
 
-    def follow(self, made: SimJournal) -> None:
+    def follow(self, host: VirtualTask, about: TaskAbout) -> None:
         """Record a task from its spawn on."""
-        mode = self.mode(made.about.task)
+        mode = self.mode(about.task)
         if mode == "off":
             return
-        made.tray.want(always=mode == "all")
-        recorder_process.hide(made.about, self.wanted.hidden)
-        one = recorder_process.Followed(made.tray, made.about)
+        if mode == "all":
+            host.ring.want(always=True)
+        recorder_process.hide(about, self.wanted.hidden)
+        one = recorder_process.Followed(host.ring, about)
+        host.drain = lambda: self._take(one)
         self.followed.append(one)
         self.files.write(lambda writer: recorder_process.enter(writer, one))
 
@@ -94,14 +92,14 @@ class _Rtpu:
         """
         self.files.turn()
         for one in self.followed:
-            if text := one.ring.take():
-                self._put(one, text)
+            self._take(one)
         if now_ns * 1e-9 >= self._status:
             self._status = now_ns * 1e-9 + recorder_process.STATUS
             self.status(now_ns, counts)
 
-    def _put(self, one: recorder_process.Followed, text: bytes) -> None:
-        self.files.put(lambda writer: recorder_process.add(writer, one, text), text)
+    def _take(self, one: recorder_process.Followed) -> None:
+        if text := one.ring.take():
+            self.files.put(lambda writer: recorder_process.add(writer, one, text), text)
 
     def status(self, now_ns: int, counts: dict[str, int]) -> None:
         """Put the counts on record; in virtual time nothing is late and no CPU used."""
@@ -145,8 +143,7 @@ class SimLog:
         )
         self._now_ns = 0
         self._flush = 0.0
-        self._uid = 0
-        self._times: dict[str, SimTime] = {}
+        self._hosts: dict[str, VirtualTask] = {}
         self._begun = False
         job = book.job_name or files.sbs.subsystem
         run = book.named(job)
@@ -183,45 +180,12 @@ class SimLog:
             for name in names
         }
 
-    def begun(self, told: SimEvents) -> None:
-        """Put on record what a simulation tells from now on."""
-        told.epoch_ns = self.epoch_ns
-        for log in told.logs.values():
-            log.publish = self.event
-
-    def journal(
-        self,
-        member: Member,
-        library: Library,
-        table: MemoryTable,
-        copies: MemoryCopies,
-        source: SimTime,
-    ) -> SimJournal | None:
-        """Return what puts a task on record that is about to be spawned.
-
-        Returns:
-            None where it is not recorded.
-        """
-        rtpu = self._rtpus[member.rtpu]
-        if rtpu.mode(member.name) == "off":
-            return None
-        self._uid += 1
-        whose = journal.Whose(
-            domain="",
-            rtpu=member.rtpu,
-            subsystem=rtpu.wanted.subsystem,
-            task=member.name,
-            freq=member.freq,
-            rmod=member.source.text,
-            rmod_name=f"{member.name}.rmod",
-            libraries=self._libraries,
-        )
-        info = library.load_rmod(member.rmod).info
-        about = journal.about(whose, member.rmod, info, library, table)
-        made = SimJournal(copies, about, source, self._uid)
-        self._times[member.name] = source
-        rtpu.follow(made)
-        return made
+    def follow(self, host: VirtualTask, about: TaskAbout) -> None:
+        """Record a task that is about to be spawned."""
+        about.domain = ""
+        about.libraries = self._libraries
+        self._hosts[about.task] = host
+        self._rtpus[about.rtpu].follow(host, about)
 
     def event(self, event: Event) -> None:
         """Put an event on record."""
@@ -240,7 +204,7 @@ class SimLog:
                 rtpu.files.write(lambda writer: writer.flush())
 
     def _counts(self) -> dict[str, int]:
-        return {name: time.cycles for name, time in self._times.items()}
+        return {name: host.cycles for name, host in self._hosts.items()}
 
     def end(self, now_ns: int, seconds: float) -> None:
         """Finish the files, and say in them how much virtual time has passed."""

@@ -9,88 +9,64 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pbonet.log import COLUMNS, Cycles
+from pbonet.log import COLUMNS, STABLE, Cycles, Step
+from pbonet.node.ring import parse
 from pbonet.svar import group_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
-    from pbonet.config import Variable
+    from pbonet.log import TaskAbout
 
 
 class TaskRecord:
-    """The cycles of one task, appended as they come.
+    """The cycles of one task, appended as they come out of its ring.
 
     Args:
-        task: Its name.
-        variables: All variables of the table, by index.
-        outputs: The names of those that the task writes.
+        about: What the ring holds.
     """
 
-    def __init__(
-        self, task: str, variables: Sequence[Variable], outputs: Sequence[str]
-    ) -> None:
-        self.task = task
-        self.end_ns = 0
-        """When the last cycle ended."""
-        numbers = [i for i, v in enumerate(variables) if v.name in set(outputs)]
-        self._group = group_of(variables, numbers)
-        self._variables = [variables[i] for i in self._group.indices]
+    def __init__(self, about: TaskAbout) -> None:
+        group = group_of(about.outvar, range(len(about.outvar)))
+        self._fields = list(zip(about.outvar, group.at, strict=True))
+        self._size = group.bytes
         self._heads = bytearray()
         self._data = bytearray()
-
-    @property
-    def size(self) -> int:
-        """Bytes of the group of out-variables that belongs to each cycle."""
-        return self._group.bytes
+        self._base = 0
+        """How many cycles it had when it was turned on."""
+        self.drain: Callable[[], None] = lambda: None
+        """Has what is in the ring added."""
 
     @property
     def names(self) -> list[str]:
         """The variables that the task writes."""
-        return [variable.name for variable in self._variables]
+        return [variable.name for variable, _ in self._fields]
 
-    def __len__(self) -> int:
-        """Return the number of cycles."""
-        return len(self._heads) // (8 * len(COLUMNS))
-
-    def add(
-        self,
-        data: bytes | memoryview,
-        *,
-        release_ns: int,
-        cycle: int,
-        start_ns: int = 0,
-        end_ns: int = 0,
-        cpu_ns: int = 0,
-        flags: int = 0,
-    ) -> None:
-        """Append one cycle.
-
-        Args:
-            data: Its group of out-variables, as it was committed.
-            release_ns: When it was released.
-            cycle: Its number since the task was turned on.
-            start_ns: When its first line ran.
-            end_ns: When it was done.
-            cpu_ns: CPU time it took.
-            flags: Of its copies.
-        """
-        self.end_ns = end_ns or release_ns
-        row = (release_ns, cycle, start_ns, end_ns, cpu_ns, flags)
-        self._heads += np.array(row, np.int64).tobytes()
-        self._data += data
+    def add(self, text: bytes) -> None:
+        """Append the cycles among the records of a ring."""
+        for one in parse(text):
+            if one.kind == Step.ON_IN:
+                self._base = one.cycle
+            elif one.kind == Step.CYCLE:
+                number = one.cycle - self._base
+                times = one.start_ns, one.end_ns, one.cpu_ns
+                flags = STABLE if one.stable else 0
+                row = (one.release_ns, number, *times, flags)
+                self._heads += np.array(row, np.int64).tobytes()
+                self._data += one.data
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all columns and variables, by name."""
+        self.drain()
         heads = np.frombuffer(bytes(self._heads), np.int64).reshape(-1, len(COLUMNS))
         data = np.frombuffer(bytes(self._data), np.uint8)
-        rows = data.reshape(len(heads), self.size)
+        rows = data.reshape(len(heads), self._size)
         found: dict[str, NDArray[Any]] = {
             name: heads[:, i].copy() for i, name in enumerate(COLUMNS)
         }
-        for variable, at in zip(self._variables, self._group.at, strict=True):
+        for variable, at in self._fields:
             dtype = np.dtype(variable.dtype)
             part = rows[:, at : at + dtype.itemsize * variable.nelem]
             found[variable.name] = np.ascontiguousarray(part).view(dtype)
@@ -108,13 +84,11 @@ class Recording(Cycles):
         self.about = dict(about or {})
         self._tasks: dict[str, TaskRecord] = {}
 
-    def task(
-        self, name: str, variables: Sequence[Variable], outputs: Sequence[str]
-    ) -> TaskRecord:
+    def task(self, name: str, about: TaskAbout) -> TaskRecord:
         """Return the record of a task, made when it is asked for first."""
         record = self._tasks.get(name)
         if record is None:
-            record = self._tasks[name] = TaskRecord(name, variables, outputs)
+            record = self._tasks[name] = TaskRecord(about)
         return record
 
     @property

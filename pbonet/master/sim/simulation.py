@@ -1,55 +1,49 @@
 """A job in virtual time: one thread, no devices, the same result every time.
 
-The modules are loaded, bound and run as in a task process, by the same executor. Copies
-go to a table in plain memory, and releases are granted by the rules of the dispatcher
-(`dispatch`), one for each RTPU. A cycle takes no virtual time: at one
-instant the RTPUs have their turn in the order of the ``.sbs`` file, and on each the
-more urgent task first. So a simulation shows what the control laws do; how long they
+The RTPUs are those of `virtual_rtpus`; here is what a master does for a job. A cycle
+takes no virtual time. So a simulation shows what the control laws do; how long they
 take, and what a late cycle does, only a run in real time shows.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from itertools import groupby
+from types import NoneType
+from typing import TYPE_CHECKING, TypeVar
 
 from pbonet.analysis import legality
 from pbonet.analysis.schedule import PLANNED
-from pbonet.config import JobTask, Library, TaskType
+from pbonet.config import JobTask, Library
 from pbonet.errors import (
     PbonetError,
-    Severity,
     StateError,
     UnknownTaskError,
     did_you_mean,
 )
-from pbonet.io import no_devices
-from pbonet.log import STABLE
-from pbonet.master.configuration import Files, Member, conditions, stuck
+from pbonet.master.configuration import Files, Member, Picture, conditions, stuck
+from pbonet.node.task import placed
 from pbonet.pbo import Signal, State
 from pbonet.xm.net import messages as m
 
-from .sim_create_task import make
-from .sim_events import SimEvents
-from .sim_recording import Recording
-from .sim_standby import Standbys, members
-from .sim_table import MemoryTable
-from .sim_task import SimTask, Turns, must_be_simulated, rtpu_status, unwritten
+from .rtpu_in_process import must_be_simulated
+from .virtual_rtpus import BEGIN_NS, VirtualClient, VirtualRtpus
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from pbonet.config import JobFile
-    from pbonet.pbo import Notice
 
     from .sim_log import SimLog
+    from .sim_recording import Recording
 
-REASON = "this is a simulation"
-BEGIN_NS = 1_000_000_000
-"""The virtual clock's first instant."""
+T = TypeVar("T")
+
+_TOLD = frozenset({"WARNING", "SIGNAL", "HANDLED", "METHOD", "FALLBACK"})
+"""Codes of the events that are told when the simulation has ended."""
 
 
-class Simulation:
+class Simulation(VirtualRtpus):
     """One job, from its assembly to its end.
 
     Args:
@@ -58,17 +52,11 @@ class Simulation:
         log: Where it is recorded; without, every cycle is kept in memory.
 
     Attributes:
-        recording: Every cycle so far, unless there is a log.
         events: What went wrong or was said so far, one text each.
 
     Raises:
         ConfigError: A file is missing or wrong.
     """
-
-    simulated: ClassVar[tuple[TaskType, ...]] = (
-        TaskType.PERIODIC,
-        TaskType.SYNCHRONOUS,
-    )
 
     def __init__(
         self,
@@ -78,31 +66,46 @@ class Simulation:
     ) -> None:
         files = Files(path, Library(folders))
         self.job: JobFile = files.read_job()
-        self._begin(files, {"job": self.job.name, "file": self.job.file}, log)
-
-    def _begin(
-        self, files: Files, about: dict[str, str], log: SimLog | None = None
-    ) -> None:
-        """Begin with no task, at the first instant."""
-        self.log = log
-        self._files, self._library = files, files.library
-        self.table = MemoryTable(files.table.variables)
-        self.now_ns = BEGIN_NS
-        self.recording = Recording({**about, "mode": "simulation"})
         self.events: list[str] = []
-        self._tasks: dict[str, SimTask] = {}
-        self._turns = {rtpu.name: Turns() for rtpu in files.sbs.rtpus}
-        name, tell = files.sbs.subsystem, self._engaged
-        self.happened = SimEvents(
-            self._turns, name, lambda: self.now_ns, lambda task: self.states().get(task)
-        )
-        if log is not None:
-            log.begun(self.happened)
+        self._picture = Picture()
         self._steady = False
-        """Whether what raises the flag is an event: not while a job begins or ends."""
-        self._standbys = Standbys(
-            name, self._tasks, self._turns, signal=self.signal, tell=tell
-        )
+        """Whether inputs that nobody writes raise the flag: not while a job begins or
+        ends."""
+        self._unwritten: set[str] = set()
+        super().__init__(files, {"job": self.job.name, "file": self.job.file})
+        self._client = VirtualClient(self, "", "simulation")
+        self._epochs: dict[str, int] = {}
+        self._take()
+        if log is not None:
+            self.log, self.epoch_ns = log, log.epoch_ns
+
+    def _take(self) -> None:
+        """Claim the RTPUs and open the table, as a master does."""
+        for entry in self.files.sbs.rtpus:
+            claim = m.Claim(
+                usage=entry.usage,
+                scheduler=entry.scheduler,
+                minfreq=entry.minfreq,
+                maxfreq=entry.maxfreq,
+            )
+            self._epochs[entry.name] = self._ask(entry.name, claim, m.Claimed).epoch
+        for rtpu in sorted(self.rtpus, key=lambda name: name != self._keeper):
+            table = m.OpenTable(
+                svar=self.files.table_text,
+                svar_name=self.files.table.file,
+                keep=rtpu == self._keeper,
+            )
+            self._ask(rtpu, table, m.TableInfo)
+
+    @property
+    def _keeper(self) -> str:
+        return self.files.sbs.keeper
+
+    def _ask(self, rtpu: str, request: m.Request, result: type[T]) -> T:
+        """Send a request to an RTPU under the claim on it."""
+        request.subsystem = self.files.sbs.subsystem
+        request.epoch = self._epochs.get(rtpu, 0)
+        return self._client.call(rtpu, request, result)
 
     # -- the job ----------------------------------------------------------------------
 
@@ -119,23 +122,25 @@ class Simulation:
         by_name = {member.name: member for member in wanted}
         tasks = [member.task for member in wanted]
         self._check(legality.job(tasks))
-        variables = self._files.table.variables
+        variables = self.files.table.variables
         conditions.must_be_answerable(self.job, variables)
         asked = [conditions.Asked("PRE", self.job.name, one) for one in self.job.pre]
         conditions.must_hold(asked, variables, self.display)
-        with no_devices(REASON):
-            try:
-                for name in legality.spawn_order(tasks):
-                    self._spawn(by_name[name])
-                self._rank()
-                originals = [task for task in tasks if not task.fallback_of]
-                for name in legality.on_order(originals):
-                    self.signal(name, "on")
-                self._standbys.begin(wanted)
-                self._steady = True
-            except BaseException:
-                self._end()
-                raise
+        try:
+            for name in legality.spawn_order(tasks):
+                self._spawn(by_name[name])
+            self._rank()
+            originals = [task for task in tasks if not task.fallback_of]
+            for name in legality.on_order(originals):
+                self.signal(name, "on")
+            for member in wanted:
+                if member.fallback_of:
+                    standby = m.Standby(task=member.name, original=member.fallback_of)
+                    self._ask(member.rtpu, standby, m.TaskStatus)
+            self._steady = True
+        except BaseException:
+            self.stop()
+            raise
 
     def advance(self, seconds: float) -> None:
         """Let virtual time pass, as fast as the modules can be run."""
@@ -145,65 +150,22 @@ class Simulation:
         if self.log is not None:
             self.log.turn(self.now_ns)
 
-    def step(self, end_ns: int) -> bool:
-        """Go on to the next instant at which something is due, at most to an end.
-
-        Returns:
-            Whether it was before the end.
-        """
-        due = [t.due_ns for t in self._turns.values() if t.due_ns]
-        if not due or min(due) > end_ns:
-            self.now_ns = end_ns
-            return False
-        self.now_ns = max(self.now_ns, min(due))
-        with no_devices(REASON):
-            for turns in self._turns.values():
-                if 0 < turns.due_ns <= self.now_ns:
-                    self._turn(turns)
-        return True
-
-    def signal(
-        self,
-        task: str,
-        name: str,
-        arg: str = "",
-        *,
-        handover: bool = False,
-        replaces: Sequence[str] = (),
-    ) -> State:
+    def signal(self, task: str, name: str, arg: str = "") -> State:
         """Send ``on``, ``off``, ``kill``, ``clear`` or ``reinit`` to a task.
-
-        Args:
-            task: The task.
-            name: What is sent.
-            arg: Text for the module.
-            handover: For ``off`` and ``kill``: a successor takes over the outputs.
-            replaces: For ``reinit``: tasks that leave, whose constants it takes over.
 
         Raises:
             UnknownTaskError: There is no such task.
             StateError: The signal is not valid in its state.
             PbonetError: A method of the module failed.
         """
-        found = self.task(task)
-        self._standbys.dismiss(found)
-        found.copies.replaces = replaces
-        with no_devices(REASON):
-            failed: PbonetError | None = None
-            try:
-                return found.executor.signal(name, arg, handover=handover)
-            except PbonetError as error:
-                failed = error
-                raise
-            finally:
-                found.copies.replaces = ()
-                self._after(found, found.outbox.drain())
-                if not isinstance(failed, StateError):  # nothing happened
-                    self.happened.signalled(found, name, failed)
+        request = m.Control(task=task, signal=name, arg=arg)
+        status = self._ask(self.task(task).rtpu, request, m.TaskStatus)
+        self._judge_inputs()
+        return State(status.state)
 
     def spawn(
         self, rmod: str, rtpu: str | None = None, freq: float | None = None
-    ) -> SimTask:
+    ) -> Member:
         """Create one more task; it is OFF, as by `Subsystem.spawn`.
 
         Raises:
@@ -213,16 +175,15 @@ class Simulation:
             PbonetError: The module does not load, or its `init` failed.
         """
         member = self._member(JobTask(rmod=rmod, rtpu=rtpu, freq=freq))
-        if member.name in self._tasks:
+        if member.name in self._picture:
             raise StateError(
                 f"the simulation has a task {member.name} already",
                 remedy="an RMOD is one task; copy it under another name for a second",
             )
         self._check(legality.spawn(member.task))
-        with no_devices(REASON):
-            self._spawn(member)
-            self._rank()
-        return self.task(member.name)
+        self._spawn(member)
+        self._rank()
+        return member
 
     def reconfig(self, items: Sequence[tuple[str, str]]) -> dict[str, State]:
         """Send an ordered list of signals at one instant; it is judged by its end.
@@ -241,23 +202,44 @@ class Simulation:
         for task, _ in items:
             self.task(task)
         self._check(legality.reconfig(items))
-        states: dict[str, State] = {}
-        for done, (task, name) in enumerate(items):
-            try:
-                heir = name == "off" and self._has_heir(task, items[done + 1 :])
-                states[task] = self.signal(task, name, handover=heir)
-            except PbonetError as error:
+        handover = self._handed_over(items)
+        done, states = 0, dict[str, State]()
+        for rtpu, some in groupby(items, lambda item: self.task(item[0]).rtpu):
+            request = m.Reconfig(items=list(some), handover=handover)
+            found = self._ask(rtpu, request, m.Reconfigured)
+            states |= {name: State(state) for name, state in found.states.items()}
+            done += found.done
+            if found.error is not None:
+                error = PbonetError.from_wire(found.error)
                 raise stuck(items, done, error) from error
+        self._judge_inputs()
         return states
+
+    def _handed_over(self, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
+        """Return for tasks that go off which of their outputs a later item takes."""
+        found: dict[str, list[str]] = {}
+        for n, (task, signal) in enumerate(items):
+            later = [self.task(name) for name, one in items[n + 1 :] if one == "on"]
+            taken = {output for one in later for output in one.task.outputs}
+            theirs = [one for one in self.task(task).task.outputs if one in taken]
+            if signal == "off" and theirs:
+                found[task] = theirs
+        return found
 
     def set(self, task: str, name: str, value: str) -> object:
         """Change a parameter of a task; `value` is what a LOCAL line would have."""
-        return self.task(task).executor.set(name, tuple(value.split()))
+        request = m.Set(task=task, name=name, value=value)
+        (found,) = self._ask(self.task(task).rtpu, request, list[m.ParamValue])
+        return found.value
 
     def stop(self) -> None:
-        """Turn everything off in the job's order, and kill it."""
-        with no_devices(REASON):
-            self._end()
+        """Turn everything off in the job's order, and kill it; failures are events."""
+        self._steady = False
+        on = [self.task(n) for n, state in self.states().items() if state is State.ON]
+        order = legality.off_order([one.task for one in on], self.job.off_order)
+        order += [n for n in reversed(self._picture.names) if n not in order]
+        for rtpu in self.rtpus:
+            self._ask(rtpu, m.Stop(order=order), m.Stopped)
 
     def run(self, seconds: float) -> Recording:
         """Start, let virtual time pass, stop; return every cycle of it.
@@ -276,58 +258,62 @@ class Simulation:
 
     def display(self, names: Sequence[str]) -> list[m.VarValue]:
         """Return values of variables, of this instant."""
-        return [self.table.look(name, self.now_ns) for name in names]
+        return self._ask(self._keeper, m.Display(names=list(names)), list[m.VarValue])
 
-    def task(self, name: str) -> SimTask:
+    def task(self, name: str) -> Member:
         """Return a task.
 
         Raises:
             UnknownTaskError: There is none of that name.
         """
-        if name not in self._tasks:
+        member = self._picture.get(name)
+        if member is None:
+            names = self._picture.names
             raise UnknownTaskError(
                 f"the simulation has no task {name}",
-                expected=" or ".join(self._tasks) or "a job that was started",
-                remedy=did_you_mean(name, self._tasks) or "name a task of the job",
+                expected=" or ".join(names) or "a job that was started",
+                remedy=did_you_mean(name, names) or "name a task of the job",
             )
-        return self._tasks[name]
+        return member
 
     def states(self) -> dict[str, State]:
         """Return the state of every task."""
-        return {name: task.executor.state for name, task in self._tasks.items()}
+        there = {
+            task.name: task.state
+            for rtpu in self.rtpus.values()
+            for task in rtpu.tasks.values()
+        }
+        for member in self._picture:
+            member.state = there.get(member.name, State.NOT_CREATED)
+        return {member.name: member.state for member in self._picture}
 
     def status(self) -> list[m.RtpuStatus]:
         """Return what `pbonet status` would show; CPU times are not simulated."""
-        tasks, illegal = [*self._tasks.values()], sorted(self.table.illegal)
-        rtpus = self._files.sbs.rtpus
-        return [rtpu_status(rtpu, tasks, illegal, self.now_ns) for rtpu in rtpus]
+        return [self._ask(name, m.Status(), m.RtpuStatus) for name in self.rtpus]
 
     # -- assembling -------------------------------------------------------------------
 
     def _member(self, wanted: JobTask) -> Member:
-        source = self._files.rmod(wanted.rmod)
+        source = self.files.rmod(wanted.rmod)
         record = source.record
-        rtpu = wanted.rtpu or record.rtpu or self._files.sbs.rtpus[0].name
+        rtpu = wanted.rtpu or record.rtpu or self.files.sbs.rtpus[0].name
         freq = wanted.freq or record.freq
-        must_be_simulated(
-            record, freq, self.simulated, str(wanted.place or self.job.file)
-        )
-        info = self._library.load_rmod(record).info
+        where = str(wanted.place or self.job.file)
+        must_be_simulated(record, freq, self.simulated, where)
+        info = self.library.load_rmod(record).info
         return Member(
             source=source, rtpu=rtpu, freq=freq or 0.0, info=info, told=wanted.told
         )
 
     def _members(self, task: JobTask) -> list[Member]:
         """Return a task of the job, and its fallback."""
-        return members(self._member, task)
-
-    def _has_heir(self, task: str, rest: Sequence[tuple[str, str]]) -> bool:
-        """Tell whether a list goes on to turn on who writes what `task` writes."""
-        outputs = {*self.task(task).copies.out_vars}
-        return any(
-            signal == "on" and outputs & {*self.task(other).copies.out_vars}
-            for other, signal in rest
-        )
+        original = self._member(task)
+        if task.fallback is None:
+            return [original]
+        standby = JobTask(rmod=task.fallback, rtpu=original.rtpu, place=task.place)
+        member = self._member(standby)
+        member.fallback_of = original.name
+        return [original, member]
 
     def _check(self, change: legality.Change) -> None:
         """Refuse a change that would be illegal; its warnings are events.
@@ -344,133 +330,65 @@ class Simulation:
     def _judged(self, change: legality.Change, *, producers: bool) -> legality.Verdict:
         """Judge a change; with `producers`, remedies can name RMODs of the library."""
         now = legality.Configuration(
-            svar=self._files.table,
-            tasks=tuple(task.member.task for task in self._tasks.values()),
+            svar=self.files.table,
+            tasks=tuple(member.task for member in self._picture),
             on=frozenset(n for n, state in self.states().items() if state is State.ON),
-            rtpus=self._files.sbs.rtpus,
-            producers=self._files.producers() if producers else {},
+            rtpus=self.files.sbs.rtpus,
+            producers=self.files.producers() if producers else {},
             limit=PLANNED,
         )
         return legality.judge(now, change)
 
-    def _spawn(self, member: Member, replaces: Sequence[str] = ()) -> None:
-        turns = self._turns[member.rtpu]
-        task = make(
-            member,
-            self._library,
-            self.table,
-            lambda: self.now_ns,
-            slot=len(turns.tasks),
-            keep=None if self.log else self.recording,
-            log=self.log,
+    def _spawn(self, member: Member) -> None:
+        self._picture.spawned(member)
+        request = m.Spawn(
+            task=member.name,
+            rmod=member.source.text,
+            rmod_name=f"{member.name}.rmod",
+            freq=member.freq or None,
+            crit=member.rmod.crit,
         )
-        self._tasks[member.name] = task
-        turns.add(task)
-        task.copies.replaces = replaces
-        try:
-            task.executor.spawn()
-        except PbonetError as error:
-            self.happened.not_spawned(task, error)
-            raise
-        task.copies.replaces = ()
-        self._after(task, task.outbox.drain())
-        self.happened.spawned(task)
+        self._ask(member.rtpu, request, m.TaskStatus)
 
     def _rank(self) -> None:
-        everyone = [task.member.task for task in self._tasks.values()]
-        priorities = legality.user_priorities(everyone)
-        for entry in self._files.sbs.rtpus:
-            turns = self._turns[entry.name]
-            here = [t for t in turns.tasks if self._tasks.get(t.name) is t]
-            tasks = [task.member.task for task in here]
-            assigned = legality.criticalities(tasks, entry, limit=PLANNED)
-            for task in here:
-                task.crit = task.source.crit = assigned[task.name].crit
-                task.priority = priorities[task.name]
-                turns.configure(task)
+        """Tell the RTPUs the user priorities; criticalities are their own rule's."""
+        priorities = legality.user_priorities([one.task for one in self._picture])
+        for rtpu in self.rtpus:
+            here = [one for one in self._picture if one.rtpu == rtpu]
+            ranks = {one.name: (one.rmod.crit, priorities[one.name]) for one in here}
+            self._ask(rtpu, m.Rank(tasks=ranks), NoneType)
 
-    # -- running ----------------------------------------------------------------------
+    # -- what happens ------------------------------------------------------------------
 
-    def _turn(self, turns: Turns) -> None:
-        """Let every task run that has a release now, the most urgent one first."""
-        while task := turns.next(self.now_ns):
-            if task.stands_by:
-                self._standbys.engage(task)
-            else:
-                self._cycle(task)
-                turns.done(task)
+    def _judge_inputs(self) -> None:
+        """Raise the flag for inputs that nobody writes: equation 2 of 3.3.1."""
+        if not self._steady:
+            return
+        self.states()
+        on = [one for one in self._picture if one.is_on]
+        fell = [one for one in self._picture if one.state is State.ERROR]
+        written = {name for one in [*on, *fell] for name in one.task.outputs}
+        now = {
+            f"{one.name} reads {name}, which nobody writes"
+            for one in on
+            for name in one.task.inputs
+            if name not in written
+        }
+        self._flag(now - self._unwritten, up=True)
+        self._flag(self._unwritten - now, up=False)
+        self._unwritten = now
 
-    def _cycle(self, task: SimTask) -> None:
-        dt_ns = (self.now_ns - task.last_ns) if task.last_ns else 0
-        task.last_ns = self.now_ns
-        stable = task.member.rmod.critical and bool(self.table.illegal)
-        task.copies.committed = False
-        task.executor.run_cycle(dt_ns or task.period_ns, self.now_ns, stable=stable)
-        if task.copies.committed and task.record is not None:
-            task.record.add(
-                task.copies.group(),
-                release_ns=self.now_ns,
-                cycle=task.source.cyclecount,
-                start_ns=self.now_ns,
-                end_ns=self.now_ns,
-                flags=STABLE if stable else 0,
-            )
-        notices = task.outbox.drain()
-        if task.executor.state is not State.ON or notices:
-            self._after(task, notices)
-        if task.executor.state is not State.ON or task.executor.faulted:
-            self.happened.cycled(task)
+    def _flag(self, causes: Iterable[str], *, up: bool) -> None:
+        for cause in sorted(causes):
+            request = m.Flag(cause=cause, up=up)
+            self._ask(self._keeper, request, list[str])
 
-    def _after(self, task: SimTask, notices: Sequence[Notice]) -> None:
-        """Take note of what a task said and of the state it is in now."""
-        state = task.executor.state
-        on = state is State.ON
-        fell = state is State.ERROR
-        if self._turns[task.member.rtpu].mode(task, on=on, fell=fell) and on:
-            task.on_ns, task.last_ns = self.now_ns, 0
-            task.warnings, task.warning = 0, ""
-        for notice in notices:
-            if notice.bits & Signal.WARNING:
-                task.warnings += 1
-                task.warning = task.warning or notice.text
-            if notice.text:
-                self.events.append(f"{self._clock()} {task.said(notice)}")
-        self.happened.noticed(task, notices)
-        self._look_for_causes()
-        self.happened.flagged(self.table.illegal, told=self._steady)
-        self._standbys.look()
-
-    def _look_for_causes(self) -> None:
-        self.table.causes = unwritten(self._tasks.values())
-
-    def _engaged(self, task: SimTask, severity: Severity, text: str) -> None:
-        """Tell that a standby was engaged."""
-        self.happened.tell(task, severity, "FALLBACK", text)
-        self.events.append(f"{self._clock()} {text}")
-
-    def _end(self) -> None:
-        """Turn off and kill whatever is there; failures are events."""
-        self._standbys.forget()
-        self._steady = False
-        on = [task for task in self._tasks.values() if task.executor.state is State.ON]
-        order = legality.off_order([t.member.task for t in on], self.job.off_order)
-        steps = [(name, "off") for name in order]
-        steps += [
-            (name, "kill")
-            for name, state in reversed(self.states().items())
-            if state is not State.NOT_CREATED
-        ]
-        with self.happened.stopping():
-            for name, signal in steps:
-                try:
-                    self.signal(name, signal)
-                except StateError:  # `off` failed and left it in ERROR; `kill` follows
-                    continue
-                except PbonetError as error:
-                    self.events.append(f"{self._clock()} {name}: {error}")
-
-    def _clock(self) -> str:
-        return f"{(self.now_ns - BEGIN_NS) * 1e-9:.3f} s"
+    def _published(self, event: m.Event) -> None:
+        super()._published(event)
+        if event.code in _TOLD and not event.bits & Signal.ERROR:
+            text = placed(event.text.removesuffix(f": {event.state}"), event.place)
+            at = (event.time - BEGIN_NS) * 1e-9
+            self.events.append(f"{at:.3f} s {event.task}: {text}")
 
 
 def simulate(

@@ -1,4 +1,4 @@
-"""."""
+"""Tools around a subsystem: doctor, new files, playback, live view, schedules."""
 
 from pbonet.lazy import attach
 

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import JobTask
     from pbonet.master.configuration import Member
+    from pbonet.master.sim import VirtualTask
 
 _LOADS = frozenset({
     legality.Code.OVERLOAD,
@@ -142,28 +143,34 @@ class Timed(Simulation):
     def begin(self, task: str, now_ns: int, release_ns: int) -> bool:
         """Run a cycle on the inputs of this instant; its outputs are held."""
         del now_ns  # a cycle is told its release, as on an RTPU
-        if not self._is_on(task):
+        if self.states()[task] is not State.ON:
             return False
-        found = self.task(task)
-        self.now_ns = BEGIN_NS + release_ns
-        found.copies.hold = True
-        self._cycle(found)
-        if not self._is_on(task):
-            self._let_go(task)
-        return self._is_on(task)
+        self._pass(BEGIN_NS + release_ns)
+        host = self._host(task)
+        host.local.held = True
+        periodic = self.task(task).freq > 0
+        host.core.grant(host.slot.index, self.now_ns, periodic=periodic)
+        host.run()
+        self._loop.run()
+        on = self.states()[task] is State.ON
+        if not on:
+            host.local.publish()
+        return on
 
     def end(self, task: str, now_ns: int) -> None:
         """Publish the outputs of the cycle that ends."""
-        self.now_ns = BEGIN_NS + now_ns
-        self._let_go(task)
+        self._pass(BEGIN_NS + now_ns)
+        self._host(task).local.publish()
 
-    def _is_on(self, task: str) -> bool:
-        return self.task(task).executor.state is State.ON
+    def step(self, end_ns: float) -> bool:
+        """Let nothing come of time itself: the schedule says when cycles run."""
+        del end_ns
+        self._loop.run()
+        return False
 
-    def _let_go(self, task: str) -> None:
-        copies = self.task(task).copies
-        copies.publish()
-        copies.hold = False
+    def _host(self, task: str) -> VirtualTask:
+        hosts = self.rtpus[self.task(task).rtpu].hosts.values()
+        return next(host for host in hosts if host.spec.task == task)
 
     def _judged(self, change: legality.Change, *, producers: bool) -> legality.Verdict:
         """Judge the job but for its load; its warnings are told by `simulate`."""

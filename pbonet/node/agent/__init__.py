@@ -1,4 +1,4 @@
-"""."""
+"""The agent: the network side of an RTPU (Stewart 1994, section 4.5)."""
 
 from pbonet.lazy import attach
 

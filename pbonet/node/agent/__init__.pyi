@@ -1,2 +1,3 @@
 from . import agent_main as agent_main
 from .agent import Agent as Agent
+from .shared_memory_status import HANDLED as HANDLED, Overview as Overview

@@ -1,4 +1,4 @@
-"""."""
+"""The recorder process: it writes what tasks leave in their rings to MCAP files."""
 
 from pbonet.lazy import attach
 

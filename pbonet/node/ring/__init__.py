@@ -1,4 +1,4 @@
-"""."""
+"""The ring of records between a task and the recorder: native, neither ever waits."""
 
 from pbonet.lazy import attach
 

@@ -13,6 +13,7 @@ from ._rt import (
     FLAGS as FLAGS,
     HANDLER_BOUND_NS as HANDLER_BOUND_NS,
     HANDOVER as HANDOVER,
+    IDLE as IDLE,
     KINDS as KINDS,
     LAST as LAST,
     LEAVE as LEAVE,

@@ -33,6 +33,8 @@ LAST: Final = 5
 """That was to be the last cycle: `CoreTable.request` with `last`; the level is kept."""
 ENGAGED: Final = 6
 """From `Slot.stand_by`: it is time to run ``on``."""
+IDLE: Final = 7
+"""In virtual time: there is nothing to do at this instant."""
 FALLBACK: Final = 1
 HANDOVER: Final = 2
 """What `CoreTable.follow` takes; `pbonet.analysis.schedule.events.After`."""
@@ -59,7 +61,9 @@ class CoreTable:
 
     With `member` the process attaches as an RTPU process: the table is created when
     there is none or when the one found is stale, and is removed by the last member's
-    `close`. Without, an existing table is opened (tasks, agents, tools).
+    `close`. Without, an existing table is opened (tasks, agents, tools). With
+    `virtual_ns` it is a table of this process alone, whose time begins there and
+    passes by `turn` and `grant`; `core` is only a number then.
 
     Raises:
         NodeError: No table to open, or it is of another version or damaged.
@@ -69,7 +73,9 @@ class CoreTable:
     core: int
     path: str
     member: bool
-    def __init__(self, core: int, *, member: bool = True) -> None: ...
+    def __init__(
+        self, core: int, *, member: bool = True, virtual_ns: int = 0
+    ) -> None: ...
     def close(self) -> None:
         """Detach; the last living member removes the file. Idempotent.
 
@@ -185,6 +191,29 @@ class CoreTable:
 
         Raises:
             RealTimeError: A dispatcher leads the table.
+        """
+    virtual_ns: int
+    """The time, where it is virtual; else 0."""
+    @property
+    def due_ns(self) -> int:
+        """The instant of the next turn in virtual time; 0 when there is none."""
+    def turn(self, now_ns: int) -> int:
+        """Take one turn in virtual time, under ``park``.
+
+        Returns:
+            The slot of the task that is let run, -1 for none; call it again when the
+            task's cycle has ended.
+
+        Raises:
+            RealTimeError: A dispatcher leads the table.
+        """
+    def grant(self, i: int, now_ns: int, *, periodic: bool = True) -> None:
+        """Grant a task one cycle at this instant of virtual time, without a turn.
+
+        Args:
+            i: The slot.
+            now_ns: The instant.
+            periodic: Whether the task has a period, by which its first cycle steps.
         """
     def post(
         self,
@@ -322,7 +351,7 @@ class Slot:
                 While they are stale `stable` runs.
 
         Returns:
-            COMMAND, ORPHAN, FLAGS, ABORTED or LAST.
+            COMMAND, ORPHAN, FLAGS, ABORTED or LAST; in virtual time IDLE.
         """
     def stand_by(self) -> int:
         """Wait, OFF, until the dispatcher engages the task; see `CoreTable.follow`.
@@ -330,6 +359,7 @@ class Slot:
         Returns:
             ENGAGED: run ``on`` at the level that the task was given, then `arm`.
             COMMAND, ORPHAN: the task does not stand by any more.
+            IDLE: in virtual time; it stands by until `CoreTable.turn` lets it run.
         """
     def arm(self) -> None:
         """Ask for releases, as `run` does."""
@@ -361,6 +391,9 @@ class Slot:
     @property
     def stable(self) -> bool:
         """Whether `stable` runs in place of `cycle`, or ran last."""
+    @property
+    def now_ns(self) -> int:
+        """The time in which the task lives: CLOCK_MONOTONIC, or virtual."""
     @property
     def release_ns(self) -> int:
         """The release of the cycle that runs, or ran last."""

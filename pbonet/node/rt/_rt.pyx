@@ -34,6 +34,7 @@ FLAGS = 3
 ABORTED = 4
 LAST = 5
 ENGAGED = 6
+IDLE = RT_WAIT_IDLE
 FALLBACK = RT_FALLBACK
 HANDOVER = RT_HANDOVER
 SLOTS = RT_SLOTS
@@ -80,9 +81,11 @@ cdef class Slot:
         self.table = table
         self.index = i
         self.dt_ns = -1
-        rt_guard_slot(&self.task, <xm_steady *>c_steady())
         self.failures = Failures()
-        self.failures.guard(&self.task, table)
+        self.failures.of(&self.task, table)
+        if not rt_is_virtual(self.task.table):
+            rt_guard_slot(&self.task, <xm_steady *>c_steady())
+            self.failures.guard()
 
     def run(self, cycle, LocalTable local, *, stable=None, sync=None, Ring ring=None,
             int leave=LEAVE, failing=None, aged=None) -> int:
@@ -120,7 +123,7 @@ cdef class Slot:
                         return LAST
         finally:
             self.count_faults()
-            if not last:
+            if not last and why != RT_WAIT_IDLE:
                 rt_leave(&self.task, RT_COMMAND)
 
     cdef bint wait_outside(self, sync, Ring ring) except -1:
@@ -155,7 +158,7 @@ cdef class Slot:
         r.kind = RING_SYNC
         r.cycle = rt_cycles(self.task.slot)
         r.release_ns = self.task.rel_ns     # the time that the module was told
-        r.start_ns = r.end_ns = rt_now()
+        r.start_ns = r.end_ns = rt_time(self.task.table)
         r.bytes = self.tape.t.used
         ring_put(ring.r, r, NULL, self.tape.t.bytes, NULL)
         tape_empty(&self.tape.t)
@@ -193,7 +196,7 @@ cdef class Slot:
         if not rt_begin(&self.task) or self.failures.skip:
             return self.leave_out()
         c_defer_bells()
-        cost.start_ns = rt_now()
+        cost.start_ns = rt_time(self.task.table)
         if local is not None:
             flags = local.c_copy_in()
             if ((flags & COPY_STALE) != 0) != self.is_aged:
@@ -205,7 +208,7 @@ cdef class Slot:
         cost.failed = (flags & leave) != 0
         if ring is not None:
             self.begin_record(local, ring)
-        cost.called_ns = rt_now()
+        cost.called_ns = rt_time(self.task.table)
         try:
             if not cost.failed:
                 if rt_enter(RT_IN_CYCLE):
@@ -221,7 +224,7 @@ cdef class Slot:
             cost.failed = 1
             raise
         finally:
-            cost.returned_ns = rt_now()
+            cost.returned_ns = rt_time(self.task.table)
             if not cost.failed and local is not None:
                 self.flags |= local.c_commit(
                     self.stamp_ns if self.stamp_ns else cost.returned_ns,
@@ -249,7 +252,7 @@ cdef class Slot:
         """Record and account; then the cycle is over."""
         cdef rt_cost *cost = &self.cost
         cdef uint64_t cpu
-        cost.end_ns = rt_now()
+        cost.end_ns = rt_time(self.task.table)
         cpu = rt_mark_cpu(&self.task)
         cost.cpu_ns = cpu - self.cpu_mark
         self.cpu_mark = cpu
@@ -343,7 +346,7 @@ cdef class Slot:
                     return why
                 PyErr_CheckSignals()
         finally:
-            if why != RT_RELEASED:
+            if why != RT_RELEASED and why != RT_WAIT_IDLE:
                 rt_leave(&self.task, RT_OFF)
 
     def arm(self) -> None:
@@ -392,6 +395,10 @@ cdef class Slot:
     @property
     def stable(self) -> bool:
         return bool(self.cost.stable)
+
+    @property
+    def now_ns(self) -> int:
+        return rt_time(self.task.table)
 
     @property
     def release_ns(self) -> int:

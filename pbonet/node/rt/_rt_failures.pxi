@@ -53,13 +53,16 @@ cdef class Failures:
     cdef bint skip
     cdef readonly Critical section
 
-    cdef int guard(self, rt_task *task, CoreTable table) except -1:
+    cdef int of(self, rt_task *task, CoreTable table) except -1:
         self.task = task
         self.table = table
         self.section = Critical()
         self.section.failures = self
+        return 0
+
+    cdef int guard(self) except -1:
         _signals.signal(RT_FAIL_SIGNAL, self.deliver)
-        cdef int error = rt_guard_failures(task, HANDLER_BOUND_NS,
+        cdef int error = rt_guard_failures(self.task, HANDLER_BOUND_NS,
                                            PyErr_SetInterruptEx)
         if error:
             raise RealTimeError("timing failures cannot be delivered",

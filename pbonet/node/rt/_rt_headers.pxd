@@ -25,6 +25,8 @@ cdef extern from "layout.h" nogil:
         rt_config config
     struct rt_table:
         rt_slot *slots
+        int64_t due_ns, virtual_ns
+        uint32_t mailbox
 
 cdef extern from "sys.h" nogil:
     int64_t rt_now()
@@ -55,6 +57,8 @@ cdef extern from "table.h" nogil:
     void rt_died(rt_table *t, int i)
     void rt_follow(rt_table *t, int i, int kind, const uint64_t *after)
     void rt_kick(rt_table *t)
+    int64_t rt_time(const rt_table *t)
+    int rt_is_virtual(const rt_table *t)
 
 cdef extern from "call.h" nogil:
     void rt_expect(rt_table *t, int i, uint32_t ticket, uint32_t callers)
@@ -77,7 +81,7 @@ cdef extern from "loop.h" nogil:
 
 cdef extern from "slot.h" nogil:
     enum:
-        RT_RELEASED, RT_WAIT_COMMAND, RT_WAIT_ORPHAN, RT_WAIT_SIGNAL
+        RT_RELEASED, RT_WAIT_COMMAND, RT_WAIT_ORPHAN, RT_WAIT_SIGNAL, RT_WAIT_IDLE
     struct rt_task:
         rt_table *table
         rt_slot *slot
@@ -209,6 +213,8 @@ cdef extern from "view.h" nogil:
     int rt_own_crit_of(const rt_slot *slot)
     int64_t rt_deadline_of(const rt_slot *slot)
     void rt_play(rt_table *t, rt_slot *slot, const rt_part *part)
+    int rt_play_turn(rt_table *t, int64_t now_ns)
+    void rt_play_grant(rt_table *t, rt_slot *slot, int64_t now_ns, int periodic)
 
 cdef extern from "guard.h" nogil:
     struct xm_steady:

@@ -36,11 +36,12 @@ cdef class CoreTable:
     cdef readonly bint member
     cdef int busy           # dispatchers of this process that run on it
     cdef rt_meter[2] meters  # of the leader's threads
+    cdef uint32_t heard     # news that the last turn in virtual time has taken in
 
-    def __cinit__(self, int core, *, bint member=True):
+    def __cinit__(self, int core, *, bint member=True, int64_t virtual_ns=0):
         self.core = core
         self.member = member
-        self.path = _path(f"core{core}")
+        self.path = _path(f"virtual{os.getpid()}.{core}" if virtual_ns else f"core{core}")
         cdef int error
         self.file = strdup(os.fsencode(self.path))
         with nogil:
@@ -48,6 +49,9 @@ cdef class CoreTable:
         if error:
             _refuse(error, self.path)
         self.t = self.map.table
+        if virtual_ns:
+            os.unlink(self.path)        # nobody else is to find it
+            self.turn(virtual_ns)
 
     def close(self) -> None:
         if self.busy:
@@ -192,7 +196,7 @@ cdef class CoreTable:
             pid=v.pid, kind=Kind(v.kind), mode=Mode(v.mode), dead=bool(v.dead),
             comes=bool(v.comes), called=bool(v.called), fell=bool(v.fell),
             period_ns=v.period_ns, deadline_ns=v.deadline_ns, crit=v.crit,
-            priority=v.priority, level=v.level, errors=v.errors, now_ns=rt_now(),
+            priority=v.priority, level=v.level, errors=v.errors, now_ns=rt_time(self.t),
             on_ns=v.on_ns, release_ns=v.release_ns, cycles=v.cycles,
             missed=v.dispatcher_missed + v.failed + v.skipped, late=v.late, failed=v.failed,
             stable_cycles=v.stable, on_cycles=v.on_cycles, on_missed=v.on_missed,
@@ -275,6 +279,28 @@ cdef class CoreTable:
         cdef int64_t due = rt_turn(self.t, now_ns, park, 0, rt_posted_cpu)
         rt_turn_end(self.t)
         return due
+
+    @property
+    def virtual_ns(self) -> int:
+        return self.open().virtual_ns
+
+    @virtual_ns.setter
+    def virtual_ns(self, int64_t now_ns):
+        self.open().virtual_ns = now_ns
+
+    @property
+    def due_ns(self) -> int:
+        cdef rt_table *t = self.open()
+        return t.due_ns if t.mailbox == self.heard else t.virtual_ns
+
+    def turn(self, int64_t now_ns) -> int:
+        self._alone()
+        self.heard = self.t.mailbox
+        return rt_play_turn(self.t, now_ns)
+
+    def grant(self, int i, int64_t now_ns, *, bint periodic=True) -> None:
+        self._alone()
+        rt_play_grant(self.t, self.slot(i), now_ns, periodic)
 
     def post(self, int i, *, mode=None, bint begun=False, bint done=False, event=None,
              locked=None, bint handled=False, bint fell=False, wish=None,

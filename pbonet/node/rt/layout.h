@@ -28,7 +28,7 @@ enum {
     RT_TRACE = 1 << 15,      /* records; a turn writes at most RT_TURN_MAX */
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
-    RT_VERSION = 8,
+    RT_VERSION = 9,
     RT_SIGNALS = 32,         /* what a module may tell its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
@@ -217,6 +217,7 @@ struct rt_table {
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
     _Atomic int64_t late_max_ns;        /* a turn behind the event it was to serve */
     _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stood */
+    _Atomic int64_t virtual_ns;         /* the time, where it is virtual; else 0 */
     int64_t due_ns;                     /* what the last turn sleeps for ... */
     _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */
     _Atomic int64_t look_ns;            /* what the timer of a look is set for; 0: not */

@@ -13,7 +13,8 @@
 
 #include <sys/resource.h>
 
-enum rt_wait { RT_RELEASED = 0, RT_WAIT_COMMAND = 1, RT_WAIT_ORPHAN = 2, RT_WAIT_SIGNAL = 3 };
+enum rt_wait { RT_RELEASED = 0, RT_WAIT_COMMAND = 1, RT_WAIT_ORPHAN = 2, RT_WAIT_SIGNAL = 3,
+               RT_WAIT_IDLE = 7 };
 
 struct rt_task {
     struct rt_table *table;
@@ -119,7 +120,7 @@ static inline void rt_arm(struct rt_task *task)
         word = rt_anew(task, word);
         atomic_store(&slot->post.fell, 0);
         rt_stats_begin(s);
-        rt_put(&s->on_ns, (uint64_t)rt_now());
+        rt_put(&s->on_ns, (uint64_t)rt_time(task->table));
         rt_put(&s->on_cycles, rt_get(&s->cycles));
         rt_put(&s->on_missed, rt_get(&slot->grant.missed) + rt_get(&s->failed) +
                                   rt_get(&s->skipped));
@@ -206,7 +207,8 @@ static inline int rt_was_last(struct rt_task *task)
 }
 
 /* Wait for a release, a command, or the parent's end. `served`: a cycle has run since
- * the last command, so a waiting command goes first now. Comes back on signals too. */
+ * the last command, so a waiting command goes first now. Comes back on signals too, and
+ * in virtual time at once: it passes elsewhere. */
 static inline int rt_wait(struct rt_task *task, int served)
 {
     struct rt_grant *g = &task->slot->grant;
@@ -226,6 +228,8 @@ static inline int rt_wait(struct rt_task *task, int served)
             task->seq = seq;
             return RT_RELEASED;
         }
+        if (rt_is_virtual(task->table))
+            return RT_WAIT_IDLE;
         if (rt_futex_wait(&g->bell, bell, 0) == EINTR)
             return RT_WAIT_SIGNAL;
     }
@@ -243,7 +247,7 @@ static inline void rt_hold_still(struct rt_slot *slot)
 static inline void rt_begin_event(struct rt_task *task)
 {
     struct rt_post *post = &task->slot->post;
-    task->rel_ns = rt_now();
+    task->rel_ns = rt_time(task->table);
     task->dl_ns = RT_NEVER;
     if (task->kind == RT_SYNCHRONOUS)
         task->dl_ns = task->rel_ns + atomic_load(&task->slot->config.period_ns);
@@ -359,10 +363,11 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     rt_stats_end(s);
 }
 
-/* From here on the thread's CPU time is that of the next cycle; returns the clock. */
+/* From here on the thread's CPU time is that of the next cycle; returns the clock, which
+ * stands still in virtual time. */
 static inline uint64_t rt_mark_cpu(struct rt_task *task)
 {
-    uint64_t cpu = rt_thread_cpu();
+    uint64_t cpu = rt_is_virtual(task->table) ? 0 : rt_thread_cpu();
     rt_put(&task->slot->stats.cpu_mark_ns, cpu);
     return cpu;
 }

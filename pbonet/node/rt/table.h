@@ -61,6 +61,18 @@ static inline int rt_member_lives(const struct rt_member *m)
     return now && (now == m->start || now == RT_UNKNOWN || m->start == RT_UNKNOWN);
 }
 
+/* The time in which the table's tasks live. */
+static inline int64_t rt_time(const struct rt_table *t)
+{
+    int64_t at = atomic_load_explicit(&t->virtual_ns, memory_order_relaxed);
+    return at ? at : rt_now();
+}
+
+static inline int rt_is_virtual(const struct rt_table *t)
+{
+    return atomic_load_explicit(&t->virtual_ns, memory_order_relaxed) != 0;
+}
+
 static inline void rt_kick(struct rt_table *t)
 {
     atomic_fetch_add(&t->mailbox, 1);

@@ -278,4 +278,31 @@ static inline void rt_play(struct rt_table *t, struct rt_slot *slot,
         rt_leave(&task, part->mode);
 }
 
+/* Take a turn in virtual time; return the slot that is let run, -1 for none. */
+static inline int rt_play_turn(struct rt_table *t, int64_t now_ns)
+{
+    atomic_store(&t->virtual_ns, now_ns);
+    t->due_ns = rt_turn(t, now_ns, 1, 0, rt_posted_cpu);
+    rt_turn_end(t);
+    for (uint32_t i = 0; i < atomic_load(&t->high); i++) {
+        const struct rt_state *s = &t->slots[i].state;
+        if (s->granted && !s->parked && atomic_load(&t->slots[i].post.done) != s->seq)
+            return (int)i;
+    }
+    return -1;
+}
+
+/* Grant a cycle without a turn, in virtual time; if the task has no period, its first
+ * cycle makes no step. */
+static inline void rt_play_grant(struct rt_table *t, struct rt_slot *slot, int64_t now_ns,
+                                 int periodic)
+{
+    if (!periodic && !rt_get(&slot->stats.last_rel_ns))
+        rt_put(&slot->stats.last_rel_ns, (uint64_t)now_ns);
+    atomic_store(&t->virtual_ns, now_ns);
+    atomic_store(&slot->grant.rel_ns, now_ns);
+    atomic_store(&slot->grant.dl_ns, RT_NEVER);
+    atomic_fetch_add(&slot->grant.seq, 1);
+}
+
 #endif

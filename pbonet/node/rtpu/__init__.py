@@ -1,4 +1,4 @@
-"""."""
+"""The RTPU process: requests, tasks, tables and the dispatcher's thread; no network."""
 
 from pbonet.lazy import attach
 

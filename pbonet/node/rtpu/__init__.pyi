@@ -6,11 +6,16 @@ from . import (
     status as status,
 )
 from .fallbacks import LIMIT as LIMIT, Pair as Pair
+from .fork_client import Child as Child, Spawner as Spawner
+from .request_handlers import Operations as Operations
 from .rtpu_snapshot import Known as Known, KnownTask as KnownTask
+from .rtpu_state import Rtpu as Rtpu
 from .tables import (
+    Opened as Opened,
+    Tables as Tables,
     lock_to_carry as lock_to_carry,
     no_table as no_table,
     remove_unused as remove_unused,
     table_name as table_name,
 )
-from .task_handle import describe_end as describe_end
+from .task_handle import Task as Task, describe_end as describe_end

@@ -124,11 +124,13 @@ class Spawner:
 
     Args:
         core: The RTPU's core.
-        first: The fork server that this process forked when it began.
+        first: The fork server that this process forked when it began, if it did.
         died: Called with the exit code when the fork server ends unasked.
     """
 
-    def __init__(self, core: int, first: Server, died: Callable[[int], None]) -> None:
+    def __init__(
+        self, core: int, first: Server | None, died: Callable[[int], None]
+    ) -> None:
         self._core = core
         self._died = died
         self._first: Server | None = first

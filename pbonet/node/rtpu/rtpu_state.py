@@ -61,7 +61,7 @@ class Rtpu:
         config: What its agent told it at its start.
         events: Where to tell what happens.
         places: Its files in the runtime folder.
-        forks: The fork server that its process began with.
+        forks: The fork server that its process began with; in virtual time None.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Rtpu:
         config: rtpu_messages.RtpuConfig,
         events: EventLog,
         places: run_folder.Places,
-        forks: Server,
+        forks: Server | None,
     ) -> None:
         self.config = config
         self.events = events
@@ -78,7 +78,7 @@ class Rtpu:
         self.name = config.name
         self.slot_owner = f"{config.domain}/{config.name}"
         self.claims = Claims(config.name, epoch=time.time_ns() // 1_000_000)
-        self.tables = Tables(config.domain, changed=self.tell_claims)
+        self.tables = self._open_tables()
         self.flags = Flags(config.name, self.tables, events)
         self.tasks: dict[Key, Task] = {}
         self.tombs: dict[Key, TaskStatus] = {}
@@ -97,7 +97,7 @@ class Rtpu:
         self.turned_on = 0
         self.signals = Signals(events)
         self._timekeeper = Timekeeper(events)
-        self.spawner = Spawner(config.core, forks, self._forks_died)
+        self.spawner = self._make_spawner(forks)
         self.core: rt.CoreTable
         self.dispatcher: rt.Dispatcher
         self.vigil: rt.Vigil
@@ -113,6 +113,16 @@ class Rtpu:
         """Has heirs of a subsystem on other machines called."""
         self.changed: Callable[[], None] | None = None
         """Called when something may have changed that `rtpu_snapshot` tells."""
+
+    def _open_tables(self) -> Tables:
+        return Tables(self.config.domain, changed=self.tell_claims)
+
+    def _make_spawner(self, forks: Server | None) -> Spawner:
+        return Spawner(self.config.core, forks, self._forks_died)
+
+    def now_ns(self) -> int:
+        """Return the time in which the tasks live."""
+        return time.monotonic_ns()
 
     async def start(self) -> None:
         """Take the core, start dispatching, start the fork server.
@@ -335,7 +345,7 @@ class Rtpu:
         elif notice.state:
             self.settle(task)
         goes_on = notice.state in {"", State.ON}  # a flood at worst, no change of state
-        if goes_on and not task.budget.take(time.monotonic_ns()):
+        if goes_on and not task.budget.take(self.now_ns()):
             where = task.facts.subsystem
             self.events.count(notice.code, subsystem=where, task=task.name)
             return

@@ -9,13 +9,20 @@ from pbonet.errors import PbonetError
 from pbonet.node import rt
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pbonet.xm.net import Call
 
 
 class Heralds:
-    """The heirs that a task calls when it has ended; in the task's process."""
+    """The heirs that a task calls when it has ended; in the task's process.
 
-    def __init__(self) -> None:
+    Args:
+        open_core: Opens the table of a core by its number.
+    """
+
+    def __init__(self, open_core: Callable[[int], rt.CoreTable]) -> None:
+        self._open_core = open_core
         self._ways: list[tuple[rt.CoreTable, Call]] = []
         self.gone: list[str] = []
         """Heirs that were not there any more when they were called last."""
@@ -29,7 +36,7 @@ class Heralds:
         self.forget()
         for call in calls:
             with contextlib.suppress(PbonetError):
-                table = rt.CoreTable(call.core, member=False)
+                table = self._open_core(call.core)
                 self._ways.append((table, call))
         return [call.heir for call in calls if not self._sees(call)]
 

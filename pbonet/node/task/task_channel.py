@@ -8,7 +8,6 @@ import os
 import select
 import signal
 import socket
-import time
 from collections import Counter, deque
 from typing import TYPE_CHECKING
 
@@ -307,7 +306,7 @@ class SlotTime:
         """The release of the present cycle; between cycles, when the method began."""
         if self.cycling:
             return self._slot.release_ns
-        return self._held or time.monotonic_ns()
+        return self._held or self._slot.now_ns
 
     @contextlib.contextmanager
     def held(self) -> Generator[None]:
@@ -320,7 +319,7 @@ class SlotTime:
 
     def tick(self) -> int:
         """Have it stand still from now on, and return it."""
-        self._held = time.monotonic_ns()
+        self._held = self._slot.now_ns
         return self._held
 
     @property

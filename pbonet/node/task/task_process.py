@@ -43,6 +43,7 @@ from .task_ports import ages, check_ports, local_table
 
 if TYPE_CHECKING:
     from pbonet.config import Rmod
+    from pbonet.log import TaskAbout
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
@@ -56,8 +57,11 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     spec = msgspec.msgpack.decode(data, type=rtpu_messages.TaskSpec)
     voice = Voice(sock)
     try:
-        host = Host(spec, voice, orphan_fd)
+        core = rt.CoreTable(spec.core, member=False)
+        host = Host(spec, voice, core, orphan_fd)
+        host.take_signals()
         host.create()
+        host.slot.vow()
     except PbonetError as error:
         voice.say(
             rtpu_messages.Done(n=0, state=State.NOT_CREATED, error=error.to_wire())
@@ -74,11 +78,16 @@ class Host:
     Args:
         spec: What the task is to be.
         voice: The socket to the RTPU process.
+        core: The table of its core.
         orphan_fd: Readable once the parent is gone.
     """
 
     def __init__(
-        self, spec: rtpu_messages.TaskSpec, voice: Voice, orphan_fd: int
+        self,
+        spec: rtpu_messages.TaskSpec,
+        voice: Voice,
+        core: rt.CoreTable,
+        orphan_fd: int = -1,
     ) -> None:
         self.spec = spec
         self.voice = voice
@@ -86,23 +95,57 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
-        self.heralds = Heralds()
+        self.heralds = Heralds(self.open_core)
         self.heir_of: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
         """What it says when it has come on, made beforehand: its first cycle waits."""
-        self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
-        for which in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(which, self._on_signal)
-        self.core = rt.CoreTable(spec.core, member=False)
-        self.slot = rt.Slot(self.core, spec.slot)
+        self._wake_read = -1
+        self.core = core
+        self.slot = rt.Slot(core, spec.slot)
         self.watch = SlotWatch(self.slot.failures)
         self.decoder: msgspec.msgpack.Decoder[rtpu_messages.ToTask] = (
             msgspec.msgpack.Decoder(rtpu_messages.ToTask)
         )
 
     # -- birth -------------------------------------------------------------------------
+
+    def take_signals(self) -> None:
+        """Have signals from outside end the task."""
+        self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
+        for which in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(which, self._on_signal)
+
+    def open_core(self, number: int) -> rt.CoreTable:
+        """Return the table of a core.
+
+        Raises:
+            PbonetError: It cannot be had.
+        """
+        return rt.CoreTable(number, member=False)
+
+    def library(self) -> Library:
+        """Return the library that has the module."""
+        return Library(self.spec.libraries)
+
+    def attach(self) -> Table:
+        """Return the subsystem's table.
+
+        Raises:
+            SvarError: It cannot be had.
+        """
+        return Table.attach(self.spec.table, layout=self.spec.layout)
+
+    def live_in_process(self) -> None:
+        """Tell what this process is to those whom the module asks for its place."""
+        spec = self.spec
+        live_on(
+            spec.rtpu,
+            domain=spec.domain,
+            priority=self.watch.ranked,
+            subsystem=spec.subsystem,
+        )
 
     def create(self) -> None:
         """Load the module, bind it to the table, and run its `init`.
@@ -112,15 +155,15 @@ class Host:
         """
         spec = self.spec
         self.rmod: Rmod = parse_rmod(spec.rmod, spec.rmod_name)
-        library = Library(spec.libraries)
+        library = self.library()
         loaded = library.load_rmod(self.rmod)
         self.info = loaded.info
         check_ports(self.rmod, loaded.info)
         params = decode_params(loaded.cls, self.rmod.settings, where=self.rmod.file)
-        self.table = Table.attach(spec.table, layout=spec.layout)
+        self.table = self.attach()
         self.local = local_table(self.table, spec.task, self.rmod)
         told = journal.about(spec, self.rmod, self.info, library, self.table)
-        self.ring = Ring.create(spec.ring, about=msgspec.json.encode(told))
+        self.ring = self.record(told)
         self.tape = self.slot.tape = Tape()
         use(self.tape)
         told_of = Told()
@@ -146,12 +189,7 @@ class Host:
             port.attr: self.local.array(self.rmod.svar_name(port.name))
             for port in self.info.ports
         }
-        live_on(
-            spec.rtpu,
-            domain=spec.domain,
-            priority=self.watch.ranked,
-            subsystem=spec.subsystem,
-        )
+        self.live_in_process()
         instance = bind(loaded.cls, params, arrays, self.context)
         stale = ages(self.rmod, self.info, self.local.stale)
         self.context.is_stale = lambda port: told_of.ask(
@@ -165,7 +203,10 @@ class Host:
         self.alarm = Alarm(self.table, f"{spec.rtpu}/{spec.task}", self.context)
         with self.journal.doing(Did("spawn")), self.local.replacing(spec.replaces):
             self.executor.spawn()
-        self.slot.vow()
+
+    def record(self, told: TaskAbout) -> Ring:
+        """Return the ring for the task's records."""
+        return Ring.create(self.spec.ring, about=msgspec.json.encode(told))
 
     def settle(self) -> None:
         """Make the process fit for real time, then say that the task is OFF."""
@@ -182,6 +223,10 @@ class Host:
         self.slot.command_level()
         if self.outside:
             task_channel.interrupt_waits(self.voice.sock, self._on_message)
+        self.ready(notes)
+
+    def ready(self, notes: list[str]) -> None:
+        """Say that the task is OFF, and what else there is to say."""
         ready = rtpu_messages.TaskReady(
             module=self.info.name,
             version=self.info.version,
@@ -256,9 +301,10 @@ class Host:
             error=failed,
         )
 
-    def _cycle(self) -> None:
-        """Cycle until a message waits or something fails."""
+    def _cycle(self) -> int:
+        """Cycle until a message waits or something fails; return why it came back."""
         instance = self.executor.instance
+        reason = 0
         if not self.voice.pay():
             self.core.request(self.spec.slot)  # come back behind a cycle, and pay
         self.time.cycling = True
@@ -289,6 +335,7 @@ class Host:
         if self.context.off_requested and self.executor.state is State.ON:
             self._obey("off")
         self._take()
+        return reason
 
     def _aged(self, stale: bool) -> None:  # noqa: FBT001 - called by the native loop
         """Say that inputs of a critical task have become stale, or are fresh again."""
@@ -451,10 +498,14 @@ class Host:
             self._disarm()
             if cede and state is State.OFF:
                 self.heralds.call()
-            gc.collect()
-            gc.freeze()
+            self._tidy()
         if state is State.NOT_CREATED:
             self._over = True
+
+    def _tidy(self) -> None:
+        """Have the collector of garbage find nothing in the cycles to come."""
+        gc.collect()
+        gc.freeze()
 
     def _disarm(self) -> None:
         """Take part in no releases; in ERROR, have whoever stands by engaged."""

@@ -1,4 +1,4 @@
-"""."""
+"""A table on several machines: what each sends the others of its own part."""
 
 from pbonet.lazy import attach
 

@@ -1,4 +1,4 @@
-"""."""
+"""Semaphores, queues, segments, mailboxes, files by name (Stewart 1994, 5.3-5.4)."""
 
 from pbonet.lazy import attach
 

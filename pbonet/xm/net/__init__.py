@@ -1,4 +1,4 @@
-"""."""
+"""The network: zenoh sessions, requests, keys, certificates, the run folder."""
 
 from pbonet.lazy import attach
 

@@ -16,6 +16,7 @@ from . import (
     unreachable_reason as unreachable_reason,
 )
 from .callbacks import direct as direct
+from .codec import Codec as Codec, failure as failure
 from .file_messages import FileWrite as FileWrite
 from .message_parts import VarValue as VarValue, plain as plain
 from .messages import (

@@ -175,7 +175,7 @@ def test_calls_do_what_the_commands_do(arm):
     assert arm.status("target", fields=())[0].fields == {"refF": 25.0}
     assert arm.status_set("default") == status_fields.DEFAULT
     assert arm.freq("target", 50.0) == 50.0
-    assert arm.set("puma_pidg", "kd", [9, 8, 7, 6, 5, 4])[0].value == (9, 8, 7, 6, 5, 4)
+    assert arm.set("puma_pidg", "kd", [9, 8, 7, 6, 5, 4])[0].value == [9, 8, 7, 6, 5, 4]
     assert arm.get("puma_pidg", "kd") == arm.set("puma_pidg", "kd")
     assert [one.name for one in arm.display("Q_*")] == ["Q_REF", "Q_MEZ"]
     assert {one.name for one in arm.display(writer="target")} == {"X_DES", "X^_DES"}
@@ -185,6 +185,7 @@ def test_calls_do_what_the_commands_do(arm):
     counts = arm.events_count("target")
     told = {"rtpu": "arm1", "task": "target"}
     assert counts == [
+        told | {"code": "FREQ", "count": 1},
         told | {"code": "SPAWNED", "count": 1},
         told | {"code": "STATE", "count": 3},
     ]

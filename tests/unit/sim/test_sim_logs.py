@@ -90,9 +90,7 @@ def test_its_events_and_states_are_in_the_log(tmp_path) -> None:
     assert (failed["task"], failed["state"], failed["severity"]) == ("a", "ERROR", 40)
     assert "fragile.py:" in failed["place"]
     assert "it breaks" in failed["text"]
-    assert [one[2] for one in told if one[1] == "ILLEGAL"] == [
-        "b reads Y, which nobody writes"
-    ]
+    assert [one[2] for one in told if one[1] == "ILLEGAL"] == ["a is in ERROR (r/a)"]
     assert told[-1][1:] == ("STOPPED", "2 tasks ended")
     data = text.info(log)
     states = {name: one["timeline"] for name, one in data["tasks"].items()}

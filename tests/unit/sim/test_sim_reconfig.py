@@ -32,7 +32,7 @@ def simulation() -> Simulation:
 
 def test_a_task_that_is_spawned_is_off_and_known(simulation: Simulation) -> None:
     assert simulation.states()["damped_ls"] is State.OFF
-    assert simulation.task("qrint").member.rtpu == "arm1"
+    assert simulation.task("qrint").rtpu == "arm1"
     assert len(simulation.recording.arrays("puma_inv_kin")["cycle"]) == 10
     with pytest.raises(StateError, match="has a task qrint already"):
         simulation.spawn("qrint")
@@ -44,7 +44,7 @@ def test_a_list_is_carried_out_at_one_instant(simulation: Simulation) -> None:
         "damped_ls": State.ON,
         "qrint": State.ON,
     }
-    assert not simulation.table.causes
+    assert not simulation.table.illegal
     simulation.advance(0.1)
     simulation.stop()
     assert simulation.events == []
@@ -58,13 +58,13 @@ def test_a_list_is_carried_out_at_one_instant(simulation: Simulation) -> None:
 def test_velocity_is_handed_over_but_not_left_behind(simulation: Simulation) -> None:
     simulation.reconfig(SWAP)
     simulation.advance(2.0)
-    assert np.abs(simulation.table.values["Q^_CMD"]).max() > 0.1
+    assert np.abs(simulation.table.read("Q^_CMD")).max() > 0.1
     simulation.reconfig([
         ("qrint", "off"),
         ("damped_ls", "off"),
         ("puma_inv_kin", "on"),
     ])
-    assert np.array_equal(simulation.table.values["Q^_CMD"], np.zeros(6))
+    assert np.array_equal(simulation.table.read("Q^_CMD"), np.zeros(6))
     simulation.stop()
 
 

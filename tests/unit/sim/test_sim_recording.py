@@ -2,29 +2,49 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 
 from pbonet.config.model import Variable
 from pbonet.errors import UnknownVariableError
+from pbonet.log import Step, TaskAbout
 from pbonet.master.sim.sim_recording import Recording
+from pbonet.node.ring._ring import Ring
 
-VARIABLES = (
-    Variable(name="A", type="int", nelem=3),
-    Variable(name="B", type="double", nelem=2),
-    Variable(name="C", type="byte", nelem=1),
-)
+A = Variable(name="A", type="int", nelem=3)
+B = Variable(name="B", type="double", nelem=2)
+C = Variable(name="C", type="byte", nelem=1)
+
+
+def about(*outvar: Variable) -> TaskAbout:
+    """Return what is said of a task that writes these variables."""
+    names = dict.fromkeys(("domain", "rtpu", "subsystem", "task", "module"), "x")
+    return TaskAbout(
+        **names, pid=1, freq=1.0, rmod="", rmod_name="", outvar=list(outvar)
+    )
 
 
 def filled() -> Recording:
     recording = Recording({"job": "demo", "seconds": 1.5})
-    first = recording.task("one", VARIABLES, ["C", "A"])
-    for k in range(3):
-        group = np.array([k, -k, 7], "<i4").tobytes() + bytes(4) + bytes([k]) + bytes(7)
-        first.add(group, release_ns=1000 + k, cycle=k + 1, cpu_ns=50 + k, flags=k)
-    second = recording.task("two", VARIABLES, ["B"])
-    second.add(np.array([0.5, 1.5]).tobytes(), release_ns=900, cycle=1)
-    recording.task("idle", VARIABLES, [])
+    first = recording.task("one", about(A, C))
+    ring = Ring.create(f"recording{os.getpid()}")
+    try:
+        ring.put(b"", kind=Step.ON_IN, cycle=4)
+        for k in range(3):
+            values = np.array([k, -k, 7], "<i4").tobytes()
+            group = values + bytes(4) + bytes([k]) + bytes(7)
+            ring.put(group, now_ns=1000 + k, cycle=k + 5)
+        first.add(ring.take())
+        second = recording.task("two", about(B))
+        ring.put(np.array([0.5, 1.5]).tobytes(), now_ns=900, cycle=1)
+        second.drain = lambda: second.add(ring.take())
+        assert len(recording.arrays("two")["cycle"]) == 1
+        second.drain = lambda: None
+    finally:
+        ring.destroy()
+    recording.task("idle", about())
     return recording
 
 
@@ -36,9 +56,9 @@ def test_it_gives_back_what_was_put_in() -> None:
     assert one["A"].tolist() == [[0, 0, 7], [1, -1, 7], [2, -2, 7]]
     assert one["A"].dtype == np.dtype("<i4")
     assert one["C"].tolist() == [[0], [1], [2]]
-    assert one["cycle"].tolist() == [1, 2, 3]
-    assert one["cpu_ns"].tolist() == [50, 51, 52]
-    assert one["flags"].tolist() == [0, 1, 2]
+    assert one["cycle"].tolist() == [1, 2, 3], "since it was turned on"
+    assert one["release_ns"].tolist() == [1000, 1001, 1002]
+    assert one["flags"].tolist() == [0, 0, 0]
     assert recording.variables("one") == ["A", "C"]
     assert recording.writer("B") == "two"
     assert recording.begin_ns == 900
@@ -50,7 +70,7 @@ def test_it_gives_back_what_was_put_in() -> None:
 
 def test_of_two_writers_the_first_counts() -> None:
     recording = filled()
-    recording.task("three", VARIABLES, ["B"])
+    recording.task("three", about(B))
     assert recording.writer("B") == "two"
 
 

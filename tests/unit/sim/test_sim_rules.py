@@ -18,7 +18,8 @@ from pbonet.errors import (
     UnknownTaskError,
     VerificationError,
 )
-from pbonet.master.sim.simulation import BEGIN_NS, Simulation
+from pbonet.master.sim.simulation import Simulation
+from pbonet.master.sim.virtual_rtpus import BEGIN_NS
 
 HEAD = """
 from typing import Annotated as A
@@ -271,17 +272,17 @@ def test_error_in_a_cycle_stops_that_task_and_makes_critical_ones_stable(
     simulation.advance(0.2)
     assert simulation.states() == {"fragile": State.ERROR, "sink": State.ON}
     assert simulation.recording.arrays("fragile")["Y"].ravel().tolist() == [1, 2, 3, 4]
-    assert simulation.table.values["Y"].tolist() == [4.0], "the last good value stands"
+    assert simulation.table.read("Y").tolist() == [4.0], "the last good value stands"
     z = simulation.recording.arrays("sink")["Z"].ravel()
     assert z.tolist() == [1.0, 2.0, 3.0, 4.0] + [-1.0] * 16
     assert any("fragile" in event for event in simulation.events)
 
     assert simulation.signal("fragile", "clear") is State.OFF
-    simulation.table.values["Y"][:] = 10.0  # an operator removes the cause
+    simulation.table.write("Y", [10.0])  # an operator removes the cause
     simulation.signal("fragile", "on")
-    assert not simulation.table.causes
+    assert not simulation.table.illegal
     simulation.advance(0.02)
-    assert simulation.table.values["Z"].tolist() == [12.0]
+    assert simulation.table.read("Z").tolist() == [12.0]
     simulation.stop()
     assert set(simulation.states().values()) == {State.NOT_CREATED}
 
@@ -306,11 +307,11 @@ def test_module_turns_itself_off_and_can_be_turned_on_again(shop: Shop) -> None:
     simulation.start()
     simulation.advance(2.0)
     assert simulation.states() == {"goal": State.OFF}
-    assert simulation.table.values["Y"].tolist() == [3.0]
-    assert simulation.events == ["0.300 s goal: there"]
+    assert simulation.table.read("Y").tolist() == [3.0]
+    assert simulation.events == ["0.300 s goal: OFF: there"]
     simulation.signal("goal", "on")
     simulation.advance(2.0)
-    assert simulation.table.values["Y"].tolist() == [6.0]
+    assert simulation.table.read("Y").tolist() == [6.0]
     cycles = simulation.recording.arrays("goal")["cycle"].tolist()
     assert cycles == [1, 2, 3, 1, 2, 3], "counted since it was turned on"
     simulation.stop()
@@ -332,7 +333,7 @@ def test_limits_of_variables_hold(
     simulation.start()
     simulation.advance(0.1)
     assert simulation.states() == {"source": state}
-    assert simulation.table.values["Y"].tolist() == [last]
+    assert simulation.table.read("Y").tolist() == [last]
     simulation.stop()
 
 
@@ -348,7 +349,7 @@ def test_nan_is_outside_of_no_limit_but_finite_judges_it(
     simulation.start()
     simulation.advance(0.1)
     assert simulation.states() == {"nan": state}
-    assert np.isnan(simulation.table.values["Y"]).all() == (finite == "no")
+    assert np.isnan(simulation.table.read("Y")).all() == (finite == "no")
 
 
 def test_two_rmods_of_one_module_have_two_lives(shop: Shop) -> None:

@@ -100,7 +100,7 @@ def values(shop, seconds, name):
 
     class Watched(schedule_job.Timed):
         def stop(self):
-            found.append(float(self.table.values[name][0]))
+            found.append(float(self.table.read(name)[0]))
             super().stop()
 
     with pytest.MonkeyPatch.context() as patch:

@@ -1,0 +1,462 @@
+"""One RTPU and its tasks in virtual time, in this process.
+
+It is the RTPU of `pbonet.node` itself: the same requests, the same state, the same
+tasks. What a process of its own, shared memory and a dispatcher's thread are to that is
+here a channel in memory, tables that nobody else can open, and turns as time passes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import msgspec
+from msgspec import structs
+
+from pbonet.config import TaskType, parse_rmod
+from pbonet.errors import NodeError, PbonetError, Severity
+from pbonet.log import HEAD_DTYPE, RECORD
+from pbonet.node import rt
+from pbonet.node.agent import Overview
+from pbonet.node.ring import Ring
+from pbonet.node.rtpu import (
+    Child,
+    Opened,
+    Operations,
+    Rtpu,
+    Spawner,
+    Tables,
+    rtpu_snapshot,
+)
+from pbonet.node.task import Host, Voice, inspect
+from pbonet.node.wire import rtpu_messages
+from pbonet.outside import using
+from pbonet.pbo import State
+from pbonet.svar import Table, var_bytes
+
+from .virtual_loop import Channel, pair, running
+
+if TYPE_CHECKING:
+    import signal
+    import socket
+    from collections.abc import Callable, Generator, Sequence
+
+    from pbonet.analysis.schedule import CoreStatus, SlotStatus
+    from pbonet.config import Library, Rmod, SvarFile
+    from pbonet.log import TaskAbout
+    from pbonet.node.rtpu import Task
+    from pbonet.node.wire import EventLog
+
+    from .virtual_loop import VirtualLoop
+
+_RING = 1 << 20
+_HEARD = 1 << 14
+"""Bytes that are kept free in a ring for what a cycle hears from outside."""
+
+
+class World:
+    """What the RTPUs of a simulation have in common.
+
+    Args:
+        loop: Their time.
+        library: Where their modules come from.
+        domain: A name that no other simulation of this process has.
+        simulated: The types of tasks that can be run.
+        record: Takes the ring of each task, and whose it is.
+    """
+
+    def __init__(
+        self,
+        loop: VirtualLoop,
+        library: Library,
+        domain: str,
+        simulated: Sequence[TaskType],
+        record: Callable[[VirtualTask, TaskAbout], None],
+    ) -> None:
+        self.loop, self.library, self.domain = loop, library, domain
+        self.simulated = simulated
+        self.record = record
+        self.tables: dict[str, Table] = {}
+        self.cores: list[VirtualCore] = []
+        self._spawned = 0
+
+    def number(self) -> int:
+        """Return a number that stands for that of a process."""
+        self._spawned += 1
+        return self._spawned
+
+
+class VirtualRtpu(Rtpu):
+    """An RTPU whose tasks are in this process.
+
+    Args:
+        name: Its name.
+        number: Stands for its core.
+        world: What it has in common with the others.
+        events: Where to tell what happens.
+    """
+
+    def __init__(self, name: str, number: int, world: World, events: EventLog) -> None:
+        self.world = world
+        self.hosts: dict[int, VirtualTask] = {}
+        """By their slots."""
+        config = rtpu_messages.RtpuConfig(
+            domain=world.domain,
+            name=name,
+            core=number,
+            libraries=tuple(str(one.absolute()) for one in world.library.folders),
+        )
+        super().__init__(config, events, None, None)  # type: ignore[arg-type]
+        self.core = VirtualCore(number, virtual_ns=world.loop.now_ns)
+        self.core.asked = self._asked
+        world.cores.append(self.core)
+        self.operations = Operations(self)
+        self.overview = VirtualOverview(self)
+
+    def turn(self) -> None:
+        """Let every task run that has a release now, the most urgent one first."""
+        loop, slot = self.world.loop, -1
+        while 0 < self.core.due_ns <= loop.now_ns or slot >= 0:
+            slot = self.core.turn(loop.now_ns)
+            loop.run()  # what the one before has said: the dispatcher comes first
+            if host := self.hosts.get(slot):
+                host.run()
+
+    def now_ns(self) -> int:
+        """Return the virtual time."""
+        return self.world.loop.now_ns
+
+    def save(self) -> None:
+        """Do nothing: there is nothing to be cleaned away."""
+
+    def watch_life(self, task: Task) -> None:
+        """Do nothing: nobody dies here."""
+
+    def _open_tables(self) -> Tables:
+        return VirtualTables(self.world, changed=self.tell_claims)
+
+    def _make_spawner(self, forks: object) -> Spawner:
+        del forks
+        self.vigil = NoVigil()  # type: ignore[assignment]
+        return VirtualSpawner(self)
+
+    def _asked(self, slot: int) -> None:
+        """Have a task receive its messages."""
+        if host := self.hosts.get(slot):
+            self.world.loop.call_soon(host.attend)
+
+
+class NoVigil:
+    """Watches over no lives."""
+
+    def forget(self, slot: int) -> None:
+        """Do nothing."""
+
+
+class VirtualCore(rt.CoreTable):
+    """The table of a core that is none: every task is released, and none is late."""
+
+    asked: Callable[[int], None]
+
+    def configure(self, i: int, **settings: Any) -> None:  # noqa: ANN401 - as they come
+        """Change a slot, but for what only time itself can do to a task."""
+        kept = ("pid", "period_ns", "crit", "priority")
+        super().configure(i, **{k: v for k, v in settings.items() if k in kept})
+
+    def close(self) -> None:
+        """Do nothing: others of this process use it, too."""
+
+    def request(self, i: int, *, last: bool = False) -> None:
+        """Tell a task that a message waits for it."""
+        del last
+        self.asked(i)
+
+    def snapshot(self, i: int) -> SlotStatus:
+        """Return how a task stands; nothing of its times was measured."""
+        return structs.replace(super().snapshot(i), jitter=[])
+
+    def status(self) -> CoreStatus:
+        """Return how the dispatcher stands."""
+        return structs.replace(super().status(), backend="inline")
+
+
+class VirtualTables(Tables):
+    """Tables that this process alone can open, each the same for all RTPUs."""
+
+    def __init__(self, world: World, *, changed: Callable[[], None]) -> None:
+        super().__init__(world.domain, changed=changed)
+        self._world = world
+
+    def need_file(self, subsystem: str) -> Opened:
+        """Return the subsystem's table."""
+        return self.need(subsystem)
+
+    def close(self, subsystem: str) -> None:
+        """Let go of the table."""
+        if opened := self._open.pop(subsystem, None):
+            if opened.keep:
+                self._world.tables.pop(opened.table.name, None)
+            self._changed()
+
+    def _create(self, name: str, file: SvarFile) -> Table:
+        table = self._world.tables.get(name)
+        if table is None:
+            table = self._world.tables[name] = Table.create(name, file.variables)
+            table.path.unlink()
+            table.virtual = lambda: self._world.loop.now_ns
+        return table
+
+    def _attach(self, name: str, file: SvarFile) -> Table:
+        return self._create(name, file)
+
+
+class VirtualOverview(Overview):
+    """What an agent knows of its RTPU.
+
+    Args:
+        rtpu: The RTPU.
+    """
+
+    def __init__(self, rtpu: VirtualRtpu) -> None:
+        def note(note: rtpu_messages.Note) -> None:
+            rtpu.events.add(Severity(note.severity), note.code, note.text)
+
+        super().__init__(rtpu.config.domain, rtpu.name, note, lambda _: None)
+        self._state = rtpu
+        self._core = rtpu.core
+        self._teller = rtpu_snapshot.Teller(rtpu)
+
+    def refresh(self) -> None:
+        """Learn what has changed."""
+        tables = self._state.tables
+        opened = {name: tables.need(name) for name in tables.subsystems()}
+        self._tables = {name: (one.table, one.keep) for name, one in opened.items()}
+        if news := self._teller.news():
+            self.learn(msgspec.msgpack.decode(news, type=rtpu_snapshot.Known))
+
+
+class VirtualSpawner(Spawner):
+    """Makes tasks in this process.
+
+    Args:
+        rtpu: Whose.
+    """
+
+    def __init__(self, rtpu: VirtualRtpu) -> None:
+        super().__init__(rtpu.config.core, None, lambda _: None)
+        self._rtpu = rtpu
+
+    async def fork(self, kind: str, title: str, spec: msgspec.Struct) -> Child:
+        """Return what stands for the process of a task, or of an inspector."""
+        del kind, title
+        world = self._rtpu.world
+        near, far = pair(world.loop)
+        child = VirtualChild(world.number(), near)
+        if isinstance(spec, rtpu_messages.InspectSpec):
+            child.left = rtpu_messages.encode(inspect(world.library, spec.name))
+            child.exited.set_result(0)
+        elif isinstance(spec, rtpu_messages.TaskSpec):
+            host = VirtualTask(self._rtpu, spec, child, far)
+            self._rtpu.hosts[spec.slot] = host
+            world.loop.call_soon(host.begin)
+        return child
+
+
+class VirtualChild(Child):
+    """Stands for the process of a task.
+
+    Args:
+        pid: Another number for each.
+        sock: The channel to it.
+    """
+
+    def __init__(self, pid: int, sock: Channel) -> None:
+        self.pid, self.started = pid, 0
+        self.sock = cast("socket.socket", sock)
+        self.out = -1
+        self.left = b""
+        self.exited = asyncio.get_running_loop().create_future()
+
+    def crash_text(self) -> str:
+        """Return nothing: it cannot crash by itself."""
+        return ""
+
+    def result(self) -> bytes:
+        """Return what an inspector has found."""
+        return self.left
+
+    def send_signal(self, which: signal.Signals) -> None:
+        """Do nothing: what hangs here has this process hang."""
+
+    def close(self) -> None:
+        """Close the channel."""
+        self.sock.close()
+
+
+class VirtualTask(Host):
+    """A task in this process: what `Host` is, but for the process.
+
+    Args:
+        rtpu: Its RTPU.
+        spec: What it is to be.
+        child: Stands for its process.
+        channel: Leads to its RTPU.
+    """
+
+    def __init__(
+        self,
+        rtpu: VirtualRtpu,
+        spec: rtpu_messages.TaskSpec,
+        child: VirtualChild,
+        channel: Channel,
+    ) -> None:
+        super().__init__(spec, Voice(channel), rtpu.core)  # type: ignore[arg-type]
+        self._rtpu, self._child, self._channel = rtpu, child, channel
+        self._made = self._stands = False
+        self._batch = self._left = 1
+        self._cycles = 0
+        self.drain: Callable[[], None] = lambda: None
+        """Takes what is in the ring."""
+
+    @property
+    def cycles(self) -> int:
+        """Cycles executed since the task was spawned."""
+        return self._cycles if self._over else self.slot.cycles
+
+    def create(self) -> None:
+        """Load the module, bind it to the table, and run its `init`.
+
+        Raises:
+            NodeError: It is of a type that cannot be simulated.
+            PbonetError: As of any task.
+        """
+        rmod = parse_rmod(self.spec.rmod, self.spec.rmod_name)
+        must_be_simulated(rmod, self.spec.freq, self._rtpu.world.simulated, rmod.file)
+        super().create()
+
+    def begin(self) -> None:
+        """Be created, and say how that went."""
+        with running(None), using(None):
+            try:
+                self.create()
+            except PbonetError as error:
+                done = rtpu_messages.Done(
+                    n=0, state=State.NOT_CREATED, error=error.to_wire()
+                )
+                self.voice.say(done)
+                self._over = True
+                self._close()
+            else:
+                self._made = True
+                self.ready([])
+
+    def attend(self) -> None:
+        """Carry out the messages that wait."""
+        if not self._made or self._over or not self._channel.waits:
+            return
+        with self._awake():
+            if self._stands:
+                self._stands = False
+                self.slot.disarm()
+            self._take()
+            self._go_on()
+
+    def run(self) -> None:
+        """Run the cycle, or come on, as the dispatcher has granted."""
+        with self._awake():
+            if self._stands:
+                self._stands = False
+                self._engage()
+            self._go_on()
+            self._left -= 1
+            if self._left <= 0:
+                self._left = self._batch
+                self.drain()
+
+    def _go_on(self) -> None:
+        """Do what there is to do at this instant."""
+        while self.executor.state is State.ON and self._cycle() != rt.IDLE:
+            pass
+        if self._over:
+            self._close()
+        elif self.executor.state is State.OFF and self.heir_of and not self._stands:
+            self._stands = True
+            self.slot.stand_by()
+
+    @contextmanager
+    def _awake(self) -> Generator[None]:
+        """Have what is opened and asked in the block be the task's."""
+        self.local.virtual_ns = self._rtpu.now_ns()
+        with running(None), using(self.tape):
+            yield
+
+    @property
+    def outside(self) -> bool:
+        """Whether the module says in `sync` when it is time: its rate does so here."""
+        return False
+
+    # -- in the place of a process -----------------------------------------------------
+
+    def open_core(self, number: int) -> VirtualCore:
+        """Return the table of a core."""
+        return self._rtpu.world.cores[number]
+
+    def library(self) -> Library:
+        """Return the library that has the module."""
+        return self._rtpu.world.library
+
+    def attach(self) -> Table:
+        """Return the subsystem's table."""
+        return self._rtpu.tables.need(self.spec.subsystem).table
+
+    def live_in_process(self) -> None:
+        """Do nothing: this process is that of many tasks."""
+
+    def record(self, told: TaskAbout) -> Ring:
+        """Return a ring that nobody else can open."""
+        variables = [*told.invar, *told.outvar, *told.inconst, *told.outconst]
+        size = RECORD.size + HEAD_DTYPE.itemsize + _HEARD
+        size += sum(16 + var_bytes(one) for one in variables)
+        ring = Ring.create(self.spec.ring, max(_RING, 16 * size))
+        Path(ring.path).unlink()
+        self._batch = max(1, _RING // (4 * size))
+        self.ring = ring
+        self._rtpu.world.record(self, told)
+        return ring
+
+    def _tidy(self) -> None:
+        """Leave this process's garbage to its collector."""
+
+    def _close(self) -> None:
+        """Leave everything, as a process does that ends."""
+        for name in ("alarm", "local"):
+            held = getattr(self, name, None)
+            if held is not None:
+                (held.end if name == "alarm" else held.close)()
+        self.slot.disarm()
+        self.drain()
+        self._cycles = self.slot.cycles
+        del self._rtpu.hosts[self.spec.slot]
+        self._child.exited.set_result(0)
+        self._channel.close()
+
+
+def must_be_simulated(
+    record: Rmod, freq: float | None, simulated: Sequence[TaskType], where: str
+) -> None:
+    """Refuse a task that the clock alone does not drive.
+
+    Raises:
+        NodeError: It is one.
+    """
+    timed = freq or record.tasktype is TaskType.BACKGROUND
+    if record.tasktype not in simulated or not timed:
+        raise NodeError(
+            f"a {record.tasktype} task cannot be simulated",
+            where=where,
+            expected=f"{' or '.join(simulated)}, with FREQ or PERIOD",
+            got=f"TASKTYPE {record.tasktype}",
+            remedy="run it in real time",
+        )
