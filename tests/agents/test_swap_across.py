@@ -55,6 +55,24 @@ NEVER_ON = """
 """
 
 
+SLOW_ON = """
+    import time
+    from typing import Annotated as A
+
+    from pbonet import OutVar, PortBasedObject, Vector
+
+
+    class Slow(PortBasedObject):
+        y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+        def on(self) -> None:
+            time.sleep(0.15)
+
+        def cycle(self, dt: float) -> None:
+            self.y[0] += 1.0
+"""
+
+
 @pytest.fixture
 def arm(nodes, tmp_path):
     """On arm0 `a` (ON) and `c`, on arm1 `b` and `d`; a and b write Y0, c and d Y1."""
@@ -334,11 +352,11 @@ def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
         error = swap.exception(60.0)
     assert isinstance(error, ReconfigError), error
     what, rest = {
-        "arm0": ("sent, and not known whether done: off old; not sent: on d", 2),
-        "arm1": ("done: off old; sent, and not known whether done: on d", 1),
+        "arm0": ("done: on d; sent, and not known whether done: off old", "off old"),
+        "arm1": ("done: off old; sent, and not known whether done: on d", "on d"),
     }[killed]
     assert what in str(error)
-    assert error.rest == (("old", "off"), ("d", "on"))[-rest:]
+    assert [f"{verb} {task}" for task, verb in error.rest] == [rest]
     nodes.agent_process(killed)
     arm.detach()
     wait_for(lambda: is_opened(arm), "the end of the old master's token")
@@ -351,3 +369,58 @@ def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
     assert arm.swap("old", "d").items == [], "nothing is left to be done"
     assert arm.swap("d", "old").items == [("d", "off"), ("old", "on")]
     wait_for(lambda: not causes(arm), "a legal configuration")
+
+
+def test_what_came_on_before_an_item_failed_is_said_to_be_done(arm, tmp_path):
+    """The dispatcher engages a successor as soon as its predecessor has ended."""
+    (tmp_path / "bad.rmod").write_text(rmod("raises_in_on", "Y1", RATE))
+    arm.spawn("bad", "arm0")
+    with pytest.raises(ReconfigError, match="item 3 of 3, on bad") as caught:
+        arm.reconfig([("a", "off"), ("bad", "on"), ("b", "on")])
+    assert str(caught.value).endswith("done: off a, on b")
+    assert caught.value.rest == (("bad", "on"),)
+    assert (states(arm)["b"], arm.display(["Y0"])[0].writer) == ("ON", "b")
+
+
+def test_the_flag_goes_down_as_soon_as_the_successor_writes(arm, nodes, tmp_path):
+    """A swap that takes long makes others stable no longer across RTPUs than on one."""
+    nodes.write_module("slow_on", SLOW_ON)
+    for name, rtpu in (("beside", "arm0"), ("elsewhere", "arm1")):
+        (tmp_path / f"{name}.rmod").write_text(rmod("slow_on", "Y0", RATE))
+        arm.spawn(name, rtpu)
+    text = rmod("holds", "Y1", RATE, invar="Y0", critical=True, local={"LEVEL": 3})
+    (tmp_path / "hold.rmod").write_text(text)
+    arm.spawn("hold", "arm1")
+    arm.control("hold", "on")
+    rings = {one.task: Ring.attach(one.ring) for one in arm.status_all()}
+
+    def needless(successor):
+        """Return how many cycles were stable though the successor wrote."""
+        for ring in rings.values():
+            ring.drain()
+        arm.swap("a", successor)
+        (first, *_) = wait_for(
+            lambda: [one for one in rings[successor].drain() if not one.kind],
+            "a cycle of the successor",
+        )
+        count = 0
+
+        def is_over():
+            nonlocal count
+            cycles = [one for one in rings["hold"].drain() if not one.kind]
+            mine = [one for one in cycles if one.release_ns > first.release_ns]
+            count += sum(one.stable for one in mine)
+            return mine and not mine[-1].stable and not causes(arm)
+
+        wait_for(is_over, "cycles that are not stable")
+        arm.swap(successor, "a")
+        wait_for(lambda: not causes(arm), "a legal configuration")
+        return count
+
+    try:
+        found = [(needless("beside"), needless("elsewhere")) for _ in range(4)]
+    finally:
+        for ring in rings.values():
+            ring.close()
+    beside, elsewhere = (sum(some) for some in zip(*found, strict=True))
+    assert elsewhere <= beside + 3 * len(found), found

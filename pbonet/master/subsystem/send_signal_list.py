@@ -8,6 +8,7 @@ that the others have ended. Nobody waits for this master in between.
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -106,14 +107,59 @@ class _Sending:
             self._calls.setdefault(old, []).extend(theirs)
 
     def withdraw(self) -> None:
-        """Have those stand by no longer that have not come on."""
-        for task in self.successors:
-            member = self._picture.get(task)
+        """Have tasks stand by no longer that have not come on."""
+        for heir in self.heirs:
+            member = self._picture.get(heir)
             if member is not None and member.state is State.OFF:
                 request = m.Successors(after={task: []})
                 with contextlib.suppress(PbonetError):  # its time limit ends it, too
                     self._fleet.call(member.rtpu, request, dict[str, list[m.Call]])
         self.successors, self._calls = {}, {}
+
+    def _take_called(self, sent: int) -> dict[Item, str]:
+        """End standing by; take in tasks that were called before their turn came.
+
+        The dispatcher engages a task as soon as those it waits for have ended, though
+        an item between them fails.
+
+        Args:
+            sent: How many items were sent, those that failed among them.
+
+        Returns:
+            Remarks on those that were called, and are not known to be ON.
+        """
+        gone = self._whole[:sent]
+        called = [
+            heir
+            for heir, olds in self.heirs.items()
+            if (heir, "on") in self._whole[sent:]
+            and all((old, "off") in gone for old in olds)
+        ]
+        self.withdraw()
+        remarks: dict[Item, str] = {}
+        for heir in called:
+            state = self._state(heir)
+            if state is State.ON:
+                self._whole.remove((heir, "on"))
+                self._whole.insert(self._done, (heir, "on"))
+                self._take(m.Reconfigured(done=1, states={heir: "ON"}), [(heir, "on")])
+            elif state is None:
+                remarks[heir, "on"] = "may have come on: its RTPU does not say"
+            elif state is not State.OFF:
+                remarks[heir, "on"] = f"was called, and is {state} now"
+        return remarks
+
+    def _state(self, task: str) -> State | None:
+        """Return the state of a task as its RTPU says; None: it does not."""
+        member = self._picture.get(task)
+        if member is None:
+            return State.NOT_CREATED
+        try:
+            status = self._fleet.call(member.rtpu, m.Status(task=task), m.RtpuStatus)
+        except PbonetError:
+            return None
+        states = [State(one.state) for one in status.tasks if one.task == task]
+        return states[0] if states else State.NOT_CREATED
 
     def step(self, parts: dict[str, list[Item]]) -> None:
         """Send what one RTPU is to do, or several at once.
@@ -146,17 +192,18 @@ class _Sending:
             answer = answers.get(rtpu)
             done = answer.done if answer is not None else 0
             left += (answer.rest if answer is not None else []) or parts[rtpu][done:]
-        made = {
-            rtpu: [item for item in part if item not in left]
-            for rtpu, part in parts.items()
-        }
+        made = {rtpu: _without(part, left) for rtpu, part in parts.items()}
         whole = [*chain(*made.values()), *left]
-        self._whole[self._done : self._done + len(whole)] = whole
+        sent = self._done + len(whole)
+        self._whole[self._done : sent] = whole
         for rtpu, answer in answers.items():
             self._take(answer, made[rtpu])
         for cause in causes.values():
+            remarks = self._take_called(sent)
             unsure = sum(len(parts[rtpu]) for rtpu in unheard)
-            raise stuck(self._whole, self._done, cause, unsure=unsure) from cause
+            raise stuck(
+                self._whole, self._done, cause, unsure=unsure, remarks=remarks
+            ) from cause
 
     def _take(self, answer: m.Reconfigured, made: Sequence[Item]) -> None:
         for task, signal in made:
@@ -196,3 +243,15 @@ class _Sending:
             calls={task: self._calls[task] for task, _ in part if task in self._calls},
             slowest=max((1.0 / rate for rate in rates if rate), default=0.0),
         )
+
+
+def _without(items: Sequence[Item], left: Sequence[Item]) -> list[Item]:
+    """Return what was done of items: those that are left came last."""
+    undone = Counter(left)
+    found: list[Item] = []
+    for item in reversed(items):
+        if undone[item]:
+            undone[item] -= 1
+        else:
+            found.insert(0, item)
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import time
@@ -49,6 +50,8 @@ Key = tuple[str, str]
 """Subsystem and task."""
 WATCH_PERIOD = 0.5
 """Seconds between looks at what nobody reports: files that vanish, the dispatcher."""
+GLANCE = 0.005
+"""Seconds between looks for a writer, while the flag is up for want of one."""
 
 
 class Rtpu:
@@ -360,7 +363,7 @@ class Rtpu:
             errnum=notice.errnum,
             place=notice.place,
         )
-        self.flags.look()
+        self.flags.report()
 
     def _engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
         """Take note that the dispatcher has brought a task ON."""
@@ -378,7 +381,7 @@ class Rtpu:
         elif replaced and task.state is State.ON:  # its death is known already
             self.flags.narrow(subsystem, replaced, task.facts.outputs)
         self.settle(task)
-        self.flags.relieve()
+        self.flags.evaluate()
 
     def settle(self, task: Task, *, ranked: bool = False) -> None:
         """Bring ranks, error text and the flag in line with a task's state."""
@@ -487,13 +490,26 @@ class Rtpu:
             if task.facts.rmod.tasktype is not TaskType.PERIODIC:
                 task.child.rouse(INTERRUPT)  # it may wait in `sync`
 
+    async def _pause(self) -> None:
+        """Wait for the watch's next round; meanwhile lower the flag promptly.
+
+        The task that writes what was missing may be another RTPU's.
+        """
+        loop = asyncio.get_running_loop()
+        end = loop.time() + WATCH_PERIOD
+        while (left := end - loop.time()) > 0.0:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.flags.waits.wait(), left)
+                await asyncio.sleep(GLANCE)
+                self.flags.glance()
+
     async def _watch_quietly(self) -> None:
         """Look after what nobody reports."""
         led = True
         while True:
-            await asyncio.sleep(WATCH_PERIOD)
+            await self._pause()
             self.core.reap()
-            self.flags.relieve()
+            self.flags.evaluate()
             self.givers.look()
             self.fallbacks.look_again()
             self.signals.look(self.core, self.tasks.values())

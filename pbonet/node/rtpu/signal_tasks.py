@@ -153,7 +153,7 @@ def note(
         task.warnings = 0
         task.warning = ""
     rtpu.settle(task, ranked=ranked)
-    rtpu.flags.relieve()
+    rtpu.flags.evaluate()
     rtpu.events.add(
         Severity.ERROR if error else Severity.INFO,
         "SIGNAL_FAILED" if error else "STATE",
