@@ -108,8 +108,8 @@ class _Sending:
 
     def withdraw(self) -> None:
         """Have tasks stand by no longer that have not come on."""
-        for heir in self.heirs:
-            member = self._picture.get(heir)
+        for task in self.successors:
+            member = self._picture.get(task)
             if member is not None and member.state is State.OFF:
                 request = m.Successors(after={task: []})
                 with contextlib.suppress(PbonetError):  # its time limit ends it, too
@@ -130,23 +130,23 @@ class _Sending:
         """
         gone = self._whole[:sent]
         called = [
-            heir
-            for heir, olds in self.heirs.items()
-            if (heir, "on") in self._whole[sent:]
+            task
+            for task, olds in self.successors.items()
+            if (task, "on") in self._whole[sent:]
             and all((old, "off") in gone for old in olds)
         ]
         self.withdraw()
         remarks: dict[Item, str] = {}
-        for heir in called:
-            state = self._state(heir)
+        for task in called:
+            state = self._state(task)
             if state is State.ON:
-                self._whole.remove((heir, "on"))
-                self._whole.insert(self._done, (heir, "on"))
-                self._take(m.Reconfigured(done=1, states={heir: "ON"}), [(heir, "on")])
+                self._whole.remove((task, "on"))
+                self._whole.insert(self._done, (task, "on"))
+                self._take(m.Reconfigured(done=1, states={task: "ON"}), [(task, "on")])
             elif state is None:
-                remarks[heir, "on"] = "may have come on: its RTPU does not say"
+                remarks[task, "on"] = "may have come on: its RTPU does not say"
             elif state is not State.OFF:
-                remarks[heir, "on"] = f"was called, and is {state} now"
+                remarks[task, "on"] = f"was called, and is {state} now"
         return remarks
 
     def _state(self, task: str) -> State | None:

@@ -115,8 +115,8 @@ class Subsystem(Switching, Calls, Signalled):
         if virtual:
             from pbonet.master import sim  # with it come the RTPU and the task
 
-            self.simulation = VirtualRtpus(self.files)
-            self.clock = VirtualClock(self.simulation)
+            self.simulation = sim.VirtualRtpus(self.files)
+            self.clock = sim.VirtualClock(self.simulation)
         self._agents: Embedded | None = None
         if embed and not virtual:
             from .embedded_agents import Embedded

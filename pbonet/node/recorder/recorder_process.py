@@ -82,7 +82,7 @@ class Recorder:
         self._files = LogFiles(wanted, self._say, self._enter_all, by)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
-        self._folder = os.environ.get("PBONET_SHM_DIR") or orphaned_rings.FOLDER
+        self._folder = str(shm.folder())
         self._waiting = False
         """Whether there are rings that may yet be followed."""
         self._refused: dict[tuple[str, int], float] = {}
