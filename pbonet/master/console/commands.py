@@ -107,6 +107,8 @@ class Command(Struct, frozen=True):
     """It needs a master that holds the claim."""
     judged: bool = False
     """It is verified against all tasks, and refused if it would be illegal."""
+    alone: bool = False
+    """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
 
     @property
@@ -195,12 +197,14 @@ COMMANDS: Final = (
         (_TASK, Arg("hz", Kind.NUMBER, "new, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
+        alone=True,
     ),
     Command(
         "get",
         "Show the parameters of a task's module.",
         command_handlers.get,
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
+        alone=True,
     ),
     Command(
         "help",
@@ -288,6 +292,7 @@ COMMANDS: Final = (
             Arg("value", Kind.WORD, "its new value", Use.ANY),
         ),
         changes=True,
+        alone=True,
     ),
     Command(
         "sigmask",

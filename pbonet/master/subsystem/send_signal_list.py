@@ -88,7 +88,7 @@ class _Sending:
                 self._stand_by(heir, olds, far=True)
 
     def _hosts(self, tasks: Sequence[str]) -> set[str]:
-        return {self._fleet.host(self._picture.find(task).rtpu) for task in tasks}
+        return {self._fleet.agent(self._picture.find(task).rtpu).host for task in tasks}
 
     def _are_apart(self, heir: str, olds: list[str]) -> bool:
         """Tell whether tasks leave one RTPU for an heir on another machine."""

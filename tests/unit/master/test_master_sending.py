@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from nodekit import rmod
 
@@ -31,8 +33,8 @@ class Fleet:
         self.sent = []
         """(RTPU, request) in the order in which they were sent."""
 
-    def host(self, _rtpu):
-        return "here"
+    def agent(self, _rtpu):
+        return SimpleNamespace(machine="here", host="robot")
 
     def call(self, rtpu, request, _result, **_limit):
         self.sent.append((rtpu, request))
