@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 from msgspec import structs
 
-from pbonet.errors import PbonetError, Severity
+from pbonet.config import TaskType, parse_rmod
+from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import HEAD_DTYPE, RECORD
 from pbonet.node import rt
 from pbonet.node.agent import Overview
@@ -40,10 +41,10 @@ from .virtual_loop import Channel, pair, running
 if TYPE_CHECKING:
     import signal
     import socket
-    from collections.abc import Callable, Generator
+    from collections.abc import Callable, Generator, Sequence
 
     from pbonet.analysis.schedule import CoreStatus, SlotStatus
-    from pbonet.config import Library, SvarFile
+    from pbonet.config import Library, Rmod, SvarFile
     from pbonet.log import TaskAbout
     from pbonet.node.rtpu import Task
     from pbonet.node.wire import EventLog
@@ -62,6 +63,7 @@ class World:
         loop: Their time.
         library: Where their modules come from.
         domain: A name that no other simulation of this process has.
+        simulated: The types of tasks that can be run.
         record: Takes the ring of each task, and whose it is.
     """
 
@@ -70,9 +72,11 @@ class World:
         loop: VirtualLoop,
         library: Library,
         domain: str,
+        simulated: Sequence[TaskType],
         record: Callable[[VirtualTask, TaskAbout], None],
     ) -> None:
         self.loop, self.library, self.domain = loop, library, domain
+        self.simulated = simulated
         self.record = record
         self.tables: dict[str, Table] = {}
         self.cores: list[VirtualCore] = []
@@ -321,6 +325,17 @@ class VirtualTask(Host):
         """Cycles executed since the task was spawned."""
         return self._cycles if self._over else self.slot.cycles
 
+    def create(self) -> None:
+        """Load the module, bind it to the table, and run its `init`.
+
+        Raises:
+            NodeError: It is of a type that cannot be simulated.
+            PbonetError: As of any task.
+        """
+        rmod = parse_rmod(self.spec.rmod, self.spec.rmod_name)
+        must_be_simulated(rmod, self.spec.freq, self._rtpu.world.simulated, rmod.file)
+        super().create()
+
     def begin(self) -> None:
         """Be created, and say how that went."""
         with running(None), using(None):
@@ -426,3 +441,22 @@ class VirtualTask(Host):
         del self._rtpu.hosts[self.spec.slot]
         self._child.exited.set_result(0)
         self._channel.close()
+
+
+def must_be_simulated(
+    record: Rmod, freq: float | None, simulated: Sequence[TaskType], where: str
+) -> None:
+    """Refuse a task that the clock alone does not drive.
+
+    Raises:
+        NodeError: It is one.
+    """
+    timed = freq or record.tasktype is TaskType.BACKGROUND
+    if record.tasktype not in simulated or not timed:
+        raise NodeError(
+            f"a {record.tasktype} task cannot be simulated",
+            where=where,
+            expected=f"{' or '.join(simulated)}, with FREQ or PERIOD",
+            got=f"TASKTYPE {record.tasktype}",
+            remedy="run it in real time",
+        )

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from itertools import groupby
 from types import NoneType
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from pbonet.analysis import legality
 from pbonet.analysis.schedule import PLANNED
-from pbonet.config import JobTask, Library, TaskType
+from pbonet.config import JobTask, Library
 from pbonet.errors import (
-    NodeError,
     PbonetError,
     StateError,
     UnknownTaskError,
@@ -26,6 +25,7 @@ from pbonet.node.task import placed
 from pbonet.pbo import Signal, State
 from pbonet.xm.net import messages as m
 
+from .rtpu_in_process import must_be_simulated
 from .virtual_rtpus import BEGIN_NS, VirtualClient, VirtualRtpus
 
 if TYPE_CHECKING:
@@ -57,11 +57,6 @@ class Simulation(VirtualRtpus):
     Raises:
         ConfigError: A file is missing or wrong.
     """
-
-    simulated: ClassVar[tuple[TaskType, ...]] = (
-        TaskType.PERIODIC,
-        TaskType.SYNCHRONOUS,
-    )
 
     def __init__(
         self,
@@ -303,15 +298,8 @@ class Simulation(VirtualRtpus):
         record = source.record
         rtpu = wanted.rtpu or record.rtpu or self.files.sbs.rtpus[0].name
         freq = wanted.freq or record.freq
-        timed = freq or record.tasktype is TaskType.BACKGROUND
-        if record.tasktype not in self.simulated or not timed:
-            raise NodeError(
-                f"a {record.tasktype} task cannot be simulated",
-                where=str(wanted.place or self.job.file),
-                expected=f"{' or '.join(self.simulated)}, with FREQ or PERIOD",
-                got=f"TASKTYPE {record.tasktype}",
-                remedy="run it in real time",
-            )
+        where = str(wanted.place or self.job.file)
+        must_be_simulated(record, freq, self.simulated, where)
         info = self.library.load_rmod(record).info
         return Member(
             source=source, rtpu=rtpu, freq=freq or 0.0, info=info, told=wanted.told

@@ -14,8 +14,9 @@ import os
 import platform
 import threading
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
+from pbonet.config import TaskType
 from pbonet.errors import PbonetError, StateError
 from pbonet.io import no_devices
 from pbonet.node.agent import HANDLED
@@ -62,6 +63,11 @@ class VirtualRtpus:
         recording: Every cycle so far, unless there is a log.
     """
 
+    simulated: ClassVar[tuple[TaskType, ...]] = (
+        TaskType.PERIODIC,
+        TaskType.SYNCHRONOUS,
+    )
+
     def __init__(
         self,
         files: Files,
@@ -80,7 +86,9 @@ class VirtualRtpus:
         self._codec = Codec()
         self._loop = make_loop(BEGIN_NS)
         domain = f"virtual{os.getpid()}-{next(_NUMBERS)}"
-        self.world = World(self._loop, files.library, domain, self._record)
+        self.world = World(
+            self._loop, files.library, domain, self.simulated, self._record
+        )
         self.logs = {one.name: self._event_log(one.name) for one in files.sbs.rtpus}
         with running(self._loop):
             self.rtpus = {

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from test_sim_rules import SOURCE, Shop
+from test_sim_rules import SOURCE, WAITS, Shop
 
+from pbonet.errors import NodeError
 from pbonet.master import Subsystem
 
 
@@ -15,6 +16,8 @@ def arm(tmp_path):
     shop.module("fast", SOURCE, "OUTVAR Y", "FREQ 100")
     shop.module("slow", SOURCE, "OUTVAR Y", "FREQ 50")
     shop.job("fast a")
+    server = ("TASKTYPE sporadic", "FREQ 10", "CAPACITY 0.01")
+    shop.module("server", SOURCE + WAITS, "OUTVAR Y", *server)
     path, libraries = tmp_path / "test.job", [tmp_path / "lib"]
     with Subsystem(path, libraries=libraries, virtual=True) as subsystem:
         subsystem.start()
@@ -49,3 +52,9 @@ def test_the_new_task_was_called_by_the_old_one(arm):
     assert [one.text for one in arm.events() if one.code == "ENGAGED"] == [
         "in the place of fast"
     ]
+
+
+def test_a_task_that_time_does_not_drive_is_refused(arm):
+    with pytest.raises(NodeError, match="a sporadic task cannot be simulated"):
+        arm.spawn("server")
+    assert [one.task for one in arm.status_all()] == ["fast"]
