@@ -107,6 +107,8 @@ class Command(Struct, frozen=True):
     """It needs a master that holds the claim."""
     judged: bool = False
     """It is verified against all tasks, and refused if it would be illegal."""
+    alone: bool = False
+    """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
     examples: tuple[tuple[str, str], ...] = ()
     """Lines of the prompt, each with what it does; verbs show them as their own."""
@@ -197,20 +199,14 @@ COMMANDS: Final = (
         (_TASK, Arg("hz", Kind.NUMBER, "the new frequency, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
-        examples=(
-            ("freq puma_pidg", "Show it."),
-            ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
-        ),
+        alone=True,
     ),
     Command(
         "get",
         "Show the parameters of a task.",
         command_handlers.get,
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
-        examples=(
-            ("get puma_pidg", "Show all of them."),
-            ("get puma_pidg kd", "Show one."),
-        ),
+        alone=True,
     ),
     Command(
         "help",
@@ -318,10 +314,7 @@ COMMANDS: Final = (
             Arg("value", Kind.WORD, "its new value", Use.ANY),
         ),
         changes=True,
-        examples=(
-            ("set puma_pidg kd", "Show one parameter."),
-            ("set gain2 gain -1.5", "Change one between two cycles."),
-        ),
+        alone=True,
     ),
     Command(
         "sigmask",
