@@ -82,8 +82,8 @@ class _Sending:
         for task, olds in found.items():
             self._stand_by(task, olds)
 
-    def _hosts(self, tasks: Sequence[str]) -> set[str]:
-        return {self._fleet.agent(self._picture.find(task).rtpu).host for task in tasks}
+    def _machine(self, task: str) -> str:
+        return self._fleet.agent(self._picture.find(task).rtpu).machine
 
     def _stand_by(self, task: str, olds: list[str]) -> None:
         here = self._machine(task)
