@@ -199,6 +199,10 @@ COMMANDS: Final = (
         (_TASK, Arg("hz", Kind.NUMBER, "the new frequency, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
+        examples=(
+            ("freq puma_pidg", "Show it."),
+            ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
+        ),
         alone=True,
     ),
     Command(
@@ -206,6 +210,10 @@ COMMANDS: Final = (
         "Show the parameters of a task.",
         command_handlers.get,
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
+        examples=(
+            ("get puma_pidg", "Show all of them."),
+            ("get puma_pidg kd", "Show one."),
+        ),
         alone=True,
     ),
     Command(
@@ -314,6 +322,10 @@ COMMANDS: Final = (
             Arg("value", Kind.WORD, "its new value", Use.ANY),
         ),
         changes=True,
+        examples=(
+            ("set puma_pidg kd", "Show one parameter."),
+            ("set gain2 gain -1.5", "Change one between two cycles."),
+        ),
         alone=True,
     ),
     Command(
