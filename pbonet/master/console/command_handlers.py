@@ -8,7 +8,7 @@ import msgspec
 
 from pbonet.analysis import legality
 from pbonet.errors import ConfigError, SeveralError, StateError, VerificationError
-from pbonet.master.subsystem import profiling, status_fields
+from pbonet.master.subsystem import status_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -169,6 +169,8 @@ def status(seat: Seat, given: Given) -> Data:
 
 def profiles(seat: Seat, given: Given) -> Data:
     """Show the profiles of tasks and of their RTPUs."""
+    from pbonet.master.subsystem import profiling
+
     wanted: list[str] = given.get("task") or []
     found = seat.subsystem.profile(wanted)
     if len(wanted) == 1:
@@ -272,6 +274,7 @@ def help_(seat: Seat, given: Given) -> Data:
                 "usage": command.usage,
                 "help": command.help,
                 "changes": command.changes,
+                "examples": [list(example) for example in command.examples],
                 "args": [
                     {
                         "name": arg.name,

@@ -108,6 +108,8 @@ class Command(Struct, frozen=True):
     judged: bool = False
     """It is verified against all tasks, and refused if it would be illegal."""
     scope: Scope = Scope.EVERYWHERE
+    examples: tuple[tuple[str, str], ...] = ()
+    """Lines of the prompt, each with what it does; verbs show them as their own."""
 
     @property
     def named(self) -> dict[str, Arg]:
@@ -132,93 +134,105 @@ class Command(Struct, frozen=True):
 
 _TASK: Final = Arg("task", Kind.TASK, "the task", Use.MAYBE, last=True)
 _TASKS: Final = Arg("task", Kind.TASK, "the tasks", Use.ANY, last=True)
+_JOB: Final = Arg("job", Kind.JOB, "its name; that of the .job file", Use.MAYBE)
 _DRY: Final = Arg(
     "dry_run", Kind.FLAG, "verify, and only show what would be done", Use.NAMED
 )
 _WAIT: Final = Arg(
-    "wait", Kind.SECONDS, "how long its conditions may take to come true", Use.NAMED
+    "wait", Kind.SECONDS, "how long its conditions may take to become true", Use.NAMED
 )
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 
 COMMANDS: Final = (
     Command(
         "check",
-        "Judge a job, or the tasks as they stand, without changing anything.",
+        "Check a job, or the tasks that exist now, without changing anything.",
         command_handlers.check,
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE),),
+        (_JOB,),
     ),
     Command(
         "clear",
-        "Send clear to tasks in ERROR.",
+        "Bring tasks out of ERROR; they are OFF then.",
         command_handlers.signal("clear"),
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("clear puma_pidg", "Clear a task whose cause of error is gone."),
+            ("clear cam1 cam2 text=new", "Clear two, with a text for their module."),
+        ),
     ),
     Command(
         "display",
-        "Show variables of the table with unit, age and writer.",
+        "Show the values of shared variables, with unit, age and writer.",
         command_handlers.display,
         (
-            Arg("variable", Kind.VARIABLE, "names; * and ? match", Use.ANY),
-            Arg("task", Kind.TASK, "those of its ports", Use.NAMED),
-            Arg("writer", Kind.TASK, "those it writes now", Use.NAMED),
+            Arg("variable", Kind.VARIABLE, "names; * and ? match any text", Use.ANY),
+            Arg("task", Kind.TASK, "only variables of this task's ports", Use.NAMED),
+            Arg("writer", Kind.TASK, "only variables it writes now", Use.NAMED),
         ),
     ),
     Command(
         "events",
-        "Show what happened lately.",
+        "Show the latest events of tasks and RTPUs.",
         command_handlers.events,
         (
-            Arg("last", Kind.COUNT, "how many", Use.MAYBE),
-            Arg(
-                "since",
-                Kind.WORD,
-                "number of the first, or how long ago: 5m",
-                Use.NAMED,
-            ),
-            Arg("task", Kind.TASK, "of one task", Use.NAMED),
-            Arg("code", Kind.WORD, "of one code, such as WARNING", Use.NAMED),
-            Arg("severity", Kind.WORD, "the least: debug to fatal", Use.NAMED),
+            Arg("last", Kind.COUNT, "how many of the newest", Use.MAYBE),
+            Arg("since", Kind.WORD, "first number, or how long ago: 5m", Use.NAMED),
+            Arg("task", Kind.TASK, "only events of this task", Use.NAMED),
+            Arg("code", Kind.WORD, "only this kind, such as WARNING", Use.NAMED),
+            Arg("severity", Kind.WORD, "this one and worse: debug to fatal", Use.NAMED),
         ),
     ),
     Command(
         "events count",
-        "Show how often each kind of event came, those held back in floods too.",
+        "Show how often each kind of event occurred, suppressed ones included.",
         command_handlers.events_count,
-        (Arg("task", Kind.TASK, "of which; all if left out", Use.ANY),),
+        (Arg("task", Kind.TASK, "which tasks; all if left out", Use.ANY),),
         scope=Scope.SESSION,
     ),
     Command(
         "freq",
-        "Show or set a task's frequency.",
+        "Show or set the frequency of a task.",
         command_handlers.freq,
-        (_TASK, Arg("hz", Kind.NUMBER, "new, Hz", Use.MAYBE)),
+        (_TASK, Arg("hz", Kind.NUMBER, "the new frequency, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
+        examples=(
+            ("freq puma_pidg", "Show it."),
+            ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
+        ),
     ),
     Command(
         "get",
-        "Show the parameters of a task's module.",
+        "Show the parameters of a task.",
         command_handlers.get,
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
+        examples=(
+            ("get puma_pidg", "Show all of them."),
+            ("get puma_pidg kd", "Show one."),
+        ),
     ),
     Command(
         "help",
-        "Show the commands, or one of them.",
+        "Show the commands, or explain one.",
         command_handlers.help_,
         (Arg("command", Kind.COMMAND, "which", Use.MAYBE),),
         scope=Scope.SESSION,
     ),
     Command(
         "kill",
-        "Destroy tasks.",
+        "Destroy tasks; one that is ON is turned off first.",
         command_handlers.signal("kill"),
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("kill jttrace", "Destroy one task."),
+            ("kill cam1 cam2", "Destroy two, in this order."),
+        ),
     ),
     Command(
         "module",
-        "List modules and RMODs, or show one module.",
+        "List the modules of the RTPUs, or show ports and parameters of one.",
         command_handlers.module,
         (Arg("module", Kind.MODULE, "which", Use.MAYBE),),
     ),
@@ -226,150 +240,203 @@ COMMANDS: Final = (
         "network",
         "Hand control to a program on the network until it ends.",
         command_handlers.network,
-        (Arg("portname", Kind.WORD, "the name under which it finds us"),),
+        (Arg("portname", Kind.WORD, "the name by which the program connects"),),
         scope=Scope.PROMPT,
     ),
     Command(
         "off",
-        "Send off to tasks.",
+        "Turn tasks off: they exist, and run no cycles.",
         command_handlers.signal("off"),
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("off jttrace", "Turn one task off."),
+            ("off jttrace puma_pidg", "Turn two off, in this order."),
+        ),
     ),
     Command(
         "on",
-        "Send on to tasks.",
+        "Turn tasks on: they run their cycles.",
         command_handlers.signal("on"),
         (_TASKS, _TEXT),
         changes=True,
         judged=True,
+        examples=(
+            ("on puma_pidg", "Turn one task on."),
+            ("on cam1 cam2 puma_pidg", "Turn three on, in this order."),
+        ),
     ),
     Command(
         "profile",
-        "Show how long cycles take: every figure, and the execution profile.",
+        "Show how long the cycles of tasks take, and how late they start.",
         command_handlers.profiles,
-        (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+        (Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),),
     ),
     Command(
         "profile save",
-        "Save profiles beside the .sbs file, for the analysis of later starts.",
+        "Save the profiles beside the .sbs file, for the analysis of later starts.",
         command_handlers.profiles_save,
-        (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+        (Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),),
         scope=Scope.SESSION,
     ),
     Command(
         "quit",
-        "End this interface; the next one of the master goes on.",
+        "End this interface; the master goes on to its next one.",
         command_handlers.quit_,
         scope=Scope.SESSION,
     ),
     Command(
         "reconfig",
-        "Send several signals in order, judged by their end.",
+        "Send several signals in order, verified as one change.",
         command_handlers.reconfig,
-        (Arg("item", Kind.ITEM, "such as pid:off", Use.SOME),),
+        (Arg("item", Kind.ITEM, "a task and a signal, such as pid:off", Use.SOME),),
         changes=True,
         judged=True,
+        examples=(
+            ("reconfig pid_a:off pid_b:on", "Turn one task off and another on."),
+            ("reconfig trace:off trace:kill", "Turn a task off and destroy it."),
+        ),
     ),
     Command(
         "reinit",
-        "Read the constants again and run reinit.",
+        "Have tasks read their constants again, without turning them off.",
         command_handlers.signal("reinit"),
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("reinit forward_kin", "Have one task read them."),
+            ("reinit forward_kin text=tool2", "The same, with a text for its module."),
+        ),
     ),
     Command(
         "set",
-        "Show or change parameters of a task's module.",
+        "Show or change the parameters of a task.",
         command_handlers.set_,
         (
             _TASK,
-            Arg("param", Kind.PARAM, "which; all if left out", Use.MAYBE),
+            Arg("param", Kind.PARAM, "which ones; all if left out", Use.MAYBE),
             Arg("value", Kind.WORD, "its new value", Use.ANY),
         ),
         changes=True,
+        examples=(
+            ("set puma_pidg kd", "Show one parameter."),
+            ("set gain2 gain -1.5", "Change one between two cycles."),
+        ),
     ),
     Command(
         "sigmask",
-        "Show or set which signals of tasks nobody wants: names, 'none' or 'unset'.",
+        "Show or set which signals to ignore: names, 'none' or 'unset'.",
         command_handlers.sigmask,
         (
-            Arg("signal", Kind.SIGNAL, "names; shows the masks if left out", Use.ANY),
-            Arg("task", Kind.TASK, "whose; the subsystem's if left out", Use.NAMED),
+            Arg("signal", Kind.SIGNAL, "names; shows masks if left out", Use.ANY),
+            Arg("task", Kind.TASK, "one task; all if left out", Use.NAMED),
         ),
         changes=True,
+        examples=(
+            ("sigmask WARNING", "Ignore the warnings of all tasks."),
+            ("sigmask none task=camera", "Ignore no signal of one task."),
+        ),
     ),
     Command(
         "sigwait",
-        "Wait until a task sends a signal, and take it; a stop ends it.",
+        "Wait until a task sends a signal, and take it; stop ends it.",
         command_handlers.sigwait,
         (
-            Arg("signal", Kind.SIGNAL, "which; any if left out", Use.ANY),
-            Arg("task", Kind.TASK, "of these tasks, with commas", Use.NAMED),
-            Arg("timeout", Kind.SECONDS, "for ever if left out", Use.NAMED),
+            Arg("signal", Kind.SIGNAL, "names; any if left out", Use.ANY),
+            Arg("task", Kind.TASK, "only these tasks, with commas", Use.NAMED),
+            Arg("timeout", Kind.SECONDS, "the longest wait", Use.NAMED),
+        ),
+        examples=(
+            ("sigwait", "Wait for any signal."),
+            ("sigwait FINISH ERROR timeout=10", "Wait 10 s at most, for two."),
         ),
     ),
     Command(
         "spawn",
-        "Create a task from an RMOD; it is OFF then.",
+        "Create a task from an .rmod (module configuration); it is OFF.",
         command_handlers.spawn,
         (
-            Arg("rmod", Kind.RMOD, "the RMOD"),
-            Arg("rtpu", Kind.RTPU, "where; as the RMOD says if left out", Use.MAYBE),
-            Arg("hz", Kind.NUMBER, "frequency in place of the RMOD's", Use.MAYBE),
+            Arg("rmod", Kind.RMOD, "the .rmod file: its name, without ending"),
+            Arg(
+                "rtpu",
+                Kind.RTPU,
+                "RTPU (executor); as the .rmod says",
+                Use.MAYBE,
+            ),
+            Arg("hz", Kind.NUMBER, "frequency in place of the .rmod's", Use.MAYBE),
         ),
         changes=True,
         judged=True,
+        examples=(
+            ("spawn jttrace", "Create it on the RTPU that its file names."),
+            ("spawn jttrace arm1 25", "Create it on RTPU arm1, at 25 Hz."),
+        ),
     ),
     Command(
         "start",
-        "Assemble a job: verify, spawn, turn on.",
+        "Create the tasks of a job and turn them on, on running RTPUs.",
         command_handlers.start,
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _WAIT),
+        (_JOB, _WAIT),
         changes=True,
         judged=True,
+        examples=(
+            ("start teleop", "Verify and start the job in teleop.job."),
+            ("start wait=5", "Wait up to 5 s for its conditions."),
+        ),
     ),
     Command(
         "status",
-        "Show the status of tasks, since the last status.",
+        "Show the state and the timing of tasks.",
         command_handlers.status,
         (
-            Arg("task", Kind.TASK, "which; all if left out", Use.ANY),
+            Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),
             Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
+        ),
+        examples=(
+            ("status", "Show all tasks."),
+            ("status jttrace fields=state,refF,mezF", "Show three columns of one."),
         ),
     ),
     Command(
         "status set",
         "Choose the columns of status: names, 'all' or 'default'.",
         command_handlers.status_set,
-        (Arg("field", Kind.FIELD, "columns; shows them if left out", Use.ANY),),
+        (Arg("field", Kind.FIELD, "columns; without any they are listed", Use.ANY),),
         scope=Scope.SESSION,
     ),
-    Command("stop", "Turn everything OFF and end it, now.", command_handlers.stop),
+    Command("stop", "Turn all tasks off and end them, now.", command_handlers.stop),
     Command(
         "swap",
-        "Put tasks into the place of others; the old ones stay OFF.",
+        "Replace tasks by others between two cycles; the old stay, OFF.",
         command_handlers.swap,
         (
-            Arg("old", Kind.TASK, "the tasks that leave, with commas"),
-            Arg("new", Kind.RMOD, "the tasks or RMODs that come, with commas"),
-            Arg("rtpu", Kind.RTPU, "where to spawn; beside the old ones", Use.NAMED),
+            Arg("old", Kind.TASK, "the tasks to replace, with commas"),
+            Arg("new", Kind.RMOD, "tasks or .rmods, with commas"),
+            Arg("rtpu", Kind.RTPU, "of new tasks; as the old", Use.NAMED),
             _DRY,
         ),
         changes=True,
         judged=True,
+        examples=(
+            ("swap pid_a pid_b", "Replace one controller by another."),
+            ("swap pid_a pid_b dry_run=yes", "Only show what would be done."),
+        ),
     ),
     Command(
         "switch",
-        "Go over to another job; what both have stays ON, the rest is killed.",
+        "Change to another job; tasks that both have stay ON.",
         command_handlers.switch,
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY, _WAIT),
+        (_JOB, _DRY, _WAIT),
         changes=True,
         judged=True,
+        examples=(
+            ("switch grasp", "Change to the job in grasp.job."),
+            ("switch grasp wait=2 dry_run=yes", "Only show what would be done."),
+        ),
     ),
     Command(
         "wait",
-        "Wait before the next command; a stop ends it.",
+        "Wait before the next command; 'stop' ends the wait.",
         command_handlers.wait,
         (Arg("seconds", Kind.SECONDS, "how long"),),
         scope=Scope.PROMPT,
@@ -383,6 +450,10 @@ COMMANDS: Final = (
             Arg("value", Kind.NUMBER, "its elements", Use.SOME),
         ),
         changes=True,
+        examples=(
+            ("write T_REF 0.5 -1.5 2", "Set the elements of an array."),
+            ("write MODE 3", "Set a single value."),
+        ),
     ),
 )
 

@@ -70,7 +70,7 @@ def save(crew: Crew, tasks: Sequence[str]) -> list[tuple[Saved, Path]]:
     saved: list[tuple[Saved, Path]] = []
     for found in ask(crew, tasks):
         rmod = crew.picture.find(found.status.task).rmod
-        host = crew.fleet.host(found.status.rtpu)
+        host = crew.fleet.agent(found.status.rtpu).host
         when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
         try:
             saved.append(crew.files.profiles.keep(found, rmod, host=host, when=when))

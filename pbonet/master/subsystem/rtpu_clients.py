@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import secrets
-import socket
 from types import NoneType
 from typing import TYPE_CHECKING, TypeVar
 
@@ -40,8 +38,8 @@ log = logging.getLogger("pbonet.master")
 
 def client_name(kind: str) -> str:
     """Return a unique name for a master or tool: its kind, host, process, and luck."""
-    host = "".join(c if c.isalnum() else "-" for c in socket.gethostname())[:24]
-    return f"{kind}-{host}-{os.getpid()}-{secrets.token_hex(2)}"
+    host = "".join(c if c.isalnum() else "-" for c in os.uname().nodename)[:24]
+    return f"{kind}-{host}-{os.getpid()}-{os.urandom(2).hex()}"
 
 
 class Fleet:
@@ -57,7 +55,7 @@ class Fleet:
         self.sbs = sbs
         self.entries: dict[str, RtpuEntry] = {entry.name: entry for entry in sbs.rtpus}
         self.epochs: dict[str, int] = {}
-        self._hosts: dict[str, str] = {}
+        self._agents: dict[str, m.AgentInfo] = {}
         self._token: rpc.Declared | None = None
 
     @property
@@ -75,15 +73,18 @@ class Fleet:
         """Whether this master holds the subsystem."""
         return bool(self.epochs)
 
-    def host(self, rtpu: str) -> str:
-        """Return the name of the machine that an RTPU is on.
+    def agent(self, rtpu: str) -> m.AgentInfo:
+        """Return what the agent of an RTPU says of itself and its machine.
+
+        ``machine`` is the identity of the machine; ``host`` is only its name, which
+        another machine may have too.
 
         Raises:
-            PbonetError: Its agent does not say.
+            PbonetError: The agent does not answer.
         """
-        if rtpu not in self._hosts:
-            self._hosts[rtpu] = self.call(rtpu, m.Hello(), m.AgentInfo).host
-        return self._hosts[rtpu]
+        if rtpu not in self._agents:
+            self._agents[rtpu] = self.call(rtpu, m.Hello(), m.AgentInfo)
+        return self._agents[rtpu]
 
     def entry(self, rtpu: str) -> RtpuEntry:
         """Return what the file says about an RTPU.

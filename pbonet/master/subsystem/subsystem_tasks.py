@@ -24,7 +24,7 @@ from .unwritten_inputs import Unfed
 from .warning_dedup import Standing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pbonet.config import Rmod
     from pbonet.master.configuration import Files
@@ -80,7 +80,7 @@ class Crew:
         self.picture = Picture()
         self._info = cache(partial(remote_modules.on, fleet, files.library))
         self._standing = Standing()
-        self._producers: dict[str, tuple[str, ...]] = {}  # as last read
+        self._producers: Mapping[str, tuple[str, ...]] = {}  # as last read
         self._unfed = Unfed(
             lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self.say
         )
@@ -220,7 +220,7 @@ class Crew:
         member.info = self.info(member.rtpu, member.rmod)
         store = self.files.profiles
         if store.hosts(member.name):
-            host = self.fleet.host(member.rtpu)
+            host = self.fleet.agent(member.rtpu).host
             member.saved, note = store.find(member.rmod, host, member.info)
             if note and note not in self._noted:
                 self._noted.add(note)
