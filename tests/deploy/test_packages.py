@@ -1,0 +1,119 @@
+"""The sdist and the wheel: their content, and that they work where nothing else is."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILD = "from setuptools import build_meta as b; import sys; b.build_{}(sys.argv[1])"
+CARRIED = {".py", ".pyi", ".pxd", ".pxi", ".h", ".rmod", ".trace", ".typed"}
+
+
+def tracked() -> list[str]:
+    git = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return [name for name in git.stdout.splitlines() if (ROOT / name).is_file()]
+
+
+def build(what: str, source: Path, to: Path) -> Path:
+    to.mkdir(exist_ok=True)
+    command = [sys.executable, "-c", BUILD.format(what), str(to)]
+    done = subprocess.run(
+        command, cwd=source, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    (made,) = to.iterdir()
+    return made
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory):
+    """An sdist of the files that git knows."""
+    source = tmp_path_factory.mktemp("source")
+    for name in tracked():
+        if name.startswith("pbonet/") or "/" not in name:
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / name, source / name)
+    return build("sdist", source, tmp_path_factory.mktemp("sdist") / "dist")
+
+
+@pytest.fixture(scope="module")
+def wheel(sdist, tmp_path_factory):
+    """A wheel that was built from the sdist alone."""
+    folder = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(folder, filter="data")
+    (source,) = folder.iterdir()
+    return build("wheel", source, tmp_path_factory.mktemp("wheel") / "dist")
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """A virtual environment with the wheel; what pbonet needs is our own."""
+    folder = tmp_path_factory.mktemp("clean") / "env"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    python = folder / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet"]
+    subprocess.run([*pip, "--no-index", "--no-deps", str(wheel)], check=True)
+    (site,) = folder.glob("lib/python*/site-packages")
+    ours = {sysconfig.get_path(name) for name in ("purelib", "platlib")}
+    ours |= {path for path in sys.path if path.endswith("site-packages")}
+    (site / "needs.pth").write_text("\n".join(sorted(ours)) + "\n")
+    return folder
+
+
+def test_a_wheel_carries_stubs_data_and_native_parts(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        there = set(archive.namelist())
+    wanted = {
+        name
+        for name in tracked()
+        if name.startswith("pbonet/") and Path(name).suffix in CARRIED
+    }
+    assert wanted - there == set()
+    native = {
+        Path(name).stem
+        for name in tracked()
+        if name.startswith("pbonet/") and name.endswith(".pyx")
+    }
+    built = {Path(name).name.partition(".")[0] for name in there if ".so" in name}
+    assert built == native
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--version"], "pbonet"),
+        (["check", "puma.job"], "legal"),
+        (["run", "puma.job", "--sim", "--seconds", "0.05"], "puma_pidg"),
+    ],
+)
+def test_what_is_installed_works_by_itself(installed, tmp_path, words, said):
+    example = tmp_path / "puma"
+    shutil.copytree(ROOT / "examples" / "puma", example)
+    env = {**os.environ, "PBONET_RUNS": str(tmp_path / "runs")}
+    env.pop("PYTHONPATH", None)
+    done = subprocess.run(
+        [installed / "bin" / "pbonet", *words],
+        cwd=example,
+        env=env,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert said in done.stdout
