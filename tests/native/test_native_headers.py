@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from svar_rig import ROOT, compiler
 
-HEADERS = sorted((ROOT / "pbonet").glob("*/*.h"))
+HEADERS = sorted((ROOT / "pbonet").rglob("*.h"))
 each = pytest.mark.parametrize(
     "header", HEADERS, ids=lambda header: f"{header.parent.name}-{header.name}"
 )

@@ -109,7 +109,7 @@ def test_the_sweep_catches_a_missing_check(name, tmp_path):
     assert found[symptom] > 0
 
 
-NODE = HEADERS.parent / "node"
+NODE = HEADERS.parents[1] / "node" / "rt"
 
 
 def test_a_task_is_held_behind_its_locks_and_calls_not_amid_them(tmp_path):
@@ -123,7 +123,7 @@ def test_a_task_is_held_behind_its_locks_and_calls_not_amid_them(tmp_path):
 def test_a_task_that_is_held_at_once_keeps_others_waiting(tmp_path):
     right = "    steady->owed = signal;\n    return 1;\n"
     headers = mutant(tmp_path, "steady.h", right, "    return signal == 0;\n", HEADERS)
-    flags = (f"-I{NODE}", f"-I{HEADERS.parent}")
+    flags = (f"-I{NODE}", f"-I{HEADERS}")
     found = run(build("xm_held.c", tmp_path / "held", *flags, headers=headers))
     assert found["amid"] > 10
     assert found["uncalled"] > 0

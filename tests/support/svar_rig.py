@@ -82,8 +82,8 @@ def mutant(
     folder: Path, header: str, right: str, wrong: str, headers: Path = HEADERS
 ) -> Path:
     """Copy the headers with one line made wrong; return the copy's folder."""
-    copy = folder / headers.name
-    copy.mkdir()
+    copy = folder / headers.relative_to(ROOT / "pbonet")
+    copy.mkdir(parents=True)
     if headers != HEADERS:
         (folder / HEADERS.name).symlink_to(HEADERS)
     for path in headers.glob("*.h"):

@@ -5,7 +5,7 @@ import mmap
 import numpy as np
 from svar_rig import ROOT, Child, wait_for
 
-HEADERS = ROOT / "pbonet" / "xm"
+HEADERS = ROOT / "pbonet" / "xm" / "ipc"
 SECOND = 1_000_000_000
 LONG = 30 * SECOND
 """Nanoseconds that a wait has which must not time out."""
