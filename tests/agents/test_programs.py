@@ -40,7 +40,7 @@ def test_agents_come_and_go_with_the_program(program):
 def test_agents_go_when_the_subsystem_cannot_be_opened(program, monkeypatch):
     children = []
 
-    def refuse(_):
+    def refuse(*_, **__):
         children.extend(program._agents.children)
         raise NodeError("no")
 
