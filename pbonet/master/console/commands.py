@@ -17,7 +17,7 @@ from pbonet.errors import NodeError, did_you_mean
 from . import command_handlers
 
 if TYPE_CHECKING:
-    from .session_state import Seat
+    from .command_session import CommandSession
 
     Given = dict[str, Any]
 
@@ -68,6 +68,8 @@ class Arg(Struct, frozen=True):
     use: Use = Use.ONE
     last: bool = False
     """The task last used stands in where an interface has one."""
+    commas: bool = False
+    """It is several names in one word, with commas between them."""
 
     @property
     def need(self) -> bool:
@@ -100,13 +102,18 @@ class Command(Struct, frozen=True):
 
     name: str
     help: str
-    run: Callable[[Seat, Given], Any]
-    """Does it and returns what there is to show, as plain data."""
     args: tuple[Arg, ...] = ()
+    run: Callable[[CommandSession, Given], Given] | None = None
+    """Carries it out and returns the data to show. None: the method of `Subsystem` of
+    its name is called with its arguments."""
+    shows: str = ""
+    """The name that the method's result has in the data; empty: it is the data."""
+    points: str = ""
+    """The argument whose last task is the default of the next command."""
     changes: bool = False
     """It needs a master that holds the claim."""
     judged: bool = False
-    """It is verified against all tasks, and refused if it would be illegal."""
+    """It is verified before, and refused if it would be illegal."""
     alone: bool = False
     """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
@@ -146,30 +153,29 @@ COMMANDS: Final = (
     Command(
         "check",
         "Judge a job, or the tasks as they stand, without changing anything.",
-        command_handlers.check,
         (Arg("job", Kind.JOB, "the job", Use.MAYBE),),
+        run=command_handlers.check,
     ),
     Command(
         "clear",
         "Send clear to tasks in ERROR.",
-        command_handlers.signal("clear"),
         (_TASKS, _TEXT),
         changes=True,
+        shows="states",
     ),
     Command(
         "display",
         "Show variables of the table with unit, age and writer.",
-        command_handlers.display,
         (
             Arg("variable", Kind.VARIABLE, "names; * and ? match", Use.ANY),
             Arg("task", Kind.TASK, "those of its ports", Use.NAMED),
             Arg("writer", Kind.TASK, "those it writes now", Use.NAMED),
         ),
+        shows="variables",
     ),
     Command(
         "events",
         "Show what happened lately.",
-        command_handlers.events,
         (
             Arg("last", Kind.COUNT, "how many", Use.MAYBE),
             Arg(
@@ -182,110 +188,111 @@ COMMANDS: Final = (
             Arg("code", Kind.WORD, "of one code, such as WARNING", Use.NAMED),
             Arg("severity", Kind.WORD, "the least: debug to fatal", Use.NAMED),
         ),
+        run=command_handlers.events,
     ),
     Command(
         "events count",
         "Show how often each kind of event came, those held back in floods too.",
-        command_handlers.events_count,
         (Arg("task", Kind.TASK, "of which; all if left out", Use.ANY),),
         scope=Scope.SESSION,
+        shows="counts",
     ),
     Command(
         "freq",
         "Show or set a task's frequency.",
-        command_handlers.freq,
         (_TASK, Arg("hz", Kind.NUMBER, "new, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
         alone=True,
+        shows="hz",
     ),
     Command(
         "get",
         "Show the parameters of a task's module.",
-        command_handlers.get,
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
         alone=True,
+        shows="params",
     ),
     Command(
         "help",
         "Show the commands, or one of them.",
-        command_handlers.help_,
         (Arg("command", Kind.COMMAND, "which", Use.MAYBE),),
         scope=Scope.SESSION,
+        run=command_handlers.help_,
     ),
     Command(
         "kill",
         "Destroy tasks.",
-        command_handlers.signal("kill"),
         (_TASKS, _TEXT),
         changes=True,
+        shows="states",
     ),
     Command(
         "module",
         "List modules and RMODs, or show one module.",
-        command_handlers.module,
         (Arg("module", Kind.MODULE, "which", Use.MAYBE),),
+        run=command_handlers.module,
     ),
     Command(
         "network",
         "Hand control to a program on the network until it ends.",
-        command_handlers.network,
         (Arg("portname", Kind.WORD, "the name under which it finds us"),),
         scope=Scope.PROMPT,
+        run=command_handlers.network,
     ),
     Command(
         "off",
         "Send off to tasks.",
-        command_handlers.signal("off"),
         (_TASKS, _TEXT),
         changes=True,
+        shows="states",
     ),
     Command(
         "on",
         "Send on to tasks.",
-        command_handlers.signal("on"),
         (_TASKS, _TEXT),
         changes=True,
         judged=True,
+        shows="states",
     ),
     Command(
         "profile",
         "Show how long cycles take: every figure, and the execution profile.",
-        command_handlers.profiles,
         (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+        run=command_handlers.profiles,
     ),
     Command(
         "profile save",
         "Save profiles beside the .sbs file, for the analysis of later starts.",
-        command_handlers.profiles_save,
         (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
         scope=Scope.SESSION,
+        run=command_handlers.profiles_save,
     ),
     Command(
         "quit",
         "End this interface; the next one of the master goes on.",
-        command_handlers.quit_,
         scope=Scope.SESSION,
+        run=command_handlers.quit_,
     ),
     Command(
         "reconfig",
         "Send several signals in order, judged by their end.",
-        command_handlers.reconfig,
         (Arg("item", Kind.ITEM, "such as pid:off", Use.SOME),),
         changes=True,
         judged=True,
+        shows="states",
+        points="item",
     ),
     Command(
         "reinit",
         "Read the constants again and run reinit.",
-        command_handlers.signal("reinit"),
         (_TASKS, _TEXT),
         changes=True,
+        shows="states",
     ),
     Command(
         "set",
         "Show or change parameters of a task's module.",
-        command_handlers.set_,
         (
             _TASK,
             Arg("param", Kind.PARAM, "which; all if left out", Use.MAYBE),
@@ -293,31 +300,31 @@ COMMANDS: Final = (
         ),
         changes=True,
         alone=True,
+        shows="params",
     ),
     Command(
         "sigmask",
         "Show or set which signals of tasks nobody wants: names, 'none' or 'unset'.",
-        command_handlers.sigmask,
         (
             Arg("signal", Kind.SIGNAL, "names; shows the masks if left out", Use.ANY),
             Arg("task", Kind.TASK, "whose; the subsystem's if left out", Use.NAMED),
         ),
         changes=True,
+        shows="masks",
     ),
     Command(
         "sigwait",
         "Wait until a task sends a signal, and take it; a stop ends it.",
-        command_handlers.sigwait,
         (
             Arg("signal", Kind.SIGNAL, "which; any if left out", Use.ANY),
-            Arg("task", Kind.TASK, "of these tasks, with commas", Use.NAMED),
+            Arg("task", Kind.TASK, "of these, with commas", Use.NAMED, commas=True),
             Arg("timeout", Kind.SECONDS, "for ever if left out", Use.NAMED),
         ),
+        run=command_handlers.sigwait,
     ),
     Command(
         "spawn",
         "Create a task from an RMOD; it is OFF then.",
-        command_handlers.spawn,
         (
             Arg("rmod", Kind.RMOD, "the RMOD"),
             Arg("rtpu", Kind.RTPU, "where; as the RMOD says if left out", Use.MAYBE),
@@ -325,49 +332,57 @@ COMMANDS: Final = (
         ),
         changes=True,
         judged=True,
+        run=command_handlers.spawn,
     ),
     Command(
         "start",
         "Assemble a job: verify, spawn, turn on.",
-        command_handlers.start,
         (Arg("job", Kind.JOB, "the job", Use.MAYBE), _WAIT),
         changes=True,
         judged=True,
+        run=command_handlers.start,
     ),
     Command(
         "status",
         "Show the status of tasks, since the last status.",
-        command_handlers.status,
         (
             Arg("task", Kind.TASK, "which; all if left out", Use.ANY),
             Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
         ),
+        run=command_handlers.status,
     ),
     Command(
         "status set",
         "Choose the columns of status: names, 'all' or 'default'.",
-        command_handlers.status_set,
         (Arg("field", Kind.FIELD, "columns; shows them if left out", Use.ANY),),
         scope=Scope.SESSION,
+        run=command_handlers.status_set,
     ),
-    Command("stop", "Turn everything OFF and end it, now.", command_handlers.stop),
+    Command(
+        "stop",
+        "Turn everything OFF and end it, now.",
+    ),
     Command(
         "swap",
         "Put tasks into the place of others; the old ones stay OFF.",
-        command_handlers.swap,
         (
-            Arg("old", Kind.TASK, "the tasks that leave, with commas"),
-            Arg("new", Kind.RMOD, "the tasks or RMODs that come, with commas"),
+            Arg("old", Kind.TASK, "the tasks that leave, with commas", commas=True),
+            Arg(
+                "new",
+                Kind.RMOD,
+                "the tasks or RMODs that come, with commas",
+                commas=True,
+            ),
             Arg("rtpu", Kind.RTPU, "where to spawn; beside the old ones", Use.NAMED),
             _DRY,
         ),
         changes=True,
         judged=True,
+        points="new",
     ),
     Command(
         "switch",
         "Go over to another job; what both have stays ON, the rest is killed.",
-        command_handlers.switch,
         (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY, _WAIT),
         changes=True,
         judged=True,
@@ -375,19 +390,18 @@ COMMANDS: Final = (
     Command(
         "wait",
         "Wait before the next command; a stop ends it.",
-        command_handlers.wait,
         (Arg("seconds", Kind.SECONDS, "how long"),),
         scope=Scope.PROMPT,
     ),
     Command(
         "write",
         "Set a variable that no task writes.",
-        command_handlers.write,
         (
             Arg("variable", Kind.VARIABLE, "its name"),
             Arg("value", Kind.NUMBER, "its elements", Use.SOME),
         ),
         changes=True,
+        run=command_handlers.write,
     ),
 )
 

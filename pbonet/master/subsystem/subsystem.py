@@ -76,7 +76,8 @@ class Subsystem(Switching, Calls, Signalled):
         virtual: Run in virtual time, in this process, without agents and devices: time
             passes where the program waits.
         partly: Be content with the RTPUs that answer; of the others it is warned.
-        warned: Called with each warning, one sentence, unless a `Desk` collects it.
+        warned: Called with each warning, one sentence, unless a `CommandSession`
+            collects it.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says, or outputs. In virtual time nothing is, and only ``off`` may be said.
 
