@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import msgspec
 from msgspec import Struct
@@ -170,8 +170,7 @@ class CommandSession:
         if names := given.get(command.points, []):
             self.default = names[-1] if isinstance(names[-1], str) else names[-1][0]
         if not command.shows:
-            data: dict[str, Any] = result if isinstance(result, dict) else {}
-            return data
+            return cast("dict[str, Any]", result) if isinstance(result, dict) else {}
         one = [arg.name for arg in command.args if arg.last and not arg.many]
         return {name: given[name] for name in one} | {command.shows: result}
 
