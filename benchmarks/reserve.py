@@ -28,8 +28,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from benchmarks import rtbench
-from pbonet.analysis.schedule.dispatch import turns
-from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.events import Event, turns
 from pbonet.analysis.schedule.records import Decision
 from pbonet.node import rt
 

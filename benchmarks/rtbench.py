@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LEVEL = 44
-"""What a task alone on its core gets (`urgency.assign_levels`)."""
+"""What a task alone on its core gets (`muf_assign`)."""
 
 
 class Loop(NamedTuple):

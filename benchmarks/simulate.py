@@ -1,8 +1,7 @@
 """How fast virtual time passes: seconds simulated by seconds taken.
 
 Measures `simulate` (segments and response times kept) on sets of ten tasks
-at and around 100 Hz, without module code; beside it the twin of the dispatcher, which
-keeps every decision (`inline`), and the whole of `simulate_job`. The
+at and around 100 Hz, without module code; beside it the whole of `simulate_job`. The
 median of five runs; the goal is 100 for the first line.
 
     python -m benchmarks.simulate [--seconds 20] [--json FILE]
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule.inline import Inline
 from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 from pbonet.config.model import Rmod, RtpuEntry, SvarFile
 
@@ -51,15 +49,6 @@ def speed(run: Callable[[], object], seconds: float) -> float:
     return statistics.median(found)
 
 
-def twin(spread_ns: int, seconds: int) -> None:
-    """Run the same tasks by the twin of the dispatcher."""
-    core = Inline(SECOND)
-    for task in tasks(spread_ns):
-        core.add(task.name, lambda _now, _dt: 700_000, period_ns=task.period_ns, crit=5)
-        core.on(task.name)
-    core.run_until((seconds + 1) * SECOND)
-
-
 def job(seconds: float) -> None:
     """Run a configuration of ten tasks, from its verification data to the text."""
     made = [
@@ -89,9 +78,6 @@ def speeds(seconds: int) -> dict[str, float]:
         ),
         "10 tasks at 100 Hz, simulate_job with its text": speed(
             lambda: job(seconds), seconds
-        ),
-        "10 tasks at 100 Hz, twin of the dispatcher": speed(
-            lambda: twin(0, seconds // 4 or 1), seconds // 4 or 1
         ),
     }
 

@@ -1,45 +1,12 @@
 """pbonet: assemble a robot's control software from port-based objects.
 
-These are the names that the author of a module imports. Programs that steer a subsystem
-import `pbonet.master`; tests of modules import `pbonet.testing`.
+These are the names that the author of a module imports, and `Subsystem`, with which a
+program assembles, steers and watches a subsystem. Each is loaded when it is first used.
+Tests of modules import `pbonet.testing`.
 """
 
-from pbonet.pbo import (
-    Answer,
-    Handling,
-    Params,
-    PortBasedObject,
-    Recovery,
-    Signal,
-    State,
-    TaskContext,
-    TimingFailure,
-    UserSignal,
-    param,
-)
-from pbonet.ports import InConst, InVar, Matrix, OutConst, OutVar, Vector
+from .lazy import attach
 
-from .errors import PbonetError
-
-__all__ = [
-    "Answer",
-    "Handling",
-    "InConst",
-    "InVar",
-    "Matrix",
-    "OutConst",
-    "OutVar",
-    "Params",
-    "PbonetError",
-    "PortBasedObject",
-    "Recovery",
-    "Signal",
-    "State",
-    "TaskContext",
-    "TimingFailure",
-    "UserSignal",
-    "Vector",
-    "param",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
 
 __version__ = "0.1.0"

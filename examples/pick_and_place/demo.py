@@ -18,8 +18,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from pbonet import Subsystem
 from pbonet.errors import ConditionError, PbonetError
-from pbonet.master import Subsystem
 
 if TYPE_CHECKING:
     from collections.abc import Callable

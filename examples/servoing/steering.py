@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from pbonet import Subsystem
 from pbonet.errors import StateError
-from pbonet.master import Subsystem
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

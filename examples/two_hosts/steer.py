@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pbonet import Subsystem
 from pbonet.errors import PbonetError
-from pbonet.master import Subsystem
 from pbonet.xm.net import session
 
 HERE = Path(__file__).parent

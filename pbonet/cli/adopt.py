@@ -4,33 +4,36 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
 
 def command(
     *,
     file: options.File,
     rmod: A[
-        list[str] | None,
-        typer.Argument(help="Which; all that were measured if left out."),
+        list[str] | None, Argument("Which .rmod files; all with a profile if left out.")
     ] = None,
     margin: A[
-        float,
-        typer.Option(help="Per cent between what was measured and MAXC.", min=0.0),
+        float, Option("Per cent by which MAXC is above what was measured.", least=0.0)
     ] = 20.0,
-    dry_run: A[
-        bool, typer.Option("--dry-run", help="Show the changes and write nothing.")
-    ] = False,
+    dry_run: A[bool, Option("Show the changes and write nothing.")] = False,
     host: options.Host = "",
-    json_: options.Json = False,
     library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+    json_: options.Json = False,
 ) -> None:
-    """Write saved profiles into RMODs, as MINC, MAXC and EFFC of soft tasks."""
-    import sys
+    """Write measured execution times into .rmod files, as MINC and MAXC.
 
+    MAXC is the worst-case execution time that the schedulability analysis uses, MINC
+    the best case, EFFC what a cycle of a soft task is counted with. 'pbonet profile
+    --save' and 'pbonet run --profile' save the measurements.
+
+    Examples:
+        Show what would change in one file:
+        pbonet adopt arm.sbs grav_comp --dry-run
+        Write all that was measured, with half as much again as a margin:
+        pbonet adopt arm.sbs --margin 50
+    """
     import msgspec
 
     from pbonet.master.configuration import adopt
@@ -39,10 +42,9 @@ def command(
     found, warnings = adopt(
         file, rmod or (), library or (), margin=margin, host=host, dry_run=dry_run
     )
-    if json_:
-        data = {"adopted": msgspec.to_builtins(found), "warnings": warnings}
-        print(msgspec.json.encode(data).decode())
-        return
-    for text in warnings:
-        sys.stderr.write(render.warning(text) + "\n")
-    print("\n".join(render.adopted(one, dry_run=dry_run) for one in found))
+    options.show(
+        "\n".join(render.adopted(one, dry_run=dry_run) for one in found),
+        {"adopted": msgspec.to_builtins(found)},
+        warnings,
+        as_data=json_,
+    )

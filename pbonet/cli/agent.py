@@ -1,90 +1,81 @@
-"""``pbonet agent``: be the agent of one RTPU until told to end."""
+"""``pbonet agent``: be the agent of one RTPU until a signal ends it."""
 
 from __future__ import annotations
 
-import enum
 import logging
 import signal
 from functools import partial
 from pathlib import Path
-from typing import Annotated as A
+from typing import Annotated as A, Literal
 
-import typer
-
-from . import options
-
-
-class Backend(enum.StrEnum):
-    """How tasks are scheduled."""
-
-    AUTO = "auto"
-    FIFO = "fifo"
-    PARK = "park"
+from .parser import Option
 
 
 def command(
     *,
-    name: A[str | None, typer.Option(help="The RTPU's name.")] = None,
+    name: A[str | None, Option("The RTPU's name.", "NAME")] = None,
     core: A[
-        int | None, typer.Option(help="The core it owns; chosen if left out.", min=0)
+        int | None,
+        Option("The core its tasks run on; chosen if left out.", "CORE", least=0),
     ] = None,
-    config: A[Path | None, typer.Option(help="An agent.toml.")] = None,
+    config: A[Path | None, Option("An agent.toml with these settings.", "FILE")] = None,
     domain: A[
         str | None,
-        typer.Option(help="The domain.", envvar="PBONET_DOMAIN", metavar="NAME"),
+        Option(
+            "The domain: RTPUs and masters of one domain find each other.",
+            "NAME",
+            env="PBONET_DOMAIN",
+        ),
     ] = None,
-    listen: A[
-        list[str] | None, typer.Option(help="Listen there.", metavar="ENDPOINT")
-    ] = None,
+    listen: A[list[str] | None, Option("Accept connections there.", "ENDPOINT")] = None,
     connect: A[
         list[str] | None,
-        typer.Option(
-            help="Connect there.", envvar="PBONET_CONNECT", metavar="ENDPOINT"
-        ),
+        Option("Connect to this agent.", "ENDPOINT", env="PBONET_CONNECT"),
     ] = None,
     library: A[
         list[Path] | None,
-        typer.Option(
-            help="A folder of modules.", envvar="PBONET_LIBRARY", metavar="FOLDER"
-        ),
+        Option("A folder of modules.", "FOLDER", env="PBONET_LIBRARY"),
     ] = None,
     grace: A[
         float | None,
-        typer.Option(help="Seconds that control goes on without the agent.", min=0),
+        Option("How long tasks go on if the agent dies.", "SECONDS", least=0),
     ] = None,
     keys: A[
         Path | None,
-        typer.Option(
-            help="Its key folder (pbonet keys).",
-            envvar="PBONET_KEYS",
-            metavar="FOLDER",
+        Option(
+            "Its folder of certificates (pbonet keys).", "FOLDER", env="PBONET_KEYS"
         ),
     ] = None,
     runs: A[
         Path | None,
-        typer.Option(help="Folder of the logs; PBONET_RUNS or runs by default."),
+        Option("Folder of the logs; PBONET_RUNS or runs by default.", "FOLDER"),
     ] = None,
     files: A[
         Path | None,
-        typer.Option(help="Folder that others may use: pbonet://NAME/..."),
+        Option("A folder that tasks elsewhere may read: pbonet://NAME/...", "FOLDER"),
     ] = None,
-    insecure: A[
-        bool, typer.Option("--insecure", help="Listen beyond this machine.")
-    ] = False,
+    insecure: A[bool, Option("Accept other machines without certificates.")] = False,
     multicast: A[
-        bool, typer.Option("--multicast", help="Find the domain's agents nearby.")
+        bool, Option("Find the domain's agents on the local network.")
     ] = False,
-    awake: A[
-        bool, typer.Option("--awake", help="Keep the processors from sleeping.")
-    ] = False,
-    backend: A[Backend, typer.Option(help="Scheduling.")] = Backend.AUTO,
-    with_parent: A[
-        int, typer.Option(help="End with this parent process.", metavar="PID")
-    ] = 0,
-    verbose: A[bool, typer.Option("--verbose", "-v", help="Say what happens.")] = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
-) -> None:
-    """Be the agent of one RTPU: register, take commands, run tasks."""
+    awake: A[bool, Option("Keep the processors out of their sleep states.")] = False,
+    backend: A[
+        Literal["auto", "fifo", "park"],
+        Option("How tasks are scheduled: by real-time priority, or parked."),
+    ] = "auto",
+    with_parent: A[int, Option("End when this parent process ends.", "PID")] = 0,
+    verbose: A[bool, Option("Log what happens.", names=("--verbose", "-v"))] = False,
+) -> int:
+    """Be the agent of one RTPU (executor), which runs tasks on its core.
+
+    It runs until SIGTERM or Ctrl-C. 'pbonet run' starts agents where there are none.
+
+    Examples:
+        Be RTPU arm0 on core 1:
+        pbonet agent --name arm0 --core 1
+        Be one that other machines reach, as its file says:
+        pbonet agent --config agent.toml --listen tcp/0.0.0.0:7447 --keys keys/arm0
+    """
     from pbonet.config import told_agent
     from pbonet.node.agent import agent_main
     from pbonet.node.wire import process_setup
@@ -96,7 +87,7 @@ def command(
     if with_parent and not process_setup.set_parent_death_signal(
         signal.SIGTERM, with_parent
     ):
-        raise typer.Exit(0)
+        return 0
     told = {
         "name": name,
         "core": core,
@@ -114,4 +105,4 @@ def command(
     }
     given = {key: value for key, value in told.items() if value is not None}
     read = partial(told_agent, config, given)
-    raise typer.Exit(agent_main.main(read(), backend=backend.value, again=read))
+    return agent_main.main(read(), backend=backend, again=read)

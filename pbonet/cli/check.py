@@ -5,22 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument
 
 
 def command(
     *,
-    file: A[list[Path], typer.Argument(help=".svar .rmod .sbs .job or .toml files.")],
+    file: A[list[Path], Argument("The .svar, .rmod, .sbs, .job or .toml files.")],
     host: options.Host = "",
-    json_: options.Json = False,
     library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
-) -> None:
-    """Judge files of any kind; no agent is needed. Status 1 when one is wrong.
+    json_: options.Json = False,
+) -> int:
+    """Check files and say what is wrong with them.
 
-    Of a job it also says which deadlines are kept, and what that rests on.
+    Of a job it also says which deadlines are met, and which execution times that rests
+    on. The status is 1 if a file is wrong.
+
+    Examples:
+        Check a job with the files it names, and whether its deadlines are met:
+        pbonet check puma.job
+        Check every module configuration of this folder:
+        pbonet check *.rmod
     """
     import msgspec
 
@@ -32,4 +37,4 @@ def command(
         print(msgspec.json.encode(data).decode())
     else:
         print("\n".join(line for one in found for line in one.lines()))
-    raise typer.Exit(0 if all(one.legal for one in found) else 1)
+    return int(not all(one.legal for one in found))

@@ -1,43 +1,44 @@
-"""``pbonet display``: values of variables, once or again and again."""
+"""``pbonet display``: values of variables, once or repeatedly."""
 
 from __future__ import annotations
 
 from typing import Annotated as A
 
-import typer
-
 from . import options
-from .table import show
+from .parser import Argument, Option
 
 
 def command(
     *,
     file: options.File,
     variable: A[
-        list[str] | None, typer.Argument(help="Names; * and ? match; all if left out.")
+        list[str] | None,
+        Argument("Names; * and ? match any text; all if left out."),
     ] = None,
-    task: A[str | None, typer.Option(help="Those of its ports.")] = None,
-    writer: A[str | None, typer.Option(help="Those it writes now.")] = None,
-    watch: A[bool, typer.Option("--watch", help="Show them again and again.")] = False,
-    csv: A[bool, typer.Option("--csv", help="One line of numbers each time.")] = False,
-    every: A[float, typer.Option(help="Seconds between.", min=0.01)] = 0.5,
-    count: A[int | None, typer.Option(help="How often; for ever.", min=1)] = None,
+    task: A[str | None, Option("Only variables of this task's ports.", "TASK")] = None,
+    writer: A[str | None, Option("Only those this task writes now.", "TASK")] = None,
+    watch: A[bool, Option("Repeat until Ctrl-C, over the last values.")] = False,
+    csv: A[bool, Option("Repeat until Ctrl-C, one row of numbers each time.")] = False,
+    every: A[float, Option("Seconds between two times.", least=0.01)] = 0.5,
+    count: A[int | None, Option("How many times, at most.", least=1)] = None,
+    place: options.Watching,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show variables of the table with unit, age and writer."""
-    from pbonet.master.configuration import Place
+    """Show the values of shared variables, with unit, age and writer.
+
+    'pbonet status' shows tasks and their timing; 'pbonet view' shows both as plots, in
+    Foxglove.
+
+    Examples:
+        Show every joint variable, and again twice a second:
+        pbonet display arm.sbs 'Q_*' --watch
+        Record 100 rows for a spreadsheet:
+        pbonet display arm.sbs Q_MEZ --csv --every 0.1 --count 100
+    """
     from pbonet.master.console import oneshot, watch_values
 
-    place = Place(
-        domain=domain,
-        connect=tuple(connect or ()),
-        libraries=tuple(map(str, library or ())),
-    )
+    from .table import show
+
     given = {"variable": variable, "task": task, "writer": writer}
     if not (watch or csv):
         reply = oneshot.run(file, "display", given, place)

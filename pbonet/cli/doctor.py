@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Option
 
 
 def command(
     *,
-    clean: A[
-        bool, typer.Option("--clean", help="Remove what killed processes left.")
-    ] = False,
+    clean: A[bool, Option("Remove what killed processes left, and end.")] = False,
+    agents: options.Agents,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
-) -> None:
-    """Look at real-time rights, cores, memory, agents, leftovers. Status 1: FAIL."""
+) -> int:
+    """Check this machine: real-time rights, cores, memory, agents, ...
+
+    It also finds shared memory that killed processes left. Each line is PASS, WARN or
+    FAIL, and says what to do. The status is 1 if one fails.
+
+    Examples:
+        Check the machine before the first run:
+        pbonet doctor
+        Remove the shared memory of processes that were killed:
+        pbonet doctor --clean
+    """
     import msgspec
 
     from pbonet.master.tools import doctor
@@ -41,20 +45,20 @@ def command(
             if json_
             else "\n".join(removed) or "nothing to remove"
         )
-        return
+        return 0
     found = doctor.examine(
-        domain,
+        agents.domain,
         probe=probe(),
         leftovers=[doctor.Leftover(at.domain, at.name) for at in dead],
         neighbours=[
             doctor.Neighbour(at.domain, at.name, state.core)
             for at, state in states.items()
-            if state and state.alive and at.domain != domain
+            if state and state.alive and at.domain != agents.domain
         ],
-        connect=connect or (),
+        connect=agents.connect,
     )
     if json_:
         print(msgspec.json.encode(found).decode())
     else:
         print("\n".join(map(str, found)))
-    raise typer.Exit(int(any(one.level is doctor.Level.FAIL for one in found)))
+    return int(any(one.level is doctor.Level.FAIL for one in found))

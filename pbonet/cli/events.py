@@ -4,47 +4,42 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
 
 def command(
     *,
     file: options.File,
-    last: A[int | None, typer.Argument(help="How many.", metavar="LAST", min=0)] = None,
+    last: A[int | None, Argument("How many of the newest.", least=0)] = None,
     since: A[
-        str | None, typer.Option(help="Number of the first, or how long ago: 5m.")
+        str | None,
+        Option("From this number on, or from so long ago: 30s, 5m, 2h.", "WHEN"),
     ] = None,
-    task: A[str | None, typer.Option(help="Of one task.")] = None,
-    code: A[str | None, typer.Option(help="Of one code, such as WARNING.")] = None,
+    task: A[str | None, Option("Only events of this task.", "TASK")] = None,
+    code: A[str | None, Option("Only this kind, such as WARNING.", "CODE")] = None,
     severity: A[
         str | None,
-        typer.Option(help="The least: debug, info, warning, error or fatal."),
+        Option("This and worse: debug, info, warning, error or fatal.", "LEVEL"),
     ] = None,
-    follow: A[bool, typer.Option("--follow", help="Go on with each new one.")] = False,
-    count: A[
-        bool, typer.Option("--count", help="How often each kind came, by task.")
-    ] = False,
+    follow: A[bool, Option("Then show each new event, until Ctrl-C.")] = False,
+    count: A[bool, Option("Show how many of each kind every task reported.")] = False,
+    place: options.Watching,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show what happened lately."""
+    """Show the latest events of the tasks and RTPUs (executors).
+
+    Examples:
+        Show what went wrong in the last five minutes:
+        pbonet events arm.sbs --since 5m --severity warning
+        Show the last ten events and each new one:
+        pbonet events arm.sbs 10 --follow
+    """
     from pbonet.errors import StateError
-    from pbonet.master.configuration import Place
     from pbonet.master.console import follow_events, oneshot
 
     from .table import show
 
-    place = Place(
-        domain=domain,
-        connect=tuple(connect or ()),
-        libraries=tuple(map(str, library or ())),
-    )
     given: dict[str, object] = {"last": last, "since": since, "task": task}
     given |= {"code": code, "severity": severity}
     if follow and count:

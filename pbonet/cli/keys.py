@@ -5,56 +5,58 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
-command = typer.Typer(
-    help="Make certificates for agents, masters and observers.", no_args_is_help=True
-)
+HELP = "Make certificates for agents, masters and observers."
 
-Authority = A[
-    Path, typer.Option("--ca", help="The authority's folder.", metavar="FOLDER")
-]
-Name = A[str, typer.Argument(help="The holder: a machine or a person.")]
-Days = A[float, typer.Option(help="How long it is good for, days.", min=0.0)]
-Out = A[
-    Path | None,
-    typer.Option("--out", help="Where it is put; CA/NAME.", metavar="FOLDER"),
-]
+Authority = A[Path, Option("The authority's folder.", "FOLDER", names=("--ca",))]
+Name = A[str, Argument("The holder: a machine or a person.")]
+Days = A[float, Option("How many days they are valid.", "DAYS", least=0.0)]
+Out = A[Path | None, Option("Where to put them; CA/NAME if left out.", "FOLDER")]
 HERE = Path("keys")
 LONG = 825.0
 
 
-@command.command("ca")
-def authority(
+def ca(
     *,
     folder: Authority = HERE,
-    name: A[str, typer.Option(help="What the laboratory is called.")] = "pbonet",
+    name: A[str, Option("The name of the laboratory.", "NAME")] = "pbonet",
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Make the authority that signs for a laboratory; keep its ca.key to yourself."""
+    """Make a laboratory's certificate authority; keep its ca.key secret.
+
+    Examples:
+        Make one in the folder keys:
+        pbonet keys ca
+        Make one on a stick that stays in the safe:
+        pbonet keys ca --ca /media/stick/keys --name robotics
+    """
     from pbonet.xm.net import pki
 
     options.show_files([pki.make_authority(folder, name)], as_data=json_)
 
 
-@command.command("agent")
 def agent(
     *,
     name: Name,
     host: A[
         list[str] | None,
-        typer.Option(help="A name or address by which others connect to it."),
+        Option("A name or address by which others connect to it.", "HOST"),
     ] = None,
     folder: Authority = HERE,
     days: Days = LONG,
     out: Out = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Make the keys of a machine that runs agents."""
+    """Make the certificate of a machine that runs agents.
+
+    Examples:
+        Make that of a machine with two addresses:
+        pbonet keys agent robot1 --host robot1.lab --host 10.0.0.2
+        Make one that is valid for a month:
+        pbonet keys agent visitor --host 10.0.0.9 --days 30
+    """
     from pbonet.xm.net import credentials, pki
 
     made = pki.issue(
@@ -63,7 +65,6 @@ def agent(
     options.show_files([made], as_data=json_)
 
 
-@command.command("master")
 def master(
     *,
     name: Name,
@@ -71,16 +72,21 @@ def master(
     days: Days = LONG,
     out: Out = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Make the keys of somebody who may steer."""
+    """Make the certificate of a master: it may change subsystems.
+
+    Examples:
+        Make one:
+        pbonet keys master anna
+        Make one in the holder's own folder:
+        pbonet keys master anna --out ~anna/keys
+    """
     from pbonet.xm.net import credentials, pki
 
     made = pki.issue(folder, credentials.Role.MASTER, name, days=days, folder=out)
     options.show_files([made], as_data=json_)
 
 
-@command.command("observer")
 def observer(
     *,
     name: Name,
@@ -88,23 +94,34 @@ def observer(
     days: Days = LONG,
     out: Out = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Make the keys of somebody who may look, and steer nothing."""
+    """Make the certificate of an observer: it may only watch.
+
+    Examples:
+        Make one:
+        pbonet keys observer display1
+        Make one for a day's visit:
+        pbonet keys observer guest --days 1
+    """
     from pbonet.xm.net import credentials, pki
 
     made = pki.issue(folder, credentials.Role.OBSERVER, name, days=days, folder=out)
     options.show_files([made], as_data=json_)
 
 
-@command.command("show")
 def show(
     *,
-    folders: A[list[Path], typer.Argument(help="Key folders.", metavar="FOLDER")],
+    folders: A[list[Path], Argument("Folders of certificates.", "FOLDER")],
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show whose keys these are, and how long they are good for."""
+    """Show the holder of certificates, and how long they are valid.
+
+    Examples:
+        Show one:
+        pbonet keys show keys/robot1
+        Show all that were made here:
+        pbonet keys show keys/*/
+    """
     import msgspec
 
     from pbonet.xm.net import pki
@@ -115,5 +132,8 @@ def show(
         return
     for one in found:
         hosts = f" at {', '.join(one.hosts)}" if one.hosts else ""
-        state = f"{one.days:.0f} days left" if one.days > 0 else "OVER"
+        state = f"{one.days:.0f} days left" if one.days > 0 else "EXPIRED"
         print(f"{one.name}: {one.role.value}{hosts}, until {one.until} ({state})")
+
+
+COMMANDS = (ca, agent, master, observer, show)

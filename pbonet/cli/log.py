@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
-command = typer.Typer(help="Look at what was recorded.", no_args_is_help=True)
+HELP = "Read, compare, plot and repair the logs of runs."
 
 File = A[
     Path | None,
-    typer.Argument(help="A log, or a run's folder; the newest in runs by default."),
+    Argument("A log, or a run's folder; the newest in the folder runs if left out."),
 ]
-Out = A[Path, typer.Option("--out", "-o", help="The new file.")]
+Out = A[Path, Option("The new file.", "FILE", names=("--out", "-o"))]
 
 
 def _written(
@@ -32,19 +31,19 @@ def _written(
         print("\n".join(clocks), end="\n" * bool(clocks))
 
 
-@command.callback()
-def log() -> None:
-    """Look at what was recorded."""
-
-
-@command.command("info")
 def info(
     *,
     file: File = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Say what a log holds: duration, tasks, rates, misses, events."""
+    """Show what a log holds: duration, tasks, rates, misses, events.
+
+    Examples:
+        Show the newest run:
+        pbonet log info
+        Show another one:
+        pbonet log info runs/2026-05-04T10-00-00-teleop
+    """
     import msgspec
 
     from pbonet.log import Log, last_run, text
@@ -53,26 +52,31 @@ def info(
     print(msgspec.json.encode(data).decode() if json_ else text.info_text(data))
 
 
-@command.command("cat")
 def cat(
     *,
-    file: A[Path, typer.Argument(help="A log, or a run's folder.")],
-    task: A[str, typer.Argument(help="The task.")],
+    file: A[Path, Argument("A log, or a run's folder.")],
+    task: A[str, Argument("The task.")],
     variables: A[
-        list[str] | None, typer.Argument(help="Which; all that it writes.")
+        list[str] | None, Argument("Which variables; all that it writes if left out.")
     ] = None,
     out: A[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            help="Write a file, as its name ends: .csv, .json, .npz or .parquet.",
+        Option(
+            "Write a file, in the format of its ending: .csv, .json, .npz or .parquet.",
+            "FILE",
+            names=("--out", "-o"),
         ),
     ] = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Give a task's values, one row a cycle, as CSV, JSON, Parquet or for numpy."""
+    """Print or export the values of a task, one row a cycle.
+
+    Examples:
+        Print the joint angles that a task wrote, as CSV:
+        pbonet log cat runs/teleop jttrace Q_REF
+        Export all that it wrote for numpy:
+        pbonet log cat runs/teleop jttrace -o jttrace.npz
+    """
     import sys
 
     from pbonet.log import Log, export, text
@@ -88,20 +92,25 @@ def cat(
     write(table, sys.stdout)
 
 
-@command.command("events")
 def events(
     *,
     file: File = None,
-    task: A[str | None, typer.Option(help="Of one task.")] = None,
-    code: A[str | None, typer.Option(help="Of one code, such as WARNING.")] = None,
+    task: A[str | None, Option("Only events of this task.", "TASK")] = None,
+    code: A[str | None, Option("Only this kind, such as WARNING.", "CODE")] = None,
     severity: A[
         str | None,
-        typer.Option(help="The least: debug, info, warning, error or fatal."),
+        Option("This and worse: debug, info, warning, error or fatal.", "LEVEL"),
     ] = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show the events of a run."""
+    """Show the events of a run.
+
+    Examples:
+        Show what went wrong in the newest run:
+        pbonet log events --severity warning
+        Show the events of one task:
+        pbonet log events runs/teleop --task jttrace
+    """
     import msgspec
 
     from pbonet.log import Log, last_run
@@ -121,21 +130,25 @@ def events(
         print(render.event(event))
 
 
-@command.command("commands")
 def commands(
     *,
     file: File = None,
     task: A[
-        str | None, typer.Option(help="Those that name this task, or stop all.")
+        str | None,
+        Option("Only those that name this task or stop everything.", "TASK"),
     ] = None,
-    op: A[str | None, typer.Option(help="Of one kind, such as control.")] = None,
-    refused: A[
-        bool, typer.Option("--refused", help="Only those that were not carried out.")
-    ] = False,
+    op: A[str | None, Option("Only this kind, such as control.", "KIND")] = None,
+    refused: A[bool, Option("Only those that were not carried out.")] = False,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show the commands that a run was given, by whom, and what came of them."""
+    """Show the commands of a run, who gave them, and their results.
+
+    Examples:
+        Show which commands were refused in the newest run:
+        pbonet log commands --refused
+        Show those about one task, as data:
+        pbonet log commands runs/teleop --task jttrace --json
+    """
     import sys
 
     import msgspec
@@ -154,16 +167,21 @@ def commands(
         print(orders.line(one))
 
 
-@command.command("plot")
 def plot(
     *,
-    file: A[Path, typer.Argument(help="A log, or a run's folder.")],
-    variables: A[list[str], typer.Argument(help="Which, one picture for each.")],
+    file: A[Path, Argument("A log, or a run's folder.")],
+    variables: A[list[str], Argument("Which variables, each in a plot of its own.")],
     out: Out = Path("log.png"),
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Draw variables over time."""
+    """Plot variables over time into a picture.
+
+    Examples:
+        Plot measured and wanted joint angles:
+        pbonet log plot runs/teleop Q_MEZ Q_REF
+        Plot one variable into a drawing:
+        pbonet log plot runs/teleop Q_MEZ -o q.svg
+    """
     from pbonet.log import Log
     from pbonet.master.tools import log_plot
 
@@ -171,34 +189,46 @@ def plot(
     _written(out, json_)
 
 
-@command.command("diff")
 def diff(
     *,
-    one: A[Path, typer.Argument(help="A log, or a run's folder.")],
-    other: A[Path, typer.Argument(help="Another.")],
-    task: A[list[str] | None, typer.Option(help="Only this one.")] = None,
+    one: A[Path, Argument("A log, or a run's folder.")],
+    other: A[Path, Argument("Another log or folder.")],
+    task: A[list[str] | None, Option("Only this task.", "TASK")] = None,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
-) -> None:
-    """Compare two runs: the first cycle in which each variable differs."""
+) -> int:
+    """Compare two runs: the first cycle in which each variable differs.
+
+    The status is 1 if one differs.
+
+    Examples:
+        Compare two runs:
+        pbonet log diff runs/before runs/after
+        Compare what one task did:
+        pbonet log diff runs/before runs/after --task jttrace
+    """
     import msgspec
 
     from pbonet.log import Log, text
 
     rows = text.diff(Log(one), Log(other), task or ())
     print(msgspec.json.encode(rows).decode() if json_ else text.diff_text(rows))
-    raise typer.Exit(int(any(row["first"] is not None for row in rows)))
+    return int(any(row["first"] is not None for row in rows))
 
 
-@command.command("merge")
 def merge(
     *,
-    files: A[list[Path], typer.Argument(help="Logs, or folders of runs.")],
+    files: A[list[Path], Argument("Logs, or folders of runs.")],
     out: Out,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Make one log of several, ordered by time."""
+    """Merge several logs into one, ordered by time.
+
+    Examples:
+        Merge the logs of two RTPUs (executors):
+        pbonet log merge runs/arm0 runs/arm1 -o arm.mcap
+        Merge all logs of a folder:
+        pbonet log merge runs/* -o day.mcap
+    """
     from pbonet.log import merge as do
 
     done = do(files, out)
@@ -207,15 +237,23 @@ def merge(
     )
 
 
-@command.command("recover")
 def recover(
     *,
-    file: A[Path, typer.Argument(help="A log that was cut short.")],
+    file: A[Path, Argument("A log that was cut short.")],
     out: Out,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Make a whole log of one that was cut short."""
+    """Repair a log that was cut short, as by a power failure.
+
+    Examples:
+        Write what can be read into a new log:
+        pbonet log recover runs/teleop/log.mcap -o whole.mcap
+        Repair one and say how many messages it has, as data:
+        pbonet log recover broken.mcap -o whole.mcap --json
+    """
     from pbonet.log import recover as do
 
     _written(out, json_, do(file, out))
+
+
+COMMANDS = (info, cat, events, commands, plot, diff, merge, recover)

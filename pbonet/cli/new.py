@@ -5,61 +5,54 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
-command = typer.Typer(
-    help="Write the beginning of something new.", no_args_is_help=True
-)
+HELP = "Write the first files of a module, a variable table, or a job."
 
-
-Name = A[str, typer.Argument(help="Its name: letters, digits, underscores.")]
+Name = A[str, Argument("Its name: letters, digits, underscores.")]
 Rmods = A[
-    list[str],
-    typer.Argument(
-        help="The tasks: RMODs of this folder or a library.", metavar="RMOD..."
-    ),
+    list[str], Argument("The tasks: .rmod files of this folder or a library.", "RMOD")
 ]
 Sizes = A[
     list[str] | None,
-    typer.Option("--size", help="A size that no port says.", metavar="NAME=NUMBER"),
+    Option("A size that no port declares.", "NAME=NUMBER", names=("--size",)),
 ]
-Folder = A[Path, typer.Option(help="Where it is written.")]
-Force = A[bool, typer.Option("--force", help="Write over files.")]
+Folder = A[Path, Option("Where the files are written.", "FOLDER")]
+Force = A[bool, Option("Replace files that exist.")]
 
 
-@command.callback()
-def new() -> None:
-    """Write the beginning of something new."""
-
-
-@command.command("module")
 def module(
     *,
     name: Name,
     inputs: A[
         list[str] | None,
-        typer.Option("--in", help="An in-var, NAME[:SHAPE[:UNIT[:TYPE]]]."),
+        Option("An in-var: NAME[:SHAPE[:UNIT[:TYPE]]].", "PORT", names=("--in",)),
     ] = None,
-    outputs: A[list[str] | None, typer.Option("--out", help="An out-var.")] = None,
-    inconst: A[list[str] | None, typer.Option(help="An in-const.")] = None,
-    outconst: A[list[str] | None, typer.Option(help="An out-const.")] = None,
+    outputs: A[
+        list[str] | None, Option("An out-var.", "PORT", names=("--out",))
+    ] = None,
+    inconst: A[list[str] | None, Option("An in-const.", "PORT")] = None,
+    outconst: A[list[str] | None, Option("An out-const.", "PORT")] = None,
     svar: A[
-        Path | None, typer.Option(help="A .svar file that knows shapes and units.")
+        Path | None,
+        Option("A .svar file that has the shapes and units of the ports.", "FILE"),
     ] = None,
-    desc: A[str, typer.Option(help="What it does, in one line.")] = "",
-    freq: A[float, typer.Option(help="Its frequency, Hz.", min=1e-3)] = 100.0,
-    timing_failure: A[
-        bool,
-        typer.Option("--timing-failure", help="With a handler of timing failures."),
-    ] = False,
+    desc: A[str, Option("What it does, in one line.")] = "",
+    freq: A[float, Option("Its frequency, Hz.", "HZ", least=1e-3)] = 100.0,
+    timing_failure: A[bool, Option("Write a handler of timing failures too.")] = False,
     folder: Folder = Path(),
     force: Force = False,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Write a module, its RMOD and its test from a list of ports."""
+    """Write a module, its .rmod file (module configuration) and its test.
+
+    Examples:
+        Begin a module that reads six joint angles and writes six torques:
+        pbonet new module spring --in Q_MEZ:6:rad --out T_CMD:6:N*m
+        Take shapes and units from a table of variables:
+        pbonet new module spring --in Q_MEZ --out T_CMD --svar puma.svar
+    """
     from pbonet.master.tools import write_new_files
 
     ports = {
@@ -81,7 +74,6 @@ def module(
     options.show_files(paths, as_data=json_)
 
 
-@command.command("svar")
 def svar(
     *,
     name: Name,
@@ -91,12 +83,18 @@ def svar(
     folder: Folder = Path(),
     force: Force = False,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Write the table that tasks need: every variable, as their modules say it is."""
+    """Write the table (.svar) of the variables that tasks need.
+
+    Examples:
+        Write the table of two tasks:
+        pbonet new svar arm sine joint_pid --size n=6
+        Write it into another folder:
+        pbonet new svar arm sine joint_pid --size n=6 --folder cell
+    """
     from pbonet.master.tools import write_new_files
 
-    paths, told = write_new_files.new_svar(
+    paths, warnings = write_new_files.new_svar(
         name,
         rmods,
         sizes=sizes or (),
@@ -104,29 +102,32 @@ def svar(
         folder=folder,
         force=force,
     )
-    options.show_files(paths, told, as_data=json_)
+    options.show_files(paths, warnings, as_data=json_)
 
 
-@command.command("job")
 def job(
     *,
     name: Name,
     rmods: Rmods,
-    sbs: A[
-        Path | None, typer.Option(help="The subsystem; it and its table are new else.")
-    ] = None,
+    sbs: A[Path | None, Option("The subsystem; a new one if left out.", "FILE")] = None,
     sizes: Sizes = None,
-    desc: A[str, typer.Option(help="What it does, in one line.")] = "",
+    desc: A[str, Option("What it does, in one line.")] = "",
     library: options.Library = None,
     folder: Folder = Path(),
     force: Force = False,
     json_: options.Json = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Write a job of tasks, and the subsystem with its table if there is none."""
+    """Write a job of tasks; without --sbs also its subsystem and table.
+
+    Examples:
+        Write all that is needed to check and run two tasks:
+        pbonet new job hold sine joint_pid --size n=6
+        Write a job for a subsystem that exists:
+        pbonet new job hold sine joint_pid --sbs arm.sbs
+    """
     from pbonet.master.tools import write_new_files
 
-    paths, told = write_new_files.new_job(
+    paths, warnings = write_new_files.new_job(
         name,
         rmods,
         sbs=sbs,
@@ -136,4 +137,7 @@ def job(
         folder=folder,
         force=force,
     )
-    options.show_files(paths, told, as_data=json_)
+    options.show_files(paths, warnings, as_data=json_)
+
+
+COMMANDS = (module, svar, job)

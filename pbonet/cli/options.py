@@ -1,128 +1,118 @@
-"""Options that many verbs have, declared once."""
+"""Options that many verbs have, declared once, and what they print alike."""
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated as A
+from typing import Annotated as A, NamedTuple
 
-import typer
+from pbonet.master.configuration import Place
 
-from pbonet.xm.net import credentials
-
-
-class Chosen:
-    """What the error handler must know of the command line."""
-
-    def __init__(self) -> None:
-        self.json = False
-        self.debug = False
-
-
-chosen = Chosen()
-
-
-def _json(value: bool) -> bool:
-    chosen.json = chosen.json or value
-    return value
-
-
-def _debug(value: bool) -> bool:
-    chosen.debug = chosen.debug or value
-    return value
-
-
-def _keys(value: Path | None) -> Path | None:
-    if value is not None:
-        os.environ[credentials.VARIABLE] = str(value.absolute())
-    return value
-
-
-def _version(value: bool) -> None:
-    if value:
-        import pbonet
-
-        typer.echo(f"pbonet {pbonet.__version__}")
-        raise typer.Exit
-
+from .parser import Argument, Compound, Option, parameter
 
 File = A[
-    Path,
-    typer.Argument(help="The .sbs file, or a .job file that names it.", metavar="FILE"),
+    Path, Argument("The subsystem's .sbs file, or a .job file that names it.", "FILE")
 ]
-Json = A[bool, typer.Option("--json", help="Give data.", callback=_json, is_eager=True)]
-Debug = A[
-    bool,
-    typer.Option(
-        "--debug",
-        help="Add the stack to an error's message.",
-        callback=_debug,
-        is_eager=True,
-    ),
-]
-Domain = A[
-    str,
-    typer.Option(
-        help="The domain of the RTPUs.", envvar="PBONET_DOMAIN", metavar="NAME"
-    ),
-]
+Json = A[bool, Option("Print data as JSON, errors too.")]
+Debug = A[bool, Option("Add the stack to an error's message.")]
+Domain = A[str, Option("The domain of the RTPUs.", "NAME", env="PBONET_DOMAIN")]
 Connect = A[
     list[str] | None,
-    typer.Option(
-        help="An agent on another machine, such as tcp/10.0.0.2:7447.",
-        envvar="PBONET_CONNECT",
-        metavar="ENDPOINT",
+    Option(
+        "An agent on another machine, such as tcp/10.0.0.2:7447.",
+        "ENDPOINT",
+        env="PBONET_CONNECT",
     ),
 ]
 Keys = A[
     Path | None,
-    typer.Option(
-        help="Your key folder (pbonet keys).",
-        envvar=credentials.VARIABLE,
-        metavar="FOLDER",
-        callback=_keys,
-    ),
+    Option("Your folder of certificates (pbonet keys).", "FOLDER", env="PBONET_KEYS"),
 ]
 Library = A[
     list[Path] | None,
-    typer.Option(
-        help="A folder with RMODs and modules of your own.",
-        envvar="PBONET_LIBRARY",
-        metavar="FOLDER",
+    Option(
+        "A folder with modules and .rmod files of your own.",
+        "FOLDER",
+        env="PBONET_LIBRARY",
     ),
 ]
 Host = A[
     str,
-    typer.Option(
-        help="The machine whose saved profiles count; this one if left out.",
-        metavar="NAME",
+    Option(
+        "The machine whose measured execution times count; this one if left out.",
+        "NAME",
     ),
 ]
-TakeOver = A[
-    bool, typer.Option("--take-over", help="Replace a master that is still there.")
-]
-Version = A[
-    bool,
-    typer.Option(
-        "--version", help="Show the version.", callback=_version, is_eager=True
-    ),
-]
+TakeOver = A[bool, Option("Take the subsystem over from a master that still runs.")]
 
 
-def version(version: Version = False) -> None:
-    """Assemble a robot's control software from ready modules, change it as it runs."""
+class Reach(NamedTuple):
+    """Where agents are found."""
+
+    domain: str
+    connect: tuple[str, ...]
+
+
+def _reach(*, domain: str, connect: list[str] | None, keys: Path | None) -> Reach:
+    if keys is not None:
+        os.environ["PBONET_KEYS"] = str(keys.absolute())
+    return Reach(domain, tuple(connect or ()))
+
+
+def _place(
+    *,
+    domain: str,
+    connect: list[str] | None,
+    keys: Path | None,
+    library: list[Path] | None,
+    take_over: bool = False,
+) -> Place:
+    reach = _reach(domain=domain, connect=connect, keys=keys)
+    return Place(
+        domain=reach.domain,
+        connect=reach.connect,
+        libraries=tuple(map(str, library or ())),
+        take_over=take_over,
+    )
+
+
+_REACH = (
+    parameter("domain", Domain, "default"),
+    parameter("connect", Connect),
+    parameter("keys", Keys),
+)
+_PLACE = (*_REACH, parameter("library", Library))
+TO_WATCH = Compound(_PLACE, _place)
+TO_CHANGE = Compound((*_PLACE, parameter("take_over", TakeOver, default=False)), _place)
+
+Agents = A[Reach, Compound(_REACH, _reach)]
+Watching = A[Place, TO_WATCH]
+Changing = A[Place, TO_CHANGE]
 
 
 def show_files(
-    paths: Sequence[Path], told: Sequence[str] = (), *, as_data: bool
+    paths: Sequence[Path], warnings: Sequence[str] = (), *, as_data: bool
 ) -> None:
-    """Print which files a verb has written, and what is to be said of them."""
+    """Print which files a verb has written, and what it warns of."""
     names = list(map(str, paths))
+    show("\n".join(names), {"files": names}, warnings, as_data=as_data)
+
+
+def show(
+    text: str,
+    data: Mapping[str, object],
+    warnings: Sequence[str] = (),
+    *,
+    as_data: bool,
+) -> None:
+    """Print a text, or the same as data, with warnings beside it."""
     if as_data:
-        typer.echo(json.dumps({"files": names, "warnings": list(told)}))
+        import msgspec
+
+        print(msgspec.json.encode({**data, "warnings": list(warnings)}).decode())
         return
-    typer.echo("\n".join(names))
-    for text in told:
-        typer.echo(f"WARNING> {text}", err=True)
+    for warning in warnings:
+        sys.stderr.write(f"WARNING> {warning}\n")
+    print(text)

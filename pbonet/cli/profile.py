@@ -5,45 +5,41 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
 
 def command(
     *,
     file: options.File,
-    task: A[
-        list[str] | None, typer.Argument(help="Which; all if left out.", metavar="TASK")
-    ] = None,
+    task: A[list[str] | None, Argument("Which tasks; all if left out.")] = None,
     plot: A[
-        Path | None,
-        typer.Option(help="Draw the execution profiles: .png, .svg or .pdf."),
+        Path | None, Option("Draw the execution profiles into a .png, .svg or .pdf.")
     ] = None,
-    save: A[
-        bool, typer.Option("--save", help="Save the profiles beside the .sbs file.")
-    ] = False,
+    save: A[bool, Option("Save the profiles beside the .sbs file.")] = False,
+    place: options.Watching,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show how long cycles take: every figure, and the execution profile."""
-    from pbonet.master.configuration import Place
-    from pbonet.master.console import oneshot, profile_plot
+    """Show how long the cycles of tasks take, since they were turned on.
+
+    Saved profiles count in 'pbonet check' and at every start. 'pbonet adopt' writes
+    them into .rmod files, as MAXC (worst-case execution time).
+
+    Examples:
+        Show the figures of one task and draw their distribution:
+        pbonet profile arm.sbs grav_comp --plot profile.svg
+        Keep what was measured for the analysis of later starts:
+        pbonet profile arm.sbs --save
+    """
+    from pbonet.master.console import oneshot
 
     from .table import show
 
-    place = Place(
-        domain=domain,
-        connect=tuple(connect or ()),
-        libraries=tuple(map(str, library or ())),
-    )
     name = "profile save" if save else "profile"
     reply = oneshot.run(file, name, {"task": task or []}, place)
     if plot is not None:
+        from pbonet.master.console import profile_plot
+
         shown = reply
         if save:
             shown = oneshot.run(file, "profile", {"task": task or []}, place)

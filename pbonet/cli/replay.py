@@ -6,54 +6,57 @@ import signal
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
 
 def command(
     *,
-    run: A[Path, typer.Argument(help="A log, or a run's folder.", metavar="RUN")],
-    tasks: A[list[str] | None, typer.Argument(help="Which; all.")] = None,
+    run: A[Path, Argument("A log, or a run's folder.")],
+    tasks: A[
+        list[str] | None, Argument("Which tasks; all if left out.", "TASK")
+    ] = None,
     verify: A[
         bool,
-        typer.Option(
-            "--verify", help="Each by itself, on recorded inputs, to the first other."
-        ),
+        Option("Run each task alone on recorded inputs, to its first difference."),
     ] = False,
     out: A[
         Path | None,
-        typer.Option("--out", "-o", help="Without --verify: write what they give now."),
+        Option("Record this run into a new log.", "FILE", names=("--out", "-o")),
     ] = None,
     rtol: A[
-        float, typer.Option(help="How far floats may be off, relative.", min=0.0)
+        float, Option("Relative difference up to which numbers are equal.", least=0.0)
     ] = 0.0,
     play: A[
         str | None,
-        typer.Option(
-            help="Put what these tasks wrote into the table of the running subsystem.",
-            metavar="TASK,...",
-        ),
+        Option("Write what these tasks wrote into a running subsystem.", "TASK,..."),
     ] = None,
-    rate: A[
-        float, typer.Option(help="How many times as fast it is played.", min=1e-3)
-    ] = 1.0,
+    rate: A[float, Option("Speed of --play, 1 as recorded.", least=1e-3)] = 1.0,
     start: A[
-        float, typer.Option(help="Seconds since the run began.", metavar="S", min=0.0)
+        float, Option("Where --play starts in the run.", "SECONDS", least=0.0)
     ] = 0.0,
     end: A[
-        float | None, typer.Option(help="The same, of the end.", metavar="S", min=0.0)
+        float | None, Option("Where --play ends in the run.", "SECONDS", least=0.0)
     ] = None,
-    loop: A[bool, typer.Option("--loop", help="Play it over and over.")] = False,
+    loop: A[bool, Option("Repeat --play until Ctrl-C.")] = False,
     subsystem: A[
-        str, typer.Option(help="Where it is played; that of the log.", metavar="NAME")
+        str, Option("The subsystem of --play; that of the log if left out.", "NAME")
     ] = "",
-    json_: options.Json = False,
     domain: options.Domain = "default",
     library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
-) -> None:
-    """Run the code of recorded tasks again together, each by itself, or play them."""
+    json_: options.Json = False,
+) -> int:
+    """Run recorded tasks again and compare, or play back their values.
+
+    Without an option the tasks run together, as they did; with --verify each one runs
+    alone. The status is 1 if a value differs from the recorded one.
+
+    Examples:
+        Check whether changed code still gives what was recorded:
+        pbonet replay runs/teleop puma_pidg --verify
+        Feed a recorded sensor to a running subsystem, at half speed:
+        pbonet replay runs/teleop --play camera --rate 0.5
+    """
     import msgspec
 
     from pbonet import testing
@@ -99,4 +102,4 @@ def command(
         print(msgspec.json.encode(result).decode())
     else:
         print("\n".join(map(str, result if isinstance(result, list) else [result])))
-    raise typer.Exit(status)
+    return status

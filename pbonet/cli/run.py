@@ -5,63 +5,58 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Argument, Option
 
 
 def command(
     *,
-    file: A[Path, typer.Argument(help="The .job file.", metavar="FILE.job")],
+    file: A[Path, Argument("The .job file.", "FILE.job")],
     seconds: A[
-        float | None, typer.Option(help="How long; until Ctrl-C.", min=0.0)
+        float | None, Option("How long it runs; until Ctrl-C if left out.", least=0.0)
     ] = None,
-    sim: A[
-        bool, typer.Option("--sim", help="In virtual time, without devices.")
-    ] = False,
-    embed: A[
-        bool, typer.Option(help="Start agents for RTPUs that nobody runs.")
-    ] = True,
+    sim: A[bool, Option("Run in virtual time, without agents and devices.")] = False,
+    embed: A[bool, Option("Start an agent for each RTPU that has none.")] = True,
     wait: A[
         float | None,
-        typer.Option(
-            help="Wait so many seconds for RTPUs that nobody runs yet, and start none.",
-            min=0.0,
+        Option(
+            "Start no agents, and wait up to so many seconds for them.",
+            "SECONDS",
+            least=0.0,
         ),
     ] = None,
     record: A[
         str | None,
-        typer.Option(help="off, outputs, all or 'last SECONDS'; as the job says."),
+        Option("off, outputs, all or 'last SECONDS'; as the job says.", "WHAT"),
     ] = None,
     runs: A[
-        Path | None, typer.Option(help="Folder of the logs; runs by default.")
+        Path | None, Option("Folder of the logs; runs by default.", "FOLDER")
     ] = None,
     profile: A[
-        bool,
-        typer.Option("--profile", help="Save the tasks' profiles at the end."),
+        bool, Option("Save the measured execution times of the tasks at the end.")
     ] = False,
+    place: options.Changing,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    library: options.Library = None,
-    take_over: options.TakeOver = False,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
-) -> None:
-    """Run a job: assemble it, watch it, end it in order."""
+) -> int:
+    """Run a job from start to end, with agents of its own if need be.
+
+    It starts an agent for each RTPU (executor) that has none, verifies the job, creates
+    and turns on its tasks, shows their status, and ends them in order. 'pbonet start'
+    does the middle part alone: it needs running agents and leaves the tasks running.
+
+    Examples:
+        Run a job for 15 seconds and record it:
+        pbonet run puma.job --seconds 15
+        Try it in virtual time, without the robot:
+        pbonet run puma.job --sim --seconds 15
+    """
     import msgspec
 
-    from pbonet.master.configuration import Place
     from pbonet.master.console import run
 
     outcome = run(
         file,
-        Place(
-            domain=domain,
-            connect=tuple(connect or ()),
-            libraries=tuple(map(str, library or ())),
-            take_over=take_over,
-        ),
+        place,
         seconds=seconds,
         sim=sim,
         embed=embed,
@@ -74,4 +69,4 @@ def command(
     if json_:
         outcome.recording = None
         print(msgspec.json.encode(outcome).decode())
-    raise typer.Exit(outcome.status)
+    return outcome.status

@@ -3,72 +3,70 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated as A
-
-import typer
-
-from pbonet.analysis.legality import Times
+from typing import Annotated as A, Literal
 
 from . import options
+from .parser import Argument, Option
 
 
 def command(
     *,
-    file: A[Path, typer.Argument(help="The .job file.")],
-    seconds: A[float, typer.Option(help="How much virtual time passes.")] = 60.0,
+    file: A[Path, Argument("The .job file.")],
+    seconds: A[float, Option("How much virtual time passes.", "SECONDS")] = 60.0,
     times: A[
-        Times, typer.Option(help="MAXC always, or drawn from the measured profile.")
-    ] = Times.WORST,
-    seed: A[int, typer.Option(help="Of the random times.")] = 0,
+        Literal["worst", "random"],
+        Option("Each cycle takes MAXC (worst case), or a random time as measured."),
+    ] = "worst",
+    seed: A[int, Option("Seed of the random times.")] = 0,
     assume: A[
         float | None,
-        typer.Option(
-            help="Share of its period that a cycle of unknown MAXC takes.",
-            min=0.0,
-            max=1.0,
+        Option(
+            "Share of its period that a cycle takes whose MAXC is unknown.",
+            "SHARE",
+            least=0.0,
+            most=1.0,
         ),
     ] = None,
-    code: A[bool, typer.Option("--code", help="Run the modules' code too.")] = False,
+    code: A[bool, Option("Run the modules' code too.")] = False,
     show: A[
-        float, typer.Option(help="Seconds of the chart; 0: four longest periods.")
+        float,
+        Option("Length of the chart; 0 is four of the longest periods.", "SECONDS"),
     ] = 0.0,
     svg: A[
         Path | None,
-        typer.Option(help="Draw the chart; of several RTPUs one file each."),
+        Option("Draw the chart into a file; one for each of several RTPUs.", "FILE"),
     ] = None,
-    ascii_: A[
-        bool, typer.Option("--ascii", help="Draw the chart in plain characters.")
-    ] = False,
+    ascii_: A[bool, Option("Draw the chart in plain characters.")] = False,
     host: options.Host = "",
-    json_: options.Json = False,
     library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
+    json_: options.Json = False,
 ) -> None:
-    """Simulate a job's schedule: chart, missed deadlines, response times."""
-    import sys
+    """Simulate the schedule of a job: chart, deadlines, response times.
 
-    import msgspec
+    'pbonet run --sim' runs the job itself in virtual time, with its log.
 
+    Examples:
+        Show whether all deadlines are met if every cycle takes its longest:
+        pbonet simulate puma.job
+        Draw one second of the schedule with random times as they were measured:
+        pbonet simulate puma.job --times random --show 1 --svg chart.svg
+    """
+    from pbonet.analysis.legality import Times
     from pbonet.analysis.schedule import chart
-    from pbonet.master.console import render
     from pbonet.master.tools import schedule_job
 
-    outcome, told = schedule_job.simulate(
+    outcome, warnings = schedule_job.simulate(
         file,
         seconds,
         library or (),
         host=host,
-        times=times,
+        times=Times(times),
         seed=seed,
         assume=assume,
         code=code,
     )
     show_ns = round(show * 1e9)
     files = schedule_job.write_svg(outcome, svg, show_ns) if svg else []
-    if json_:
-        data = outcome.as_data() | {"warnings": told, "files": list(map(str, files))}
-        print(msgspec.json.encode(data).decode())
-        return
-    for text in told:
-        sys.stderr.write(render.warning(text) + "\n")
-    print(outcome.as_text(show_ns=show_ns, marks=chart.ASCII if ascii_ else None))
+    text = outcome.as_text(show_ns=show_ns, marks=chart.ASCII if ascii_ else None)
+    data = outcome.as_data() | {"files": list(map(str, files))}
+    options.show(text, data, warnings, as_data=json_)

@@ -4,29 +4,38 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-import typer
-
 from . import options
-from .table import show
+from .parser import Argument, Option
 
 
 def command(
     *,
     subsystem: A[
-        str | None, typer.Argument(help="Its name or file; all if left out.")
+        str | None, Argument("Its name or file; every subsystem if left out.")
     ] = None,
     timeout: A[
-        float, typer.Option(help="Seconds that tasks have for it.", min=0.1)
+        float, Option("How long tasks may take to turn off.", "SECONDS", least=0.1)
     ] = 2.0,
+    agents: options.Agents,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Turn everything OFF and end it, now."""
+    """Turn all tasks off and end them, now; this is never refused.
+
+    It needs no master, and without a name no file. A task that does not turn off in
+    time is ended by force.
+
+    Examples:
+        Stop everything in the domain:
+        pbonet stop
+        Stop one subsystem:
+        pbonet stop arm.sbs
+    """
     from pbonet.master.console import oneshot
 
+    from .table import show
+
     name = oneshot.subsystem_name(subsystem) if subsystem else None
-    data = oneshot.stop(name, domain=domain, connect=connect or (), timeout=timeout)
+    data = oneshot.stop(
+        name, domain=agents.domain, connect=agents.connect, timeout=timeout
+    )
     show("stop", data, [], as_data=json_)

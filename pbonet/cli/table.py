@@ -1,48 +1,74 @@
-"""Makes a verb of a command of the table: its arguments and options are the table's."""
+"""Make a verb of a command of the table: its arguments, help and examples are its."""
 
 from __future__ import annotations
 
-import inspect
+import shlex
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated as A, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from pbonet.master.console import Arg, Command, Kind, Use, find
+from pbonet.master.console import Arg, Command, Kind, find
 
 from . import options
+from .parser import Parameter, Verb, parameter
+
+if TYPE_CHECKING:
+    from pbonet.master.configuration import Place
+
+_FILE = "arm.sbs"
+"""The subsystem of examples."""
+_WORD = {Kind.TASK, Kind.RMOD, Kind.JOB}
+"""Kinds of which the shell can know the words."""
 
 
-def verb(name: str) -> Callable[..., None]:
-    """Return the function of the verb for a command; typer reads its signature."""
+def verb(name: str) -> Verb:
+    """Return the verb for a command."""
     command = find(name)
 
-    def run(file: Path, **given: Any) -> None:  # noqa: ANN401 - what the table says
-        from pbonet.master.configuration import Place
+    def run(
+        *,
+        file: Path,
+        place: Place,
+        json_: bool,
+        **given: object,
+    ) -> None:
         from pbonet.master.console import oneshot
 
-        place = Place(
-            domain=given.pop("domain"),
-            connect=tuple(given.pop("connect") or ()),
-            libraries=tuple(map(str, given.pop("library") or ())),
-            take_over=given.pop("take_over", False),
-        )
-        as_data = given.pop("json_")
-        for acted in ("keys", "debug"):  # when they were read
-            given.pop(acted)
         reply = oneshot.run(file, command.name, given, place)
-        show(reply.command, reply.data, reply.warnings, as_data=as_data)
+        show(reply.command, reply.data, reply.warnings, as_data=json_)
 
-    run.__name__ = name
-    run.__doc__ = command.help
-    vars(run)["__signature__"] = inspect.Signature(list(_parameters(command)))
-    values = [arg for arg in command.args if arg.kind in {Kind.NUMBER, Kind.WORD}]
-    vars(run)["context_settings"] = {  # so that -1.5 is a value and no option
-        "ignore_unknown_options": any(arg.many for arg in values)
-    }
-    return run
+    place = options.TO_CHANGE if command.changes else options.TO_WATCH
+    parameters = [
+        Parameter(
+            "file",
+            "The subsystem's .sbs file, or a .job file that names it.",
+            "FILE",
+            kind=Path,
+            need=True,
+        ),
+        *map(_parameter, command.args),
+        *place.parts,
+        parameter("json_", options.Json, default=False),
+    ]
+    examples = tuple((example(command, line), use) for line, use in command.examples)
+    return Verb(name, command.help, examples, tuple(parameters), run, {"place": place})
+
+
+def example(command: Command, line: str) -> str:
+    """Return the verb's command line for a line of the prompt."""
+    name, *words = shlex.split(line)
+    found = ["pbonet", name, _FILE]
+    for word in words:
+        key, equals, value = word.partition("=")
+        arg = command.named.get(key) if equals else None
+        if arg is None:
+            found.append(word)
+        elif not arg.option:
+            found.append(value)
+        else:
+            found.append(_option(arg))
+            found += [value] * (arg.kind is not Kind.FLAG)
+    return shlex.join(found)
 
 
 def show(
@@ -51,55 +77,32 @@ def show(
     """Print what a command gave: data as JSON, or text with warnings beside it."""
     import msgspec
 
-    from pbonet.master.console import render
-
     if as_data:
         print(msgspec.json.encode({**data, "warnings": warnings}).decode())
         return
+    from pbonet.master.console import render
+
     for warning in warnings:
         sys.stderr.write(render.warning(warning) + "\n")
     if text := render.text(command, data):
         print(text)
 
 
-def _parameters(command: Command) -> list[inspect.Parameter]:
-    where = inspect.Parameter.KEYWORD_ONLY
-    found = [inspect.Parameter("file", where, annotation=options.File)]
-    found += [_parameter(arg) for arg in command.args]
-    common: dict[str, tuple[Any, object]] = {
-        "json_": (options.Json, False),
-        "domain": (options.Domain, "default"),
-        "connect": (options.Connect, None),
-        "keys": (options.Keys, None),
-        "library": (options.Library, None),
-        "debug": (options.Debug, False),
-    }
-    if command.changes:
-        common["take_over"] = (options.TakeOver, False)
-    found += [
-        inspect.Parameter(name, where, annotation=kind, default=default)
-        for name, (kind, default) in common.items()
-    ]
-    return found
-
-
-def _parameter(arg: Arg) -> inspect.Parameter:
-    """Return one argument of the table as typer wants it: a word for `convert`."""
-    kind: Any = str
-    where = inspect.Parameter.KEYWORD_ONLY
-    if arg.kind is Kind.FLAG:
-        flag = typer.Option(f"--{arg.name.replace('_', '-')}", help=arg.doc)
-        return inspect.Parameter(
-            arg.name, where, annotation=A[bool, flag], default=False
-        )
-    if arg.use is Use.NAMED:
-        about: Any = typer.Option(f"--{arg.name}", help=arg.doc, metavar=arg.kind)
-    else:
-        about = typer.Argument(help=arg.doc, metavar=arg.name.upper())
-    if arg.many:
-        kind = list[kind]
-    if arg.need or arg.last:
-        return inspect.Parameter(arg.name, where, annotation=A[kind, about])
-    return inspect.Parameter(
-        arg.name, where, annotation=A[kind | None, about], default=None
+def _parameter(arg: Arg) -> Parameter:
+    """Return one argument of the table, whose words the command converts."""
+    switch = arg.kind is Kind.FLAG
+    return Parameter(
+        arg.name,
+        f"{arg.doc[:1].upper()}{arg.doc[1:]}.",
+        arg.kind.upper() if arg.option else arg.name.upper(),
+        (_option(arg),) if arg.option else (),
+        kind=bool if switch else str,
+        many=arg.many,
+        need=arg.need or arg.last,
+        default=False if switch else None,
+        stands_for=arg.kind if arg.kind in _WORD else "",
     )
+
+
+def _option(arg: Arg) -> str:
+    return f"--{arg.name.replace('_', '-')}"

@@ -4,40 +4,36 @@ from __future__ import annotations
 
 from typing import Annotated as A
 
-import typer
-
 from . import options
+from .parser import Option
 
 
 def command(
     *,
     file: options.File,
-    host: A[str, typer.Option(help="Where viewers find it.")] = "127.0.0.1",
+    host: A[str, Option("The address it serves.", "ADDRESS")] = "127.0.0.1",
     port: A[
-        int, typer.Option(help="The same; 0 for one that is free.", min=0, max=65535)
+        int, Option("The port it serves; 0 takes a free one.", least=0, most=65535)
     ] = 8765,
     hz: A[
-        float, typer.Option(help="How often values are looked at.", min=0.1, max=200.0)
+        float, Option("How often a second values are read.", least=0.1, most=200.0)
     ] = 20.0,
-    insecure: A[
-        bool, typer.Option("--insecure", help="Serve beyond this machine.")
-    ] = False,
+    insecure: A[bool, Option("Serve other machines too, unprotected.")] = False,
+    place: options.Watching,
     json_: options.Json = False,
-    domain: options.Domain = "default",
-    connect: options.Connect = None,
-    keys: options.Keys = None,  # noqa: ARG001 - acts when it is read
-    library: options.Library = None,
-    debug: options.Debug = False,  # noqa: ARG001 - acts when it is read
 ) -> None:
-    """Show the table, states and events in Foxglove as they are now."""
-    from pbonet.master.configuration import Place
+    """Serve variables, states and events to Foxglove, which plots them.
+
+    'pbonet display' and 'pbonet status' show them in the terminal.
+
+    Examples:
+        Serve a running subsystem, and open ws://127.0.0.1:8765 in Foxglove:
+        pbonet view arm.sbs
+        Read the values 100 times a second, and serve another port:
+        pbonet view arm.sbs --hz 100 --port 9000
+    """
     from pbonet.master.tools import foxglove_server
 
-    place = Place(
-        domain=domain,
-        connect=tuple(connect or ()),
-        libraries=tuple(map(str, library or ())),
-    )
     foxglove_server.view(
         file,
         place,

@@ -1,4 +1,4 @@
-"""What order the keywords of a block have, and which of them may be left out.
+"""The order of keywords in a block, and those that may be left out.
 
 A grammar is written as it is shown to people: ``NAME TYPE [INIT] PRE* TASK+``.
 ``[A|B]`` are optional keywords in any order, ``A|B`` at least one of them, ``*`` any

@@ -1,13 +1,15 @@
-"""What an RMOD runs, whether it is one module or several (Stewart 1994, 3.8.1)."""
+"""The module, or the combined modules, that an RMOD runs (Stewart 1994, 3.8.1)."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pbonet.pbo import ModuleInfo, PartInfo, combined_info
+from pbonet import pbo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from pbonet.pbo import ModuleInfo, PartInfo
 
     from .model import Rmod
 
@@ -22,13 +24,13 @@ def info_of(rmod: Rmod, describe: Callable[[str], ModuleInfo]) -> ModuleInfo:
     if not rmod.parts:
         return describe(rmod.module)
     parts = [part_info(part, info_of(part, describe)) for part in rmod.parts]
-    return combined_info(rmod.module, parts, published(rmod))
+    return pbo.combined_info(rmod.module, parts, published(rmod))
 
 
 def part_info(part: Rmod, info: ModuleInfo) -> PartInfo:
     """Return a part of a combination, with the variables behind its ports."""
     variables = {port.name: part.svar_name(port.name) for port in info.ports}
-    return PartInfo(part.name, info, variables)
+    return pbo.PartInfo(part.name, info, variables)
 
 
 def published(rmod: Rmod) -> tuple[str, ...]:

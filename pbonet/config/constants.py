@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"[+-]?(?:\d|\.\d|inf\b|nan\b)", re.ASCII)
 
 
 class Constants:
-    """What DEFINE lines said so far.
+    """Constants that DEFINE lines gave so far.
 
     Args:
         text: The whole file, to find a DEFINE that comes too late.

@@ -16,26 +16,17 @@ import sys
 import threading
 import types
 from functools import cached_property
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeGuard
 
 from msgspec import Struct
 
+from pbonet import pbo
 from pbonet.errors import (
     ConfigFileError,
     DeclarationError,
     ModuleLoadError,
     did_you_mean,
-)
-from pbonet.pbo import (
-    ModuleInfo,
-    PartClass,
-    PortBasedObject,
-    combine,
-    combined_info,
-    describe,
-    source_version,
 )
 
 from . import Section, bundled, parse_rmod
@@ -61,8 +52,8 @@ _RUNNING = threading.RLock()
 class LoadedModule(Struct, frozen=True):
     """A module whose code was run."""
 
-    cls: type[PortBasedObject[Any]]
-    info: ModuleInfo
+    cls: type[pbo.PortBasedObject[Any]]
+    info: pbo.ModuleInfo
     path: Path
 
 
@@ -120,14 +111,14 @@ class Library:
         """
         shelf, path = self._find(_checked(module))
         source = _read(path)
-        version = source_version(source)
+        version = pbo.source_version(source)
         known = self._loaded.get((str(path), version))
         if known is not None:
             return known
         with _RUNNING:
             python = _run(shelf, path, source, version)
             cls = _only_class(python, module, path)
-        info = describe(cls, name=module, file=str(path), version=version)
+        info = pbo.describe(cls, name=module, file=str(path), version=version)
         loaded = LoadedModule(cls, info, path)
         self._loaded[str(path), version] = loaded
         return loaded
@@ -171,11 +162,12 @@ class Library:
             for part, one in zip(rmod.parts, loaded, strict=True)
         ]
         classes = [
-            PartClass(one.part, had.cls) for one, had in zip(told, loaded, strict=True)
+            pbo.PartClass(one.part, had.cls)
+            for one, had in zip(told, loaded, strict=True)
         ]
         where = str(rmod.places.get("COMBINE", rmod.file))
-        cls = combine(rmod.name, classes, published(rmod), where=where)
-        info = combined_info(rmod.module, told, published(rmod))
+        cls = pbo.combine(rmod.name, classes, published(rmod), where=where)
+        info = pbo.combined_info(rmod.module, told, published(rmod))
         return LoadedModule(cls, info, Path(rmod.file))
 
     def find_rmod(self, name: str) -> Path:
@@ -321,6 +313,8 @@ def _packaged(package: str) -> list[Shelf]:
 
 def _registered() -> list[Shelf]:
     """Return the folders of the packages that are registered as libraries."""
+    from importlib.metadata import entry_points  # it takes as long as all the rest
+
     found: list[Shelf] = []
     for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
         try:
@@ -337,7 +331,7 @@ def _registered() -> list[Shelf]:
 
 def _package_name(folder: Path) -> str:
     """Return the name of the package that a plain folder becomes."""
-    return f"_pbonet_library_{source_version(str(folder.absolute()).encode())}"
+    return f"_pbonet_library_{pbo.source_version(str(folder.absolute()).encode())}"
 
 
 def _run(shelf: Shelf, path: Path, source: bytes, version: str) -> types.ModuleType:
@@ -422,11 +416,11 @@ def _beside(path: Path, error: BaseException) -> str:
 
 def _is_module(
     value: object, python: types.ModuleType
-) -> TypeGuard[type[PortBasedObject[Any]]]:
+) -> TypeGuard[type[pbo.PortBasedObject[Any]]]:
     """Tell whether `value` is a module class that `python` itself defines."""
     return (
         isinstance(value, type)
-        and issubclass(value, PortBasedObject)
+        and issubclass(value, pbo.PortBasedObject)
         and value.__module__ == python.__name__
         and not value.__abstract__
     )
@@ -434,7 +428,7 @@ def _is_module(
 
 def _only_class(
     python: types.ModuleType, module: str, path: Path
-) -> type[PortBasedObject[Any]]:
+) -> type[pbo.PortBasedObject[Any]]:
     """Return the one module class that a file defines."""
     own = [value for value in vars(python).values() if _is_module(value, python)]
     named = [

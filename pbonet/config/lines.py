@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 WORD = re.compile(r"[^ \t]+")
-"""What stands between spaces and tabs."""
+"""A word: text between spaces and tabs."""
 
 LONGEST_QUOTE = 40
-"""What is longer is shortened in messages."""
+"""Longest text in messages; longer text is shortened."""
 
 
 class Word(NamedTuple):

@@ -1,4 +1,4 @@
-"""What the configuration files say, as typed records (Stewart 1994, 3.8, 4.3, 5.5.2).
+"""Configuration files as typed records (Stewart 1994, 3.8, 4.3, 5.5.2).
 
 The readers in this package make these records from text and the writer makes text from
 them; nothing else in pbonet looks at the text. Places are kept where a later step may
@@ -27,7 +27,7 @@ class Place(Struct, frozen=True, order=True):
 
 
 class Limit(StrEnum):
-    """What happens to a value outside MIN and MAX when it is written."""
+    """Treatment of a value outside MIN and MAX when it is written."""
 
     NONE = "none"
     CLIP = "clip"
@@ -276,6 +276,6 @@ class AgentConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     log_minutes: float = 0.0
     """The same by time."""
     runs_mb: float = 0.0
-    """What all logs in that folder may take; the oldest ones go. 0: no limit."""
+    """Most space for all logs in that folder; the oldest are removed. 0: no limit."""
     events: dict[str, str] = {}
     """Queues of the RTPU, and the keys whose messages go into them."""

@@ -9,7 +9,6 @@ have is the business of `pbonet.config.blocks`, what their arguments mean that o
 
 from __future__ import annotations
 
-import difflib
 import re
 import stat
 from pathlib import Path
@@ -73,6 +72,8 @@ def _similar_file(path: Path) -> str:
         names = [entry.name for entry in beside if entry.suffix == path.suffix]
     except (OSError, ValueError):
         return ""
+    import difflib  # only where something is wrong
+
     near = difflib.get_close_matches(path.name, names, n=1)
     return f"did you mean {path.parent / near[0]}?" if near else ""
 

@@ -1,4 +1,4 @@
-"""What an ``.rmod`` file says about time: rates, execution times, criticalities."""
+"""Timing in an ``.rmod`` file: rates, execution times, criticalities."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ _STRUCT = re.compile(r"struct\[([1-9][0-9]{0,7})\]")
 
 
 class ElementType(NamedTuple):
-    """What one element of a variable is.
+    """The type of one element of a variable.
 
     Attributes:
         name: As the file spells it.

@@ -1,4 +1,4 @@
-"""What the words behind a keyword mean: names, numbers, choices.
+"""Meaning of the words after a keyword: names, numbers, choices.
 
 Every function takes the reader, for its constants, and raises `ConfigError` with the
 word's place, what was expected and what to do.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
     class _Model(Protocol):
-        """What is used of pinocchio's model."""
+        """The part of pinocchio's model that is used."""
 
         armature: Floats
         gravity: Any

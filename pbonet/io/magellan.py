@@ -150,7 +150,7 @@ class Ball:
         work: int = 256,
     ) -> None:
         self.version = ""
-        """What the device says of itself; empty until it has answered."""
+        """The device's identification; empty until it has answered."""
         self.fault: DeviceError | None = None
         """Why there is no device; None while there is one."""
         self.motion = AT_REST

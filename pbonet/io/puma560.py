@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ArmData:
-    """What must be known about an arm with revolute joints and geared motors."""
+    """Parameters of an arm with revolute joints and geared motors."""
 
     dh: Floats
     """Rows of theta (rad), d (m), a (m), alpha (rad)."""

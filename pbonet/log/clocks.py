@@ -38,34 +38,34 @@ class Apart(NamedTuple):
     """How far two clocks are apart."""
 
     moves: Moves
-    """What is added to a time of the one to get the other's."""
+    """Offset from a time of the one to the other's."""
     within_ns: int
     """How wrong that may be."""
 
 
 class Clock(NamedTuple):
-    """What brings a file's times to those of the first file."""
+    """Conversion of a file's times to those of the first file."""
 
     rtpu: str
     host: str
     how: str
     """`SAME`, `MEASURED` or `UNKNOWN`; the wall clocks are believed then."""
     moves: Moves
-    """What is added to CLOCK_MONOTONIC of its machine, to get nanoseconds since 1970
+    """Offset from CLOCK_MONOTONIC of its machine to nanoseconds since 1970
     by the first file's clock."""
     own_ns: int
-    """What the file itself adds to it."""
+    """Offset that the file itself adds."""
     within_ns: int
     """How wrong that may be; 0 where it is not known."""
 
     @property
     def epoch_ns(self) -> int:
-        """What is added at first."""
+        """The offset at the beginning."""
         return self.moves.add[0]
 
     @property
     def shift_ns(self) -> int:
-        """What is added at first to the times that its messages have in the file."""
+        """The offset at the beginning for the times of its messages in the file."""
         return self.moves.add[0] - self.own_ns
 
     def shifts(self, times: NDArray[np.int64]) -> NDArray[np.int64]:

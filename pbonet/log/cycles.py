@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags")
-"""What is known of a cycle beside its values: instants of CLOCK_MONOTONIC, its number,
+"""Columns of a cycle beside its values: instants of CLOCK_MONOTONIC, its number,
 CPU time, and the flags of its copies."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""
@@ -23,7 +23,7 @@ class Cycles(ABC):
     """Every cycle of a run, by task."""
 
     about: dict[str, Any]
-    """What is known about the run: job, machine, start."""
+    """The run: job, machine, start."""
 
     @property
     @abstractmethod

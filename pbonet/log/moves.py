@@ -1,4 +1,4 @@
-"""What is added to the times of one clock, which may drift, to get those of another."""
+"""Conversion of times of one clock, which may drift, to those of another."""
 
 from __future__ import annotations
 

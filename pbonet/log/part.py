@@ -34,7 +34,7 @@ _ENTRY: Final = _ENTRIES.itemsize
 
 
 class Schema(NamedTuple):
-    """What the messages of a channel look like."""
+    """Schema of a channel's messages."""
 
     name: str
     encoding: str

@@ -132,7 +132,7 @@ class Log(Cycles):
                 remedy="name one of the files, or merge them by `pbonet log merge`",
             )
         self.clocks = common(self.parts)
-        """What brings the times of each file to those of the first one."""
+        """Conversion of each file's times to those of the first."""
         self._lives = _lives(self.parts, self.clocks)
         self._names = _name(self._lives)
         self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
@@ -226,7 +226,7 @@ class Log(Cycles):
 
     @property
     def epoch_ns(self) -> int:
-        """What is added to instants to get nanoseconds since 1970."""
+        """Offset from instants to nanoseconds since 1970."""
         return self.clocks[0].epoch_ns
 
     @property

@@ -1,4 +1,4 @@
-"""What a log says of a task, and what kinds of records a task makes."""
+"""A log's description of a task, and the kinds of records that a task makes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ own, as JSON."""
 
 
 class Step(IntEnum):
-    """What a record of a task's ring is about.
+    """The subject of a record of a task's ring.
 
     Behind cycles come the copies around the other methods, as the executor made them,
     and what made it run them; all that is needed to run the module's code again.
@@ -58,14 +58,14 @@ class Step(IntEnum):
     DID = 7
     """A signal, a new parameter or the like, as JSON text (`Did`)."""
     HEARD = 8
-    """What a method heard from outside, before the copy that follows
+    """Inputs of a method from outside the table, before the copy that follows
     (`pbonet.outside`); cycles have it in their own records."""
     SYNC = 9
-    """What ``sync`` heard, which was called then; it stands before its cycle."""
+    """Inputs of ``sync``, which was called then; recorded before its cycle."""
 
 
 class Did(Struct, omit_defaults=True):
-    """What made the executor run methods other than ``cycle``."""
+    """Events that made the executor run methods other than ``cycle``."""
 
     what: str
     """``spawn``, a signal, ``set``, ``freq``, ``abort``, ``fault`` or ``refused``."""
@@ -88,7 +88,7 @@ class Origin(NamedTuple):
     """By boot identity."""
     run: str
     moves: Moves
-    """What is added to its CLOCK_MONOTONIC to get nanoseconds since 1970."""
+    """Offset from its CLOCK_MONOTONIC to nanoseconds since 1970."""
 
 
 class Table(NamedTuple):
@@ -108,7 +108,7 @@ class CodeFile(Struct, frozen=True):
 
 
 class TaskAbout(Struct, kw_only=True):
-    """Whose cycles a ring or a channel holds."""
+    """The task whose cycles a ring or a channel holds."""
 
     domain: str
     rtpu: str
@@ -130,7 +130,7 @@ class TaskAbout(Struct, kw_only=True):
     hidden: list[str] = []
     """Its variables that are not recorded: no columns, and 0 in what is copied."""
     hears: bool = False
-    """What it hears from outside is on record."""
+    """Its inputs from outside the table are recorded."""
     timing: bool = False
     """So is what its handler of timing failures was told, and answered."""
 
@@ -161,7 +161,7 @@ class RunAbout(Struct, kw_only=True):
     begun: str = ""
     """Date and time, for people to read."""
     epoch_ns: int = 0
-    """What is added to CLOCK_MONOTONIC to get the times of messages."""
+    """Offset from CLOCK_MONOTONIC to the times of messages."""
     part: int = 1
     """2, 3, ... after a recorder was lost or a file was full."""
     goes_on: bool = False

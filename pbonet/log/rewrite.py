@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 
 class Merged(NamedTuple):
-    """What became of several logs."""
+    """The result of merging several logs."""
 
     messages: int
     clocks: list[Clock]
-    """What brought the times of each file to those of the first."""
+    """Conversion of each file's times to those of the first."""
 
 
 def merge(paths: Sequence[Path], out: Path) -> Merged:

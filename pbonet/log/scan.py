@@ -39,7 +39,7 @@ class Found(NamedTuple):
 
 
 class Content(NamedTuple):
-    """What `scan` found."""
+    """The result of `scan`."""
 
     records: list[Found]
     end: int

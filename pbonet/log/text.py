@@ -1,4 +1,4 @@
-"""What a log says, as data and as text: what is in it, values, differences."""
+"""Contents of a log as data and as text: summary, values, differences."""
 
 from __future__ import annotations
 

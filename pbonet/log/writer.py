@@ -127,7 +127,7 @@ class LogWriter:
         self._step_schema = 0
         self._counts: dict[int, int] = {}
         self._names: dict[str, bytes] = {}
-        """What was attached: digests by name."""
+        """Attachments: digests by name."""
         self._writer.start(profile="", library=f"pbonet {about.pbonet}")
         self._tell()
         for file in attached:

@@ -31,7 +31,7 @@ _ALIGNED = 1e-9
 
 
 class Solution(NamedTuple):
-    """What inverse kinematics found."""
+    """The result of inverse kinematics."""
 
     q: Vector | None
     """Joint angles, rad; None where there are none."""

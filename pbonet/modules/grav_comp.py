@@ -18,7 +18,7 @@ from ._values import PerElement, spread
 
 
 class Links(Params):
-    """What the arm weighs, and what it carries, link by link from the base."""
+    """Masses of the arm and its load, link by link from the base."""
 
     mass: A[PerElement, param("kg", "mass of each link", ge=0)]
     com: A[

@@ -9,7 +9,7 @@ from ._values import PerElement
 
 
 class Sight(Params):
-    """What the target does, and how late it is seen."""
+    """The target's motion, and the delay with which it is seen."""
 
     time: A[PerElement, param("s", "when each pose is reached, 0 first", ge=0)]
     position: A[PerElement, param("m", "x y z of each pose")]

@@ -1,4 +1,4 @@
-"""What modules hear from outside the table: on record, and played again by a replay.
+"""Modules' inputs from outside the table: recorded, and played again by a replay.
 
 In a cycle a module reads its in-vars, which a log can rebuild. Devices, links, queues
 and semaphores give it more than that. Their answers stand on a tape, which the task's

@@ -1,4 +1,4 @@
-"""What a module hears from outside pbonet's table: kept for the log, or played from it.
+"""A module's inputs from outside the table: kept for the log, or played from it.
 
 One tape is in use in a process at a time: the task's while it is recorded, a `Player`
 while a log is run again. Without one, everything is asked and nothing kept.
@@ -35,7 +35,7 @@ def plays() -> bool:
     """Tell whether a log is run again, so that nothing outside may be touched."""
 
 class Tape:
-    """What was heard since it was emptied; allocates nothing while it is filled."""
+    """Inputs since it was emptied; allocates nothing while it is filled."""
 
     opened: int
     """Sources so far."""

@@ -1,4 +1,4 @@
-"""What a log says that a module heard, given to it again."""
+"""Recorded inputs of a module from outside the table, given to it again."""
 
 from __future__ import annotations
 

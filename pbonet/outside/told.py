@@ -1,4 +1,4 @@
-"""What a module is told of its own task, in a run and in a replay of it.
+"""A module's information about its own task, in a run and in a replay of it.
 
 A handler of timing failures interrupts its module anywhere, so that what it asks has no
 place among what the cycle asks: it has a source of its own.

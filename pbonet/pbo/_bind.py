@@ -29,12 +29,12 @@ _MEMORY = "_port_memory"
 
 
 class Memory(Struct, frozen=True):
-    """What an instance is bound to."""
+    """Values that an instance is bound to."""
 
     arrays: Mapping[str, NDArray[Any]]
     """The local copy behind each port, by attribute, writable."""
     sizes: Mapping[str, int]
-    """What each constant that is a size of a port must be, by attribute."""
+    """Value of each constant that is a size of a port, by attribute."""
     shapes: Mapping[str, tuple[int, ...]]
     """Of each port, those within a combination included."""
 

@@ -1,4 +1,4 @@
-"""What several modules are as one (Stewart 1994, section 3.8.1): pure data.
+"""Several modules combined into one (Stewart 1994, section 3.8.1): pure data.
 
 The parts of a combination run in their order as one task, with one local table. A
 variable that a part writes and the combination does not publish is *inner*: it is

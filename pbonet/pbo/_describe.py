@@ -1,4 +1,4 @@
-"""What a module is, as data that travels and as text that is read."""
+"""Description of a module, as data and as text."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ParamInfo(Struct, frozen=True, kw_only=True):
 
 
 class ModuleInfo(Struct, frozen=True, kw_only=True):
-    """What is known about a module without running it."""
+    """Description of a module that needs no run."""
 
     name: str
     """As the MODULE line of an RMOD names it."""

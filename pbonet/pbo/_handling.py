@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Handling(StrEnum):
-    """What a handler of errors wants (Stewart 1994, section 8.2.1)."""
+    """Answer of a handler of errors (Stewart 1994, section 8.2.1)."""
 
     ABORT = "abort"
     """It is not put right here: the next handler outside is asked, at last the

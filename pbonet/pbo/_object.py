@@ -60,7 +60,7 @@ METHODS = {
 
 
 class Interface(Struct, frozen=True):
-    """What a module's class body declares."""
+    """Declarations in a module's class body."""
 
     ports: tuple[Port, ...]
     methods: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What is said about one parameter: type, unit, meaning, bounds."""
+"""Description of one parameter: type, unit, meaning, bounds."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ANY_COUNT = -1
 
 
 class Param(Struct, frozen=True):
-    """What `param` says about a parameter, and what its annotation adds."""
+    """Description of a parameter, from `param` and its annotation."""
 
     unit: str
     doc: str
@@ -20,7 +20,7 @@ class Param(Struct, frozen=True):
     le: float | None = None
     lt: float | None = None
     total: float | None = None
-    """What the values of a tuple add up to."""
+    """Limit for the sum of a tuple's values."""
     name: str = ""
     type: str = "float"
     """``float``, ``int``, ``bool`` or ``str``, of each value."""

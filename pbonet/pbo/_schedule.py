@@ -1,4 +1,4 @@
-"""What a task knows from its runtime: time, cycles, criticality, the flag."""
+"""A task's view of its runtime: time, cycles, criticality, the flag."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class IllegalHook(Protocol):
 
 
 class Schedule(Protocol):
-    """What a task's scheduler knows of it: time, cycles, criticality."""
+    """A task's scheduling state: time, cycles, criticality."""
 
     @property
     def now(self) -> int:

@@ -1,4 +1,4 @@
-"""What a module sees of the task that runs it: ``self.task`` (Stewart 1994, 3.6)."""
+"""A module's view of the task that runs it: ``self.task`` (Stewart 1994, 3.6)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class State(StrEnum):
 
 
 class Answer(StrEnum):
-    """What `on`, `error` and `clear` may return (Stewart 1994, section 3.6)."""
+    """Answers of `on`, `error` and `clear` (Stewart 1994, section 3.6)."""
 
     OFF = "OFF"
     """`on`: not yet, stay OFF. `error`, `clear`: the task may be turned on again."""

@@ -39,7 +39,7 @@ class TimingFailure(StrEnum):
 
     @property
     def meaning(self) -> str:
-        """What happened, in words."""
+        """A description in words."""
         return _MEANINGS[self]
 
 
@@ -51,7 +51,7 @@ _MEANINGS = {
 
 
 class Recovery(StrEnum):
-    """What a handler of timing failures wants to follow; None means `CONTINUE`."""
+    """Answer of a handler of timing failures; None means `CONTINUE`."""
 
     CONTINUE = "continue"
     """Go on with the cycle where it was interrupted."""
@@ -70,7 +70,7 @@ class CycleAborted(BaseException):
 
 
 class Section(Struct, frozen=True):
-    """What was measured of one timed section (section 6.7.2); CPU nanoseconds."""
+    """Measurements of one timed section (section 6.7.2); CPU nanoseconds."""
 
     count: int
     """How often it was run through."""
@@ -80,7 +80,7 @@ class Section(Struct, frozen=True):
 
 
 class Watch(Protocol):
-    """What stands behind ``self.task`` where time is concerned."""
+    """Implementation of the timing part of ``self.task``."""
 
     @property
     def criticality(self) -> int:

@@ -26,12 +26,12 @@ NAME_FORM = (
     "all"
 )
 SHAPES = '"1", "6", "ndof" or "ndof,4"'
-"""What shapes look like, for messages."""
+"""Examples of shapes, for messages."""
 _WORDS = ("name", "shape", "unit", "doc")
 
 
 class Declared:
-    """What stands in a port's annotation; `make_port` turns it into a `Port`.
+    """The declaration in a port's annotation; `make_port` turns it into a `Port`.
 
     Type checkers count the words. What is wrong with them otherwise is said when the
     class is made, because only then the place is known.

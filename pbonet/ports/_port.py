@@ -1,4 +1,4 @@
-"""What a port is, as plain data, and which variables can stand behind it."""
+"""A port as plain data, and the variables that can be assigned to it."""
 
 from __future__ import annotations
 

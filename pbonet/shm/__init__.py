@@ -1,4 +1,4 @@
-"""Files in shared memory that table, links and express mail have in common."""
+"""Shared memory: the folder of its files, how they are made and found, what closes."""
 
 from pbonet.lazy import attach
 

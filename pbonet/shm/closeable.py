@@ -1,4 +1,4 @@
-"""What is let go of by `close`, whether by hand or at the end of a `with` block."""
+"""Base of what is released by `close`, by hand or at the end of a `with` block."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ if TYPE_CHECKING:
     from types import TracebackType
 
 
-class Closing:
+class Closeable:
     """Closes itself at the end of a `with` block."""
 
     def close(self) -> None:
-        """Let go; calling it again does no harm."""
+        """Release it; a second call does no harm."""
         raise NotImplementedError  # abstract: everything that closes has its own
 
     def __enter__(self) -> Self:

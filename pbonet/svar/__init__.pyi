@@ -1,4 +1,5 @@
 from . import guards as guards, layout as layout, table_files as table_files
+from ._svar import Watch as Watch, now_ns as now_ns, survive_cuts as survive_cuts
 from .guards import (
     Blamed as Blamed,
     Check as Check,
@@ -12,7 +13,6 @@ from .layout import (
     var_bytes as var_bytes,
 )
 from .local import LocalTable as LocalTable
-from .native import Watch as Watch, now_ns as now_ns, survive_cuts as survive_cuts
 from .result_codes import (
     ALIVE as ALIVE,
     CONSTS as CONSTS,

@@ -11,7 +11,7 @@ cdef extern from "local.h" nogil:
         uint64_t cycle
     struct pb_static:
         uint32_t n_vars, n_regs, version
-        uint64_t size, text, text_bytes, live, mode, keep_stamps
+        uint64_t size, text, text_bytes, live, keep_stamps
         uint8_t layout[16]
     struct pb_var:
         uint64_t bytes
@@ -40,8 +40,8 @@ cdef extern from "local.h" nogil:
         uint32_t n
         const uint32_t *vars
         const uint64_t *at
-        const char *heir_of
-        uint32_t n_heir_of
+        const char *predecessors
+        uint32_t n_predecessors
         const pb_last *ends
     struct pb_check:
         uint32_t type, rule, var

@@ -28,7 +28,7 @@ cdef class LocalTable:
 
     cdef readonly Arena arena
     cdef list kept             # the buffers that core points into
-    cdef list heirs            # of each group: names of those who hand over
+    cdef list predecessors     # of each group: names of those who hand over
     cdef list ends             # of each group: what they had committed last
     cdef void *core            # struct pb_local
     cdef readonly int flags    # of the last copy, commit or claim

@@ -19,7 +19,6 @@ class Blueprint:
         maxages: NDArray[Any],
         text: bytes,
         layout: bytes,
-        mode: int,
         spare: int,
     ) -> None: ...
     @property
@@ -35,8 +34,6 @@ class Arena:
     def size(self) -> int: ...
     @property
     def version(self) -> int: ...
-    @property
-    def mode(self) -> int: ...
     @property
     def layout(self) -> bytes: ...
     @property

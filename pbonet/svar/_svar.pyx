@@ -40,7 +40,7 @@ cdef class Blueprint:
     cdef pb_var *vars
 
     def __init__(self, const uint64_t[::1] sizes, const int64_t[::1] maxages, bytes text,
-                 bytes layout, unsigned mode, unsigned spare):
+                 bytes layout, unsigned spare):
         cdef Py_ssize_t i, n = sizes.shape[0]
         if maxages.shape[0] != n or len(layout) != 16:
             raise ValueError("sizes, maxages and layout do not fit together")
@@ -53,7 +53,6 @@ cdef class Blueprint:
             self.vars[i].maxage_ns = maxages[i]
         self.fixed.n_vars = n
         self.fixed.text_bytes = len(text)
-        self.fixed.mode = mode
         memcpy(self.fixed.layout, <const char *>layout, 16)
         pb_lay_out(&self.fixed, self.vars, spare)
 
@@ -113,10 +112,6 @@ cdef class Arena:
     @property
     def version(self) -> int:
         return (<pb_static *>self.base).version
-
-    @property
-    def mode(self) -> int:
-        return table(self).fixed.mode
 
     @property
     def layout(self) -> bytes:
@@ -329,13 +324,13 @@ cdef class LocalTable:
     def succeed(self, unsigned which, list names) -> None:
         """Let claims of a group take its variables from these tasks, though they live."""
         cdef pb_group *g = &local(self).outputs[which].group
-        cdef bytes heirs
-        heirs = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
-        if self.heirs is None:
-            self.heirs = [b"", b""]
-        self.heirs[which] = heirs       # keeps them where they are
-        g.heir_of = <const char *>heirs
-        g.n_heir_of = len(names)
+        cdef bytes joined
+        joined = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
+        if self.predecessors is None:
+            self.predecessors = [b"", b""]
+        self.predecessors[which] = joined       # keeps them where they are
+        g.predecessors = <const char *>joined
+        g.n_predecessors = len(names)
         g.ends = NULL
 
     def note_ends(self, unsigned which) -> int:
@@ -351,7 +346,7 @@ cdef class LocalTable:
         return code
 
     def cede(self) -> None:
-        """Write no more, and leave the variables to the heir's claim."""
+        """Write no more, and leave the variables to the successor's claim."""
         local(self).outputs[PB_GROUP_VARS].live = False
 
     def give(self, unsigned which, bint leave) -> int:

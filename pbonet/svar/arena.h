@@ -21,7 +21,7 @@
 
 #define PB_MAGIC "pbSVAR\r\n"
 
-enum { PB_VERSION = 2, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
+enum { PB_VERSION = 3, PB_CAUSES = 128, PB_CAUSES_EACH = 64, PB_NAME = 64, PB_TEXT = 128, PB_KEEPER = 0 };
 
 struct pb_static {
     char magic[8];
@@ -31,7 +31,6 @@ struct pb_static {
     uint8_t layout[16];
     uint64_t vars, text, text_bytes, live, regs, dir, dir_stride, arena;
     uint64_t keep_bytes, keep_stamps; /* the keeper's group, and its stamps inside it */
-    uint64_t mode;
 };
 
 /* One variable; the keeper's group holds all of them, in order of their index. */

@@ -26,8 +26,8 @@ struct pb_group {
     uint32_t n;
     const uint32_t *vars; /* their indices, in rising order */
     const uint64_t *at;   /* their places in the group */
-    const char *heir_of;  /* names of PB_NAME bytes: these tasks hand over to it */
-    uint32_t n_heir_of;
+    const char *predecessors;  /* names of PB_NAME bytes: these tasks hand over to it */
+    uint32_t n_predecessors;
     const struct pb_last *ends; /* NULL, or for each variable what its owner had committed
                                    when those had ended; who goes on comes back */
 };

@@ -1,4 +1,4 @@
-"""What a value is judged by before it enters the table: FINITE, LIMIT, MIN, MAX.
+"""Checks of a value before it enters the table: FINITE, LIMIT, MIN, MAX.
 
 Tasks' commits are judged natively (guard.h) by the checks made here; values that an
 operator sets are judged here.
@@ -76,7 +76,7 @@ def _add_finite(checks: list[Check], new: Check) -> None:
 
 
 class Blamed(NamedTuple):
-    """What a copy that was refused, or an input that is stale, is about."""
+    """Details of a refused copy or a stale input."""
 
     variable: str = ""
     element: int = 0

@@ -1,4 +1,4 @@
-"""What stands where in a table, and in a task's local table: pure arithmetic.
+"""Layout of a table and of a task's local table: pure arithmetic.
 
 A variable takes whole words of 8 bytes. In a group the variables stand in the order of
 their indices, in the table and in the local table alike, so that neighbours are copied

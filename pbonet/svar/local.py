@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pbonet import shm
 from pbonet.errors import (
     SvarError,
     SvarFullError,
@@ -15,9 +16,9 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.shm import Closing
 
-from . import guards, layout, native, table_files
+from . import guards, layout, table_files
+from ._svar import Arena, LocalTable as NativeTable, now_ns as clock_ns, process_start
 from .result_codes import CONSTS, FULL, IN, ON, OUT_CONSTS, RIVAL, STUCK, VARS
 from .table_records import Counts
 
@@ -33,7 +34,7 @@ def _never() -> bool:
     return False
 
 
-class LocalTable(Closing, native.LocalTable):
+class LocalTable(shm.Closeable, NativeTable):
     """Private copies of a task's variables, and the transfers to and from the table.
 
     Made by `Table.local`. Variables are named by name, or by their index in the table.
@@ -54,7 +55,7 @@ class LocalTable(Closing, native.LocalTable):
     @classmethod
     def make(
         cls,
-        arena: native.Arena,
+        arena: Arena,
         variables: tuple[Variable, ...],
         *,
         table: str,
@@ -72,7 +73,7 @@ class LocalTable(Closing, native.LocalTable):
                 where=f"{table}/{task}",
                 remedy="name it in OUTCONST or in OUTVAR",
             )
-        if native.process_start(pid) == 0:
+        if process_start(pid) == 0:
             raise SvarOwnerError(
                 f"there is no process {pid} that could write",
                 where=f"{table}/{task}",
@@ -138,7 +139,7 @@ class LocalTable(Closing, native.LocalTable):
 
     @property
     def owner(self) -> int:
-        """What `Table.reap` knows the task by; 0 when it writes nothing."""
+        """Identity of the task for `Table.reap`; 0 when it writes nothing."""
         return self._owner
 
     @property
@@ -207,7 +208,7 @@ class LocalTable(Closing, native.LocalTable):
                 set or taken over since; that needs a fresh one, and none is left.
         """
         if self.given_up():
-            self.heir_of([])
+            self.take_over_from([])
         return self._take(VARS, now_ns, cycle)
 
     def check_claim(self) -> None:
@@ -224,7 +225,7 @@ class LocalTable(Closing, native.LocalTable):
         """Give the out-vars up; their values stand until another task takes over."""
         self._check(self.give(VARS, False))  # noqa: FBT003
 
-    def heir_of(self, tasks: Iterable[str]) -> None:
+    def take_over_from(self, tasks: Iterable[str]) -> None:
         """Say which tasks hand over: `claim` takes their variables though they live.
 
         So the variables go from one task to the other as one event, and are never
@@ -302,7 +303,7 @@ class LocalTable(Closing, native.LocalTable):
                 remedy="name it in OUTVAR of the task's .rmod file",
             ) from None
         self._must_be_open()
-        return self.write_one(group, place, now_ns or native.now_ns(), cycle)
+        return self.write_one(group, place, now_ns or clock_ns(), cycle)
 
     def close(self) -> None:
         """Give everything up; values stand, the registers may be used again."""
@@ -326,7 +327,7 @@ class LocalTable(Closing, native.LocalTable):
 
     def _take(self, which: int, now_ns: int, cycle: int) -> int:
         self._must_be_open()
-        code, rival = self.take(which, now_ns or native.now_ns(), cycle)
+        code, rival = self.take(which, now_ns or clock_ns(), cycle)
         self._judge(code, rival, constants=which == OUT_CONSTS)
         return self.flags
 

@@ -58,8 +58,8 @@ static inline bool pb_hands_over(const struct pb_group *g, uint32_t i,
     struct pb_last last = pb_last_of(holder);
     if (g->ends && (g->ends[i].uid != last.uid || g->ends[i].number != last.number))
         return false;
-    for (uint32_t k = 0; k < g->n_heir_of; k++)
-        if (!strncmp(holder->task, g->heir_of + k * PB_NAME, PB_NAME)) return true;
+    for (uint32_t k = 0; k < g->n_predecessors; k++)
+        if (!strncmp(holder->task, g->predecessors + k * PB_NAME, PB_NAME)) return true;
     return false;
 }
 

@@ -15,7 +15,7 @@ VARS, OUT_CONSTS = range(2)
 
 
 class Verdict(IntEnum):
-    """What a look at a file said."""
+    """Result of examining a file."""
 
     SOUND = 0
     NO_TABLE = 1
@@ -27,7 +27,7 @@ class Verdict(IntEnum):
 
 
 class Flags(IntFlag):
-    """What a copy or a commit met; 0 is good."""
+    """Result of a copy or a commit; 0 is success."""
 
     COPY_TORN = 1
     """The retry bound was met: groups are whole, the cut is not proven consistent."""

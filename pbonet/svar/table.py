@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from pbonet import shm
 from pbonet.errors import (
     SvarError,
     SvarFullError,
@@ -14,11 +15,10 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
-from pbonet.shm import Closing
 
 from . import guards, layout as lay, table_files
+from ._svar import CAUSES, CAUSES_EACH, Arena, Blueprint, now_ns
 from .local import LocalTable
-from .native import CAUSES, CAUSES_EACH, STATIC_BYTES, Arena, Blueprint, now_ns
 from .result_codes import ALIVE, FULL, RIVAL, STUCK, Verdict
 from .table_records import Cause, Register, VarInfo
 
@@ -34,7 +34,7 @@ SPARE = 4
 """How many times the whole table fits into its arena, beside the keeper's register."""
 
 
-class Table(Closing):
+class Table(shm.Closeable):
     """One subsystem's table on this machine; made by `create` or `attach`.
 
     Reading needs no right but the file's; writing is done by tasks, through the
@@ -61,7 +61,6 @@ class Table(Closing):
         name: str,
         variables: Sequence[Variable],
         *,
-        mode: int = 0o600,
         spare: int = SPARE,
     ) -> Table:
         """Make a table with every variable at its INIT value (svarCreate).
@@ -72,7 +71,6 @@ class Table(Closing):
         Args:
             name: Part of the file's name.
             variables: What the ``.svar`` file defines.
-            mode: Permissions of the file.
             spare: How many times the whole table fits into the arena.
 
         Raises:
@@ -88,11 +86,10 @@ class Table(Closing):
             np.array(maxages, np.int64),
             lay.encode(variables),
             lay.layout_hash(variables),
-            mode,
             spare,
         )
         values = lay.initial_values(variables)
-        fd, fresh = table_files.make(path, plan.size, mode)
+        fd, fresh = table_files.FILES.make(path, plan.size)
         try:
             arena = table_files.map_whole(path, fd, plan.size)
         except BaseException:
@@ -101,7 +98,7 @@ class Table(Closing):
         if error := arena.format(plan, values):
             fresh.unlink(missing_ok=True)
             raise table_files.no_lock(path, error)
-        table_files.publish(fresh, path)
+        table_files.FILES.publish(fresh, path)
         table_files.verify(path, arena, plan.size)
         return cls(name, path, arena)
 
@@ -121,10 +118,9 @@ class Table(Closing):
             SvarFullError: It cannot be mapped.
         """
         path = table_files.path_of(name)
-        fd, size = table_files.open_file(path, STATIC_BYTES)
+        fd, size = table_files.open_file(path)
         arena = table_files.map_whole(path, fd, size)
         table_files.verify(path, arena, size)
-        table_files.check_mode(path, arena.fileno, arena.mode)
         try:
             table = cls(name, path, arena)
         except msgspec.MsgspecError:
@@ -459,7 +455,7 @@ class Table(Closing):
 
         A file that took this one's place, after somebody removed it, is left alone.
         """
-        table_files.remove(self.path, self._open().fileno)
+        shm.remove_same(self.path, self._open().fileno)
         self.close()
 
     def _open(self) -> Arena:

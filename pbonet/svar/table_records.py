@@ -1,4 +1,4 @@
-"""What the table tells about itself."""
+"""Records with which the table describes itself."""
 
 from __future__ import annotations
 

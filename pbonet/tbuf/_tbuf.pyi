@@ -12,7 +12,7 @@ from pbonet.outside import Outside
 WRITER: int
 READER: int
 CARER: int
-"""Who uses a buffer: its writer, its reader, and the agent that looks after it."""
+"""Users of a buffer: its writer, its reader, and the agent that cares for it."""
 LONGEST_TEXT: int
 """Bytes for the description of a record."""
 
@@ -56,7 +56,7 @@ class Buffer:
         """
     @property
     def text(self) -> bytes:
-        """What a record looks like, as `make` was told."""
+        """Layout of a record, as given to `make`."""
     @property
     def record(self) -> int:
         """Bytes of a record."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pbonet import shm
 from pbonet.outside import Outside, active
-from pbonet.shm import Closing
-from pbonet.xm.ipc import shm_object_files
 
 from . import layout, places
 from ._tbuf import READER, WRITER, End, In, Out
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
     from pbonet.xm.ipc import Name
 
 
-class _Attached(Closing, End):
-    """What both ends have in common."""
+class _Attached(shm.Closeable, End):
+    """Base of both ends."""
 
     name: str
     """Its full name."""
@@ -35,7 +34,7 @@ class _Attached(Closing, End):
         """Remove the buffer; who else uses it is told (``tbufDestroy``)."""
         if self.outside is not None and self.outside.plays:
             return
-        shm_object_files.unlink_same(Path(self.path), self.fileno)
+        shm.remove_same(Path(self.path), self.fileno)
         self.mark_destroyed()
         self.unmap()
 

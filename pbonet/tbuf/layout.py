@@ -1,4 +1,4 @@
-"""What a record looks like, as text that travels with the link.
+"""Layout of a record, as text that travels with the link.
 
 The text is that of numpy's own files, a description and a shape, so it names every
 field with its type, byte order and size.

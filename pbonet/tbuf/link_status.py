@@ -1,4 +1,4 @@
-"""What can be seen of links from outside, without being an end of any."""
+"""State of links as seen from outside, without being an end of any."""
 
 from __future__ import annotations
 

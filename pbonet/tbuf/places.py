@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pbonet import shm
 from pbonet.errors import (
     XmError,
     XmExistsError,
@@ -24,7 +25,7 @@ from pbonet.errors import (
     XmNameError,
     XmTakenError,
 )
-from pbonet.xm.ipc import folder_watch, names, shm_object_files
+from pbonet.xm.ipc import FILES, folder_watch, names, shm_object_files
 
 from . import _tbuf, layout
 from ._tbuf import CARER, READER, WRITER, Buffer
@@ -123,18 +124,18 @@ def _open(name: Name, dtype: np.dtype[Any] | None, end: Buffer) -> np.dtype[Any]
         if dtype is None or layout.same_values(dtype, found):
             return found
         end.unmap()
-        if not shm_object_files.remove_unused(path):
+        if not FILES.remove_unused(path):
             raise layout.refuse(str(name), dtype, found)
 
 
 def _make(path: Path, dtype: np.dtype[Any], end: Buffer) -> np.dtype[Any]:
     text = layout.describe(dtype)
     size = _tbuf.size_for(dtype.itemsize)
-    fd, fresh = shm_object_files.make(path, size)
+    fd, fresh = FILES.make(path, size)
     try:
         end.map(fd, size, str(path))
         end.make(dtype.itemsize, secrets.randbits(63), text)
-        shm_object_files.publish(fresh, path)
+        FILES.publish(fresh, path)
     except BaseException:
         end.unmap()
         fresh.unlink(missing_ok=True)
@@ -180,7 +181,7 @@ def leave(end: Buffer) -> None:
     if end.fileno >= 0:
         end.unmap()
         with contextlib.suppress(XmError):
-            shm_object_files.remove_unused(Path(end.path))
+            FILES.remove_unused(Path(end.path))
 
 
 def standing(domain: str) -> list[str]:
@@ -197,7 +198,7 @@ class Standing:
 
     def __init__(self, domain: str) -> None:
         self.domain = domain
-        self._changes = folder_watch.Changes(str(names.folder()))
+        self._changes = folder_watch.Changes(str(shm.folder()))
         self._found: list[str] = []
 
     def names(self) -> list[str]:
@@ -214,6 +215,6 @@ def sweep(domain: str) -> list[str]:
         place, _, resource = text.partition(":")
         path = names.Name(domain, place, resource).path(KIND)
         with contextlib.suppress(XmError):
-            if shm_object_files.remove_unused(path):
+            if FILES.remove_unused(path):
                 swept.append(text)
     return swept

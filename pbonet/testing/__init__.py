@@ -1,4 +1,4 @@
-"""What authors of modules test with: a bench that steps one module in virtual time.
+"""Tests of modules: a bench that steps one module in virtual time.
 
 ::
 

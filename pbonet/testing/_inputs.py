@@ -1,4 +1,4 @@
-"""What a task read in each cycle, rebuilt from what all tasks committed.
+"""Inputs of a task in each cycle, rebuilt from the commits of all tasks.
 
 A cycle's record names the commits that it read by register and number. Where one of
 them is in nobody's record (initial values, what an operator set), the inputs stand in

@@ -1,4 +1,4 @@
-"""What a module that is run again hears from outside: its record, and nothing else.
+"""Inputs of a replayed module from outside the table: its record, and nothing else.
 
 Nothing outside is touched. What pbonet itself cannot record (sockets of its own, device
 files, other programs) is refused where it is opened, so that the verdict can say it.
@@ -98,7 +98,7 @@ class Watch(PythonWatch):
 
     @property
     def criticality(self) -> int:
-        """What the dispatcher ranked the task by."""
+        """The task's criticality for the dispatcher."""
         return self._told.now("criticality", int, -1)
 
     @criticality.setter

@@ -125,7 +125,7 @@ class Run:
         self._unheard: int | None = None
         """The record of the first method of which something heard found no room."""
         self._aborted: dict[int, bytes] = {}
-        """What cycles heard that are on no record, by the record that says why."""
+        """Inputs of cycles that were not recorded, by the record with the reason."""
         self._records = self._listen(life)
         self._at = 0
         self._verdict = verdict
@@ -136,7 +136,7 @@ class Run:
         self._where = "init"
         self._stable = False
         self._failed: PbonetError | None = None
-        """What ended the last thing that was done between cycles."""
+        """The end of the last step between cycles."""
         self._unseen: set[str] = set()
         """Out-vars that `on` copied in, and that are not recorded."""
         self._lay_out()

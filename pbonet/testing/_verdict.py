@@ -1,4 +1,4 @@
-"""What came of running a task's code again on what was recorded."""
+"""Result of running a task's code again on recorded inputs."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Changed(Struct, kw_only=True):
 
 
 class Verdict(Struct, kw_only=True):
-    """What came of one task."""
+    """The result for one task."""
 
     task: str
     cycles: int = 0
@@ -98,7 +98,7 @@ class Verdict(Struct, kw_only=True):
 
 
 class Replayed(Struct, kw_only=True):
-    """What came of a whole configuration."""
+    """The result for a whole configuration."""
 
     tasks: list[Verdict]
     """Of each; ``cycles`` are all that gave the same, behind a divergence too."""

@@ -52,7 +52,7 @@ class _Made(Commits):
         self.parts: dict[int, _Part] = {}
         """By the identity of their life."""
         self.consts: dict[str, _Part] = {}
-        """Who has given a constant last."""
+        """The task that gave a constant last."""
 
     def find(self, key: Key) -> tuple[Life, bytes, bool] | None:
         """Return a commit, once the task whose it is has come so far."""

@@ -57,10 +57,14 @@ class Host:
         lan: The network that it belongs to.
         name: ``a``, ``b`` or ``c``.
         ahead: Seconds by which its monotonic clock is set apart from the others.
+        hostname: What it calls itself; ``host-`` and `name` if left out.
     """
 
-    def __init__(self, lan: Lan, name: str, ahead: float = 0.0) -> None:
+    def __init__(
+        self, lan: Lan, name: str, ahead: float = 0.0, hostname: str = ""
+    ) -> None:
         self.name = name
+        self.hostname = hostname or f"host-{name}"
         self.space = f"pb{lan.tag}{name}"
         self.ahead = ahead
 
@@ -73,11 +77,10 @@ class Host:
 
     def command(self, *command: str) -> list[str]:
         """Return `command` as it is started on this host; the process number stays."""
-        name = f"host-{self.name}"
         uts = ["unshare", "--uts"]
         if self.ahead:
             uts += ["--time", "--monotonic", f"{self.ahead:g}"]
-        shell = f'hostname {name} && exec "$@"'
+        shell = f'hostname {self.hostname} && exec "$@"'
         inside = [*uts, "sh", "-c", shell, "sh", *command]
         return ["nsenter", f"--net=/run/netns/{self.space}", *inside]
 
@@ -87,12 +90,18 @@ class Lan:
 
     Args:
         ahead: By host, the seconds by which its clock is ahead.
+        hostnames: By host, what it calls itself; two may have one name.
     """
 
-    def __init__(self, ahead: dict[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        ahead: dict[str, float] | None = None,
+        hostnames: dict[str, str] | None = None,
+    ) -> None:
         self.tag = secrets.token_hex(3)
         self.hosts: dict[str, Host] = {}
         self._ahead = ahead or {}
+        self._hostnames = hostnames or {}
         self._muted: set[tuple[str, str]] = set()
         self._delay: Delay | None = None
         try:
@@ -158,7 +167,8 @@ class Lan:
 
     def _make(self) -> None:
         for name in NUMBERS:
-            host = self.hosts[name] = Host(self, name, self._ahead.get(name, 0.0))
+            ahead, hostname = self._ahead.get(name, 0.0), self._hostnames.get(name, "")
+            host = self.hosts[name] = Host(self, name, ahead, hostname)
             _run("ip", "netns", "add", host.space)
             _run("ip", "-n", host.space, "link", "set", "lo", "up")
         for (one, other), number in CABLES.items():

@@ -22,6 +22,7 @@ from pbonet.errors import (
 )
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.node.ring._ring import Ring
+from pbonet.node.rt import _rt
 from pbonet.svar import Table
 from pbonet.xm.net import messages as m
 
@@ -54,6 +55,24 @@ NEVER_ON = """
 """
 
 
+SLOW_ON = """
+    import time
+    from typing import Annotated as A
+
+    from pbonet import OutVar, PortBasedObject, Vector
+
+
+    class Slow(PortBasedObject):
+        y: A[Vector, OutVar("Y", "2", "none", "cycles")]
+
+        def on(self) -> None:
+            time.sleep(0.15)
+
+        def cycle(self, dt: float) -> None:
+            self.y[0] += 1.0
+"""
+
+
 @pytest.fixture
 def arm(nodes, tmp_path):
     """On arm0 `a` (ON) and `c`, on arm1 `b` and `d`; a and b write Y0, c and d Y1."""
@@ -80,7 +99,7 @@ def arm(nodes, tmp_path):
 
 def stand_by(arm, heir, *olds, limit=LIMIT):
     """Have a task of arm1 stand by for some of arm0; return whom these have to call."""
-    request = m.Heirs(after={heir: list(olds)}, timeout=limit)
+    request = m.Successors(after={heir: list(olds)}, timeout=limit)
     return arm.fleet.call("arm1", request, dict[str, list[m.Call]])
 
 
@@ -171,7 +190,8 @@ def test_an_heir_that_is_killed_between_two_calls(arm):
     os.kill(arm.status("b").tid, signal.SIGKILL)
     died = "b has died (arm1/b)"
     wait_for(lambda: "TASK_DIED" in {event.code for event in arm.events()}, "its end")
-    assert turn_off(arm, "a", calls).unseen == ["b"]
+    refused = turn_off(arm, "a", calls).error
+    assert refused["what"] == "b cannot take over: it does not stand by"
     told = [(event.code, event.text) for event in arm.events() if died in event.text]
     assert told[0] == ("ILLEGAL", died)
     wait_for(lambda: died not in causes(arm), "that a is seen to write all of it")
@@ -181,10 +201,11 @@ def test_an_heir_that_is_killed_between_two_calls(arm):
 
 def test_a_call_that_nobody_waits_for_any_more_engages_nobody(arm):
     calls = stand_by(arm, "b", "a")
-    arm.fleet.call("arm1", m.Heirs(after={"b": []}), dict[str, list[m.Call]])
+    arm.fleet.call("arm1", m.Successors(after={"b": []}), dict[str, list[m.Call]])
     stand_by(arm, "b", "a")
     answer = turn_off(arm, "a", calls)
-    assert (answer.unseen, answer.done, answer.rest) == (["b"], 0, [("a", "off")])
+    assert answer.error["what"] == "b cannot take over: it does not stand by"
+    assert (answer.done, answer.rest) == (0, [("a", "off")])
     assert states(arm) == {"a": "ON", "b": "OFF", "c": "OFF", "d": "OFF"}
 
 
@@ -198,10 +219,12 @@ def test_an_heir_stands_by_for_a_limited_time(arm):
 
     calls = wait_for(waits, "an heir that stands by")
 
-    def expired():
-        return turn_off(arm, "c", {"c": calls["a"]}).unseen == ["b"]
-
-    wait_for(expired, "the end of standing by")
+    (one,) = calls["a"]
+    with closing(_rt.CoreTable(one.core, member=False)) as core:
+        slot = one.slot, one.life, one.ticket, one.caller
+        wait_for(lambda: not core.expects(*slot), "the end of standing by")
+    refused = turn_off(arm, "a", calls).error
+    assert refused["what"] == "b cannot take over: it does not stand by"
     assert arm.control("b", "reinit").state == "OFF"
     assert arm.swap("a", "b").states == {"a": "OFF", "b": "ON"}
 
@@ -329,11 +352,11 @@ def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
         error = swap.exception(60.0)
     assert isinstance(error, ReconfigError), error
     what, rest = {
-        "arm0": ("sent, and not known whether done: off old; not sent: on d", 2),
-        "arm1": ("done: off old; sent, and not known whether done: on d", 1),
+        "arm0": ("done: on d; sent, and not known whether done: off old", "off old"),
+        "arm1": ("done: off old; sent, and not known whether done: on d", "on d"),
     }[killed]
     assert what in str(error)
-    assert error.rest == (("old", "off"), ("d", "on"))[-rest:]
+    assert [f"{verb} {task}" for task, verb in error.rest] == [rest]
     nodes.agent_process(killed)
     arm.detach()
     wait_for(lambda: is_opened(arm), "the end of the old master's token")
@@ -346,3 +369,58 @@ def test_an_agent_is_killed_amid_the_exchange(arm, gate, nodes, killed):
     assert arm.swap("old", "d").items == [], "nothing is left to be done"
     assert arm.swap("d", "old").items == [("d", "off"), ("old", "on")]
     wait_for(lambda: not causes(arm), "a legal configuration")
+
+
+def test_what_came_on_before_an_item_failed_is_said_to_be_done(arm, tmp_path):
+    """The dispatcher engages a successor as soon as its predecessor has ended."""
+    (tmp_path / "bad.rmod").write_text(rmod("raises_in_on", "Y1", RATE))
+    arm.spawn("bad", "arm0")
+    with pytest.raises(ReconfigError, match="item 3 of 3, on bad") as caught:
+        arm.reconfig([("a", "off"), ("bad", "on"), ("b", "on")])
+    assert str(caught.value).endswith("done: off a, on b")
+    assert caught.value.rest == (("bad", "on"),)
+    assert (states(arm)["b"], arm.display(["Y0"])[0].writer) == ("ON", "b")
+
+
+def test_the_flag_goes_down_as_soon_as_the_successor_writes(arm, nodes, tmp_path):
+    """A swap that takes long makes others stable no longer across RTPUs than on one."""
+    nodes.write_module("slow_on", SLOW_ON)
+    for name, rtpu in (("beside", "arm0"), ("elsewhere", "arm1")):
+        (tmp_path / f"{name}.rmod").write_text(rmod("slow_on", "Y0", RATE))
+        arm.spawn(name, rtpu)
+    text = rmod("holds", "Y1", RATE, invar="Y0", critical=True, local={"LEVEL": 3})
+    (tmp_path / "hold.rmod").write_text(text)
+    arm.spawn("hold", "arm1")
+    arm.control("hold", "on")
+    rings = {one.task: Ring.attach(one.ring) for one in arm.status_all()}
+
+    def needless(successor):
+        """Return how many cycles were stable though the successor wrote."""
+        for ring in rings.values():
+            ring.drain()
+        arm.swap("a", successor)
+        (first, *_) = wait_for(
+            lambda: [one for one in rings[successor].drain() if not one.kind],
+            "a cycle of the successor",
+        )
+        count = 0
+
+        def is_over():
+            nonlocal count
+            cycles = [one for one in rings["hold"].drain() if not one.kind]
+            mine = [one for one in cycles if one.release_ns > first.release_ns]
+            count += sum(one.stable for one in mine)
+            return mine and not mine[-1].stable and not causes(arm)
+
+        wait_for(is_over, "cycles that are not stable")
+        arm.swap(successor, "a")
+        wait_for(lambda: not causes(arm), "a legal configuration")
+        return count
+
+    try:
+        found = [(needless("beside"), needless("elsewhere")) for _ in range(4)]
+    finally:
+        for ring in rings.values():
+            ring.close()
+    beside, elsewhere = (sum(some) for some in zip(*found, strict=True))
+    assert elsewhere <= beside + 3 * len(found), found

@@ -28,11 +28,17 @@ def clocks():
 
 
 @pytest.fixture(scope="module")
-def lan(clocks):
+def hostnames():
+    """By host, what it calls itself; a module may say otherwise."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def lan(clocks, hostnames):
     """Three hosts with a cable between any two."""
     if reason := _missing():
         pytest.skip(reason)
-    made = Lan(clocks)
+    made = Lan(clocks, hostnames)
     try:
         yield made
     finally:

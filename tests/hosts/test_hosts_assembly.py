@@ -1,5 +1,6 @@
 """The PUMA example as it stands: two RTPUs on two machines, the master on a third.
 
+The two machines have one host name, as robots of one image have.
 No cable is pulled: links and requests outlive a machine that stands still.
 """
 
@@ -58,6 +59,11 @@ def clocks():
 
 
 @pytest.fixture(scope="module")
+def hostnames():
+    return {"a": "robot", "b": "robot"}
+
+
+@pytest.fixture(scope="module")
 def way(lab):
     """How masters on host c come in: by an agent that has no part in the subsystem."""
     lab.start("desk", "c", wait=False)
@@ -110,7 +116,7 @@ def test_the_example_runs_on_two_machines(arm):
     def fresh():
         values = {one.name: one for one in arm.display()}
         assert values["Q_MEZ"].writer == "puma_pidg"
-        assert values["Q_REF"].writer == "jttrace@host-b"
+        assert values["Q_REF"].writer == "jttrace@robot"
         assert values["T_GRAV"].age >= 0  # by clocks that are hours apart
         crossed = values["Q_REF"], values["T_GRAV"]
         return all(not one.stale and one.age < 1.0 for one in crossed)
@@ -138,7 +144,7 @@ def test_a_swap_and_a_list_from_a_third_host(arm):
     wait_for(lambda: apart(arm) < first - 0.05, "the reference to go there")
     states = arm.reconfig([("hold", "off"), ("jttrace", "on")])
     assert states == {"hold": "OFF", "jttrace": "ON"}
-    assert arm.display("Q_REF")[0].writer == "jttrace@host-b"
+    assert arm.display("Q_REF")[0].writer == "jttrace@robot"
     wait_for(lambda: not any(rtpu.illegal for rtpu in arm.rtpu_status()), "no flag")
     assert {one.task for one in arm.status() if one.state == "ON"} == TASKS
 

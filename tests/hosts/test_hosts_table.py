@@ -186,12 +186,21 @@ def test_a_swap_between_machines(cell):
         cell.off("arm2", "two")
 
 
+def stand_by(cell, there, new, *olds, far):
+    """Have a task stand by; return how its predecessors call it."""
+    successors = m.Successors(after={new: list(olds)}, far=far, timeout=LIMIT)
+    return cell.look(there, successors, dict[str, list[m.Call]])
+
+
+def turn_off(cell, here, old, output, calls):
+    """Turn a task off that hands a variable over."""
+    off = m.Reconfig(items=[(old, "off")], handover={old: [output]}, calls=calls)
+    assert cell.look(here, off, m.Reconfigured).done == 1
+
+
 def leave(cell, here, old, there, new):
     """Have a task stand by on another machine, and the one before it leave."""
-    heirs = m.Heirs(after={new: [old]}, far=True, timeout=LIMIT)
-    calls = cell.look(there, heirs, dict[str, list[m.Call]])
-    off = m.Reconfig(items=[(old, "off")], handover={old: ["Y0"]}, calls=calls)
-    assert cell.look(here, off, m.Reconfigured).done == 1
+    turn_off(cell, here, old, "Y0", stand_by(cell, there, new, old, far=[old]))
 
 
 def come(cell, there, new):
@@ -243,6 +252,24 @@ def test_an_heir_on_another_machine_is_called(cell, lab, monkeypatch):
         assert cell.value(there, "Y0").values[1] == last_count(cell, here, old)
         turn.reverse()
     assert by_itself
+
+
+@pytest.mark.parametrize("where", ["arm1", "arm2"], ids=["both far", "one near"])
+def test_a_successor_waits_for_tasks_of_two_machines(cell, where):
+    """The one of its own machine calls itself, the agent for the other one."""
+    cell.spawn("arm0", "one", "counts", out="Y0")
+    cell.spawn(where, "other", "counts", out="Y1")
+    cell.spawn("arm2", "two", "counts", out="Y0")
+    cell.on("arm0", "one")
+    cell.on(where, "other")
+    wait_for(lambda: cell.value("arm2", "Y0").writer == "one@host-a", "news")
+    far = ["one", "other"] if where == "arm1" else ["one"]
+    calls = stand_by(cell, "arm2", "two", "one", "other", far=far)
+    turn_off(cell, where, "other", "Y1", calls)
+    turn_off(cell, "arm0", "one", "Y0", calls)
+    come(cell, "arm2", "two")
+    assert cell.value("arm1", "Y0").writer == "two@host-c"
+    assert cell.value("arm2", "Y0").writer == "two"
 
 
 def test_a_cable_is_cut_amid_a_swap(cell, lab, lan):

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-NODE = ROOT / "pbonet" / "node"
-HEADERS = sorted(path.name for path in NODE.glob("*.h"))
-STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-I{NODE}"]
+RT, RING = (ROOT / "pbonet" / "node" / room for room in ("rt", "ring"))
+HEADERS = sorted(path.name for path in RT.glob("*.h"))
+STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+STRICT += [f"-I{RT}", f"-I{RING}"]
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 
 
@@ -21,7 +22,7 @@ def run(*command: str | Path) -> None:
 
 
 def test_every_header_is_named_as_a_dependency() -> None:
-    listed = (NODE / "_rt.pyx").read_text().split("depends = ")[1].splitlines()[0]
+    listed = (RT / "_rt.pyx").read_text().split("depends = ")[1].splitlines()[0]
     own = [x for x in listed.split() if x.endswith(".h") and "/" not in x]
     assert sorted(own) == HEADERS
 

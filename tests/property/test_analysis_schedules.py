@@ -6,6 +6,8 @@ from itertools import pairwise
 from math import lcm
 
 from hypothesis import assume, given, settings, strategies as st
+from plain_dispatcher.dispatch import LEAD_NS
+from plain_dispatcher.inline import Inline
 
 from pbonet.analysis.schedule.analysis import (
     Demand,
@@ -18,8 +20,6 @@ from pbonet.analysis.schedule.analysis import (
     transform,
     utilization,
 )
-from pbonet.analysis.schedule.dispatch import LEAD_NS
-from pbonet.analysis.schedule.inline import Inline
 from pbonet.analysis.schedule.servers import Server, ServerKind, safe_size, server_size
 from pbonet.analysis.schedule.simulate import PeriodicTask, ServerTask, simulate
 from pbonet.analysis.schedule.soft import every

@@ -7,11 +7,11 @@ import random
 
 import pytest
 from hypothesis import given, settings, strategies as st
+from plain_dispatcher.dispatch import replay
+from plain_dispatcher.levels import HIGH, LOW, assign_levels
 
-from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Kind, Mode
-from pbonet.analysis.schedule.urgency import HIGH, LOW, assign_levels
 from pbonet.node.rt import _rt
 
 PERIODS = [100_000, 250_000, 333_333, 1_000_000, 1_000_000, 2_000_000, 7_777_777]
@@ -84,6 +84,18 @@ class History:
             ]),
         )  # fmt: skip
 
+    def wait(self, i: int) -> None:
+        """Have a task wait for the fall of others, or for calls, of which some come."""
+        pick = self.random
+        if pick.random() < 0.6:
+            others = pick.sample(self.slots, min(len(self.slots), pick.randrange(4)))
+            self.table.follow(i, others)
+            return
+        ticket, callers = pick.randrange(1, 1 << 31), pick.randrange(1, 4)
+        life = self.table.expect(i, ticket, callers)
+        for caller in range(pick.randrange(callers + 1)):
+            self.table.call(i, life, ticket, caller)
+
     def event(self) -> None:
         pick = self.random
         i = pick.choice(self.slots) if self.slots else None
@@ -104,8 +116,7 @@ class History:
         elif what < 0.43:
             self.table.post(i, fell=True)
         elif what < 0.47:
-            others = pick.sample(self.slots, min(len(self.slots), pick.randrange(4)))
-            self.table.follow(i, pick.randrange(3), others)
+            self.wait(i)
         elif what < 0.65:
             self.live(i)
         else:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from hypothesis import given, settings, strategies as st
+from plain_dispatcher.dispatch import Dispatcher
+from plain_dispatcher.inputs import pack, pack_limits
+from plain_dispatcher.watch import HOLD_OFF_NS
 
-from pbonet.analysis.schedule.dispatch import Dispatcher
-from pbonet.analysis.schedule.events import Event, pack, pack_limits
+from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision, Kind, Mode
-from pbonet.analysis.schedule.watch import HOLD_OFF_NS
 
 MS = 1_000_000
 PERIOD, CAPACITY = 10 * MS, 2 * MS

@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import plain_table
 import pytest
 from hypothesis import HealthCheck, assume, settings, strategies as st
 from hypothesis.stateful import (
@@ -24,7 +25,7 @@ from hypothesis.stateful import (
 )
 
 from pbonet.config.model import Limit, Variable
-from pbonet.svar import _svar, guards, layout, pure
+from pbonet.svar import _svar, guards, layout
 
 VARIABLES = (
     Variable(name="A", type="double", nelem=3, init=(1.0, 2.0)),
@@ -51,7 +52,6 @@ def make(native, folder: Path):
         np.array([round((v.maxage or 0) * 1e9) for v in VARIABLES], np.int64),
         layout.encode(VARIABLES),
         layout.layout_hash(VARIABLES),
-        0o600,
         1,
     )
     path = folder / native.__name__.rpartition(".")[2]
@@ -138,7 +138,7 @@ class InStep(RuleBasedStateMachine):
         super().__init__()
         self.folder = tempfile.TemporaryDirectory(dir="/dev/shm")
         self.arenas, self.paths = zip(
-            *(make(native, Path(self.folder.name)) for native in (_svar, pure)),
+            *(make(native, Path(self.folder.name)) for native in (_svar, plain_table)),
             strict=True,
         )
         self.all: list[list[Side]] = []
@@ -159,7 +159,7 @@ class InStep(RuleBasedStateMachine):
         name = TASKS[len(self.all) % len(TASKS)]
         sides = [
             Side(native, arena, ins, outs, consts=consts, keep=keep, name=name)
-            for native, arena in zip((_svar, pure), self.arenas, strict=True)
+            for native, arena in zip((_svar, plain_table), self.arenas, strict=True)
         ]
         self.all.append(sides)
         return sides
@@ -282,10 +282,10 @@ def test_native_and_twin_stay_in_step():
     )
 
 
-@pytest.mark.parametrize("first", [_svar, pure])
+@pytest.mark.parametrize("first", [_svar, plain_table])
 def test_each_reads_what_the_other_made(first, tmp_path):
     """One file, mapped by both at once."""
-    second = pure if first is _svar else _svar
+    second = plain_table if first is _svar else _svar
     arena, path = make(first, tmp_path)
     fd = os.open(path, os.O_RDWR)
     other = second.Arena(fd, path.stat().st_size, b"there")
@@ -307,37 +307,20 @@ def test_each_reads_what_the_other_made(first, tmp_path):
     )
 
 
-def run_units(**env: str) -> subprocess.CompletedProcess[str]:
+def test_the_twin_passes_the_unit_tests_of_the_native_one():
     root = Path(__file__).resolve().parents[2]
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-v", "-x", "-p", "no:cacheprovider"]
     tests = [
         str(root / "tests" / "unit" / "svar" / f"test_svar_{n}.py")
         for n in ("flag", "guards", "local", "single", "table")
     ]
-    return subprocess.run(
-        [*command, "-W", "ignore:PBONET_PURE:RuntimeWarning", *tests],
+    done = subprocess.run(
+        [*command, "-p", "use_plain_table", *tests],
         cwd=root,
-        env={**os.environ, **env},
+        env={**os.environ, "PYTHONPATH": str(root / "tests" / "oracles")},
         capture_output=True,
         text=True,
         check=False,
     )
-
-
-def test_the_twin_passes_the_unit_tests_of_the_native_one():
-    done = run_units(PBONET_PURE="1")
     assert done.returncode == 0, done.stdout
-
-
-def test_the_twin_is_chosen_by_name_only_and_warns():
-    code = "import pbonet.svar.native as n; print(n.Arena.__module__)"
-    for value, expected in (("1", "pure"), ("", "_svar"), ("0", "_svar")):
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "PBONET_PURE": value},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert expected in done.stdout
-        assert ("test oracle" in done.stderr) == (value == "1")
+    assert "table: plain_table.arena" in done.stdout

@@ -48,7 +48,7 @@ MOVES = {
 GUARDED = (
     m.Spawn
     | m.Control
-    | m.Heirs
+    | m.Successors
     | m.Reconfig
     | m.Set
     | m.Rank
@@ -334,13 +334,13 @@ class FakeAgent:
     def do_control(self, request: m.Control) -> m.TaskStatus:
         return self.status_of(self.move(request.task, request.signal))
 
-    def do_heirs(self, request: m.Heirs) -> dict[str, list[m.Call]]:
+    def do_successors(self, request: m.Successors) -> dict[str, list[m.Call]]:
         where = {"core": 0, "slot": 0, "life": 1, "ticket": 1}
         calls: dict[str, list[m.Call]] = {}
-        for heir, olds in request.after.items():
-            self.task(heir)
+        for name, olds in request.after.items():
+            self.task(name)
             for caller, old in enumerate(olds):
-                call = m.Call(heir=heir, outputs=[], caller=caller, **where)
+                call = m.Call(successor=name, outputs=[], caller=caller, **where)
                 calls.setdefault(old, []).append(call)
         return calls
 

@@ -175,7 +175,7 @@ def test_variables_once_again_and_as_csv(standing):
 
 def test_script_from_standard_input(pbonet, agents):
     text = "# two tasks\nspawn puma_pidg arm0\n\nspawn jttrace arm1\non\nwait 0.01\n"
-    done = pbonet("sbs", "--leave", stdin=text)
+    done = pbonet("prompt", "--leave", stdin=text)
     assert done.returncode == 0
     assert done.stdout.splitlines() == ["puma_pidg OFF", "jttrace OFF", "jttrace ON"]
     assert agents["arm1"].tasks["jttrace"].state == "ON"
@@ -186,7 +186,7 @@ def test_script_may_begin_with_a_byte_order_mark_and_end_lines_like_windows(
 ):
     script = tmp_path / "arm.cmd"
     script.write_bytes(b"\xef\xbb\xbfspawn puma_pidg arm0\r\nstatus fields=state\r\n")
-    done = pbonet("sbs", "--script", script)
+    done = pbonet("prompt", "--script", script)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.split() == ["puma_pidg", "OFF", "state", "OFF"]
 
@@ -194,23 +194,23 @@ def test_script_may_begin_with_a_byte_order_mark_and_end_lines_like_windows(
 def test_script_that_is_no_text_is_refused(pbonet, tmp_path, agents):
     script = tmp_path / "arm.cmd"
     script.write_bytes(b"\xff\xfe\x00")
-    done = pbonet("sbs", "--script", script)
+    done = pbonet("prompt", "--script", script)
     assert f"{script}: the script cannot be read" in done.stderr
     assert "write it as UTF-8 text" in done.stderr
     assert agents["arm0"].requests == []
-    done = pbonet("sbs", stdin="foo")
+    done = pbonet("prompt", stdin="foo")
     assert "standard input:1: ERROR> there is no command foo" in done.stderr
 
 
 def test_script_stops_at_the_first_error_and_finishes(pbonet, agents, tmp_path):
     script = tmp_path / "arm.cmd"
     script.write_text("spawn puma_pidg arm0\nspawn nobody\nspawn jttrace arm1\n")
-    done = pbonet("sbs", "--script", script)
+    done = pbonet("prompt", "--script", script)
     assert done.returncode == 1
     assert f"{script}:2: ERROR> there is no RMOD nobody" in done.stderr
     assert done.stdout == "puma_pidg OFF\n"
     assert agents["arm0"].tasks == agents["arm0"].claims == {}
-    going = pbonet("sbs", "--script", script, "--keep-going", "--json")
+    going = pbonet("prompt", "--script", script, "--keep-going", "--json")
     assert going.returncode == 1
     replies = [json.loads(line) for line in going.stdout.splitlines()]
     assert [reply.get("command") for reply in replies] == ["spawn", None, "spawn"]
@@ -218,7 +218,7 @@ def test_script_stops_at_the_first_error_and_finishes(pbonet, agents, tmp_path):
 
 
 def test_script_that_is_missing_is_said_before_anything_is_done(pbonet, agents):
-    done = pbonet("sbs", "--script", "no/such/file")
+    done = pbonet("prompt", "--script", "no/such/file")
     assert done.returncode == 1
     assert "no/such/file: the script cannot be read" in done.stderr
     assert agents["arm0"].requests == []

@@ -166,7 +166,7 @@ def test_prompt_on_a_real_terminal(world, agents, puma, tmp_path):
             sys.executable,
             "-m",
             "pbonet.cli",
-            "sbs",
+            "prompt",
             str(puma),
             "--domain",
             world.domain,

@@ -148,9 +148,9 @@ class Task:
 
     def engage(self, *after):
         """Come on in the place of others."""
-        self.local.heir_of(after)
+        self.local.take_over_from(after)
         self.signal("on")
-        self.local.heir_of([])
+        self.local.take_over_from([])
 
     def set(self, value):
         did = Did("set", name="gain", arg=value)

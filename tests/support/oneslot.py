@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 
-from pbonet.analysis.schedule.dispatch import replay
+from plain_dispatcher.dispatch import replay
+
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Mode
 from pbonet.node.rt import _rt

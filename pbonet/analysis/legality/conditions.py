@@ -43,7 +43,7 @@ _SIGNS: dict[type[ast.cmpop], tuple[str, Callable[[Any, Any], Any]]] = {
 
 
 class Outcome(Struct, frozen=True):
-    """What came of a condition."""
+    """The outcome of a condition."""
 
     condition: Condition
     holds: bool

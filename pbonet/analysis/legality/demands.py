@@ -1,4 +1,4 @@
-"""What a task asks of its core, in the words of the schedulability tests.
+"""A task's demand of its core, for the schedulability tests.
 
 A periodic task asks for its worst execution time in every period, a soft one for its
 effective one (Stewart 1994, section 6.4), a server for its capacity. What an RMOD

@@ -6,7 +6,6 @@ not have the wrong one, that nobody writes what others read.
 
 from __future__ import annotations
 
-import difflib
 from typing import TYPE_CHECKING
 
 from msgspec import structs
@@ -46,6 +45,8 @@ def meant(task: Task, kind: Kind) -> dict[str, str]:
     found: dict[str, str] = {}
     for name in names:
         if name not in declared and not elsewhere(task, name):
+            import difflib  # only where something is wrong
+
             for near in difflib.get_close_matches(name, lacking, n=1):
                 found[name] = near
                 lacking.remove(near)

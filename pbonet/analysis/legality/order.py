@@ -135,9 +135,9 @@ def change_order(
     """Return the signals that lead from one configuration to another (section 3.10).
 
     Tasks are turned on in the order of `on_order`. Whoever wrote an output of one of
-    them is turned off directly before it, and the other heirs of that one follow
+    them is turned off directly before it, and the other successors of that one follow
     directly, so that a variable is without a writer for as short a time as can be.
-    Tasks without an heir go off at the end: until then somebody may read them.
+    Tasks without a successor go off at the end: until then somebody may read them.
 
     Args:
         going: The tasks that are turned off.
@@ -152,14 +152,14 @@ def change_order(
     todo = [name for name in on_order([*staying, *coming]) if name in known]
     items: list[tuple[str, str]] = []
     while todo:
-        heir = known[todo.pop(0)]
+        new = known[todo.pop(0)]
         before = [
             left.pop(name)
             for name in off_order(list(left.values()))
-            if _share_outputs(left[name], heir)
+            if _share_outputs(left[name], new)
         ]
         items += [(task.name, "off") for task in before]
-        items.append((heir.name, "on"))
+        items.append((new.name, "on"))
         todo.sort(
             key=lambda name: not any(_share_outputs(old, known[name]) for old in before)
         )

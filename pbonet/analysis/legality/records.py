@@ -1,15 +1,18 @@
-"""What is verified, and what is found: plain records, no files and no network."""
+"""Configurations to verify and problems found: plain records, no files, no network."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Profile
 from pbonet.config import Place, Rmod, RtpuEntry, SvarFile, Variable
-from pbonet.pbo import ModuleInfo
+
+if TYPE_CHECKING:
+    from pbonet.pbo import ModuleInfo
 
 COPY_SPEED = 1e9
 """Bytes a second that all tasks together may move between table and local tables.
@@ -19,14 +22,14 @@ A tenth of what a slow machine's memory moves, so that modules keep the rest.
 
 
 class Severity(StrEnum):
-    """What becomes of a change that has the problem."""
+    """The consequence of the problem for a change."""
 
     REFUSE = "refuse"
     WARN = "warn"
 
 
 class Code(StrEnum):
-    """What kind of problem it is; for programs."""
+    """The kind of problem; for programs."""
 
     TWO_WRITERS = "two-writers"
     """Equation 1 is broken."""
@@ -85,7 +88,7 @@ class Problem(Struct, frozen=True, kw_only=True):
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What makes two problems the same one, before and after a change."""
+        """Key by which two problems, before and after a change, are the same."""
         return (self.code, self.tasks, self.ports, self.variables)
 
 

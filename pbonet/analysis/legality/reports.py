@@ -1,8 +1,8 @@
-"""What the analysis finds about each RTPU, in full: for people, and as data.
+"""Report the analysis of each RTPU in full, as text and as data.
 
-`check` says what is wrong; this says what holds and why: utilization, the critical set,
-what MUF, EDF and RM would each promise, how large the servers may be, and where every
-execution time comes from (Stewart 1994, chapter 6).
+It says which deadlines are met and why: utilization, the critical set, what MUF, EDF
+and RM would each guarantee, how large the servers may be, and where every execution
+time comes from (Stewart 1994, chapter 6).
 """
 
 from __future__ import annotations
@@ -56,18 +56,18 @@ if TYPE_CHECKING:
 
 
 class Outlook(StrEnum):
-    """What may be expected of an RTPU."""
+    """The verdict on an RTPU."""
 
     IDLE = "idle"
     """Nothing is ON there."""
     SCHEDULABLE = "schedulable"
-    """Every deadline is kept."""
+    """Every deadline is met."""
     PARTLY = "critical set only"
-    """Some tasks may miss; they are named, and none of them may not."""
+    """Only tasks that are not CRITICAL may miss deadlines; they are named."""
     OVERLOADED = "overloaded"
     """Refused."""
     ASSUMED = "assumed"
-    """Every deadline is kept if tasks of unknown MAXC take no time."""
+    """Every deadline is met if tasks of unknown MAXC take no time."""
 
 
 class TaskReport(Struct, frozen=True, kw_only=True):
@@ -109,7 +109,7 @@ class ServerReport(Struct, frozen=True, kw_only=True):
     by_equation: float
     """The largest size that the equation allows beside these periodic tasks."""
     largest: float
-    """The largest capacity with which every task keeps its deadlines, all periods
+    """The largest capacity with which every task meets its deadlines, all periods
     known; of this server alone."""
     fits: bool
     """No task may miss for the servers of the RTPU that would not without them."""
@@ -129,7 +129,7 @@ class RtpuReport(Struct, frozen=True, kw_only=True):
     guaranteed: tuple[str, ...]
     unknown: tuple[str, ...]
     by_scheduler: dict[str, bool]
-    """Whether every deadline would be kept under MUF, EDF, RM (exact test) and
+    """Whether every deadline would be met under MUF, EDF, RM (exact test) and
     ``RM bound`` (equation 9)."""
     transformations: tuple[Transformation, ...]
     """That would bring every CRITICAL task into the critical set."""
@@ -338,8 +338,11 @@ def report_text(reports: Sequence[RtpuReport]) -> str:
 def report_head(one: RtpuReport) -> str:
     """Return the first line of an RTPU's report."""
     least_used = "at least " if one.unknown else ""
+    found = one.outlook.value
+    if one.outlook is Outlook.ASSUMED:
+        found = "schedulable if unknown MAXC is 0"
     return (
-        f"RTPU {one.rtpu} ({one.scheduler.value}): {one.outlook.value}, utilization "
+        f"RTPU {one.rtpu} ({one.scheduler.value}): {found}, utilization "
         f"{least_used}{one.utilization:.1%} of {one.bound:.1%}"
     )
 
@@ -354,7 +357,7 @@ def _lines(one: RtpuReport) -> list[str]:
     if late := [task.task for task in one.tasks if _may_miss(task)]:
         lines.append(f"  may miss deadlines: {' '.join(late)}")
     kept = [name for name, holds in one.by_scheduler.items() if holds]
-    lines.append(f"  all deadlines would be kept under: {', '.join(kept) or 'none'}")
+    lines.append(f"  all deadlines would be met under: {', '.join(kept) or 'none'}")
     lines += [
         f"  period transformation: {c.name} at {c.factor} times its frequency, "
         f"{c.cost_ns / 1e6:.6g} ms a cycle"
@@ -383,7 +386,7 @@ def _may_miss(task: TaskReport) -> bool:
 
 
 def _table(one: RtpuReport) -> list[str]:
-    rows = [("task", "Hz", "MINC ms", "MAXC ms", "E ms", "U %", "crit", "set", "keeps")]
+    rows = [("task", "Hz", "MINC ms", "MAXC ms", "E ms", "U %", "crit", "set", "meets")]
     rows += [
         (
             task.task,
@@ -394,7 +397,7 @@ def _table(one: RtpuReport) -> list[str]:
             f"{100 * task.utilization:.1f}",
             str(task.crit),
             "yes" if task.critical_set else "no",
-            _keeps(task) + (" if so" if task.guaranteed and one.unknown else ""),
+            _keeps(task) + (" if MAXC is 0" if task.guaranteed and one.unknown else ""),
         )
         for task in one.tasks
     ]

@@ -1,8 +1,8 @@
-"""RTPUs that stand on one core: what the analysis of each is still worth.
+"""Several RTPUs on one core: whether the analysis of each still holds.
 
-Each RTPU is judged as the owner of its core. Several on one core have one dispatcher,
-which ranks all their tasks together (section 6.2.3), but each gives criticalities to
-its own tasks only.
+Each RTPU is analysed as if it had its core alone. Several on one core have one
+dispatcher, which ranks all their tasks together (section 6.2.3), but each gives
+criticalities to its own tasks only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _EXACT = 1 + 1e-9
 
 
 class Sharing(Struct, frozen=True, kw_only=True):
-    """What several RTPUs ask of the core that they share."""
+    """The demand of several RTPUs on the core that they share."""
 
     rtpus: tuple[str, ...]
     utilization: float
@@ -31,21 +31,22 @@ class Sharing(Struct, frozen=True, kw_only=True):
     known: bool
     """Every MAXC is known; else `utilization` is the least that it can be."""
     kept: bool
-    """What was promised of each still holds."""
+    """The results of each still hold."""
 
     def as_text(self, core: int) -> str:
-        """Return what is to be said of it."""
+        """Return the verdict as a sentence."""
         text = (
-            f"{', '.join(self.rtpus)} share core {core}, and each was judged as its "
-            f"owner; together they ask for {'' if self.known else 'at least '}"
-            f"{self.utilization:.1%} of at most {PLANNED:.1%}"
+            f"{', '.join(self.rtpus)} share core {core}, but each was analysed as if "
+            f"it had the core alone; together they need "
+            f"{'' if self.known else 'at least '}{self.utilization:.1%} of at most "
+            f"{PLANNED:.1%}"
         )
         if self.kept:
             so = "" if self.known else ", if tasks of unknown MAXC take no time"
-            return f"{text}: what was said of each holds{so}"
+            return f"{text}, so that the results hold{so}"
         return (
-            f"{text}: nothing is promised; give each a core of its own (pbonet agent "
-            "--core), or judge their tasks on one RTPU"
+            f"{text}, so that no deadline is guaranteed; give each a core of its own "
+            "(pbonet agent --core), or analyse their tasks on one RTPU"
         )
 
 

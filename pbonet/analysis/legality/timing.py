@@ -35,7 +35,7 @@ MAX_FAULT = 1e-9
 
 
 class Load(Struct, frozen=True, kw_only=True):
-    """What the tasks that are ON ask of one RTPU."""
+    """The demand of the tasks that are ON on one RTPU."""
 
     rtpu: str
     scheduler: Scheduler

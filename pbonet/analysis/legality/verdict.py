@@ -33,7 +33,7 @@ _STARTING = frozenset({"spawn", "on", "freq"})
 
 
 class Change(Struct, frozen=True, kw_only=True):
-    """What is to be done to a configuration; made by the functions below it."""
+    """A change of a configuration; made by the functions below."""
 
     items: tuple[tuple[str, str], ...]
     """Pairs of task and signal, in order: ``spawn on off kill freq`` and others."""
@@ -84,7 +84,7 @@ def frequency(task: Task) -> Change:
 
 
 class Verdict(Struct, frozen=True, kw_only=True):
-    """What becomes of a change."""
+    """The verdict on a change."""
 
     after: Configuration
     """The configuration that it ends in."""

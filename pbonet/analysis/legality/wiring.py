@@ -1,4 +1,4 @@
-"""Who writes what others read: equations 1 and 2 (section 3.3.1), and constants.
+"""Writers and readers of variables: equations 1 and 2 (section 3.3.1), and constants.
 
 Both equations speak of the tasks that are ON. Constants are written once, when a task
 is spawned, so they are judged over all tasks that stand.

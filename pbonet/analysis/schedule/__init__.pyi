@@ -22,8 +22,7 @@ from .criticality import (
     Timing as Timing,
     dropped as dropped,
 )
-from .dispatch import SLOTS as SLOTS, Dispatcher as Dispatcher
-from .events import After as After, Event as Event, pack as pack
+from .events import Event as Event, turns as turns
 from .histogram import BINS as BINS, edge_ns as edge_ns, octaves as octaves
 from .outcome import Outcome as Outcome
 from .records import (

@@ -361,7 +361,7 @@ class Transformation(Struct, frozen=True, kw_only=True):
     """The old period by the new one."""
     period_ns: int
     cost_ns: int
-    """What a cycle may then take at most."""
+    """The most that a cycle may then take."""
 
 
 def transform(

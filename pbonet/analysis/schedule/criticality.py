@@ -49,7 +49,7 @@ def dropped(crit: int, *, fixed_rates: bool, server: bool = False) -> int:
 
 
 class Timing(Struct, frozen=True, kw_only=True):
-    """What the rules need to know of a task."""
+    """A task as the rules need it."""
 
     name: str
     period: float

@@ -1,4 +1,4 @@
-"""What the order of two connected tasks does to the data (section 6.2.4).
+"""Effect of the order of two connected tasks on the data (section 6.2.4).
 
 Task a samples a sensor and hands the value to task b, which puts it out. Both run when
 the scheduler lets them; inputs are taken at the begin of a cycle and outputs given at
@@ -41,7 +41,7 @@ class Chain(Struct, frozen=True, kw_only=True):
     cost_a_ns: int = 5 * MS
     cost_b_ns: int = 5 * MS
     a_first: bool = True
-    """Who has the higher priority."""
+    """The task with the higher priority."""
     fixed: bool = True
     """The priority is a fixed one, above the deadline, as the figure has it; else it
     is MUF's user priority, which only decides between equal deadlines."""

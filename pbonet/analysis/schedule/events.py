@@ -1,12 +1,18 @@
-"""What the records of the dispatcher's trace say (`records.Decision`)."""
+"""Meaning of the records of the dispatcher's trace (`records.Decision`)."""
 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from .records import Decision
 
 
 class Event(IntEnum):
-    """What a record of the trace says; ``a``, ``b`` and ``arg`` are its arguments."""
+    """Kind of a record of the trace; ``a``, ``b`` and ``arg`` are its arguments."""
 
     TURN = 1
     """Heads each turn: at instant a; the next event is at b (0: none); arg 1: park."""
@@ -14,8 +20,9 @@ class Event(IntEnum):
     """Input: the slot was allocated (arg odd) or freed (arg even); a is 1 when its task
     has died while it was ON or was in ERROR, which may not have been seen."""
     CONFIG = 3
-    """Input: period a, relative deadline b (0: period), arg packed by `pack`; its bit
-    31 tells of another process, which holds no level."""
+    """Input: period a, relative deadline b (0: period), arg: criticality in bits 0 to
+    7, priority in 8 to 23, `Kind` in 24 to 30; bit 31 says that the task is in another
+    process now, which holds no level."""
     DEAD = 4
     """Input: the task's process is gone, or an orphan, which nobody ranks."""
     MODE = 5
@@ -28,7 +35,8 @@ class Event(IntEnum):
     LEAD = 8
     """Input: process a leads from now on; no task is known to hold a level."""
     LIMITS = 9
-    """Input: MINC a, reserve b, arg packed by `pack_limits`."""
+    """Input: MINC a, reserve b, arg: criticality when it is used up in bits
+    0 to 7, that of the handler in 8 to 15, and in bit 16 whether there is a handler."""
     USED = 10
     """Input: the task's CPU clock stands at a; arg 1: in a critical section."""
     HANDLED = 11
@@ -40,7 +48,8 @@ class Event(IntEnum):
     UNLOCKED = 14
     """Input: the critical section that held a drop off has ended."""
     AFTER = 15
-    """Input: the slot stands by (arg: `After`) for bits of a (slots 0 to 63) and b."""
+    """Input: the slot waits for the slots that are bits of a (0 to 63) and b; arg 0:
+    for nothing, 1: until one is in ERROR or has died, 2: until all are off."""
     RELEASE = 16
     """Decision: the release at instant a, deadline b."""
     MISS = 17
@@ -67,22 +76,21 @@ class Event(IntEnum):
     """Decision: a task that stands by runs its `on`, from a on, with deadline b."""
 
 
-class After(IntEnum):
-    """Whose end a task that stands by waits for."""
-
-    ALONE = 0
-    """Nobody's."""
-    FALLBACK = 1
-    """One of them goes to ERROR, or dies while it is armed."""
-    HANDOVER = 2
-    """All of them are turned off in order."""
-
-
-def pack(crit: int, priority: int, kind: int) -> int:
-    """Return the arg of a CONFIG record."""
-    return crit | priority << 8 | kind << 24
-
-
-def pack_limits(drop: int, handler: int, *, tells: bool) -> int:
-    """Return the arg of a LIMITS record."""
-    return drop | handler << 8 | tells << 16
+def turns(
+    trace: Iterable[Decision],
+) -> Iterable[tuple[Decision, list[Decision], list[Decision]]]:
+    """Split a trace into turns: the head, the inputs, the decisions."""
+    head: Decision | None = None
+    inputs: list[Decision] = []
+    decisions: list[Decision] = []
+    for record in trace:
+        if record.kind == Event.TURN:
+            if head is not None:
+                yield head, inputs, decisions
+            head, inputs, decisions = record, [], []
+        elif record.kind < Event.RELEASE:
+            inputs.append(record)
+        else:
+            decisions.append(record)
+    if head is not None:
+        yield head, inputs, decisions

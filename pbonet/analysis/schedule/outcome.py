@@ -1,4 +1,4 @@
-"""What a simulated schedule was: slices, misses, response times, as text and JSON."""
+"""Result of a simulated schedule: slices, misses, response times, as text and JSON."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _quantile(ordered: Sequence[int], percent: int) -> int:
 
 
 class Account(Struct, kw_only=True):
-    """What became of one task."""
+    """The result for one task."""
 
     name: str
     crit: int

@@ -1,4 +1,4 @@
-"""What the real-time side says about itself, as typed records.
+"""State of the real-time side as typed records.
 
 The native core table (`_rt`) fills them; status displays, ``pbonet doctor``
 and the recorder read them. Times are integer nanoseconds, instants of CLOCK_MONOTONIC.
@@ -27,7 +27,7 @@ class Kind(IntEnum):
 
 
 class Mode(IntEnum):
-    """What a task's slot asks of the dispatcher."""
+    """Requests of a task's slot to the dispatcher."""
 
     OFF = 0
     """No releases."""
@@ -65,9 +65,9 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     dead: bool
     """The task's process is gone."""
     comes: bool
-    """It stands by, and comes on as soon as those have ended whose place it takes."""
+    """It stands by and is engaged, or one that hands over to it has ended."""
     called: bool
-    """One of those has ended on another core, and has called it."""
+    """One that hands over to it has ended, and has called it."""
     fell: bool
     """It failed while it was ON: who stands by for it is engaged at once."""
     period_ns: int
@@ -200,7 +200,7 @@ class Probe(Struct, frozen=True, kw_only=True):
     """``fifo`` or ``park``."""
     fifo: bool
     errno: int
-    """What the kernel answered to SCHED_FIFO; 0 when it agreed."""
+    """The kernel's error number for SCHED_FIFO; 0 when it agreed."""
     reasons: list[str]
     """One sentence each: what is reduced, why, and what would help."""
     rtprio_limit: int

@@ -1,4 +1,4 @@
-"""What the simulator runs: tasks, servers with their events, and their state."""
+"""Tasks of the simulator, servers with their events, and their state."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """A core in virtual time: who runs when, who misses, for given execution times.
 
-The rules are the runtime's (`dispatch`): releases on the grid of the
+The rules are the runtime's: releases on the grid of the
 period, tasks ranked by `urgency`, preemption at every event; a release that finds the
 last cycle unfinished is missed, the cycle goes on with the deadline of the period that
 it uses up, and one that had not begun is dropped. Nothing is run twice to catch up.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Basis(StrEnum):
-    """What an effective execution time rests on."""
+    """The source of an effective execution time."""
 
     GIVEN = "given"
     MEASURED = "measured"

@@ -44,7 +44,7 @@ _VALUE = re.compile(r"^(\s*\w+)(\s+)([^\s#]+)(.*)$", re.DOTALL)
 
 
 class Adopted(Struct, frozen=True, kw_only=True):
-    """What becomes of one RMOD; seconds."""
+    """The new times of one RMOD; seconds."""
 
     rmod: str
     file: str

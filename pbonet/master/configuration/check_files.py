@@ -49,16 +49,16 @@ _BY_ITSELF = {
     legality.Code.NO_METHOD,
     legality.Code.TIMES,
 }
-"""What can be said of an RMOD without the table and the other tasks."""
+"""Checks of an RMOD that need neither the table nor the other tasks."""
 
 
 class Findings(Struct, kw_only=True):
-    """What is wrong with a file."""
+    """The faults of a file."""
 
     file: str
     kind: str
     about: str = ""
-    """What the file says, in one line."""
+    """The file's content, in one line."""
     rtpus: list[legality.RtpuReport] = []
     """Of a job: what the analysis finds about each RTPU."""
     errors: list[WireError] = []

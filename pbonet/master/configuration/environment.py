@@ -1,4 +1,4 @@
-"""What the environment says where a program or a command line says nothing."""
+"""Defaults from environment variables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is raised when a change was carried out in part, or a task stands already."""
+"""Errors for a change that was carried out in part, or a task that exists already."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pbonet.errors import PbonetError, ReconfigError, SeveralError, StateError
 from pbonet.pbo import State
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from pbonet.xm.net import messages as m
 
@@ -19,7 +19,7 @@ _ANEW = {
     State.ON: "'off {0}', then 'kill {0}', to spawn it anew",
     State.ERROR: "'clear {0}' mends it, 'kill {0}' removes it",
 }
-"""What to do about a task that is there already."""
+"""The remedy for a task that exists already."""
 
 
 def must_be_stopped(stopped: m.Stopped, errors: list[PbonetError]) -> None:
@@ -51,7 +51,12 @@ def forced(task: Member) -> PbonetError:
 
 
 def stuck(
-    items: Sequence[tuple[str, str]], done: int, error: PbonetError, *, unsure: int = 0
+    items: Sequence[tuple[str, str]],
+    done: int,
+    error: PbonetError,
+    *,
+    unsure: int = 0,
+    remarks: Mapping[tuple[str, str], str] | None = None,
 ) -> ReconfigError:
     """Return the error that says which item failed, what was done, and what was not.
 
@@ -60,11 +65,14 @@ def stuck(
         done: How many were carried out.
         error: What came of the next one.
         unsure: How many from there on were sent without an answer.
+        remarks: What else is known of items that were not sent.
     """
     task, signal = items[done]
     rest = done + max(unsure, 1)
+    known = {item: f" ({remark})" for item, remark in (remarks or {}).items()}
     parts = [
-        f"{what}: " + ", ".join(f"{signal} {task}" for task, signal in some)
+        f"{what}: "
+        + ", ".join(f"{item[1]} {item[0]}{known.get(item, '')}" for item in some)
         for what, some in (
             ("done", items[:done]),
             ("sent, and not known whether done", items[done : done + unsure]),

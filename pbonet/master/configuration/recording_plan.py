@@ -1,4 +1,4 @@
-"""What is recorded of a run, the name of the run, and the files in its log."""
+"""The plan of a recording: which tasks, the name of the run, the files in its log."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ODD = re.compile(r"[^A-Za-z0-9_.\-]+")
 
 
 class RecordingPlan:
-    """What is recorded of the next run, and what the run is called.
+    """The plan for recording the next run, and the run's name.
 
     Args:
         mode: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job

@@ -8,8 +8,7 @@ is told and not used (Stewart 1994, section 6.7).
 
 from __future__ import annotations
 
-import hashlib
-import socket
+import os
 from collections import Counter
 from functools import lru_cache
 from pathlib import Path
@@ -39,7 +38,7 @@ Bins: TypeAlias = tuple[tuple[int, int], ...]
 
 
 class Run(Struct, frozen=True, kw_only=True):
-    """What one process of a task was measured to need; times in seconds."""
+    """Measured execution times of one process of a task; seconds."""
 
     tid: int
     """The process; 0 for several runs joined."""
@@ -97,7 +96,7 @@ class Saved(Struct, frozen=True, kw_only=True):
     bins: Bins
     """Bins of `pbonet.analysis.schedule.histogram` and how many cycles each counts."""
     runs: tuple[Run, ...] = ()
-    """What the figures above are joined from, in the order of saving."""
+    """The runs that the figures above are joined from, in the order of saving."""
 
     def behind(self, earlier: Saved) -> Saved:
         """Return this profile of one run together with those saved before."""
@@ -141,7 +140,7 @@ def profile_of(bins: tuple[tuple[int, int], ...], most: float) -> soft.Profile:
 
 def here() -> str:
     """Return this machine's name, as its agents say it."""
-    return socket.gethostname()
+    return os.uname().nodename
 
 
 def setup_of(rmod: Rmod, table: SvarFile) -> str:
@@ -157,6 +156,8 @@ def setup_of(rmod: Rmod, table: SvarFile) -> str:
         sorted((key, line.words) for key, line in rmod.settings.items()),
         sorted((port, sizes.get(rmod.svar_name(port))) for port in ports),
     )
+    import hashlib  # only where profiles are saved
+
     return hashlib.sha256(msgspec.json.encode(what)).hexdigest()[:16]
 
 

@@ -8,6 +8,8 @@ then in the library.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +36,7 @@ from pbonet.xm.net import NAME, check_name
 from .saved_profiles import Store
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from pbonet.config import JobFile, Library, Rmod, SbsFile, SvarFile
 
@@ -71,7 +73,7 @@ class Files:
         self.table_text = _named(svar, str(path), "SVARFILE")
         self.table: SvarFile = parse_svar(self.table_text, str(svar))
         self.profiles = Store(path, self.table)
-        """What was measured of its tasks."""
+        """Saved profiles of its tasks."""
         self._folders: list[Path] = []
         self._look_in(path.parent)
         if self.job is not None:
@@ -154,15 +156,9 @@ class Files:
         found = beside | set(self.library.rmods())
         return sorted(name for name in found if NAME.fullmatch(name))
 
-    def producers(self) -> dict[str, tuple[str, ...]]:
+    def producers(self) -> Producers:
         """Return, by variable, the RMODs that write it; for remedies in refusals."""
-        found: dict[str, list[str]] = {}
-        for name in self.rmods():
-            with contextlib.suppress(ConfigError):  # it is told when somebody wants it
-                record = self.rmod(name).record
-                for port in (*record.outvar, *record.outconst):
-                    found.setdefault(record.svar_name(port), []).append(name)
-        return {variable: tuple(names) for variable, names in found.items()}
+        return Producers(self)
 
     def jobs(self) -> list[str]:
         """Return the jobs that stand beside the ``.sbs``, sorted."""
@@ -249,3 +245,29 @@ def _is_there(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+class Producers(Mapping[str, tuple[str, ...]]):
+    """The RMODs that write each variable, read from all files when one is asked for."""
+
+    def __init__(self, files: Files) -> None:
+        self._files = files
+
+    @cached_property
+    def _found(self) -> dict[str, tuple[str, ...]]:
+        found: dict[str, list[str]] = {}
+        for name in self._files.rmods():
+            with contextlib.suppress(ConfigError):  # reported when it is spawned
+                record = self._files.rmod(name).record
+                for port in (*record.outvar, *record.outconst):
+                    found.setdefault(record.svar_name(port), []).append(name)
+        return {variable: tuple(names) for variable, names in found.items()}
+
+    def __getitem__(self, variable: str) -> tuple[str, ...]:
+        return self._found[variable]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)

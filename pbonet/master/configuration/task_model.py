@@ -1,4 +1,4 @@
-"""What a master knows of its subsystem's tasks."""
+"""The tasks of a subsystem as its master knows them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from msgspec import Struct
 from pbonet.analysis.legality import Task
 from pbonet.config import Place
 from pbonet.errors import UnknownTaskError, did_you_mean
-from pbonet.pbo import ModuleInfo, State
+from pbonet.pbo import State
 
 from .saved_profiles import Saved, with_times
 from .subsystem_files import RmodSource
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pbonet.config import Rmod
+    from pbonet.pbo import ModuleInfo
 
 
 class Member(Struct, kw_only=True):
@@ -34,7 +35,7 @@ class Member(Struct, kw_only=True):
     told: Mapping[str, Place] = {}
     """As in `verify.Task`."""
     saved: Saved | None = None
-    """What was measured of it on its machine, if that was saved."""
+    """Its saved profile on its machine, if there is one."""
     fallback_of: str = ""
     """The task that it stands by for."""
 
@@ -45,7 +46,7 @@ class Member(Struct, kw_only=True):
 
     @property
     def rmod(self) -> Rmod:
-        """What its RMOD says."""
+        """The record of its RMOD."""
         return self.source.record
 
     @property

@@ -8,7 +8,7 @@ import msgspec
 
 from pbonet.analysis import legality
 from pbonet.errors import ConfigError, SeveralError, StateError, VerificationError
-from pbonet.master.subsystem import profiling, status_fields
+from pbonet.master.subsystem import status_fields
 
 if TYPE_CHECKING:
     from .command_session import CommandSession
@@ -91,6 +91,8 @@ def status(session: CommandSession, given: Given) -> Data:
 
 def profiles(session: CommandSession, given: Given) -> Data:
     """Show the profiles of tasks and of their RTPUs."""
+    from pbonet.master.subsystem import profiling
+
     wanted: list[str] = given.get("task") or []
     found = session.subsystem.profile(wanted)
     if len(wanted) == 1:
@@ -172,6 +174,7 @@ def help_(session: CommandSession, given: Given) -> Data:
                 "usage": command.usage,
                 "help": command.help,
                 "changes": command.changes,
+                "examples": [list(example) for example in command.examples],
                 "args": [
                     {
                         "name": arg.name,

@@ -151,7 +151,7 @@ class CommandSession:
             raise ClaimError(
                 f"{command.name} changes it, and it is open for watching only",
                 where=self.subsystem.name,
-                remedy="give it at the prompt of 'pbonet sbs', or as a verb",
+                remedy="give it at the prompt of 'pbonet prompt', or as a verb",
             )
         try:
             with collected() as warnings:

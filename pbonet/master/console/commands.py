@@ -117,6 +117,8 @@ class Command(Struct, frozen=True):
     alone: bool = False
     """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
+    examples: tuple[tuple[str, str], ...] = ()
+    """Lines of the prompt, each with what it does; verbs show them as their own."""
 
     @property
     def named(self) -> dict[str, Arg]:
@@ -141,255 +143,321 @@ class Command(Struct, frozen=True):
 
 _TASK: Final = Arg("task", Kind.TASK, "the task", Use.MAYBE, last=True)
 _TASKS: Final = Arg("task", Kind.TASK, "the tasks", Use.ANY, last=True)
+_JOB: Final = Arg("job", Kind.JOB, "its name; that of the .job file", Use.MAYBE)
 _DRY: Final = Arg(
     "dry_run", Kind.FLAG, "verify, and only show what would be done", Use.NAMED
 )
 _WAIT: Final = Arg(
-    "wait", Kind.SECONDS, "how long its conditions may take to come true", Use.NAMED
+    "wait", Kind.SECONDS, "how long its conditions may take to become true", Use.NAMED
 )
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
 
 COMMANDS: Final = (
     Command(
         "check",
-        "Judge a job, or the tasks as they stand, without changing anything.",
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE),),
+        "Check a job, or the tasks that exist now, without changing anything.",
+        (_JOB,),
         run=command_handlers.check,
     ),
     Command(
         "clear",
-        "Send clear to tasks in ERROR.",
+        "Bring tasks out of ERROR; they are OFF then.",
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("clear puma_pidg", "Clear a task whose cause of error is gone."),
+            ("clear cam1 cam2 text=new", "Clear two, with a text for their module."),
+        ),
         shows="states",
     ),
     Command(
         "display",
-        "Show variables of the table with unit, age and writer.",
+        "Show the values of shared variables, with unit, age and writer.",
         (
-            Arg("variable", Kind.VARIABLE, "names; * and ? match", Use.ANY),
-            Arg("task", Kind.TASK, "those of its ports", Use.NAMED),
-            Arg("writer", Kind.TASK, "those it writes now", Use.NAMED),
+            Arg("variable", Kind.VARIABLE, "names; * and ? match any text", Use.ANY),
+            Arg("task", Kind.TASK, "only variables of this task's ports", Use.NAMED),
+            Arg("writer", Kind.TASK, "only variables it writes now", Use.NAMED),
         ),
         shows="variables",
     ),
     Command(
         "events",
-        "Show what happened lately.",
+        "Show the latest events of tasks and RTPUs.",
         (
-            Arg("last", Kind.COUNT, "how many", Use.MAYBE),
-            Arg(
-                "since",
-                Kind.WORD,
-                "number of the first, or how long ago: 5m",
-                Use.NAMED,
-            ),
-            Arg("task", Kind.TASK, "of one task", Use.NAMED),
-            Arg("code", Kind.WORD, "of one code, such as WARNING", Use.NAMED),
-            Arg("severity", Kind.WORD, "the least: debug to fatal", Use.NAMED),
+            Arg("last", Kind.COUNT, "how many of the newest", Use.MAYBE),
+            Arg("since", Kind.WORD, "first number, or how long ago: 5m", Use.NAMED),
+            Arg("task", Kind.TASK, "only events of this task", Use.NAMED),
+            Arg("code", Kind.WORD, "only this kind, such as WARNING", Use.NAMED),
+            Arg("severity", Kind.WORD, "this one and worse: debug to fatal", Use.NAMED),
         ),
         run=command_handlers.events,
     ),
     Command(
         "events count",
-        "Show how often each kind of event came, those held back in floods too.",
-        (Arg("task", Kind.TASK, "of which; all if left out", Use.ANY),),
+        "Show how often each kind of event occurred, suppressed ones included.",
+        (Arg("task", Kind.TASK, "which tasks; all if left out", Use.ANY),),
         scope=Scope.SESSION,
         shows="counts",
     ),
     Command(
         "freq",
-        "Show or set a task's frequency.",
-        (_TASK, Arg("hz", Kind.NUMBER, "new, Hz", Use.MAYBE)),
+        "Show or set the frequency of a task.",
+        (_TASK, Arg("hz", Kind.NUMBER, "the new frequency, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
-        alone=True,
+        examples=(
+            ("freq puma_pidg", "Show it."),
+            ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
+        ),
         shows="hz",
+        alone=True,
     ),
     Command(
         "get",
-        "Show the parameters of a task's module.",
+        "Show the parameters of a task.",
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
-        alone=True,
+        examples=(
+            ("get puma_pidg", "Show all of them."),
+            ("get puma_pidg kd", "Show one."),
+        ),
         shows="params",
+        alone=True,
     ),
     Command(
         "help",
-        "Show the commands, or one of them.",
+        "Show the commands, or explain one.",
         (Arg("command", Kind.COMMAND, "which", Use.MAYBE),),
         scope=Scope.SESSION,
         run=command_handlers.help_,
     ),
     Command(
         "kill",
-        "Destroy tasks.",
+        "Destroy tasks; one that is ON is turned off first.",
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("kill jttrace", "Destroy one task."),
+            ("kill cam1 cam2", "Destroy two, in this order."),
+        ),
         shows="states",
     ),
     Command(
         "module",
-        "List modules and RMODs, or show one module.",
+        "List the modules of the RTPUs, or show ports and parameters of one.",
         (Arg("module", Kind.MODULE, "which", Use.MAYBE),),
         run=command_handlers.module,
     ),
     Command(
         "network",
         "Hand control to a program on the network until it ends.",
-        (Arg("portname", Kind.WORD, "the name under which it finds us"),),
+        (Arg("portname", Kind.WORD, "the name by which the program connects"),),
         scope=Scope.PROMPT,
         run=command_handlers.network,
     ),
     Command(
         "off",
-        "Send off to tasks.",
+        "Turn tasks off: they exist, and run no cycles.",
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("off jttrace", "Turn one task off."),
+            ("off jttrace puma_pidg", "Turn two off, in this order."),
+        ),
         shows="states",
     ),
     Command(
         "on",
-        "Send on to tasks.",
+        "Turn tasks on: they run their cycles.",
         (_TASKS, _TEXT),
         changes=True,
         judged=True,
+        examples=(
+            ("on puma_pidg", "Turn one task on."),
+            ("on cam1 cam2 puma_pidg", "Turn three on, in this order."),
+        ),
         shows="states",
     ),
     Command(
         "profile",
-        "Show how long cycles take: every figure, and the execution profile.",
-        (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+        "Show how long the cycles of tasks take, and how late they start.",
+        (Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),),
         run=command_handlers.profiles,
     ),
     Command(
         "profile save",
-        "Save profiles beside the .sbs file, for the analysis of later starts.",
-        (Arg("task", Kind.TASK, "which; all if left out", Use.ANY),),
+        "Save the profiles beside the .sbs file, for the analysis of later starts.",
+        (Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),),
         scope=Scope.SESSION,
         run=command_handlers.profiles_save,
     ),
     Command(
         "quit",
-        "End this interface; the next one of the master goes on.",
+        "End this interface; the master goes on to its next one.",
         scope=Scope.SESSION,
         run=command_handlers.quit_,
     ),
     Command(
         "reconfig",
-        "Send several signals in order, judged by their end.",
-        (Arg("item", Kind.ITEM, "such as pid:off", Use.SOME),),
+        "Send several signals in order, verified as one change.",
+        (Arg("item", Kind.ITEM, "a task and a signal, such as pid:off", Use.SOME),),
         changes=True,
         judged=True,
+        examples=(
+            ("reconfig pid_a:off pid_b:on", "Turn one task off and another on."),
+            ("reconfig trace:off trace:kill", "Turn a task off and destroy it."),
+        ),
         shows="states",
         points="item",
     ),
     Command(
         "reinit",
-        "Read the constants again and run reinit.",
+        "Have tasks read their constants again, without turning them off.",
         (_TASKS, _TEXT),
         changes=True,
+        examples=(
+            ("reinit forward_kin", "Have one task read them."),
+            ("reinit forward_kin text=tool2", "The same, with a text for its module."),
+        ),
         shows="states",
     ),
     Command(
         "set",
-        "Show or change parameters of a task's module.",
+        "Show or change the parameters of a task.",
         (
             _TASK,
-            Arg("param", Kind.PARAM, "which; all if left out", Use.MAYBE),
+            Arg("param", Kind.PARAM, "which ones; all if left out", Use.MAYBE),
             Arg("value", Kind.WORD, "its new value", Use.ANY),
         ),
         changes=True,
-        alone=True,
+        examples=(
+            ("set puma_pidg kd", "Show one parameter."),
+            ("set gain2 gain -1.5", "Change one between two cycles."),
+        ),
         shows="params",
+        alone=True,
     ),
     Command(
         "sigmask",
-        "Show or set which signals of tasks nobody wants: names, 'none' or 'unset'.",
+        "Show or set which signals to ignore: names, 'none' or 'unset'.",
         (
-            Arg("signal", Kind.SIGNAL, "names; shows the masks if left out", Use.ANY),
-            Arg("task", Kind.TASK, "whose; the subsystem's if left out", Use.NAMED),
+            Arg("signal", Kind.SIGNAL, "names; shows masks if left out", Use.ANY),
+            Arg("task", Kind.TASK, "one task; all if left out", Use.NAMED),
         ),
         changes=True,
+        examples=(
+            ("sigmask WARNING", "Ignore the warnings of all tasks."),
+            ("sigmask none task=camera", "Ignore no signal of one task."),
+        ),
         shows="masks",
     ),
     Command(
         "sigwait",
-        "Wait until a task sends a signal, and take it; a stop ends it.",
+        "Wait until a task sends a signal, and take it; stop ends it.",
         (
-            Arg("signal", Kind.SIGNAL, "which; any if left out", Use.ANY),
-            Arg("task", Kind.TASK, "of these, with commas", Use.NAMED, commas=True),
-            Arg("timeout", Kind.SECONDS, "for ever if left out", Use.NAMED),
+            Arg("signal", Kind.SIGNAL, "names; any if left out", Use.ANY),
+            Arg(
+                "task",
+                Kind.TASK,
+                "only these tasks, with commas",
+                Use.NAMED,
+                commas=True,
+            ),
+            Arg("timeout", Kind.SECONDS, "the longest wait", Use.NAMED),
+        ),
+        examples=(
+            ("sigwait", "Wait for any signal."),
+            ("sigwait FINISH ERROR timeout=10", "Wait 10 s at most, for two."),
         ),
         run=command_handlers.sigwait,
     ),
     Command(
         "spawn",
-        "Create a task from an RMOD; it is OFF then.",
+        "Create a task from an .rmod (module configuration); it is OFF.",
         (
-            Arg("rmod", Kind.RMOD, "the RMOD"),
-            Arg("rtpu", Kind.RTPU, "where; as the RMOD says if left out", Use.MAYBE),
-            Arg("hz", Kind.NUMBER, "frequency in place of the RMOD's", Use.MAYBE),
+            Arg("rmod", Kind.RMOD, "the .rmod file: its name, without ending"),
+            Arg(
+                "rtpu",
+                Kind.RTPU,
+                "RTPU (executor); as the .rmod says",
+                Use.MAYBE,
+            ),
+            Arg("hz", Kind.NUMBER, "frequency in place of the .rmod's", Use.MAYBE),
         ),
         changes=True,
         judged=True,
+        examples=(
+            ("spawn jttrace", "Create it on the RTPU that its file names."),
+            ("spawn jttrace arm1 25", "Create it on RTPU arm1, at 25 Hz."),
+        ),
         run=command_handlers.spawn,
     ),
     Command(
         "start",
-        "Assemble a job: verify, spawn, turn on.",
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _WAIT),
+        "Create the tasks of a job and turn them on, on running RTPUs.",
+        (_JOB, _WAIT),
         changes=True,
         judged=True,
+        examples=(
+            ("start teleop", "Verify and start the job in teleop.job."),
+            ("start wait=5", "Wait up to 5 s for its conditions."),
+        ),
         run=command_handlers.start,
     ),
     Command(
         "status",
-        "Show the status of tasks, since the last status.",
+        "Show the state and the timing of tasks.",
         (
-            Arg("task", Kind.TASK, "which; all if left out", Use.ANY),
+            Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),
             Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
+        ),
+        examples=(
+            ("status", "Show all tasks."),
+            ("status jttrace fields=state,refF,mezF", "Show three columns of one."),
         ),
         run=command_handlers.status,
     ),
     Command(
         "status set",
         "Choose the columns of status: names, 'all' or 'default'.",
-        (Arg("field", Kind.FIELD, "columns; shows them if left out", Use.ANY),),
+        (Arg("field", Kind.FIELD, "columns; without any they are listed", Use.ANY),),
         scope=Scope.SESSION,
         run=command_handlers.status_set,
     ),
     Command(
         "stop",
-        "Turn everything OFF and end it, now.",
+        "Turn all tasks off and end them, now.",
     ),
     Command(
         "swap",
-        "Put tasks into the place of others; the old ones stay OFF.",
+        "Replace tasks by others between two cycles; the old stay, OFF.",
         (
-            Arg("old", Kind.TASK, "the tasks that leave, with commas", commas=True),
-            Arg(
-                "new",
-                Kind.RMOD,
-                "the tasks or RMODs that come, with commas",
-                commas=True,
-            ),
-            Arg("rtpu", Kind.RTPU, "where to spawn; beside the old ones", Use.NAMED),
+            Arg("old", Kind.TASK, "the tasks to replace, with commas", commas=True),
+            Arg("new", Kind.RMOD, "tasks or .rmods, with commas", commas=True),
+            Arg("rtpu", Kind.RTPU, "of new tasks; as the old", Use.NAMED),
             _DRY,
         ),
         changes=True,
         judged=True,
+        examples=(
+            ("swap pid_a pid_b", "Replace one controller by another."),
+            ("swap pid_a pid_b dry_run=yes", "Only show what would be done."),
+        ),
         points="new",
     ),
     Command(
         "switch",
-        "Go over to another job; what both have stays ON, the rest is killed.",
-        (Arg("job", Kind.JOB, "the job", Use.MAYBE), _DRY, _WAIT),
+        "Change to another job; tasks that both have stay ON.",
+        (_JOB, _DRY, _WAIT),
         changes=True,
         judged=True,
+        examples=(
+            ("switch grasp", "Change to the job in grasp.job."),
+            ("switch grasp wait=2 dry_run=yes", "Only show what would be done."),
+        ),
     ),
     Command(
         "wait",
-        "Wait before the next command; a stop ends it.",
+        "Wait before the next command; 'stop' ends the wait.",
         (Arg("seconds", Kind.SECONDS, "how long"),),
         scope=Scope.PROMPT,
     ),
@@ -401,6 +469,10 @@ COMMANDS: Final = (
             Arg("value", Kind.NUMBER, "its elements", Use.SOME),
         ),
         changes=True,
+        examples=(
+            ("write T_REF 0.5 -1.5 2", "Set the elements of an array."),
+            ("write MODE 3", "Set a single value."),
+        ),
         run=command_handlers.write,
     ),
 )

@@ -17,7 +17,7 @@ from pbonet.master.subsystem import Choice, Subsystem, since
 from pbonet.xm.net import messages as m
 
 from . import render
-from .run_job import Interrupts
+from .run_end import Interrupts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -8,7 +8,7 @@ that master instead of being refused.
 
 from __future__ import annotations
 
-import secrets
+import os
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -149,7 +149,7 @@ def ask(
         PbonetError: The command failed; the error is of the class the master says.
     """
     order = Order(
-        id=secrets.token_hex(8),
+        id=os.urandom(8).hex(),
         client=client.name,
         command=command,
         args={name: value for name, value in args.items() if value is not None},

@@ -11,7 +11,6 @@ import msgspec
 from pbonet.analysis import legality
 from pbonet.errors import PbonetError, Severity
 from pbonet.master.subsystem import is_sequence, status_fields
-from pbonet.node.task import placed
 from pbonet.xm.net import Event
 
 from . import profile_plot
@@ -391,6 +390,8 @@ def event(one: Event) -> str:
     cycle = f" cycle={one.cycle}" if one.cycle else ""
     number = f" errnum={one.errnum}" if one.errnum else ""
     first, more, rest = one.text.partition("\n")
+    from pbonet.node.task import placed
+
     said = f"{placed(first, one.place)}{more}{rest}"
     return f"{clock} {severity:7} {place} {one.code}{cycle}{number} {said}"
 
@@ -432,6 +433,7 @@ def _help(data: Data) -> str:
             + "; the last one used if left out" * arg["last"]
             for arg in commands[0]["args"]
         )
+        lines.extend(f"  {line:32}  # {use}" for line, use in commands[0]["examples"])
     return "\n".join(lines)
 
 

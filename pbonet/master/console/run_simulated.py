@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pbonet.master.sim import Simulation, sim_log
 
 from . import summary
-from .run_job import Interrupts, Outcome
+from .run_end import Interrupts, Outcome
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,6 +88,7 @@ def simulate(
     finally:
         if log is not None:
             log.end(simulation.now_ns, passed)
+        simulation.close()
     for event in simulation.events:
         view.say(event)
     view.say(f"{passed:g} s of virtual time took {time.monotonic() - begin:.2f} s")

@@ -2,8 +2,8 @@ from . import sim_log as sim_log
 from .rtpu_in_process import VirtualTask as VirtualTask
 from .sim_log import SimLog as SimLog
 from .simulation import Simulation as Simulation
+from .virtual_loop import BEGIN_NS as BEGIN_NS
 from .virtual_rtpus import (
-    BEGIN_NS as BEGIN_NS,
     REASON as REASON,
     VirtualClient as VirtualClient,
     VirtualClock as VirtualClock,

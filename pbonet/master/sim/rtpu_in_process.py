@@ -57,7 +57,7 @@ _HEARD = 1 << 14
 
 
 class World:
-    """What the RTPUs of a simulation have in common.
+    """The state that the RTPUs of a simulation share.
 
     Args:
         loop: Their time.
@@ -168,6 +168,10 @@ class VirtualCore(rt.CoreTable):
     def close(self) -> None:
         """Do nothing: others of this process use it, too."""
 
+    def end(self) -> None:
+        """Give the table back: nobody uses it any more."""
+        super().close()
+
     def request(self, i: int, *, last: bool = False) -> None:
         """Tell a task that a message waits for it."""
         del last
@@ -213,7 +217,7 @@ class VirtualTables(Tables):
 
 
 class VirtualOverview(Overview):
-    """What an agent knows of its RTPU.
+    """An agent's knowledge of its RTPU.
 
     Args:
         rtpu: The RTPU.
@@ -319,6 +323,8 @@ class VirtualTask(Host):
         self._cycles = 0
         self.drain: Callable[[], None] = lambda: None
         """Takes what is in the ring."""
+        self.recorded = False
+        """Whether a recorder has the ring, and closes it."""
 
     @property
     def cycles(self) -> int:
@@ -381,7 +387,9 @@ class VirtualTask(Host):
             pass
         if self._over:
             self._close()
-        elif self.executor.state is State.OFF and self.heir_of and not self._stands:
+        elif (
+            self.executor.state is State.OFF and self.predecessors and not self._stands
+        ):
             self._stands = True
             self.slot.stand_by()
 
@@ -437,6 +445,9 @@ class VirtualTask(Host):
                 (held.end if name == "alarm" else held.close)()
         self.slot.disarm()
         self.drain()
+        self.drain = lambda: None
+        if not self.recorded and hasattr(self, "ring"):
+            self.ring.close()
         self._cycles = self.slot.cycles
         del self._rtpu.hosts[self.spec.slot]
         self._child.exited.set_result(0)

@@ -5,35 +5,32 @@ from __future__ import annotations
 import math
 import os
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import msgspec
-
 from pbonet.config import Library
-from pbonet.errors import LogError, Severity
+from pbonet.errors import LogError
 from pbonet.log import Log
 from pbonet.master.configuration import Files, RecordingPlan
-from pbonet.node.recorder import LogFiles, Time, recorder_process
+from pbonet.node.recorder import Recorder, Time
 from pbonet.node.wire import rtpu_messages
 
-from .virtual_rtpus import BEGIN_NS
+from .virtual_loop import BEGIN_NS
 
 if TYPE_CHECKING:
-    from pbonet.log import LogWriter, TaskAbout
+    from pbonet.log import TaskAbout
     from pbonet.master.configuration import Place
     from pbonet.xm.net import Event
 
     from .rtpu_in_process import VirtualTask
 
-FLUSH: Final = 0.5
-"""Seconds, of real time, of which at most a simulation that is killed lacks the end."""
 UNTIL_STOPPED: Final = -1.0
 """Stands for the seconds of a simulation that has not ended, and has no end."""
 
 
-class _Rtpu:
-    """What is recorded of one RTPU.
+class _Recorder(Recorder):
+    """Records one RTPU: a recorder that is told which rings there are.
 
     Args:
         wanted: What, and where to.
@@ -44,72 +41,42 @@ class _Rtpu:
     def __init__(
         self, wanted: rtpu_messages.Recording, by: Time, faults: list[str]
     ) -> None:
-        self.wanted = wanted
-        self._faults = faults
-        self.files = LogFiles(wanted, self._say, self._enter_all, by)
-        self.followed: list[recorder_process.Followed] = []
-        self._status = 0.0
+        def tell(message: rtpu_messages.FromRecorder) -> None:
+            if isinstance(message, rtpu_messages.Note):
+                faults.append(f"{message.code}: {message.text}")
 
-    def _say(self, severity: Severity, code: str, text: str) -> None:
-        if severity >= Severity.WARNING:
-            self._faults.append(f"{code}: {text}")
-
-    def _enter_all(self, writer: LogWriter) -> None:
-        for one in self.followed:
-            recorder_process.enter(writer, one)
-            one.ring.want()
-
-    def mode(self, task: str) -> str:
-        """Return how a task is recorded."""
-        return self.wanted.tasks.get(task, self.wanted.mode)
+        super().__init__(wanted, tell, by)
+        self._hosts: dict[str, VirtualTask] = {}
 
     def follow(self, host: VirtualTask, about: TaskAbout) -> None:
         """Record a task from its spawn on."""
-        mode = self.mode(about.task)
+        mode = self._mode(about)
         if mode == "off":
             return
-        if mode == "all":
-            host.ring.want(always=True)
-        recorder_process.hide(about, self.wanted.hidden)
-        one = recorder_process.Followed(host.ring, about)
-        host.drain = lambda: self._take(one)
-        self.followed.append(one)
-        self.files.write(lambda writer: recorder_process.enter(writer, one))
+        host.ring.want(always=mode == "all")
+        key = about.task, len(self._rings)
+        self._begin(key, host.ring, about)
+        host.drain, host.recorded = partial(self._take, self._rings[key]), True
+        self._hosts[about.task] = host
 
-    def event(self, event: Event) -> None:
-        """Put an event on record; behind an error, what was kept is written."""
-        plain = msgspec.to_builtins(event)
-        self.files.put(lambda writer: writer.add_event(plain))
-        if event.severity >= Severity.ERROR:
-            self.files.went_wrong()
+    def last(self, seconds: float) -> None:
+        """Finish the log, and say in it how much virtual time has passed."""
+        self._files.write(lambda writer: writer.lasted(seconds))
+        self.end()
 
-    def turn(self, now_ns: int, counts: dict[str, int]) -> None:
-        """Write what there is.
+    def _look(self) -> None:
+        """Do nothing: every ring is told."""
 
-        Args:
-            now_ns: The virtual time.
-            counts: Cycles of each task since it was spawned.
-        """
-        self.files.turn()
-        for one in self.followed:
-            self._take(one)
-        if now_ns * 1e-9 >= self._status:
-            self._status = now_ns * 1e-9 + recorder_process.STATUS
-            self.status(now_ns, counts)
-
-    def _take(self, one: recorder_process.Followed) -> None:
-        if text := one.ring.take():
-            self.files.put(lambda writer: recorder_process.add(writer, one, text), text)
-
-    def status(self, now_ns: int, counts: dict[str, int]) -> None:
-        """Put the counts on record; in virtual time nothing is late and no CPU used."""
+    def _slots(self) -> dict[str, object]:
+        """Return the counts; in virtual time nothing is late and no CPU used."""
         none = dict.fromkeys(("missed", "failed", "faults", "lost"), 0)
         free = dict.fromkeys(("cpu_s", "cpu_max_s", "jitter_max_s"), 0.0)
-        tasks = {
-            one.about.task: {"cycles": counts.get(one.about.task, 0), **none, **free}
-            for one in self.followed
+        return {
+            "tasks": {
+                name: {"cycles": host.cycles, **none, **free}
+                for name, host in self._hosts.items()
+            }
         }
-        self.files.put(lambda writer: writer.add_status(now_ns, {"tasks": tasks}))
 
 
 class SimLog:
@@ -142,8 +109,6 @@ class SimLog:
             str(Path(folder).absolute()) for folder in place.libraries
         )
         self._now_ns = 0
-        self._flush = 0.0
-        self._hosts: dict[str, VirtualTask] = {}
         self._begun = False
         job = book.job_name or files.sbs.subsystem
         run = book.named(job)
@@ -158,7 +123,7 @@ class SimLog:
         )
         texts = book.texts(files)
         self._rtpus = {
-            name: _Rtpu(
+            name: _Recorder(
                 rtpu_messages.Recording(
                     domain="",
                     rtpu=name,
@@ -184,7 +149,6 @@ class SimLog:
         """Record a task that is about to be spawned."""
         about.domain = ""
         about.libraries = self._libraries
-        self._hosts[about.task] = host
         self._rtpus[about.rtpu].follow(host, about)
 
     def event(self, event: Event) -> None:
@@ -197,24 +161,15 @@ class SimLog:
         self._now_ns = now_ns
         self._begun = True
         for rtpu in self._rtpus.values():
-            rtpu.turn(now_ns, self._counts())
-        if (now := time.monotonic()) >= self._flush:
-            self._flush = now + FLUSH
-            for rtpu in self._rtpus.values():
-                rtpu.files.write(lambda writer: writer.flush())
-
-    def _counts(self) -> dict[str, int]:
-        return {name: host.cycles for name, host in self._hosts.items()}
+            rtpu.turn()
 
     def end(self, now_ns: int, seconds: float) -> None:
         """Finish the files, and say in them how much virtual time has passed."""
         if not self._begun:
             return
-        self.turn(now_ns)
+        self._now_ns = now_ns
         for rtpu in self._rtpus.values():
-            rtpu.status(now_ns, self._counts())
-            rtpu.files.write(lambda writer: writer.lasted(seconds))
-            rtpu.files.close()
+            rtpu.last(seconds)
 
     @property
     def written(self) -> bool:

@@ -26,7 +26,8 @@ from pbonet.pbo import Signal, State
 from pbonet.xm.net import messages as m
 
 from .rtpu_in_process import must_be_simulated
-from .virtual_rtpus import BEGIN_NS, VirtualClient, VirtualRtpus
+from .virtual_loop import BEGIN_NS
+from .virtual_rtpus import VirtualClient, VirtualRtpus
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -405,6 +406,9 @@ def simulate(
         PbonetError: The job cannot be assembled.
     """
     simulation = Simulation(path, folders)
-    recording = simulation.run(seconds)
+    try:
+        recording = simulation.run(seconds)
+    finally:
+        simulation.close()
     recording.about |= {"seconds": seconds, "events": simulation.events}
     return recording

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 
+BEGIN_NS = 1_000_000_000
+"""The virtual clock's first instant."""
+
 
 class VirtualLoop(asyncio.AbstractEventLoop):
     """Runs callbacks of one instant in their order, and timers as time passes.

@@ -25,7 +25,7 @@ from pbonet.xm.net import Codec, failure, machine, messages as m, rpc
 
 from .rtpu_in_process import VirtualRtpu, World
 from .sim_recording import Recording
-from .virtual_loop import make_loop, running
+from .virtual_loop import BEGIN_NS, make_loop, running
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Mapping
@@ -44,8 +44,6 @@ T = TypeVar("T")
 HOST = "virtual"
 """The name of the machine that is none."""
 REASON = "this is a simulation"
-BEGIN_NS = 1_000_000_000
-"""The virtual clock's first instant."""
 _NUMBERS = itertools.count(1)
 
 
@@ -81,7 +79,7 @@ class VirtualRtpus:
         self.told: list[Callable[[], None]] = []
         """Called whenever something happens."""
         self.epoch_ns = 0
-        """What is added to virtual time to get nanoseconds since 1970."""
+        """Offset from virtual time to nanoseconds since 1970."""
         self._lock = threading.RLock()
         self._codec = Codec()
         self._loop = make_loop(BEGIN_NS)
@@ -119,6 +117,19 @@ class VirtualRtpus:
     def table(self) -> Table:
         """The subsystem's table, once it is open."""
         return next(iter(self.world.tables.values()))
+
+    def client(
+        self, domain: str, name: str, warned: Callable[[str, str], None]
+    ) -> rpc.Client:
+        """Return what asks these RTPUs in place of agents; see `rpc.Client`."""
+        return VirtualClient(self, domain, name, warned=warned)
+
+    def close(self) -> None:
+        """Give the memory of tables back; what was recorded stays."""
+        for core in self.world.cores:
+            core.end()
+        for table in self.world.tables.values():
+            table.close()
 
     # -- requests ----------------------------------------------------------------------
 
@@ -209,7 +220,7 @@ class VirtualRtpus:
         else:
             record = self.recording.task(about.task, about)
             host.drain = lambda: record.add(host.ring.take())
-            record.drain = host.drain
+            record.drain = lambda: host.drain()  # noqa: PLW0108 - what it is by then
 
 
 def _info(rtpu: VirtualRtpu) -> m.AgentInfo:

@@ -12,7 +12,6 @@ import fnmatch
 from typing import TYPE_CHECKING, Any, Protocol, overload
 
 from pbonet.errors import StateError, UnknownVariableError, did_you_mean
-from pbonet.svar.mirror import MARK
 from pbonet.xm.net import messages as m
 
 from . import profiling, remote_modules
@@ -289,7 +288,11 @@ class Calls(Opened, Protocol):
 
 def _task_of(writer: str | None) -> str | None:
     """Return the task's name of a writer, which may be on another machine."""
-    return None if writer is None else writer.partition(MARK)[0]
+    if writer is None:
+        return None
+    from pbonet.svar.mirror import MARK
+
+    return writer.partition(MARK)[0]
 
 
 def _matching(patterns: list[str], known: list[str]) -> list[str]:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pbonet.errors import StateError
-from pbonet.log import Log, is_complete, log_name
 from pbonet.master.configuration import RecordingPlan
 from pbonet.xm.net import messages as m, rpc, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pbonet.log import Log
     from pbonet.master.configuration import Files
 
     from .rtpu_clients import Fleet
@@ -90,10 +90,16 @@ class Logbook(RecordingPlan):
         while not all(map(self._is_done, self.here)) and time.monotonic() < deadline:
             time.sleep(0.02)
         there = [path for path in self.here if _newest(path).exists()]
-        return Log(there[0].parent) if there else None
+        if not there:
+            return None
+        from pbonet.log import Log  # it is loaded with numpy
+
+        return Log(there[0].parent)
 
     def _is_done(self, path: Path) -> bool:
         """Tell whether a recording is written whole, or need not be there."""
+        from pbonet.log import is_complete
+
         newest = _newest(path)
         return is_complete(newest) or bool(self.last and not newest.exists())
 
@@ -129,6 +135,8 @@ def book(mode: str | None, *, virtual: bool) -> Logbook:
 
 def _newest(path: Path) -> Path:
     """Return the last file of a recording whose first one is that."""
+    from pbonet.log import log_name
+
     numbers = [
         int(number)
         for one in path.parent.glob(f"{path.stem}-*.mcap")

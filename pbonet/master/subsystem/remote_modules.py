@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from functools import cache
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from pbonet.config import no_module
 from pbonet.errors import ModuleLoadError
-from pbonet.pbo import ModuleInfo
 from pbonet.xm.net import messages as m, rpc
 
 if TYPE_CHECKING:
     from pbonet.config import Library
+    from pbonet.pbo import ModuleInfo
 
     from .rtpu_clients import Fleet
 
-_MODULES: Final = list[ModuleInfo]
-msgspec.msgpack.Decoder(_MODULES)  # before several threads decode; see xm/prepared.py
 _LOAD_TIME = 10.0
 """Seconds in which an agent imports and describes the modules of its libraries."""
+
+
+@cache
+def _answer() -> type[list[ModuleInfo]]:
+    """Return the type of an answer, prepared before several threads decode it.
+
+    See `pbonet.xm.net.warm_decoders`. It is loaded with numpy, so only where modules
+    are asked for.
+    """
+    from pbonet.pbo import ModuleInfo
+
+    kind = list[ModuleInfo]
+    msgspec.msgpack.Decoder(kind)
+    return kind
 
 
 def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
@@ -36,7 +49,7 @@ def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:
     """
     request = m.Modules(name=module)
     try:
-        found = fleet.call(rtpu, request, _MODULES, timeout=_LOAD_TIME)
+        found = fleet.call(rtpu, request, _answer(), timeout=_LOAD_TIME)
     except ModuleLoadError as error:
         if error.what == no_module(module):
             error.remedy = library.for_agent(module, rtpu) or error.remedy
@@ -59,7 +72,7 @@ def of(fleet: Fleet, name: str | None = None) -> list[ModuleInfo]:
         SeveralError: Several agents do not answer; of one, its own error.
     """
     results, errors = fleet.each(
-        lambda _: m.Modules(name=name), _MODULES, timeout=_LOAD_TIME
+        lambda _: m.Modules(name=name), _answer(), timeout=_LOAD_TIME
     )
     if not results and len({error.what for error in errors}) == 1:
         raise errors[0]  # the same everywhere

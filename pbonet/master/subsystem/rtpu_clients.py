@@ -10,8 +10,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import secrets
-import socket
 from types import NoneType
 from typing import TYPE_CHECKING, TypeVar
 
@@ -40,8 +38,8 @@ log = logging.getLogger("pbonet.master")
 
 def client_name(kind: str) -> str:
     """Return a unique name for a master or tool: its kind, host, process, and luck."""
-    host = "".join(c if c.isalnum() else "-" for c in socket.gethostname())[:24]
-    return f"{kind}-{host}-{os.getpid()}-{secrets.token_hex(2)}"
+    host = "".join(c if c.isalnum() else "-" for c in os.uname().nodename)[:24]
+    return f"{kind}-{host}-{os.getpid()}-{os.urandom(2).hex()}"
 
 
 class Fleet:

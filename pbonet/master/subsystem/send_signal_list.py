@@ -1,14 +1,14 @@
 """Sends an ordered list of signals, in as few messages as the order allows.
 
 Tasks that take over from tasks on another RTPU stand by before the first signal is
-sent: there the dispatcher engages them as soon as the others have ended, and nobody
-waits for this master. On another machine they are called by its agent, with the news
-that the others have ended.
+sent. Those that end engage them, or on another machine the agent does, with the news
+that the others have ended. Nobody waits for this master in between.
 """
 
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -40,8 +40,8 @@ def send(
     """Send signals in order; see `Crew.send`."""
     sending = _Sending(picture, fleet, items, limit, before)
     try:
-        sending.have_heirs_stand_by()
-        for step in signal_list_split.steps(picture, items, sending.heirs):
+        sending.have_successors_stand_by()
+        for step in signal_list_split.steps(picture, items, sending.successors):
             sending.step(step)
     except PbonetError:
         sending.withdraw()
@@ -68,46 +68,38 @@ class _Sending:
         self._done = len(before)
         self._handover = signal_list_split.handed_over(picture, items)
         self._calls: dict[str, list[m.Call]] = {}
-        self.heirs: dict[str, list[str]] = {}
+        self.successors: dict[str, list[str]] = {}
         """Tasks that stand by, and who calls each."""
         self.states: dict[str, str] = {}
 
-    def have_heirs_stand_by(self) -> None:
+    def have_successors_stand_by(self) -> None:
         """Have all tasks stand by that will be called from another RTPU.
 
         Raises:
             ReconfigError: One could not take over; nothing was done.
         """
-        heirs = signal_list_split.across(self._picture, self._items)
-        for heir, olds in heirs.items():
-            if len(self._hosts([heir, *olds])) == 1:
-                self._stand_by(heir, olds)
-            elif all(
-                self._are_apart(*one) for one in signal_list_split.bound(heirs, heir)
-            ):
-                self._stand_by(heir, olds, far=True)
+        found = signal_list_split.across(self._picture, self._items)
+        for task, olds in found.items():
+            self._stand_by(task, olds)
 
-    def _hosts(self, tasks: Sequence[str]) -> set[str]:
-        return {self._fleet.agent(self._picture.find(task).rtpu).host for task in tasks}
+    def _machine(self, task: str) -> str:
+        return self._fleet.agent(self._picture.find(task).rtpu).machine
 
-    def _are_apart(self, heir: str, olds: list[str]) -> bool:
-        """Tell whether tasks leave one RTPU for an heir on another machine."""
-        rtpus = {self._picture.find(old).rtpu for old in olds}
-        return len(rtpus) == 1 and not self._hosts([heir]) & self._hosts(olds)
-
-    def _stand_by(self, heir: str, olds: list[str], *, far: bool = False) -> None:
+    def _stand_by(self, task: str, olds: list[str]) -> None:
+        here = self._machine(task)
+        far = [old for old in olds if self._machine(old) != here]
         timeout = self._limit * (len(self._items) + 1)
-        request = m.Heirs(after={heir: olds}, timeout=timeout, far=far)
-        self.heirs[heir] = olds
+        request = m.Successors(after={task: olds}, timeout=timeout, far=far)
+        self.successors[task] = olds
         try:
             calls = self._fleet.call(
-                self._picture.find(heir).rtpu,
+                self._picture.find(task).rtpu,
                 request,
                 dict[str, list[m.Call]],
                 timeout=self._limit,
             )
         except PbonetError as error:
-            first = (heir, "on")
+            first = (task, "on")
             others = [item for item in self._whole[self._done :] if item != first]
             whole = [*self._whole[: self._done], first, *others]
             raise stuck(whole, self._done, error) from error
@@ -115,14 +107,59 @@ class _Sending:
             self._calls.setdefault(old, []).extend(theirs)
 
     def withdraw(self) -> None:
-        """Have those stand by no longer that have not come on."""
-        for heir in self.heirs:
-            member = self._picture.get(heir)
+        """Have tasks stand by no longer that have not come on."""
+        for task in self.successors:
+            member = self._picture.get(task)
             if member is not None and member.state is State.OFF:
-                request = m.Heirs(after={heir: []})
+                request = m.Successors(after={task: []})
                 with contextlib.suppress(PbonetError):  # its time limit ends it, too
                     self._fleet.call(member.rtpu, request, dict[str, list[m.Call]])
-        self.heirs, self._calls = {}, {}
+        self.successors, self._calls = {}, {}
+
+    def _take_called(self, sent: int) -> dict[Item, str]:
+        """End standing by; take in tasks that were called before their turn came.
+
+        The dispatcher engages a task as soon as those it waits for have ended, though
+        an item between them fails.
+
+        Args:
+            sent: How many items were sent, those that failed among them.
+
+        Returns:
+            Remarks on those that were called, and are not known to be ON.
+        """
+        gone = self._whole[:sent]
+        called = [
+            task
+            for task, olds in self.successors.items()
+            if (task, "on") in self._whole[sent:]
+            and all((old, "off") in gone for old in olds)
+        ]
+        self.withdraw()
+        remarks: dict[Item, str] = {}
+        for task in called:
+            state = self._state(task)
+            if state is State.ON:
+                self._whole.remove((task, "on"))
+                self._whole.insert(self._done, (task, "on"))
+                self._take(m.Reconfigured(done=1, states={task: "ON"}), [(task, "on")])
+            elif state is None:
+                remarks[task, "on"] = "may have come on: its RTPU does not say"
+            elif state is not State.OFF:
+                remarks[task, "on"] = f"was called, and is {state} now"
+        return remarks
+
+    def _state(self, task: str) -> State | None:
+        """Return the state of a task as its RTPU says; None: it does not."""
+        member = self._picture.get(task)
+        if member is None:
+            return State.NOT_CREATED
+        try:
+            status = self._fleet.call(member.rtpu, m.Status(task=task), m.RtpuStatus)
+        except PbonetError:
+            return None
+        states = [State(one.state) for one in status.tasks if one.task == task]
+        return states[0] if states else State.NOT_CREATED
 
     def step(self, parts: dict[str, list[Item]]) -> None:
         """Send what one RTPU is to do, or several at once.
@@ -130,16 +167,7 @@ class _Sending:
         Raises:
             ReconfigError: An item failed.
         """
-        answers, errors = self._send(parts)
-        if again := {rtpu: one.rest for rtpu, one in answers.items() if one.unseen}:
-            # It is another machine after all, whatever its name.
-            self.withdraw()
-            for rtpu, rest in again.items():
-                made = parts[rtpu][: len(parts[rtpu]) - len(rest)]
-                self._take(answers.pop(rtpu), made)
-            more, failed = self._send(again)
-            answers, errors = answers | more, errors | failed
-        self._judge(parts | again, answers, errors)
+        self._judge(parts, *self._send(parts))
 
     def _judge(
         self,
@@ -164,17 +192,18 @@ class _Sending:
             answer = answers.get(rtpu)
             done = answer.done if answer is not None else 0
             left += (answer.rest if answer is not None else []) or parts[rtpu][done:]
-        made = {
-            rtpu: [item for item in part if item not in left]
-            for rtpu, part in parts.items()
-        }
+        made = {rtpu: _without(part, left) for rtpu, part in parts.items()}
         whole = [*chain(*made.values()), *left]
-        self._whole[self._done : self._done + len(whole)] = whole
+        sent = self._done + len(whole)
+        self._whole[self._done : sent] = whole
         for rtpu, answer in answers.items():
             self._take(answer, made[rtpu])
         for cause in causes.values():
+            remarks = self._take_called(sent)
             unsure = sum(len(parts[rtpu]) for rtpu in unheard)
-            raise stuck(self._whole, self._done, cause, unsure=unsure) from cause
+            raise stuck(
+                self._whole, self._done, cause, unsure=unsure, remarks=remarks
+            ) from cause
 
     def _take(self, answer: m.Reconfigured, made: Sequence[Item]) -> None:
         for task, signal in made:
@@ -214,3 +243,15 @@ class _Sending:
             calls={task: self._calls[task] for task, _ in part if task in self._calls},
             slowest=max((1.0 / rate for rate in rates if rate), default=0.0),
         )
+
+
+def _without(items: Sequence[Item], left: Sequence[Item]) -> list[Item]:
+    """Return what was done of items: those that are left came last."""
+    undone = Counter(left)
+    found: list[Item] = []
+    for item in reversed(items):
+        if undone[item]:
+            undone[item] -= 1
+        else:
+            found.insert(0, item)
+    return found

@@ -32,38 +32,33 @@ def handed_over(
 def across(picture: Picture, items: Sequence[tuple[str, str]]) -> dict[str, list[str]]:
     """Return tasks that take over from tasks on other RTPUs, and from which.
 
-    They can be called by these as soon as all of them have ended. So can heirs on the
-    RTPU of their predecessors that share one of them with such a task. Left out are
-    those whose predecessors do not stand side by side in the list, and those that share
-    a predecessor with one of these.
+    These call them as soon as they have ended, and successors on their own RTPU that
+    share a predecessor with such a task. Left out are those whose predecessors do not
+    stand side by side in the list, and those that share a predecessor with one of
+    these.
     """
     olds = _predecessors(picture, items)
-    far = {heir for heir in olds if len(_rtpus(picture, [heir, *olds[heir]])) > 1}
+    far = {task for task in olds if len(_rtpus(picture, [task, *olds[task]])) > 1}
     called = _sharing(olds, far)
-    direct = {heir for heir in olds if _direct(picture, items, heir, olds[heir])}
+    direct = {task for task in olds if _direct(picture, items, task, olds[task])}
     called -= _sharing(olds, called - direct)
-    return {heir: olds[heir] for heir in olds if heir in called}
+    return {task: olds[task] for task in olds if task in called}
 
 
 def _rtpus(picture: Picture, tasks: Iterable[str]) -> set[str]:
     return {picture.find(task).rtpu for task in tasks}
 
 
-def _sharing(olds: Mapping[str, list[str]], heirs: set[str]) -> set[str]:
-    """Return these heirs and all that share a predecessor with one of them."""
-    found = set(heirs)
+def _sharing(olds: Mapping[str, list[str]], tasks: set[str]) -> set[str]:
+    """Return these tasks and all that share a predecessor with one of them."""
+    found = set(tasks)
     while more := {
-        heir
-        for heir in olds.keys() - found
-        if any(set(olds[heir]) & set(olds[other]) for other in found)
+        task
+        for task in olds.keys() - found
+        if any(set(olds[task]) & set(olds[other]) for other in found)
     }:
         found |= more
     return found
-
-
-def bound(heirs: Mapping[str, list[str]], heir: str) -> list[tuple[str, list[str]]]:
-    """Return an heir and those that share tasks with it, each with whom it follows."""
-    return [(one, heirs[one]) for one in heirs if one in _sharing(heirs, {heir})]
 
 
 def _predecessors(
@@ -82,15 +77,15 @@ def _predecessors(
 
 
 def _direct(
-    picture: Picture, items: Sequence[tuple[str, str]], heir: str, olds: list[str]
+    picture: Picture, items: Sequence[tuple[str, str]], task: str, olds: list[str]
 ) -> bool:
     """Tell whether a task can stand by for others that call it."""
-    names = [task for task, _ in items]
+    names = [name for name, _ in items]
     first = names.index(olds[0])
     return (
-        picture.find(heir).state is State.OFF
+        picture.find(task).state is State.OFF
         and all(picture.find(old).is_on for old in olds)
-        and all(names.count(task) == 1 for task in (heir, *olds))
+        and all(names.count(one) == 1 for one in (task, *olds))
         and names[first : first + len(olds)] == olds
         and len(olds) <= MOST_CALLERS
     )
@@ -99,15 +94,15 @@ def _direct(
 def steps(
     picture: Picture,
     items: Sequence[tuple[str, str]],
-    heirs: Mapping[str, list[str]],
+    successors: Mapping[str, list[str]],
 ) -> Iterator[dict[str, list[tuple[str, str]]]]:
     """Yield what is sent at once, in order: for each RTPU its part.
 
-    Tasks of several RTPUs that leave for the same heirs do so together; everything else
-    is cut wherever the next item is for another RTPU.
+    Tasks of several RTPUs that leave for the same successors do so together; everything
+    else is cut wherever the next item is for another RTPU.
     """
     begin = 0
-    for first, last in _together(items, heirs):
+    for first, last in _together(items, successors):
         parts: dict[str, list[tuple[str, str]]] = {}
         for task, signal in items[first:last]:
             parts.setdefault(picture.find(task).rtpu, []).append((task, signal))
@@ -119,12 +114,12 @@ def steps(
 
 
 def _together(
-    items: Sequence[tuple[str, str]], heirs: Mapping[str, list[str]]
+    items: Sequence[tuple[str, str]], successors: Mapping[str, list[str]]
 ) -> list[tuple[int, int]]:
     """Return where those begin and end that leave together, in order."""
     names = [task for task, _ in items]
     spans: list[tuple[int, int]] = []
-    for olds in sorted(heirs.values(), key=lambda olds: names.index(olds[0])):
+    for olds in sorted(successors.values(), key=lambda olds: names.index(olds[0])):
         first = names.index(olds[0])
         last = first + len(olds)
         if spans and first < spans[-1][1]:

@@ -29,7 +29,6 @@ from pbonet.master.configuration import (
     must_be_answerable,
     must_be_stopped,
 )
-from pbonet.master.sim import VirtualClient, VirtualClock, VirtualRtpus
 from pbonet.xm.net import messages as m, rpc, session
 
 from . import assembly, constants, status_fields
@@ -43,7 +42,6 @@ from .argument_text import (
 from .change_transaction import Changing
 from .command_methods import Calls
 from .condition_gate import in_time
-from .embedded_agents import Embedded
 from .recording_control import book
 from .rtpu_clients import Fleet, client_name
 from .subsystem_tasks import CONTROL_TIME, Crew
@@ -59,6 +57,9 @@ if TYPE_CHECKING:
 
     from pbonet.config import SbsFile
     from pbonet.master.configuration import Clock, Picture
+    from pbonet.master.sim import VirtualRtpus
+
+    from .embedded_agents import Embedded
 
 
 class Subsystem(Switching, Calls, Signalled):
@@ -109,16 +110,21 @@ class Subsystem(Switching, Calls, Signalled):
         self.stopped = threading.Event()
         """Set by `stop`; an assembly that is under way then gives up."""
         self.watch = watch
-        self.simulation = VirtualRtpus(self.files) if virtual else None
-        """What stands for the RTPUs in virtual time; it has the ``recording``."""
-        self.clock: Clock = (
-            VirtualClock(self.simulation) if self.simulation else RealClock()
-        )
-        self._agents = (
-            Embedded(domain, libraries=[*map(str, libraries)], connect=connect)
-            if embed and not virtual
-            else None
-        )
+        self.simulation: VirtualRtpus | None = None
+        """The RTPUs in virtual time; it has the ``recording``."""
+        self.clock: Clock = RealClock()
+        if virtual:
+            from pbonet.master import sim  # with it come the RTPU and the task
+
+            self.simulation = sim.VirtualRtpus(self.files)
+            self.clock = sim.VirtualClock(self.simulation)
+        self._agents: Embedded | None = None
+        if embed and not virtual:
+            from .embedded_agents import Embedded
+
+            self._agents = Embedded(
+                domain, libraries=[*map(str, libraries)], connect=connect
+            )
         self.shown = status_fields.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = status_fields.Baselines()
@@ -223,7 +229,7 @@ class Subsystem(Switching, Calls, Signalled):
             self._warn(f"{rtpu}: {text}")
 
         if self.simulation is not None:
-            return VirtualClient(self.simulation, self.domain, name, warned=warned)
+            return self.simulation.client(self.domain, name, warned)
         opened = opened or session.client(self.domain, connect=self._connect)
         return rpc.Client(opened, self.domain, name, warned=warned)
 

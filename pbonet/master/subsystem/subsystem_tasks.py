@@ -31,7 +31,7 @@ from .unwritten_inputs import Unfed
 from .warning_dedup import Standing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pbonet.config import Rmod
     from pbonet.master.configuration import Files
@@ -91,7 +91,7 @@ class Crew:
         self.picture = Picture()
         self._info = cache(partial(remote_modules.on, fleet, files.library))
         self._standing = Standing()
-        self._producers: dict[str, tuple[str, ...]] = {}  # as last read
+        self._producers: Mapping[str, tuple[str, ...]] = {}  # as last read
         self._unfed = Unfed(
             lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self.say
         )

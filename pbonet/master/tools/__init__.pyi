@@ -1,6 +1,7 @@
 from . import (
     doctor as doctor,
     foxglove_server as foxglove_server,
+    local_modules as local_modules,
     log_plot as log_plot,
     playback as playback,
     schedule_job as schedule_job,

@@ -1,10 +1,9 @@
-"""What a machine and a domain lack, each with a remedy (``pbonet doctor``)."""
+"""Findings about a machine and a domain, each with a remedy (``pbonet doctor``)."""
 
 from __future__ import annotations
 
 import importlib.util
 import itertools
-import os
 import platform
 import shutil
 import time
@@ -17,11 +16,11 @@ import msgspec
 from msgspec import Struct
 
 import pbonet
+from pbonet import shm
 from pbonet.analysis.schedule import PLANNED
 from pbonet.errors import ConfigFileError, PbonetError, UnreachableError
 from pbonet.master.console import render
 from pbonet.master.subsystem import client_name
-from pbonet.svar import table_files as shared
 from pbonet.xm.net import (
     credentials,
     messages as m,
@@ -183,7 +182,7 @@ def rights(probe: Probe) -> Iterator[Finding]:
 
 def memory() -> Iterator[Finding]:
     """Look at shared memory and the runtime folder."""
-    folder = shared.folder()
+    folder = shm.folder()
     try:
         free = shutil.disk_usage(folder).free
     except OSError as error:
@@ -206,7 +205,7 @@ def memory() -> Iterator[Finding]:
 
 def abandoned() -> list[Path]:
     """Return shared memory files of this user that no process has mapped."""
-    mine = sorted(shared.folder().glob(f"pbonet.{os.getuid()}.*"))
+    mine = sorted(shm.folder().glob(shm.own("*")))
     used = _mapped(mine)
     return [path for path in mine if str(path) not in used]
 

@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from pbonet.log import Life
 
 PREFIX: Final = "replay:"
-"""What stands before a task's name in the table while its record is played."""
+"""Prefix of a task's name in the table while its record is played."""
 
 
 class Played(Struct, kw_only=True):
-    """What came of one task."""
+    """The result for one task."""
 
     task: str
     commits: int = 0
     """Recorded ones that went into the table."""
     refused: int = 0
-    """Those that the table did not take: not finite, or outside LIMIT."""
+    """Values that the table refused: not finite, or outside LIMIT."""
     late: float = 0.0
     """Seconds by which the latest came behind its time."""
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pbonet.ports import Port
 
 RTPU = "core0"
-"""What the one RTPU of a new subsystem is called."""
+"""The name of the one RTPU of a new subsystem."""
 _TYPES = {"float": "double", "float64": "double", "float32": "float", "int32": "int"}
 """How a ``.svar`` file spells a port's type, where it is not the same word."""
 

@@ -33,7 +33,7 @@ _LOADS = frozenset({
     legality.Code.TIMES,
     legality.Code.BANDWIDTH,
 })
-"""What a start is refused for, and what a simulation is there to show."""
+"""Problems that prevent a start and that a simulation is there to show."""
 
 
 def simulate(
@@ -93,6 +93,7 @@ def simulate(
         finally:
             if run is not None:
                 run.stop()
+                run.close()
     return outcome, [*told, *(run.events if run else [])]
 
 

@@ -419,7 +419,7 @@ class Agent:
             self._server.publish(data)
 
     def called(self, call: rtpu_messages.Called) -> None:
-        """Have heirs on other machines called."""
+        """Have successors on other machines called."""
         if self._mirrors is not None:
             self._mirrors.call(call)
 

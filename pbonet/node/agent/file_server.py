@@ -73,7 +73,7 @@ class Filer:
 
     @property
     def operations(self) -> dict[type, Callable[[Any], Any]]:
-        """Who carries out which request."""
+        """The handler of each request."""
         return {
             f.FileStat: self._stat,
             f.FileList: self._list,

@@ -1,4 +1,4 @@
-"""What an agent does for express mail: its RTPU's server, and its tasks' letters."""
+"""An agent's part in express mail: its RTPU's server, and its tasks' requests."""
 
 from __future__ import annotations
 

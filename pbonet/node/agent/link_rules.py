@@ -1,4 +1,4 @@
-"""What an agent does for a link, decided from what stands on its machine and elsewhere.
+"""Decides an agent's duty for a link from who uses it, here and elsewhere.
 
 Pure: `subsystem_links` looks, asks this, and acts. A link has at most one writer and
 one reader in the domain. Where both are on one machine, nothing is to be done. Else
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 class Here(Struct, frozen=True):
-    """Who uses a link on this machine, agents left out."""
+    """Users of a link on this machine, without agents."""
 
     writer: bool
     reader: bool
 
 
 class Elsewhere(Struct):
-    """What agents of other machines show for a link."""
+    """Users of a link on other machines, as their agents show them."""
 
     sinks: set[str] = set()
     """Agents whose machine has the reader."""
@@ -33,7 +33,7 @@ class Elsewhere(Struct):
 
 
 class Duty(Struct, frozen=True):
-    """What an agent does for a link."""
+    """An agent's duty for a link."""
 
     sink: bool = False
     """Show that the reader is here."""

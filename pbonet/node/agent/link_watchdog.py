@@ -48,7 +48,7 @@ class Known(NamedTuple):
 
 
 class Relink:
-    """What an agent knows of its neighbours.
+    """An agent's knowledge of its neighbours.
 
     Args:
         session: The agent's.

@@ -111,7 +111,7 @@ class Ways:
         self._lost: dict[str, tuple[m.Lost, float]] = {}
         """Agents that were seen, and when they were looked for in vain."""
         self._ended: set[str] = set()
-        """Those that have said that they end."""
+        """Agents that have announced their end."""
         self._relink = link_watchdog.Relink(link)
         self._guard = threading.Lock()
         self._over = threading.Event()

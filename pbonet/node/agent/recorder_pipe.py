@@ -1,4 +1,4 @@
-"""What a recorder is told: kept while its pipe is full, handed on by a thread."""
+"""Messages to a recorder: kept while its pipe is full, sent by a thread."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ class Held:
         """Requests under way."""
         self.gone = False
         self.loose: dict[str, r.Took] = {}
-        """What was taken and not acknowledged."""
+        """Messages that were taken and not acknowledged."""
 
     def give_back(self, took: r.Took) -> None:
         """Put back what a client did not get."""

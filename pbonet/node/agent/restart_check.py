@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _STAYS: Final = "put it back, or end the agent and start it again: its tasks turn OFF"
 _THE_PROCESS: Final = ("libraries", "runs", "awake")
-"""What an RTPU process is started with, and keeps."""
+"""Settings that an RTPU process is started with, and keeps."""
 LATER: Final = (
     "%s: another value of %s reaches the RTPU process when it is started again"
 )

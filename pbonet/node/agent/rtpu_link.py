@@ -46,11 +46,11 @@ UNREAD_TIME = 60.0
 _LOOK = 0.05
 _LEAST_TRIES = 2
 LACKS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)
-"""What an error says when the machine lacks something, for now."""
+"""Error numbers for a shortage of the machine that may pass."""
 
 
 class Listener(Protocol):
-    """Who hears what the RTPU process says; called in the link's thread."""
+    """Listener for messages of the RTPU process; called in the link's thread."""
 
     def answered(self, n: int, data: bytes) -> None:
         """Take the answer to forwarded request `n`."""
@@ -59,7 +59,7 @@ class Listener(Protocol):
         """Take an event for the network."""
 
     def called(self, call: rtpu_messages.Called) -> None:
-        """Take that heirs on other machines are to be called."""
+        """Take that successors on other machines are to be called."""
 
     def informed(self, info: rtpu_messages.RtpuInfo) -> None:
         """Take who the RTPU process is, as it has changed."""
@@ -106,7 +106,7 @@ class RtpuLink:
         """Something that the machine lacks has been told."""
         self._unread: list[float] = []
         self._misread = ""
-        """What was wrong with the last message that could not be read."""
+        """The fault of the last message that could not be read."""
         self._decoder: msgspec.msgpack.Decoder[FromRtpu] = msgspec.msgpack.Decoder(
             FromRtpu
         )

@@ -50,7 +50,7 @@ class Care:
 
     @property
     def here(self) -> Here:
-        """Who uses the link on this machine, this agent left out."""
+        """Users of the link on this machine, without this agent."""
         return Here(
             writer=self.receiver is None and places.has(self.buffer.fileno, WRITER),
             reader=self.sender is None and places.has(self.buffer.fileno, READER),

@@ -69,7 +69,7 @@ the subsystem know, so that what is asked next may be asked of any of them."""
 
 
 class Node(Protocol):
-    """Who carries requests out."""
+    """The node that carries out requests."""
 
     def forward(
         self, n: int, data: bytes, masters: list[tuple[str, str]] | None
@@ -93,7 +93,7 @@ class Node(Protocol):
 
 
 _Work: TypeAlias = "Callable[[], None]"
-"""What the server's thread does next."""
+"""The next job of the server's thread."""
 
 
 class _Waiting(NamedTuple):
@@ -105,14 +105,14 @@ class _Waiting(NamedTuple):
 
 
 class Mail(Protocol):
-    """Who carries out what is asked of semaphores and queues."""
+    """Handler of requests about semaphores and queues."""
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
         """Carry a request out and have its answer sent; comes back at once."""
 
 
 class Book(Protocol):
-    """Who puts commands on record."""
+    """Recorder of commands."""
 
     def commanded(
         self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
@@ -164,7 +164,7 @@ class Server:
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="pbonet claims")
         self._ways = ThreadPoolExecutor(1, thread_name_prefix="pbonet report")
         self._measured: list[tuple[zenoh.Query, str]] = []
-        """Who waits for the ways to be measured: one measurement is for all."""
+        """Requests that wait for a measurement of latencies: one serves all."""
         self._looks = ThreadPoolExecutor(LOOKS, thread_name_prefix="pbonet looks")
         self._arrived: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._behind = 0

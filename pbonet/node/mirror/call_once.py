@@ -1,4 +1,4 @@
-"""Who waits for other machines is answered once, whatever becomes of these."""
+"""Answers a request that waits for other machines once, whatever becomes of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Promises:
-    """What is to be called once, by whoever comes first: its cause, or the end."""
+    """A function to be called once: by its cause, or at the end."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()

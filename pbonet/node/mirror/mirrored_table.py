@@ -53,7 +53,7 @@ TOLD_NS = 10_000_000_000
 
 
 class Owner(Protocol):
-    """Whose thread does the work: see `Mirrors`."""
+    """The thread that does the work: see `Mirrors`."""
 
     session: zenoh.Session
     domain: str
@@ -151,7 +151,7 @@ class Carried:
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
 
     def call(self, calls: Sequence[Call]) -> None:
-        """Have the others take the whole state, then call heirs.
+        """Have the others take the whole state, then call successors.
 
         Where another agent of this machine carries the table nobody does; see
         `farcalls`.

@@ -1,10 +1,10 @@
-"""Heirs on other machines: who carries the table calls them, as it brings the news.
+"""Calls of successors on other machines: the agent makes them, with the table's news.
 
-A task that leaves cannot call an heir that has its core table on another machine. What
+A task that leaves cannot call a successor whose core table is on another machine. What
 it wrote last, and that it has ended, comes there with the table. So the calls go along
-in the same packet, and are made when that has been taken in: the heir finds the last
-values, and variables that nobody owns. A call that does not come, or too late, is made
-by the heir's own RTPU when the master sends the ``on``; see `cross_core_handover`.
+in the same packet, and are made when that has been taken in: the successor finds the
+last values, and variables that nobody owns. A call that does not come, or too late, is
+made by the successor's own RTPU when the master sends the ``on``; see `successors`.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ def packed(calls: Sequence[Call]) -> list[bytes]:
 
 
 def make(table: Table, data: bytes, late_ns: int | None) -> bool:
-    """Make a call, unless its time is over or somebody writes what the heir will.
+    """Make a call, unless its time is over or somebody writes what was handed over.
 
     Args:
         table: This machine's, which knows already what went with the call.
-        data: The packed call; of other machines' heirs there is nobody here.
+        data: The packed call; all machines get it, and one has the successor.
         late_ns: How long it was on its way; None while the clock of the machine that
             it comes from is not known.
 
     Returns:
-        Whether an heir waited for it.
+        Whether a successor waited for it.
     """
     with contextlib.suppress(PbonetError, msgspec.MsgspecError, UnicodeDecodeError):
         call = _decoder.decode(data)

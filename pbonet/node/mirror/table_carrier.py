@@ -42,7 +42,7 @@ LAST_TIME = 1.0
 NEVER = 1e9
 """On the monotonic clock."""
 ASKED = 1000
-"""What others have asked and answered that waits for the carrier; more is refused."""
+"""Most messages of others that may wait for the carrier; more are refused."""
 
 
 class Mirrors:
@@ -68,7 +68,7 @@ class Mirrors:
         self._offset = offset
         self._carried: dict[str, Carried] = {}
         self._tables: dict[str, bool] = {}
-        """What is to be carried, before the carrier's thread has done so."""
+        """Tables to be carried that the carrier's thread has not taken yet."""
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
         self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
@@ -176,7 +176,7 @@ class Mirrors:
         self.do(spread)
 
     def call(self, call: rtpu_messages.Called) -> None:
-        """Have other machines call heirs when they know how the table stands here."""
+        """Have other machines take the table, then call successors there."""
 
         def spread() -> None:
             carried = self._carried.get(call.subsystem)

@@ -50,7 +50,7 @@ class Time(NamedTuple):
     clock: Callable[[], float]
     """Gives seconds."""
     epoch_ns: int
-    """What is added to its nanoseconds to get those since 1970."""
+    """Offset from its nanoseconds to those since 1970."""
     machine: str
     """Where it may be compared, by boot identity."""
     seconds: float = 0.0

@@ -14,12 +14,14 @@ import select
 import signal
 import sys
 import time
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 from msgspec.msgpack import Decoder
 
+from pbonet import shm
 from pbonet.errors import NodeError, PbonetError, Severity
 from pbonet.log import Attached, LogWriter, TaskAbout
 from pbonet.node import rt
@@ -29,7 +31,7 @@ from pbonet.node.wire import process_setup, rtpu_messages
 from pbonet.xm.ipc import folder_watch
 from pbonet.xm.net import Event
 
-from .log_rotation import LogFiles
+from .log_rotation import LogFiles, Time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -43,40 +45,19 @@ HANDOVER: Final = 3.0
 """Seconds for which another recorder, whose agent is gone, may hold a ring."""
 
 
-class Source(Protocol):
-    """A ring, as one who empties it sees it."""
-
-    @property
-    def lost(self) -> int:
-        """Records that found no room."""
-        ...
-
-    def take(self) -> bytes:
-        """Return the records that are there, and forget them."""
-        ...
-
-    def want(self, *, always: bool = False) -> None:
-        """Have the next cycle store its inputs, or each cycle."""
-        ...
-
-    def close(self) -> None:
-        """Let go of it."""
-        ...
-
-
 class Followed:
     """A ring that is being emptied.
 
     Args:
-        ring: Open; in a simulation what stands for one.
+        ring: Open.
         about: Whose it is.
     """
 
-    def __init__(self, ring: Source, about: TaskAbout) -> None:
+    def __init__(self, ring: Ring, about: TaskAbout) -> None:
         self.ring = ring
         self.about = about
         self.writer: LogWriter | None = None
-        """Whose file says what the task is, under this number."""
+        """File that describes the task of this number."""
         self.number = 0
         self.lost = 0
 
@@ -87,20 +68,21 @@ class Recorder:
     Args:
         wanted: What.
         tell: Takes what the agent should know.
+        by: The time that the recording goes by; None for this machine's.
     """
 
     def __init__(
         self,
         wanted: rtpu_messages.Recording,
         tell: Callable[[rtpu_messages.FromRecorder], None],
+        by: Time | None = None,
     ) -> None:
         self._wanted = wanted
         self._tell = tell
-        self._files = LogFiles(wanted, self._say, self._enter_all)
+        self._files = LogFiles(wanted, self._say, self._enter_all, by)
         self._rings: dict[tuple[str, int], Followed] = {}
         self._others: set[tuple[str, int]] = set()
-        self._folder = os.environ.get("PBONET_SHM_DIR") or orphaned_rings.FOLDER
-        self._changes = folder_watch.Changes(self._folder)
+        self._folder = str(shm.folder())
         self._waiting = False
         """Whether there are rings that may yet be followed."""
         self._refused: dict[tuple[str, int], float] = {}
@@ -112,9 +94,13 @@ class Recorder:
 
     # -- rings -------------------------------------------------------------------------
 
+    @cached_property
+    def _changes(self) -> folder_watch.Changes:
+        return folder_watch.Changes(self._folder)
+
     def turn(self) -> None:
         """Do what there is to do."""
-        now = time.monotonic()
+        now = self._files.by.clock()
         self._files.turn()
         self._look()
         for key, followed in list(self._rings.items()):
@@ -127,7 +113,7 @@ class Recorder:
         if now >= self._status:
             self._status = now + STATUS
             self._put_status()
-        if now >= self._flush:
+        if (now := time.monotonic()) >= self._flush:
             self._flush = now + FLUSH
             self._files.write(lambda writer: writer.flush())
         self._report()
@@ -157,7 +143,7 @@ class Recorder:
 
     def _found(self) -> Iterator[tuple[tuple[str, int], str]]:
         """Yield the rings that may be ours: path and inode, and name."""
-        first = f"pbonet.{os.geteuid()}."
+        first = shm.own("")
         ours = f"{first}{self._wanted.domain}.{self._wanted.subsystem}."
         with os.scandir(self._folder) as entries:
             for entry in entries:
@@ -248,7 +234,10 @@ class Recorder:
 
     def _happened(self, data: bytes) -> None:
         """Take a packed event."""
-        event = self._events.decode(data)
+        self.event(self._events.decode(data))
+
+    def event(self, event: Event) -> None:
+        """Put an event on record; after an error, what was kept is written."""
         if event.subsystem in {"", self._wanted.subsystem}:
             plain = msgspec.to_builtins(event)
             self._files.put(lambda writer: writer.add_event(plain))
@@ -256,7 +245,7 @@ class Recorder:
                 self._files.went_wrong()
 
     def _put_status(self) -> None:
-        now, status = time.monotonic_ns(), self._slots()
+        now, status = round(self._files.by.clock() * 1e9), self._slots()
         self._files.put(lambda writer: writer.add_status(now, status))
 
     def _slots(self) -> dict[str, object]:
@@ -331,7 +320,7 @@ def add(writer: LogWriter, followed: Followed, text: bytes) -> None:
 
 
 class Pipe:
-    """What the agent says, from a pipe that may end at any time.
+    """Messages of the agent, from a pipe that may end at any time.
 
     Args:
         fd: Its end for reading.

@@ -20,7 +20,7 @@ class Record:
     """Records that the ring had dropped before this one."""
     flags: int
     kind: int
-    """What happened, as `pbonet.log.Step` has it; 0: a cycle."""
+    """The kind of step (`pbonet.log.Step`); 0: a cycle."""
     stable: bool
     consumed: tuple[tuple[int, int], ...]
     """(register, number) pairs of the copy-in."""
@@ -29,7 +29,7 @@ class Record:
     inputs: bytes
     """The in-vars as copied in, where they do not follow from `consumed`."""
     heard: bytes
-    """What the cycle heard from outside; see `pbonet.outside`."""
+    """The cycle's inputs from outside the table; see `pbonet.outside`."""
 
 def parse(text: bytes) -> list[Record]:
     """Return the records in what `Ring.take` returned.
@@ -48,7 +48,7 @@ class Ring:
     path: str
     lost: int
     about: bytes
-    """What its maker says of it."""
+    """Its maker's description."""
     @staticmethod
     def create(name: str, capacity: int = 1 << 20, about: bytes = b"") -> Ring:
         """Make the file (replacing one that stands) and return its producer's end.

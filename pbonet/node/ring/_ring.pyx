@@ -12,14 +12,14 @@ from cpython.bytes cimport PyBytes_FromStringAndSize
 from libc.stdint cimport uint64_t
 from libc.string cimport memset
 
+from pbonet import shm
 from pbonet.errors import NodeError, RealTimeError
 
 MADV_POPULATE_WRITE = 23  # Linux 5.14; MAP_POPULATE makes pages present to read only
 
 
 def _path(str name) -> str:
-    folder = os.environ.get("PBONET_SHM_DIR", "/dev/shm")
-    return os.path.join(folder, f"pbonet.{os.geteuid()}.{name}.ring")
+    return str(shm.path_of(f"{name}.ring"))
 
 
 class Record:

@@ -3,7 +3,7 @@
 Nothing here knows modules, commands or the network. `docs/realtime.md` explains it.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
 from typing import Final
 
@@ -37,7 +37,7 @@ IDLE: Final = 7
 """In virtual time: there is nothing to do at this instant."""
 FALLBACK: Final = 1
 HANDOVER: Final = 2
-"""What `CoreTable.follow` takes; `pbonet.analysis.schedule.events.After`."""
+"""Kinds of events for `CoreTable.follow`; `pbonet.analysis.schedule.events.After`."""
 
 FAIL_SIGNAL: Final[int]
 KINDS: Final[tuple[str, ...]]
@@ -133,21 +133,20 @@ class CoreTable:
 
         With `last` it looks behind its next cycle, and comes back at the level of that.
         """
-    def follow(self, i: int, kind: int, slots: Iterable[int]) -> None:
-        """Say whose end a task that stands by waits for.
+    def follow(self, i: int, slots: Collection[int]) -> None:
+        """Have a task that stands by engaged when one of these slots falls.
 
         Args:
             i: The slot that stands by.
-            kind: FALLBACK, HANDOVER, or 0 for nobody's.
-            slots: FALLBACK: it is engaged when one of them falls. HANDOVER: when all of
-                them are off in order.
+            slots: Those that it is the fallback of; none: it waits for nothing, and for
+                no callers either.
         """
     def expect(self, i: int, ticket: int, callers: int) -> int:
-        """Have a task that stands by wait for tasks of other cores, which call.
+        """Have a task that stands by engaged when all who hand over to it have called.
 
         Args:
-            i: The slot that stands by; it is engaged when all have called.
-            ticket: A number that no other wait has had.
+            i: The slot that stands by.
+            ticket: A number that no other wait has had, from 1 to 2**31 - 1.
             callers: How many they are, up to 32.
 
         Returns:
@@ -284,17 +283,17 @@ class Vigil:
         """End the thread. Idempotent."""
 
 class Failures:
-    """What the dispatcher and a module have to say to each other in a cycle."""
+    """Messages between the dispatcher and a module within a cycle."""
 
     criticality: int
     deadline: float
     """Seconds from the release; setting it moves the deadline of this cycle."""
     @property
     def own_criticality(self) -> int:
-        """What the task was ranked by, whatever has become of it in this cycle."""
+        """The task's own criticality, whatever it was changed to in this cycle."""
     @property
     def error(self) -> BaseException | None:
-        """What the failure handler failed with in the last `Slot.run`."""
+        """The exception of the failure handler in the last `Slot.run`."""
     @property
     def section(self) -> AbstractContextManager[None]:
         """Holds failures off while it is entered; nests."""
@@ -311,7 +310,7 @@ class Slot:
     index: int
     failures: Failures
     tape: Tape | None
-    """What the module hears from outside; each record takes it along."""
+    """The module's inputs from outside the table; each record carries them."""
     stamp_ns: int
     """When the outputs that are committed were measured; 0: at the commit."""
     def __init__(self, table: CoreTable, i: int) -> None: ...
@@ -371,8 +370,18 @@ class Slot:
         Raises:
             RealTimeError: Another process holds the slot's lock.
         """
-    def disarm(self) -> None:
-        """No more releases, until `run` arms again. Idempotent."""
+    def disarm(
+        self, calls: Iterable[tuple[CoreTable, int, int, int, int]] = ()
+    ) -> list[bool]:
+        """No more releases, until `run` arms again. Idempotent.
+
+        Args:
+            calls: Successors that are engaged by that: of each the core table, and the
+                arguments of `CoreTable.call`.
+
+        Returns:
+            Which of them waited for it.
+        """
     def command_level(self) -> None:
         """Go to the level of commands (after ``init``); nothing under ``park``."""
     def signal(self, bits: int) -> int:

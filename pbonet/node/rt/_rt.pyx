@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
-# distutils: depends = ../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ring.h guard.h ../svar/flag.h ../xm/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
+# distutils: depends = ../../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
 """Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
 
 import os
@@ -11,6 +11,7 @@ from libc.stdint cimport int32_t, int64_t, uint32_t, uint64_t
 from libc.stdlib cimport calloc, free, malloc
 from libc.string cimport memset, strdup, strncat
 
+from pbonet import shm
 from pbonet.errors import NodeError, RealTimeError, TaskError
 from pbonet.node.ring import _ring
 from pbonet.node.rt import rt_capabilities as rights
@@ -49,11 +50,6 @@ cdef enum:
     COPY_TORN = 1
     COPY_STALE = 2
     COPY_FLAGS = 15
-
-
-def _path(str name) -> str:
-    folder = os.environ.get("PBONET_SHM_DIR", "/dev/shm")
-    return os.path.join(folder, f"pbonet.{os.geteuid()}.{name}")
 
 
 include "_rt_table.pxi"
@@ -354,9 +350,18 @@ cdef class Slot:
         self.is_aged = False
         rt_arm(&self.task)
 
-    def disarm(self) -> None:
+    def disarm(self, calls=()) -> list:
+        # Called first: if the task is killed in here, either it is seen to die while it
+        # is ON, or its successors come. Its own core's dispatcher wakes up once.
         self.live()
+        cdef CoreTable table
+        cdef list heard = []
+        for table, slot, life, ticket, caller in calls:
+            heard.append(table.count_call(slot, life, ticket, caller))
+            if table.t is not self.task.table:
+                rt_kick(table.t)
         rt_rest(&self.task)
+        return heard
 
     def fall(self) -> None:
         self.live()
@@ -398,7 +403,7 @@ cdef class Slot:
 
     @property
     def now_ns(self) -> int:
-        return rt_time(self.task.table)
+        return rt_time(self.table.open())
 
     @property
     def release_ns(self) -> int:

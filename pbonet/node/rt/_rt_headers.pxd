@@ -21,6 +21,7 @@ cdef extern from "layout.h" nogil:
     struct rt_config:
         char *rtpu
         char *task
+        uint64_t callers
     struct rt_slot:
         rt_config config
     struct rt_table:
@@ -55,15 +56,16 @@ cdef extern from "table.h" nogil:
     void rt_free(rt_table *t, int i)
     void rt_configure(rt_table *t, int i, const rt_settings *s)
     void rt_died(rt_table *t, int i)
-    void rt_follow(rt_table *t, int i, int kind, const uint64_t *after)
+    void rt_follow(rt_table *t, int i, int kind, const uint64_t *after, uint64_t callers)
     void rt_kick(rt_table *t)
     int64_t rt_time(const rt_table *t)
     int rt_is_virtual(const rt_table *t)
 
 cdef extern from "call.h" nogil:
-    void rt_expect(rt_table *t, int i, uint32_t ticket, uint32_t callers)
-    int rt_expects(const rt_table *t, int i, uint32_t life, uint32_t ticket, int caller)
-    int rt_call(rt_table *t, int i, uint32_t life, uint32_t ticket, int caller)
+    uint64_t rt_callers(uint32_t ticket, int n)
+    int rt_expects(const rt_config *c, uint64_t callers, uint32_t life, uint32_t ticket,
+                   int caller)
+    int rt_call(rt_config *c, uint32_t life, uint32_t ticket, int caller)
 
 cdef extern from "dispatch.h" nogil:
     ctypedef int64_t (*rt_cpu_fn)(const rt_slot *)

@@ -41,7 +41,8 @@ cdef class CoreTable:
     def __cinit__(self, int core, *, bint member=True, int64_t virtual_ns=0):
         self.core = core
         self.member = member
-        self.path = _path(f"virtual{os.getpid()}.{core}" if virtual_ns else f"core{core}")
+        name = f"virtual{os.getpid()}.{core}" if virtual_ns else f"core{core}"
+        self.path = str(shm.path_of(name))
         cdef int error
         self.file = strdup(os.fsencode(self.path))
         with nogil:
@@ -143,33 +144,49 @@ cdef class CoreTable:
     def request(self, int i, *, bint last=False) -> None:
         rt_request(self.slot(i), RT_ASK_LAST if last else RT_ASK_COMMAND)
 
-    def follow(self, int i, int kind, slots) -> None:
+    def follow(self, int i, slots) -> None:
         cdef uint64_t after[RT_MASKS]
         memset(after, 0, sizeof(after))
         for one in slots:
             self.slot(one)
             after[<int>one // 64] |= <uint64_t>1 << (<int>one % 64)
         self.slot(i)
-        rt_follow(self.t, i, kind, after)
+        rt_follow(self.t, i, RT_FALLBACK if slots else RT_ALONE, after, 0)
         rt_kick(self.t)
 
     def expect(self, int i, unsigned ticket, int callers) -> int:
+        cdef uint64_t nobody[RT_MASKS]
+        memset(nobody, 0, sizeof(nobody))
         if not 0 < callers <= 32:
             raise ValueError(f"{callers} callers; at most 32 fit")
+        if not 0 < ticket < <unsigned>1 << 31:
+            raise ValueError(f"{ticket} is no ticket; those are from 1 to 2**31 - 1")
         self.slot(i)
-        rt_expect(self.t, i, ticket, <uint32_t>((<uint64_t>1 << callers) - 1))
+        rt_follow(self.t, i, RT_HANDOVER, nobody, rt_callers(ticket, callers))
         rt_kick(self.t)
         return rt_life(self.t, i)
 
-    def expects(self, int i, unsigned life, unsigned ticket, int caller) -> bool:
+    cdef rt_config *awaiting(self, int i, int caller) except? NULL:
+        """Return where slot `i` waits for callers; NULL for what no call can name."""
         self.open()
-        return 0 <= i < RT_SLOTS and 0 <= caller < 32 and bool(
-            rt_expects(self.t, i, life, ticket, caller))
+        if 0 <= i < RT_SLOTS and 0 <= caller < 32:
+            return &self.t.slots[i].config
+        return NULL
+
+    def expects(self, int i, unsigned life, unsigned ticket, int caller) -> bool:
+        cdef const rt_config *c = self.awaiting(i, caller)
+        return c is not NULL and bool(rt_expects(c, c.callers, life, ticket, caller))
+
+    cdef bint count_call(self, int i, unsigned life, unsigned ticket,
+                         int caller) except? -1:
+        cdef rt_config *c = self.awaiting(i, caller)
+        return c is not NULL and rt_call(c, life, ticket, caller)
 
     def call(self, int i, unsigned life, unsigned ticket, int caller) -> bool:
-        if not self.expects(i, life, ticket, caller):
-            return False
-        return bool(rt_call(self.t, i, life, ticket, caller))
+        cdef bint heard = self.count_call(i, life, ticket, caller)
+        if heard:
+            rt_kick(self.t)
+        return heard
 
     def died(self, int i) -> None:
         self.slot(i)

@@ -8,7 +8,7 @@
  *
  * While the task waits it keeps the deadline that is over by the time at which the next
  * event is expected, so it goes first among its equals when it wakes up. Who has been
- * silent goes last. `pbonet/analysis/schedule/watch.py` is the twin.
+ * silent goes last. `tests/oracles/plain_dispatcher/watch.py` is the twin.
  */
 #ifndef PBONET_DEVICE_H
 #define PBONET_DEVICE_H

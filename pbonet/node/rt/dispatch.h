@@ -1,7 +1,7 @@
 /* The dispatcher's turn: a pure function over the core table.
  *
- * The twin of pbonet/analysis/schedule/dispatch.py, which explains the rules. A turn takes in what
- * tasks and RTPU processes wrote since the last one, decides, and leaves both in the
+ * tests/oracles/plain_dispatcher/dispatch.py says the rules in Python, and docs/realtime.md
+ * gives the reasons. A turn takes in what tasks and RTPU processes wrote since the last one, decides, and leaves both in the
  * trace, inputs first. It makes no call into the kernel: `loop.h` acts on the decisions.
  *
  * A leader may be killed at any instruction. So each slot's state is replaced whole,
@@ -38,6 +38,7 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     uint64_t after[RT_MASKS];
     for (int k = 0; k < RT_MASKS; k++)
         after[k] = atomic_load_explicit(&c->after[k], memory_order_relaxed);
+    uint64_t callers = atomic_load_explicit(&c->callers, memory_order_relaxed);
     /* SYNC POINT, continued: the second look at `gen` comes behind all of these. */
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
@@ -57,6 +58,7 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     s->drop = drop;
     s->handler = handler;
     s->tells = tells != 0;
+    s->ticket = after_kind == RT_HANDOVER ? rt_ticket_of(callers) : 0;
     rt_latch_after(t, i, s, after_kind, after);
     if (!s->handling)
         s->rank = rt_contained(s);
@@ -167,6 +169,13 @@ static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
         s->dl_ns = event + s->period;
 }
 
+/* Whether all have called that a task waits for, which was not taken in yet. */
+static inline int rt_is_called(const struct rt_slot *slot)
+{
+    const struct rt_state *s = &slot->state;
+    return s->after_kind == RT_ALONE && rt_all_have_called(&slot->config, s->ticket);
+}
+
 /* Whether slot i has anything to take in; most have not, most of the time. */
 static inline int rt_news(const struct rt_slot *slot)
 {
@@ -175,7 +184,7 @@ static inline int rt_news(const struct rt_slot *slot)
     return atomic_load_explicit(&c->life, memory_order_relaxed) != s->life ||
            atomic_load_explicit(&c->gen, memory_order_relaxed) != s->gen ||
            atomic_load_explicit(&slot->post.word, memory_order_relaxed) != s->word ||
-           s->granted || (s->armed && s->kind != RT_PERIODIC) ||
+           s->granted || (s->armed && s->kind != RT_PERIODIC) || rt_is_called(slot) ||
            atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
 }
 
@@ -207,6 +216,8 @@ static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64
         rt_emit(t, RT_LIMITS, i,
                 (uint32_t)s->drop | (uint32_t)s->handler << 8 | (uint32_t)s->tells << 16,
                 s->minc, s->maxc);
+    if (s->after_kind == RT_ALONE && s->ticket)
+        rt_latch_after(t, i, s, RT_HANDOVER, s->after);
     if (!s->dead && atomic_load(&slot->config.dead) == life) {
         rt_emit(t, RT_DEAD, i, 0, 0, 0);
         s->fell |= s->armed;

@@ -55,7 +55,7 @@ enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended its
 enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was it armed before? */
 enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
 
-/* One record of the trace; pbonet/analysis/schedule/dispatch.py says what the kinds mean. */
+/* One record of the trace; pbonet/analysis/schedule/events.py says what the kinds mean. */
 struct rt_event {
     int64_t a, b;
     uint32_t arg;
@@ -83,8 +83,7 @@ struct rt_config {
     _Atomic int32_t tells;              /* the module has a failure handler */
     _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
     _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
-    _Atomic uint64_t callers;           /* of other cores: ticket << 32 | one bit each */
-    _Atomic uint32_t called;            /* one of these has ended, and counts on it */
+    _Atomic uint64_t callers;           /* who have not called yet; see call.h */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 
@@ -151,6 +150,7 @@ struct rt_state {
     uint64_t failures[RT_FAILURES], overruns, held_off;
     struct rt_piece pieces[RT_PIECES];
     int32_t after_kind;
+    uint32_t ticket;                    /* of the calls that it waits for; 0: for none */
     uint64_t after[RT_MASKS];
 };
 

@@ -1,7 +1,7 @@
 /* Maximum urgency first: rank the ready tasks and hand out FIFO levels.
  *
- * The twin of pbonet/analysis/schedule/urgency.py; a property test drives both in step. No memory
- * is allocated, and nothing outside the arguments is touched.
+ * A property test drives it in step with tests/oracles/plain_dispatcher/levels.py. No
+ * memory is allocated, and nothing outside the arguments is touched.
  */
 #ifndef PBONET_MUF_H
 #define PBONET_MUF_H

@@ -1,15 +1,15 @@
 /* Tasks that stand by: they wait, OFF and with everything ready, until others end.
  *
- * A slot in mode RT_STANDS names the slots that it comes after. A *fallback* is engaged
- * when one of them has gone to ERROR or has died while it was armed; the heir of a
- * *handover* when all of them have been turned off in order. Engaging is a grant of its
- * own, ranked like the task's cycles: the task runs `on` in it and then arms; rt_first
- * says when its first cycle is released. Nobody but the dispatcher takes part: neither the
- * RTPU process's interpreter nor its agent.
+ * A *fallback* names the slots that it comes after; it is engaged when one of them has gone
+ * to ERROR or has died while it was armed. A *successor* is engaged when all who hand over
+ * to it have called (call.h). Engaging is a grant of its own, ranked like the task's
+ * cycles: the task runs `on` in it and then arms; rt_first says when its first cycle is
+ * released. No process waits for a message in between.
  */
 #ifndef PBONET_STANDBY_H
 #define PBONET_STANDBY_H
 
+#include "call.h"
 #include "state.h"
 
 static inline int rt_stands(const struct rt_state *s)
@@ -17,36 +17,28 @@ static inline int rt_stands(const struct rt_state *s)
     return (s->word & 3) == RT_STANDS && s->after_kind && !s->engaged && !s->dead;
 }
 
-/* Whether a task that stands by comes on now, or will as soon as those have ended that it
- * takes over from in order, or one of other cores has ended and called it: if it dies now,
- * nobody writes what they wrote. */
+/* Whether a task that stands by comes on now, or one that hands over to it has ended: if
+ * it dies now, nobody writes what that one wrote. */
 static inline int rt_comes(const struct rt_slot *slot)
 {
     return (atomic_load(&slot->post.word) & 3) == RT_STANDS &&
            (atomic_load(&slot->grant.seq) != atomic_load(&slot->post.done) ||
-            atomic_load(&slot->config.after_kind) == RT_HANDOVER ||
-            atomic_load(&slot->config.called));
+            rt_one_has_called(&slot->config));
 }
 
-/* Whether the slots that `s` comes after have ended as it waits for. */
-static inline int rt_called(const struct rt_table *t, const struct rt_state *s)
+/* Whether one of the slots that a fallback comes after has fallen. */
+static inline int rt_one_fell(const struct rt_table *t, const struct rt_state *s)
 {
-    int all = 1;
-    for (int i = 0; i < RT_SLOTS; i++) {
-        if (!(s->after[i / 64] >> i % 64 & 1))
-            continue;
-        const struct rt_state *one = &t->slots[i].state;
-        if (s->after_kind == RT_FALLBACK && one->fell)
+    for (int i = 0; i < RT_SLOTS; i++)
+        if ((s->after[i / 64] >> i % 64 & 1) && t->slots[i].state.fell)
             return 1;
-        all &= !one->armed && !one->fell;
-    }
-    return s->after_kind == RT_HANDOVER && all;
+    return 0;
 }
 
 /* Grant the task its `on`, if it is time. */
 static inline void rt_engage(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
-    if (!rt_called(t, s))
+    if (s->after_kind == RT_FALLBACK && !rt_one_fell(t, s))
         return;
     s->engaged = s->ready = 1;
     s->rel_ns = now;
@@ -54,10 +46,13 @@ static inline void rt_engage(struct rt_table *t, int i, struct rt_state *s, int6
     rt_emit(t, RT_ENGAGE, i, 0, now, s->dl_ns);
 }
 
-/* Take over whose end the slot waits for; an input. */
+/* Take over whose end the slot waits for; an input. It waits for a handover until all
+ * have called: then it comes after nobody any more. */
 static inline void rt_latch_after(struct rt_table *t, int i, struct rt_state *s,
                                   int32_t kind, const uint64_t *after)
 {
+    if (kind == RT_HANDOVER && !rt_all_have_called(&t->slots[i].config, s->ticket))
+        kind = RT_ALONE;
     if (kind == s->after_kind && !memcmp(after, s->after, sizeof s->after))
         return;
     s->after_kind = kind;

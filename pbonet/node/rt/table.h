@@ -402,7 +402,6 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     for (int k = 0; k < RT_MASKS; k++)
         atomic_store(&c->after[k], 0);
     atomic_store(&c->callers, 0);
-    atomic_store(&c->called, 0);
     rt_init_mutex(&slot->alive);
     memset(c->rtpu, 0, RT_NAME);
     memset(c->task, 0, RT_NAME);
@@ -484,8 +483,10 @@ static inline void rt_configure(struct rt_table *t, int i, const struct rt_setti
     pthread_mutex_unlock(&t->edit);
 }
 
-/* Say whose end a task that stands by waits for, by slot; RT_ALONE: nobody's. */
-static inline void rt_follow(struct rt_table *t, int i, int kind, const uint64_t *after)
+/* Say what engages a task that stands by: the fall of one of these slots, or the last of
+ * these callers (call.h); RT_ALONE: nothing. */
+static inline void rt_follow(struct rt_table *t, int i, int kind, const uint64_t *after,
+                             uint64_t callers)
 {
     struct rt_config *c = &t->slots[i].config;
     rt_edit_lock(t);
@@ -493,9 +494,8 @@ static inline void rt_follow(struct rt_table *t, int i, int kind, const uint64_t
     atomic_store_explicit(&c->after_kind, kind, memory_order_relaxed);
     for (int k = 0; k < RT_MASKS; k++)
         atomic_store_explicit(&c->after[k], after[k], memory_order_relaxed);
+    atomic_store(&c->callers, callers);
     rt_config_end(c, gen);
-    atomic_store(&c->callers, 0);
-    atomic_store(&c->called, 0);
     pthread_mutex_unlock(&t->edit);
 }
 

@@ -113,7 +113,7 @@ static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
     v->deadline_ns = atomic_load(&c->deadline_ns);
     v->mode = (int)(atomic_load(&slot->post.word) & 3);
     v->comes = rt_comes(slot);
-    v->called = (int)atomic_load(&c->called);
+    v->called = rt_one_has_called(c);
     v->fell = (int)atomic_load(&slot->grant.fell);
     v->level = atomic_load(&slot->grant.level);
     v->dispatcher_missed = rt_get(&slot->grant.missed);

@@ -105,7 +105,7 @@ static inline void rt_mourn(struct rt_vigil *v, int i, struct rt_watched *w)
         rt_take_level(pid);     /* first: else who is released waits for its end */
     int raised = rt_alarm(v, i, w);
     atomic_store(&slot->config.dead, atomic_load(&w->life));
-    /* SYNC POINT: rt_call says that it has called first and looks for a death then. */
+    /* SYNC POINT: rt_call marks its call first and looks for a death then. */
     if (!raised)
         rt_alarm(v, i, w);
     atomic_store(&w->life, 0);

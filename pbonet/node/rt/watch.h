@@ -4,7 +4,7 @@
  * servers (6.4, 6.5), which are built on them. A failure is contained first, by another
  * criticality in the same turn, and told afterwards. CPU time is read lazily: it passes
  * no faster than time itself, so a reserve is looked at when it could be used up at the
- * earliest, and then again. `pbonet/analysis/schedule/watch.py` is the twin.
+ * earliest, and then again. `tests/oracles/plain_dispatcher/watch.py` is the twin.
  */
 #ifndef PBONET_WATCH_H
 #define PBONET_WATCH_H

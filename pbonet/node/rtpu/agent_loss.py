@@ -1,4 +1,4 @@
-"""What the RTPU process does about its table when the agent that carried it is gone.
+"""The RTPU process's care for its table when the agent that carried it is gone.
 
 Variables that tasks on other machines write stood here in the agent's name. Nobody
 brings them up to date now: they are given up, so that a task here may take them over,
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .rtpu_state import Rtpu
 
 NAME = "agent"
-"""Who the entry in the flag is about."""
+"""The subject of the entry in the flag."""
 PATIENCE = 1.0
 """Seconds in which a process whose socket was closed has ended, if it was killed."""
 PAUSE = 0.005

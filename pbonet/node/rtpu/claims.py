@@ -1,4 +1,4 @@
-"""Who may command an RTPU: claims of subsystems, with epochs (Stewart 1994, 4.5.1).
+"""Claims of subsystems on an RTPU, with epochs (Stewart 1994, 4.5.1).
 
 A claim belongs to the subsystem, not to the program that made it. Each claim or
 take-over raises the epoch, every command carries it, and so a master that was replaced

@@ -1,4 +1,4 @@
-"""What has to be cleaned away should the RTPU process be killed, and the cleaning.
+"""Files and processes to clean up if the RTPU process is killed, and the clean-up.
 
 The RTPU process writes down what it makes: tasks, rings, tables. Whoever comes after a
 killed one, its agent at once or the next RTPU process of that name, reads this, waits

@@ -26,7 +26,7 @@ PATIENCE = 5.0
 
 
 class Home(Protocol):
-    """What is needed of the RTPU."""
+    """The part of the RTPU that is needed here."""
 
     flags: Flags
     tasks: dict[tuple[str, str], Task]

@@ -48,7 +48,7 @@ HIGHEST_PRIORITY = 65535
 
 
 class Plan(NamedTuple):
-    """What a task will be."""
+    """The plan of a task."""
 
     rmod: Rmod
     freq: float
@@ -146,7 +146,7 @@ def check_rank(crit: int | None, priority: int, name: str) -> None:
 
 
 class Limits(TypedDict, total=False):
-    """What the dispatcher watches, in nanoseconds."""
+    """Limits that the dispatcher watches, in nanoseconds."""
 
     period_ns: int
     deadline_ns: int

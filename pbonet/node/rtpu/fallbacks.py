@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING, Protocol
 from msgspec import Struct
 
 from pbonet.analysis.schedule import Mode
-from pbonet.errors import NoAnswerError, PbonetError, Severity, StateError
-from pbonet.node import rt
+from pbonet.errors import PbonetError, Severity, StateError
 from pbonet.node.wire import rtpu_messages
 from pbonet.pbo import State
 
-from .task_handle import error_of
+from .task_handle import rest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
+    from pbonet.node import rt
     from pbonet.node.wire import EventLog
 
-    from .task_handle import Make, Task
+    from .task_handle import Task
 
 LIMIT = 3
 """So often a standby is engaged; then an operator is needed."""
@@ -52,31 +52,8 @@ class Pair(Struct):
     """The original that the standby waits for, or has waited for last."""
 
 
-class End(Struct):
-    """What a task that stands by waits for."""
-
-    kind: int
-    """`rt.FALLBACK` or `rt.HANDOVER`."""
-    of: list[Task]
-    """Whose end it is, and whose out-vars the task takes over."""
-    owners: Sequence[str] = ()
-    """Who owns these variables before those do."""
-
-
-class Waits(Protocol):
-    """What is needed of the heirs."""
-
-    def waits(self, task: Task) -> bool:
-        """Tell whether a task stands by, or came on and was not asked for yet."""
-        ...
-
-    def callers(self, task: Task) -> list[str]:
-        """Return the tasks that a task waits for, on any RTPU."""
-        ...
-
-
 class Home(Protocol):
-    """What is needed of the RTPU that all these tasks are on."""
+    """The part of the RTPU of all these tasks that is needed here."""
 
     name: str
     core: rt.CoreTable
@@ -84,11 +61,6 @@ class Home(Protocol):
     tasks: dict[tuple[str, str], Task]
     stopping: set[str]
     lists: dict[str, list[tuple[str, str]]]
-
-    @property
-    def heirs(self) -> Waits:
-        """Who stands by for tasks of other RTPUs."""
-        ...
 
     def of(self, subsystem: str) -> list[Task]:
         """Return the tasks of a subsystem."""
@@ -227,7 +199,7 @@ class Fallbacks:
         return (
             not (standby.stands_by and pair.arranged is original)
             and standby.state is State.OFF
-            and not self._is_heir(standby)
+            and not self._succeeds(standby)
             and self._unengaged(standby)
             and self._unfallen(original, coming=coming)
         )
@@ -248,10 +220,10 @@ class Fallbacks:
             return None
         return standby, original
 
-    def _is_heir(self, standby: Task) -> bool:
+    def _succeeds(self, standby: Task) -> bool:
         """Tell whether a list is about to turn a task on, here or elsewhere."""
         listed = self._rtpu.lists.get(standby.facts.subsystem, ())
-        return (standby.name, "on") in listed or self._rtpu.heirs.waits(standby)
+        return (standby.name, "on") in listed or standby.waiting is not None
 
     def _unengaged(self, standby: Task) -> bool:
         """Tell whether the dispatcher lets a task rest, that it has not told of yet."""
@@ -273,86 +245,83 @@ class Fallbacks:
                 return
             standby = self._rtpu.need(pair.subsystem, pair.standby)
             original = self._rtpu.need(pair.subsystem, pair.original)
-            standby.stands_by, pair.arranged = pair.original, original
+            self._follow(pair, standby, original)
+            names, owners = [original.name], list(after)
             try:
-                end = End(rt.FALLBACK, [original], after)
-                await stand_by(self._rtpu, standby, end, TIME)
+                await standby.command(
+                    "prepare", lambda n: rtpu_messages.Prepare(n, names, owners), TIME
+                )
             except BaseException:
-                standby.stands_by = ""
+                self.dismiss(standby)
                 raise
             pair.told = ""
+
+    def _follow(self, pair: Pair, standby: Task, original: Task) -> None:
+        """Have the dispatcher engage a task that stands by when its original falls."""
+        standby.stands_by, pair.arranged = pair.original, original
+        self._rtpu.core.follow(standby.facts.slot, [original.facts.slot])
 
     async def turn_off(
         self,
         task: Task,
-        off: Make,
+        off: Callable[[int, rtpu_messages.Prepare | None], rtpu_messages.Signal],
         limit: float,
         *,
         last: bool,
-        heirs: Mapping[str, Sequence[str]],
-    ) -> rtpu_messages.Done:
+    ) -> list[str]:
         """Turn a task off that hands over, and have it stand by for its own original.
 
-        If that is its heir, it may fail in its first cycle, before anybody hears that
-        the task is off. So the task does not wait to be told.
+        If that is its successor, it may fail in its first cycle, before anybody hears
+        that the task is off. So the task goes on from its `off` to standing by.
 
         Args:
             task: It is ON.
-            off: Makes the message from its number.
+            off: Makes the message from its number and from what follows the `off`.
             limit: Seconds that its `off` may take.
-            last: It comes behind the task's next cycle.
-            heirs: Tasks that come, and for each those whose out-vars it takes over.
+            last: It comes after the task's next cycle.
+
+        Returns:
+            Successors that the task has called, and that have died.
 
         Raises:
             PbonetError: As `Task.command`.
         """
-        owners = self._turn_back(task, heirs)
-        if not owners:
-            return await task.command("off", off, limit, last=last)
-        names = [task.stands_by]
+        then = self._turn_back(task)
         try:
-            done, failed = await task.off_and_prepare(
-                off, lambda n: rtpu_messages.Prepare(n, names, owners), limit, last=last
-            )
-        except NoAnswerError:  # it hangs: see `Exchange.late`
-            await self._stay(task)
-            raise
+            done = await task.command("off", lambda n: off(n, then), limit, last=last)
         except PbonetError:
-            await self._heard(task)
-            await self._stay(task)
+            if then is not None:
+                await self._stay(task)
             raise
-        if failed is not None:
+        gone: list[str]
+        gone, stands = done.result
+        if then is not None and not stands:
             await self._stay(task)
-        return done
+        return gone
 
-    def _turn_back(self, task: Task, heirs: Mapping[str, Sequence[str]]) -> list[str]:
+    def _turn_back(self, task: Task) -> rtpu_messages.Prepare | None:
         """Arrange that a task stands by for its original, which it hands over to.
 
         Returns:
-            Who owns their variables until the original does; none: it does not.
+            What the task needs for that; None: it does not stand by.
         """
         pair = self._pairs.get((task.facts.subsystem, task.name))
         both = self._both(pair) if pair is not None else None
         if pair is None or both is None:
-            return []
+            return None
         original = both[1]
-        owners = [*heirs.get(original.name, self._rtpu.heirs.callers(original))]
+        owners = [*original.waiting.after] if original.waiting is not None else []
         coming = original.state is State.OFF and task.name in owners
         if not (coming and self._unfallen(original, coming=True)):
-            return []
-        task.stands_by, pair.arranged = pair.original, original
-        self._rtpu.core.follow(task.facts.slot, rt.FALLBACK, [original.facts.slot])
-        return owners
-
-    async def _heard(self, task: Task) -> None:
-        """Wait until a task has answered what was sent behind its `off`."""
-        await asyncio.wait([asyncio.create_task(task.idle())], timeout=TIME)
+            return None
+        self._follow(pair, task, original)
+        return rtpu_messages.Prepare(0, [original.name], owners)
 
     async def _stay(self, task: Task) -> None:
         """Have a task not stand by that could not be turned off, or not get ready."""
         task.stands_by = ""
         if not task.gone.is_set():
-            await rest(self._rtpu, task)
+            await rest(self._rtpu.core, task)
 
     async def withdraw(self, task: Task) -> None:
         """Have a task stand by no longer, if it does: it gets a signal itself."""
@@ -383,7 +352,7 @@ class Fallbacks:
                 and mine.intersection(other.facts.outputs)
                 and self._rtpu.core.snapshot(slot).comes
             ):  # it goes on standing by, so its notice is that of a fallback
-                self._rtpu.core.follow(slot, 0, [])
+                self._rtpu.core.follow(slot, [])
 
     def dismiss_all(self, subsystem: str) -> None:
         """Have nobody engaged any more: the subsystem is being stopped."""
@@ -393,7 +362,7 @@ class Fallbacks:
     def dismiss(self, task: Task) -> None:
         """Have a task not engaged any more, without a word to it: it is being ended."""
         if task.stands_by:
-            self._rtpu.core.follow(task.facts.slot, 0, [])
+            self._rtpu.core.follow(task.facts.slot, [])
             task.stands_by = ""
 
     # -- engaged -----------------------------------------------------------------------
@@ -404,7 +373,7 @@ class Fallbacks:
         if pair is None or not task.stands_by:
             return
         task.stands_by = ""
-        self._rtpu.core.follow(task.facts.slot, 0, [])
+        self._rtpu.core.follow(task.facts.slot, [])
         pair.engaged += 1
         original = self._rtpu.tasks.get((pair.subsystem, pair.original))
         dead = original is None or self._rtpu.core.snapshot(original.facts.slot).dead
@@ -427,60 +396,3 @@ class Fallbacks:
             subsystem=pair.subsystem,
             task=pair.standby,
         )
-
-
-async def stand_by(rtpu: Home, task: Task, end: End, limit: float) -> None:
-    """Have a task that is OFF stand by for others; the dispatcher does the rest.
-
-    Args:
-        rtpu: Where all of them are.
-        task: Comes on when it is engaged.
-        end: What it waits for.
-        limit: Seconds that it may take to get ready.
-
-    Raises:
-        PbonetError: It could not take over: why.
-    """
-    names = [one.name for one in end.of]
-    rtpu.core.follow(task.facts.slot, end.kind, [one.facts.slot for one in end.of])
-    try:
-        await task.command(
-            "prepare",
-            lambda n: rtpu_messages.Prepare(n, names, list(end.owners)),
-            limit,
-        )
-    except BaseException:
-        rtpu.core.follow(task.facts.slot, 0, [])
-        raise
-
-
-async def come(task: Task, limit: float) -> None:
-    """Wait until a task that stands by has come on.
-
-    Raises:
-        NoAnswerError: It was not engaged in time.
-        PbonetError: Its `on` failed.
-    """
-    if task.engaged is None:
-        return
-    try:
-        notice = await asyncio.wait_for(asyncio.shield(task.engaged), limit)
-    except TimeoutError:
-        raise NoAnswerError(
-            "the task did not come on in time",
-            where=task.name,
-            remedy="look at its state, and at what else its RTPU has to do",
-        ) from None
-    if notice.error is not None:
-        raise error_of(notice)
-
-
-async def rest(rtpu: Home, task: Task) -> None:
-    """Have a task that did not come on stand by no longer.
-
-    Of one that has died it stays known what it waited for, until its end is heard of.
-    """
-    if not rtpu.core.snapshot(task.facts.slot).dead:
-        rtpu.core.follow(task.facts.slot, 0, [])
-    with contextlib.suppress(PbonetError):
-        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)

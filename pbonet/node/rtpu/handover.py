@@ -1,11 +1,12 @@
 """Exchanges tasks at the dispatcher: the new ones are released as the old ones end.
 
 Everything that can be done beforehand is: the new task stands by, OFF, and has been
-found able to take over (Stewart 1994, section 3.10). Then the old one is told that its
-next cycle is its last. Behind that, still at the level of its cycles, its `off` runs;
-the dispatcher sees it leave and grants the new one its `on`, which takes the variables
-over as one event; its first cycle is released on the next point of the grid. From the
-word on no message is waited for, neither of the network nor between processes.
+found able to take over (Stewart 1994, section 3.10). Then the next cycle of the old one
+is ordered to be its last. After that, still at the level of its cycles, its `off` runs
+and it calls its successors (`successors`). The dispatcher grants each of them its `on`,
+which takes the variables over as one event; its first cycle is released on the next
+point of the grid. From the order on no message is waited for, neither of the network
+nor between processes.
 """
 
 from __future__ import annotations
@@ -14,15 +15,16 @@ import asyncio
 import time
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from pbonet.analysis.schedule import Mode
 from pbonet.config import TaskType
 from pbonet.errors import PbonetError
-from pbonet.node import rt
 from pbonet.node.wire import lifecycle, rtpu_messages
 from pbonet.pbo import State
 from pbonet.xm.net import Call
 
-from .fallbacks import End, come, rest, stand_by
+from .task_handle import rest
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
@@ -36,52 +38,62 @@ Item = tuple[str, str]
 TRIP = 0.05
 """Seconds in which what is on its way to another RTPU should have come."""
 _LOOK = 0.001
-_NOBODY: dict[str, list[Call]] = {}
 
 
-def exchanges(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> int:
-    """Return how many items at the beginning are carried out together; at least 1.
+def plan(
+    rtpu: Rtpu,
+    subsystem: str,
+    items: Sequence[Item],
+    calls: Mapping[str, list[Call]],
+) -> dict[str, list[str]]:
+    """Return which items at the beginning are carried out together; none: empty.
 
     Items belong together when they stand side by side and each is one of these: an
     ``off`` of a task that is ON and whose variables a later one of them takes over, or
-    the ``on`` of a task that takes variables over from an earlier one.
+    a task that stands by elsewhere; or the ``on`` of a task that takes variables over
+    from earlier ones, which are given for it.
+
+    Args:
+        rtpu: Where the tasks are.
+        subsystem: Whose they are.
+        items: What is left of a list.
+        calls: For tasks that leave, the successors that stand by already.
     """
-    end = 0
-    while end < len(items) and _alike(rtpu, subsystem, items[: end + 1]):
-        end += 1
-    while end > 1 and not _closed(rtpu, subsystem, items[:end]):
-        end -= 1
-    return max(end, 1)
-
-
-def _alike(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> bool:
-    """Tell whether the last item may belong to an exchange with those before it."""
-    name, signal = items[-1]
-    task = rtpu.tasks.get((subsystem, name))
-    if task is None or name in {one for one, _ in items[:-1]}:
-        return False
-    wanted = {"off": State.ON, "on": State.OFF}.get(signal)
-    return task.state is wanted and bool(task.facts.outputs) and not task.busy
-
-
-def _closed(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> bool:
-    """Tell whether everybody has an heir, or is one."""
-    heirs = _heirs(rtpu, subsystem, items)
-    going = {name for name, signal in items if signal == "off"}
-    return all(heirs.values()) and going == set().union(*heirs.values(), set())
-
-
-def _heirs(rtpu: Rtpu, subsystem: str, items: Sequence[Item]) -> dict[str, list[str]]:
-    """Return for each task that comes which of those before it hand over to it."""
     found: dict[str, list[str]] = {}
-    gone: dict[str, set[str]] = {}
+    closed: dict[str, list[str]] = {}
+    alone: set[str] = set()
     for name, signal in items:
-        outputs = set(rtpu.need(subsystem, name).facts.outputs)
+        task = rtpu.tasks.get((subsystem, name))
+        if task is None or name in found or not _is_exchanged(task, signal):
+            break
+        found[name] = []
         if signal == "off":
-            gone[name] = outputs
+            alone |= {name} - calls.keys()
         else:
-            found[name] = [old for old, theirs in gone.items() if theirs & outputs]
-    return found
+            mine = set(task.facts.outputs)
+            olds = [rtpu.need(subsystem, one) for one in found if one != name]
+            found[name] = [
+                one.name
+                for one in olds
+                if one.state is State.ON and mine & set(one.facts.outputs)
+            ]
+            if not found[name]:
+                break
+            alone -= set(found[name])
+        if not alone:
+            closed = dict(found)
+    return closed
+
+
+def _is_exchanged(task: Task, signal: str) -> bool:
+    """Tell whether an item may be part of an exchange."""
+    wanted = {"off": State.ON, "on": State.OFF}.get(signal)
+    return (
+        task.state is wanted
+        and bool(task.facts.outputs)
+        and not task.busy
+        and (signal == "off" or task.waiting is None)
+    )
 
 
 def shortest_period(tasks: Iterable[Task]) -> float:
@@ -95,62 +107,48 @@ def longest_period(tasks: Iterable[Task]) -> float:
     return 1.0 / min((t.freq for t in tasks if t.freq), default=1.0)
 
 
-def calling(items: Sequence[Item], calls: Mapping[str, list[Call]]) -> int:
-    """Return how many items at the beginning are ``off`` of tasks that call."""
-    length = 0
-    while (
-        length < len(items)
-        and items[length][1] == "off"
-        and (items[length][0] in calls)
-    ):
-        length += 1
-    return length
-
-
 class Exchange:
     """One exchange under way.
 
     Args:
         rtpu: Where all tasks are.
         subsystem: Whose they are.
-        items: ``off`` and ``on`` items, as `exchanges` has found them.
-        limit: Seconds that each step may take.
-        calls: For tasks that leave whom of other RTPUs they call; then all of them do.
-        slowest: Seconds in which tasks of other RTPUs leave for the same heirs.
+        after: The tasks in their order, and of each that comes on its predecessors; see
+            `plan`.
+        limit: Seconds that it may take.
+        calls: For tasks that leave, the successors that stand by already.
+        slowest: Seconds in which tasks of other RTPUs leave for the same successors.
     """
 
     def __init__(
         self,
         rtpu: Rtpu,
         subsystem: str,
-        items: Sequence[Item],
+        after: Mapping[str, list[str]],
         limit: float,
-        calls: Mapping[str, list[Call]] = _NOBODY,
+        calls: Mapping[str, list[Call]] | None = None,
         *,
         slowest: float = 0.0,
     ) -> None:
         self._rtpu = rtpu
-        self._items = items
+        self._items = [(name, "on" if olds else "off") for name, olds in after.items()]
         self._deadline = time.monotonic() + limit
-        self._after = {
-            name: [rtpu.need(subsystem, old) for old in olds]
-            for name, olds in _heirs(rtpu, subsystem, items).items()
+        self._after = after
+        tasks = {name: rtpu.need(subsystem, name) for name in after}
+        self._news = [tasks[name] for name, olds in after.items() if olds]
+        self._olds = [tasks[name] for name, olds in after.items() if not olds]
+        self._calls = {
+            task.name: [*(calls or {}).get(task.name, ())] for task in self._olds
         }
-        tasks = {name: rtpu.need(subsystem, name) for name, _ in items}
-        self._news = [tasks[name] for name, signal in items if signal == "on"]
-        self._olds = [tasks[name] for name, signal in items if signal == "off"]
-        self._calls = calls
         self._slowest = slowest
         self._came: set[str] = set()
         """Tasks that have come on; one may have failed in a cycle since."""
         self._ended: set[str] = set()
         """Tasks that have ended in order; one may have been engaged since."""
         self._unheard: set[str] = set()
-        """Tasks that have ended and whose heirs elsewhere were not there any more."""
+        """Tasks that have ended and whose successors have died."""
         self.failed: dict[str, PbonetError] = {}
-        """What went wrong, by task."""
-        self.unseen: list[str] = []
-        """Heirs that cannot be called from here; then nothing was done."""
+        """Errors, by task."""
 
     @property
     def undone(self) -> list[Item]:
@@ -173,10 +171,9 @@ class Exchange:
         """
         self._rtpu.rank(*self._news)
         await self._each(self._news, self._prepare)
-        if self._calls:
-            near = [task for task in self._olds if not self._is_far(task)]
-            await self._each(near, self._send_heralds)
-        if not self.failed and not self.unseen:
+        if not self.failed:
+            await self._each(self._olds, self._learn)
+        if not self.failed:
             timer = self._watched(slow)
             try:
                 await self._each(self._olds, self._end)
@@ -190,9 +187,7 @@ class Exchange:
         await self._each([t for t in self._olds if self._has_rest(t)], self._disown)
         for task in self._news:
             if not self._has_come(task):
-                await self._rtpu.fallbacks.spare(task)
-                if task.state is State.OFF:
-                    await rest(self._rtpu, task)
+                await self._rtpu.successors.give_up(task)
 
     def _watched(self, slow: Callable[[], None]) -> asyncio.TimerHandle:
         """Have `slow` called unless all new tasks are armed by then."""
@@ -220,53 +215,49 @@ class Exchange:
                 raise error
 
     async def _prepare(self, task: Task) -> None:
-        await self._rtpu.heirs.withdraw(task)
-        await self._rtpu.fallbacks.withdraw(task)
+        """Have a task stand by; its predecessors call it."""
         self._rtpu.fallbacks.overtaken(task)
-        task.engaged = asyncio.get_running_loop().create_future()
-        after = self._after[task.name]
-        await stand_by(self._rtpu, task, End(rt.HANDOVER, after), self._left)
-        await self._rtpu.fallbacks.ready(task, [old.name for old in after])
+        olds = self._after[task.name]
+        calls = await self._rtpu.successors.stand_by(task, olds, self._left)
+        for old, call in zip(olds, calls, strict=True):
+            self._calls[old].append(call)
 
-    async def _send_heralds(self, task: Task) -> None:
-        calls = self._calls.get(task.name, [])
-        done = await task.command(
-            "herald", lambda n: rtpu_messages.Herald(n, calls), self._left
-        )
-        self.unseen += done.result
+    async def _learn(self, task: Task) -> None:
+        """Have a task find the successors on other cores that it calls itself."""
+        near, here = self._near(task), self._rtpu.core.core
+        if any(call.core != here for call in near):
+            await task.command(
+                "calls", lambda n: rtpu_messages.Calls(n, near), self._left
+            )
 
     async def _end(self, task: Task) -> None:
         """Let the task's next cycle be its last.
 
-        For heirs on other machines it gives its variables up: an owner is known to have
-        ended there by the news that nobody owns them any more.
+        For successors on other machines it gives its variables up: an owner is known to
+        have ended there by the news that nobody owns them any more.
         """
-        await self._rtpu.heirs.withdraw(task)
-        far = self._is_far(task)
-        done = await self._rtpu.fallbacks.turn_off(
+        await self._rtpu.successors.withdraw(task)
+        cede, calls = not self._is_far(task), self._near(task)
+        gone = await self._rtpu.fallbacks.turn_off(
             task,
-            lambda n: rtpu_messages.Signal(n, "off", handover=True, cede=not far),
+            lambda n, then: rtpu_messages.Signal(
+                n, "off", handover=True, cede=cede, calls=calls, then=then
+            ),
             self._left,
             last=task.facts.rmod.tasktype is TaskType.PERIODIC,
-            heirs={
-                new: [old.name for old in olds] for new, olds in self._after.items()
-            },
         )
         self._ended.add(task.name)
-        if done.result and not far:
+        if gone:
             self._unheard.add(task.name)
 
     async def _come(self, task: Task) -> None:
-        """Wait until the task has come on, unless who should hand over failed."""
-        if task.engaged is None or any(
-            old.name in self.failed for old in self._after[task.name]
-        ):
-            return
-        await come(task, self._left)
-        self._came.add(task.name)
+        """Wait until the task has come on, unless one that hands over to it failed."""
+        if not self.failed.keys() & set(self._after[task.name]):
+            await self._rtpu.successors.come(task, self._left)
+            self._came.add(task.name)
 
     async def _taken(self) -> None:
-        """Wait a moment until heirs on other RTPUs have taken over what is theirs."""
+        """Wait a moment until successors on other RTPUs have taken over."""
         ended = [
             task
             for task in self._olds
@@ -276,27 +267,44 @@ class Exchange:
         looks = 0  # a machine that stands still takes none of them
         while time.monotonic() < end or looks < round(TRIP / _LOOK):
             looks += 1
-            if all(self._written(task, self._called_for(task)) for task in ended):
+            if all(
+                self._written(task, self._due(task, elsewhere=True)) for task in ended
+            ):
                 break
             await asyncio.sleep(_LOOK)
 
+    def _near(self, task: Task) -> list[Call]:
+        """Return the calls that a task makes itself."""
+        return [call for call in self._calls[task.name] if not call.far]
+
     def _is_far(self, task: Task) -> bool:
-        """Tell whether a task's heirs are on other machines, and called from there."""
-        calls = self._calls.get(task.name, ())
-        return bool(calls) and all(call.far for call in calls)
+        """Tell whether the agent calls a successor, which is on another machine."""
+        return any(call.far for call in self._calls[task.name])
 
     def _call_far(self) -> None:
-        """Have those called that are on other machines; here all is done for them."""
-        ended = [one for one in self._olds if one.name in self._ended]
-        calls = [c for one in ended if self._is_far(one) for c in self._calls[one.name]]
+        """Have the agent call on other machines; here all is done for them."""
+        calls: list[Call] = []
+        for task in self._olds:
+            if task.name in self._ended:
+                calls += [
+                    structs.replace(call, outputs=_both(call, task))
+                    for call in self._calls[task.name]
+                    if call.far
+                ]
         if calls and self._rtpu.call_far is not None:
-            self._rtpu.call_far(ended[0].facts.subsystem, calls)
+            self._rtpu.call_far(self._olds[0].facts.subsystem, calls)
 
-    def _called_for(self, task: Task) -> list[str]:
-        """Return what those write that a task calls itself."""
-        calls = () if self._is_far(task) else self._calls.get(task.name, ())
-        theirs = {output for call in calls for output in call.outputs}
-        return [output for output in task.facts.outputs if output in theirs]
+    def _due(self, task: Task, *, elsewhere: bool = False) -> list[str]:
+        """Return which outputs of a task are written by those that it calls itself.
+
+        Args:
+            task: It leaves.
+            elsewhere: Whether only those on other RTPUs count.
+        """
+        calls = self._near(task)
+        if elsewhere:
+            calls = [call for call in calls if call.successor not in self._after]
+        return sorted({output for call in calls for output in _both(call, task)})
 
     def _written(self, task: Task, outputs: Sequence[str]) -> bool:
         subsystem = task.facts.subsystem
@@ -308,38 +316,30 @@ class Exchange:
 
     def _has_rest(self, task: Task) -> bool:
         """Tell whether a task owns what nobody has taken over."""
-        if task.state is not State.OFF or self._is_far(task):
-            return False
-        if self._calls:
-            return not self._written(task, task.facts.outputs)
-        taken = {
-            output
-            for new in self._news
-            if self._has_come(new)
-            for output in new.facts.outputs
-        }
-        return not taken.issuperset(task.facts.outputs)
+        return (
+            task.state is State.OFF
+            and not self._is_far(task)
+            and not self._written(task, task.facts.outputs)
+        )
 
     def _abandon(self) -> None:
         """Raise the flag for what nobody has taken over, and will not any more.
 
         It goes up before the variables are given up, and before it is known what has
-        become of heirs that do not answer.
+        become of successors that do not answer.
         """
-        late = [new for new in self._news if new.name not in self._came]
-        heirs = {output for new in late for output in new.facts.outputs}
         for task in self._olds:
             if task.state is not State.OFF:
                 continue
-            due = heirs.union(self._called_for(task))
-            mine = [output for output in task.facts.outputs if output in due]
-            left = [output for output in mine if not self._written(task, [output])]
+            due = self._due(task)
+            left = [output for output in due if not self._written(task, [output])]
             if left:
                 subsystem = task.facts.subsystem
                 self._rtpu.flags.abandoned(subsystem, task.name, left)
-        for task in late:
-            if task.gone.is_set() and not task.stopping:
-                self._rtpu.heirs.died(task, ended=True)
+        for task in self._news:
+            late = task.name not in self._came
+            if late and task.gone.is_set() and not task.stopping:
+                self._rtpu.successors.died(task, ended=True)
 
     async def _disown(self, task: Task) -> None:
         await task.command("disown", rtpu_messages.Disown, 1.0)
@@ -357,8 +357,8 @@ class Exchange:
         await task.idle()
         if task.state is not State.OFF:
             return False
-        if not task.stands_by:  # it may have got ready behind its `off`
-            await rest(self._rtpu, task)
+        if not task.stands_by:  # it may have got ready after its `off`
+            await rest(self._rtpu.core, task)
         await self._disown(task)
         return True
 
@@ -369,3 +369,8 @@ class Exchange:
             (tasks[name], lifecycle.Event(signal), self.failed.get(name))
             for name, signal in self._items
         ]
+
+
+def _both(call: Call, task: Task) -> list[str]:
+    """Return what a task and the successor that it calls both write."""
+    return [output for output in task.facts.outputs if output in call.outputs]

@@ -1,20 +1,22 @@
 """An RTPU's entries in the illegal-configuration flag (Stewart 1994, section 3.10).
 
-An entry stands while a task that others may depend on is in ERROR or dead, while a
-reconfiguration takes longer than a cycle, or when its other part has not come. It goes
-when the task recovers, is killed or spawned again, or when all it wrote is written by
-others.
+An entry is raised by an event: a task that others may depend on is in ERROR or dead, a
+reconfiguration takes longer than a cycle, or its other part has not come. Whether it
+still stands follows from the table: it goes as soon as living tasks own all variables
+that were missing, whichever RTPU they are on. Entries without such variables stand
+until they are withdrawn.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
-from pbonet.errors import Severity, SvarError, SvarFullError
+from pbonet.errors import Severity, SvarError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -29,47 +31,47 @@ UNFINISHED = "unfinished"
 """Raises the entry of a list whose other part, on another RTPU, has not come."""
 
 
-class _Handed(Struct):
-    """A variable that a list has handed over."""
-
-    by: str
-    """The task that wrote it."""
-
-
-class _Unfed(Struct):
-    """What a master has found: inputs without a writer."""
+class _Entry(Struct):
+    """A reason for the flag to be up."""
 
     opened: Opened
-    """The table whose flag is up for it."""
-    variables: Collection[str]
+    raiser: str
+    cause: str
+    missing: Collection[str] | None = None
+    """Variables that nobody writes; None: the entry stands until it is withdrawn."""
+    but: str = ""
+    """A task that does not count as a writer of them."""
+    by: Mapping[str, str] = {}
+    """The task that has handed each variable over; only of a list."""
+    pending: bool = False
+    """It is not raised yet: tasks on another RTPU may take over still."""
+    generation: int = -1
+    """That of the table when the entry was evaluated last."""
 
 
 class Flags:
-    """What one RTPU has raised, and on the keeper of a table what masters have.
+    """Causes raised by one RTPU, and on a table's keeper those of masters.
 
     Args:
         rtpu: Its name.
         tables: The tables that have the flags.
-        events: Where to tell which causes come and go.
+        events: Where to report which causes come and go.
     """
 
     def __init__(self, rtpu: str, tables: Tables, events: EventLog) -> None:
         self._rtpu = rtpu
         self._events = events
-        self._seen: dict[str, dict[tuple[str, str], None]] = {}
-        """Causes and raisers that stood at the last look, by subsystem."""
         self._tables = tables
-        self._outputs: dict[tuple[str, str], Collection[str]] = {}
-        self._refused: dict[tuple[str, str], str] = {}
-        """Causes for which there was no room; raised again when others have gone."""
-        self._ceded: dict[str, dict[int, int]] = {}
-        """What tasks wrote last that have ended and whose heir has failed: by subsystem
-        the number of a commit for each register."""
-        self._handed: dict[tuple[str, str], _Handed] = {}
-        """Variables that lists have handed over; those for which nobody has come are
-        among the outputs of the entry `UNFINISHED`."""
-        self._unfed: dict[tuple[str, str], _Unfed] = {}
-        """Entries of masters that go by themselves, by subsystem and cause."""
+        self._reported: dict[str, dict[tuple[str, str], None]] = {}
+        """Causes and raisers that were reported, by subsystem."""
+        self._entries: dict[tuple[str, str, str], _Entry] = {}
+        """By subsystem, name and, where a name has several, a cause."""
+        self._ended: dict[str, dict[int, int]] = {}
+        """Last commits of tasks that have ended and own their variables still, because
+        a successor was to take them: by subsystem a number for each register."""
+        self._number = itertools.count()
+        self.waits = asyncio.Event()
+        """Set while an entry goes when a task writes: call `glance` now and then."""
 
     def up(
         self, subsystem: str, name: str, cause: str, outputs: Collection[str] = ()
@@ -86,27 +88,21 @@ class Flags:
         opened = self._tables.sound(subsystem)
         if opened is None:
             return
-        if outputs:
-            self._outputs[subsystem, name] = outputs
-        self._refused.pop((subsystem, name), None)
-        try:
-            opened.table.raise_illegal(cause, self._raiser(name))
-        except SvarFullError:  # other causes hold the flag up meanwhile
-            self._refused[subsystem, name] = cause
-        except SvarError:
-            pass  # the table is gone, and with it the flag
-        self.look()
+        before = self._entries.get((subsystem, name, ""))
+        missing = outputs or (before.missing if before else None)
+        entry = _Entry(opened, f"{self._rtpu}/{name}", cause, missing, name)
+        self._entries[subsystem, name, ""] = entry
+        self.evaluate()
 
     def down(self, subsystem: str, name: str) -> None:
-        """Withdraw an entry, told if it was raised natively; harmless without one."""
-        self._outputs.pop((subsystem, name), None)
-        self._refused.pop((subsystem, name), None)
+        """Withdraw an entry, also one raised natively; harmless without one."""
+        self._entries.pop((subsystem, name, ""), None)
         opened = self._tables.sound(subsystem)
         if opened is not None:
             with contextlib.suppress(SvarError):
-                self.look()
-                opened.table.clear_illegal(self._raiser(name))
-                self.look()
+                self.report()
+                opened.table.clear_illegal(f"{self._rtpu}/{name}")
+                self.report()
 
     def narrow(self, subsystem: str, name: str, outputs: Collection[str]) -> None:
         """Have an entry go when those of its outputs are written that are among these.
@@ -116,13 +112,12 @@ class Flags:
             name: The task that the entry is about; harmless when there is none.
             outputs: What the task's fallback writes, which has taken its place.
         """
-        stands = self._outputs.get((subsystem, name))
-        if stands is not None:
-            left = [output for output in stands if output in outputs]
-            self._outputs[subsystem, name] = left
+        entry = self._entries.get((subsystem, name, ""))
+        if entry is not None and entry.missing is not None:
+            entry.missing = [output for output in entry.missing if output in outputs]
 
     def master_found(self, subsystem: str, cause: str, unfed: Collection[str]) -> None:
-        """Raise an entry for a master, whose look at the tasks may be an old one.
+        """Raise an entry for a master, whose knowledge of the tasks may be old.
 
         Args:
             subsystem: Whose flag.
@@ -142,8 +137,10 @@ class Flags:
             return
         opened.table.raise_illegal(cause, MASTER)
         if unfed:
-            self._unfed[subsystem, cause] = _Unfed(opened, unfed)
-        self.look()
+            self._entries[subsystem, MASTER, cause] = _Entry(
+                opened, MASTER, cause, unfed
+            )
+        self.evaluate()
 
     def master_mended(self, subsystem: str, cause: str) -> None:
         """Withdraw an entry of a master; harmless when there is none.
@@ -152,41 +149,36 @@ class Flags:
             SvarMissingError: The table is not open.
             SvarOwnerError: Another process has raised it, and lives.
         """
-        self._unfed.pop((subsystem, cause), None)
+        self._entries.pop((subsystem, MASTER, cause), None)
         self._tables.need(subsystem).table.clear_illegal(MASTER, cause=cause)
-        self.look()
+        self.report()
 
     def written(
         self, subsystem: str, outputs: Collection[str], *, but: str = ""
     ) -> bool:
-        """Tell whether tasks own all of these variables, and other ones than `but`.
-
-        Those that have ended, and wait for an heir that will not come, are none.
-        """
+        """Tell whether living tasks other than `but` own all of these variables."""
         opened = self._tables.sound(subsystem)
         if opened is None:
             return False
-        gone = self._ceded.get(subsystem, {})
+        ended = self._ended.get(subsystem, {})
         found = [opened.table.info(output) for output in outputs]
         return all(
-            one.owner not in {None, but} and gone.get(one.register) != one.seq
+            one.owner not in {None, but} and ended.get(one.register) != one.seq
             for one in found
         )
 
     def ceded(self, subsystem: str, outputs: Collection[str]) -> None:
-        """Take note that whoever owns variables has ended, and nobody takes over."""
+        """Take note that the owners of variables have ended, and nobody takes over."""
         opened = self._tables.sound(subsystem)
         if opened is not None:
             owned = [opened.table.info(output) for output in outputs]
             last = {one.register: one.seq for one in owned}
-            self._ceded.setdefault(subsystem, {}).update(last)
+            self._ended.setdefault(subsystem, {}).update(last)
 
     def expect(
         self, subsystem: str, outputs: Mapping[str, str], done: str, within: float
     ) -> None:
         """Raise an entry unless others have taken variables over by then.
-
-        Those that others write already are done with, whatever comes behind that.
 
         Args:
             subsystem: Whose variables.
@@ -194,66 +186,81 @@ class Flags:
             done: What of the list is done.
             within: Seconds.
         """
-        handed: dict[tuple[str, str], _Handed] = {}
-        for output, by in outputs.items():
-            self._handed.pop((subsystem, output), None)
-            if not self.written(subsystem, [output], but=by):
-                handed[subsystem, output] = _Handed(by)
-        if not handed:
+        for old in self._unfinished(subsystem):
+            if old.pending:
+                old.missing = [one for one in old.missing or () if one not in outputs]
+        handed = [
+            output
+            for output, by in outputs.items()
+            if not self.written(subsystem, [output], but=by)
+        ]
+        opened = self._tables.sound(subsystem)
+        if opened is None or not handed:
             return
-        self._handed |= handed
-
-        def look() -> None:
-            due = [key for key, one in handed.items() if self._handed.get(key) is one]
-            self._unfinished(subsystem, [output for _, output in due], done)
-
-        asyncio.get_running_loop().call_later(within, look)
+        raiser = f"{self._rtpu}/{UNFINISHED}"
+        cause = f"{done} is done, and nobody took over "
+        entry = _Entry(opened, raiser, cause, handed, by=dict(outputs), pending=True)
+        self._entries[subsystem, UNFINISHED, str(next(self._number))] = entry
+        if within:
+            loop = asyncio.get_running_loop()
+            loop.call_later(within, self._due, subsystem, entry)
+        else:
+            self._due(subsystem, entry)
 
     def abandoned(self, subsystem: str, by: str, outputs: Collection[str]) -> None:
-        """Raise an entry: a task is off, and who was to take over will not come.
+        """Raise an entry: a task is off, and its successor will not come.
 
         Args:
             subsystem: Whose variables.
             by: The task that has handed them over; it may own them still.
             outputs: Their names.
         """
-        self._handed |= {(subsystem, output): _Handed(by) for output in outputs}
         self.ceded(subsystem, outputs)
-        self._unfinished(subsystem, outputs, f"off {by}")
+        self.expect(subsystem, dict.fromkeys(outputs, by), f"off {by}", 0.0)
 
-    def _unfinished(self, subsystem: str, outputs: Collection[str], done: str) -> None:
-        """Raise an entry for those of them that nobody writes, if they have none."""
-        before = self._outputs.get((subsystem, UNFINISHED), ())
+    def _due(self, subsystem: str, entry: _Entry) -> None:
+        """Raise an entry for variables that nobody writes and no other entry names."""
+        if not any(one is entry for one in self._unfinished(subsystem)):
+            return
+        known = {
+            output
+            for one in self._unfinished(subsystem)
+            if not one.pending
+            for output in one.missing or ()
+        }
         left = [
             output
-            for output in outputs
-            if output not in before and not self.written(subsystem, [output])
+            for output in entry.missing or ()
+            if output not in known and not self.written(subsystem, [output])
         ]
-        if left:
-            what = f"{done} is done, and nobody took over {' '.join(left)}"
-            self.up(subsystem, UNFINISHED, what, [*before, *left])
+        entry.pending, entry.missing = False, left
+        entry.cause += " ".join(left)
+        self.evaluate()
 
     def decided(self, subsystem: str, handover: Collection[str] = ()) -> None:
-        """Look no more at what was handed over before: what comes was decided anew.
+        """Withdraw what was raised for earlier lists: what comes was decided anew.
 
         Args:
             subsystem: Whose variables.
             handover: Tasks that hand over in the list that was decided on. What one of
-                them has handed over in an earlier part of it is looked at still.
+                them has handed over in an earlier part of it still counts.
         """
-        for key, one in list(self._handed.items()):
-            if key[0] == subsystem and one.by not in handover:
-                del self._handed[key]
-        raised = self._outputs.get((subsystem, UNFINISHED), ())
-        left = [output for output in raised if (subsystem, output) in self._handed]
-        if left:
-            self._outputs[subsystem, UNFINISHED] = left
-        else:
-            self.down(subsystem, UNFINISHED)
+        for entry in self._unfinished(subsystem):
+            entry.missing = [
+                output for output in entry.missing or () if entry.by[output] in handover
+            ]
+        self.evaluate()
+
+    def _unfinished(self, subsystem: str) -> list[_Entry]:
+        return [
+            entry
+            for (whose, name, _), entry in self._entries.items()
+            if (whose, name) == (subsystem, UNFINISHED)
+        ]
 
     def forget(self, subsystem: str) -> None:
         """Forget what was handed over: all tasks of the subsystem have ended."""
-        self._ceded.pop(subsystem, None)
+        self._ended.pop(subsystem, None)
         self.decided(subsystem)
 
     def owners(self, subsystem: str, outputs: Collection[str]) -> set[str]:
@@ -264,14 +271,14 @@ class Flags:
         found = {opened.table.info(output).owner for output in outputs}
         return {owner for owner in found if owner}
 
-    def look(self) -> None:
-        """Tell which causes have come and gone: those of this RTPU and its tasks.
+    def report(self) -> None:
+        """Report which causes have come and gone: those of this RTPU and its tasks.
 
-        What a master has raised is told by the keeper of the table.
+        Causes that a master has raised are reported by the keeper of the table.
         """
-        for subsystem in {*self._tables.subsystems(), *self._seen}:
+        for subsystem in {*self._tables.subsystems(), *self._reported}:
             opened = self._tables.sound(subsystem)
-            before = self._seen.pop(subsystem, {})
+            before = self._reported.pop(subsystem, {})
             if opened is None:
                 continue
             now = {
@@ -280,43 +287,53 @@ class Flags:
                 if cause.raiser.startswith(f"{self._rtpu}/")
                 or (opened.keep and "/" not in cause.raiser)
             }
-            self._seen[subsystem] = now
-            self._tell(subsystem, now.keys() - before, up=True)
-            self._tell(subsystem, before.keys() - now, up=False)
+            self._reported[subsystem] = now
+            for cause, raiser in now.keys() - before:
+                self._add(Severity.WARNING, "ILLEGAL", f"{cause} ({raiser})", subsystem)
+            for cause, raiser in before.keys() - now:
+                text = f"no longer: {cause} ({raiser})"
+                self._add(Severity.INFO, "LEGAL", text, subsystem)
 
-    def _tell(
-        self, subsystem: str, causes: Collection[tuple[str, str]], *, up: bool
-    ) -> None:
-        for cause, raiser in causes:
-            text = f"{cause} ({raiser})"
-            self._events.add(
-                Severity.WARNING if up else Severity.INFO,
-                "ILLEGAL" if up else "LEGAL",
-                text if up else f"no longer: {text}",
-                subsystem=subsystem,
-            )
+    def _add(self, severity: Severity, code: str, text: str, subsystem: str) -> None:
+        self._events.add(severity, code, text, subsystem=subsystem)
 
-    def relieve(self) -> None:
-        """Withdraw entries for outputs that others write now; raise refused ones."""
-        for (subsystem, name), cause in list(self._refused.items()):
-            self.up(subsystem, name, cause)
-        for (subsystem, name), outputs in list(self._outputs.items()):
-            opened = self._tables.sound(subsystem)
-            if opened is None:
-                del self._outputs[subsystem, name]
-            elif self.written(subsystem, outputs, but=name):
-                self.down(subsystem, name)
-        self._relieve_masters()
-        self.look()
+    def glance(self) -> None:
+        """Evaluate anew if variables have changed hands since, on whichever RTPU."""
+        for (subsystem, *_), entry in self._entries.items():
+            if self._tables.sound(subsystem) is not entry.opened or (
+                entry.generation != entry.opened.table.generation
+            ):
+                self.evaluate()
+                return
 
-    def _relieve_masters(self) -> None:
-        """Withdraw masters' entries for inputs that tasks write now."""
-        for (subsystem, cause), unfed in list(self._unfed.items()):
-            if self._tables.sound(subsystem) is not unfed.opened:
-                del self._unfed[subsystem, cause]
-            elif self.written(subsystem, unfed.variables):
-                with contextlib.suppress(SvarError):
-                    self.master_mended(subsystem, cause)
+    def evaluate(self) -> None:
+        """Bring the flag in line with the table.
 
-    def _raiser(self, name: str) -> str:
-        return f"{self._rtpu}/{name}"
+        Entries go whose variables are written; one is raised again for which there was
+        no room.
+        """
+        if self._entries:
+            self.report()
+        for key, entry in list(self._entries.items()):
+            subsystem, _, several = key
+            opened = entry.opened
+            if self._tables.sound(subsystem) is not opened:
+                del self._entries[key]
+                continue
+            entry.generation = opened.table.generation
+            if entry.pending:
+                continue
+            with contextlib.suppress(SvarError):  # no room: other causes hold it up
+                if entry.missing is None or not self.written(
+                    subsystem, entry.missing, but=entry.but
+                ):
+                    opened.table.raise_illegal(entry.cause, entry.raiser)
+                    continue
+                del self._entries[key]
+                one = entry.cause if several else ""
+                opened.table.clear_illegal(entry.raiser, one)
+        if any(entry.missing is not None for entry in self._entries.values()):
+            self.waits.set()
+        else:
+            self.waits.clear()
+        self.report()

@@ -11,10 +11,10 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import glob
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from pbonet import shm
 from pbonet.errors import NodeError
 from pbonet.node.ring import Ring
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from .task_handle import Task
 
-FOLDER: Final = "/dev/shm"  # noqa: S108 - where POSIX shared memory is
 MOST: Final = 16
 """Rings of an RTPU that wait for a recorder, of 1 MiB each; more are not left."""
 _ENDING: Final = ".ring"
@@ -44,8 +43,7 @@ def let_ring_go(task: Task, recording: Recording | None) -> None:
     try:
         ring = Ring.attach(task.facts.ring)
     except (NodeError, ValueError):  # it ended before it had one, or as it made it
-        name = f"pbonet.{os.geteuid()}.{task.facts.ring}{_ENDING}"
-        (_folder() / name).unlink(missing_ok=True)
+        shm.path_of(task.facts.ring + _ENDING).unlink(missing_ok=True)
         return
     if (
         recording is not None
@@ -87,9 +85,5 @@ def sweep(domain: str, rtpu: str) -> None:
 
 def _left(domain: str, rtpu: str) -> list[Path]:
     domain, rtpu = glob.escape(domain), glob.escape(rtpu)
-    pattern = f"pbonet.{os.geteuid()}.{domain}.*{_LEFT}{rtpu}.*{_ENDING}"
-    return list(_folder().glob(pattern))
-
-
-def _folder() -> Path:
-    return Path(os.environ.get("PBONET_SHM_DIR") or FOLDER)
+    pattern = shm.own(f"{domain}.*{_LEFT}{rtpu}.*{_ENDING}")
+    return list(shm.folder().glob(pattern))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Wish(Struct, kw_only=True):
-    """What is known of one task before it is ranked."""
+    """A task before it is ranked."""
 
     name: str
     rmod: Rmod
@@ -37,7 +37,7 @@ class Wish(Struct, kw_only=True):
 
 
 class Ranked(Struct, frozen=True):
-    """What a task is ranked by."""
+    """The rank of a task."""
 
     crit: int
     priority: int

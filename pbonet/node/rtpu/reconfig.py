@@ -15,13 +15,13 @@ from pbonet.node.wire import lifecycle
 from pbonet.pbo import State
 from pbonet.xm.net import Reconfigured
 
-from .handover import TRIP, Exchange, calling, exchanges, shortest_period
+from .handover import TRIP, Exchange, plan, shortest_period
 from .signal_tasks import control, note
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pbonet.xm.net import Call, Reconfig
+    from pbonet.xm.net import Reconfig
 
     from .handover import Item
     from .rtpu_state import Rtpu
@@ -81,21 +81,19 @@ class _List:
                 self._rtpu.flags.decided(
                     self._request.subsystem, named.union(self._request.handover)
                 )
-            self._await_heirs(items[:begin])
+            self._expect_others(items[:begin])
         self._result.done = len(items) - len(self._result.rest)
         return self._result
 
     async def _next(self, items: Sequence[Item]) -> tuple[list[Item], int]:
         """Carry out what comes next; return what of it was not done, and its length."""
-        calls = self._request.calls
-        if length := calling(items, calls):
-            return await self._exchange(items[:length], calls), length
-        length = exchanges(self._rtpu, self._request.subsystem, items)
-        if length > 1:
-            return await self._exchange(items[:length]), length
+        request = self._request
+        after = plan(self._rtpu, request.subsystem, items, request.calls)
+        if after:
+            return await self._exchange(after), len(after)
         return await self._one(items[0], items[1:]), 1
 
-    def _await_heirs(self, done: Sequence[Item]) -> None:
+    def _expect_others(self, done: Sequence[Item]) -> None:
         """Raise the flag if those that take over on other RTPUs do not come.
 
         A master that has died amid its list sends no more. This RTPU's part is done,
@@ -124,13 +122,13 @@ class _List:
             return []
         try:
             task = self._rtpu.need(request.subsystem, name)
-            if signal == "on" and await self._rtpu.heirs.asked(task):
-                await self._heir(task)
+            if signal == "on" and await self._rtpu.successors.asked(task):
+                await self._come(task)
                 return []
             if signal == "on" or task.state is State.ON:  # else no inputs change
                 self._slow.begin()
             goes = signal == "off" and (
-                name in request.handover or self._has_heir(task, rest)
+                name in request.handover or self._has_successor(task, rest)
             )
             await control(self._rtpu, task, signal, request.timeout, handover=goes)
         except PbonetError as error:
@@ -139,7 +137,7 @@ class _List:
         self._result.states[name] = task.state.value
         return []
 
-    async def _heir(self, task: Task) -> None:
+    async def _come(self, task: Task) -> None:
         """Wait until a task that stands by for others elsewhere has come on.
 
         Raises:
@@ -147,34 +145,28 @@ class _List:
         """
         failed: PbonetError | None = None
         try:
-            await self._rtpu.heirs.come(task, self._request.timeout)
+            await self._rtpu.successors.come(task, self._request.timeout)
         except PbonetError as error:
             failed = error
+            await self._rtpu.successors.give_up(task)
             raise
         finally:
             note(self._rtpu, task, lifecycle.Event.ON, failed)
             self._result.states[task.name] = task.state.value
 
-    async def _exchange(
-        self, items: Sequence[Item], calls: Mapping[str, list[Call]] | None = None
-    ) -> list[Item]:
+    async def _exchange(self, after: Mapping[str, list[str]]) -> list[Item]:
         """Exchange tasks; return what was not done, that which failed first."""
         request = self._request
-        subsystem, limit = request.subsystem, request.timeout
-        try:
-            made = Exchange(
-                self._rtpu,
-                subsystem,
-                items,
-                limit,
-                calls or {},
-                slowest=request.slowest,
-            )
-        except PbonetError as gone:  # one has died since the list began
-            self._result.error = gone.to_wire()
-            return list(items)
+        subsystem = request.subsystem
+        made = Exchange(
+            self._rtpu,
+            subsystem,
+            after,
+            request.timeout,
+            request.calls,
+            slowest=request.slowest,
+        )
         await made.run(self._slow.up)
-        self._result.unseen = made.unseen
         for task, event, error in made.events():
             self._result.states[task.name] = task.state.value
             on = event is lifecycle.Event.ON
@@ -186,7 +178,7 @@ class _List:
             self._rtpu.flags.up(subsystem, task.name, cause, task.facts.outputs)
             self._rtpu.later(self._late(made, task), f"off of {task.name}")
         undone = made.undone
-        if undone and made.failed and not made.unseen:
+        if undone and made.failed:
             first = made.failed.get(undone[0][0]) or next(iter(made.failed.values()))
             self._result.error = first.to_wire()
         return undone
@@ -197,14 +189,14 @@ class _List:
             if await made.late(task):
                 note(self._rtpu, task, lifecycle.Event.OFF)
 
-    def _has_heir(self, task: Task, rest: Sequence[Item]) -> bool:
+    def _has_successor(self, task: Task, rest: Sequence[Item]) -> bool:
         """Tell whether a task that is turned on later in the list takes an output."""
         mine = set(task.facts.outputs)
         for name, signal in rest:
-            heir = self._rtpu.tasks.get((task.facts.subsystem, name))
-            if heir is None or signal != "on":
+            other = self._rtpu.tasks.get((task.facts.subsystem, name))
+            if other is None or signal != "on":
                 continue
-            if mine & set(heir.facts.outputs):
+            if mine & set(other.facts.outputs):
                 return True
         return False
 

@@ -1,4 +1,4 @@
-"""What is to be recorded on an RTPU: its part of the request ``record``.
+"""An RTPU's part of the request ``record``.
 
 The RTPU process only keeps what was asked for, so that it outlives an agent; the agent
 has it carried out by a recorder.

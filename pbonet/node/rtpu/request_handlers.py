@@ -1,4 +1,4 @@
-"""What an RTPU does on request: the SBS server's part (Stewart 1994, section 4.5).
+"""Handlers of the requests to an RTPU: the SBS server (Stewart 1994, section 4.5).
 
 `handle` takes a request as it came from the network and gives the packed answer; it
 never raises. A request with the same client and id is executed once, however often it
@@ -74,7 +74,7 @@ class Operations:
             m.CloseTable: self._close_table,
             m.Spawn: self._spawn,
             m.Control: self._control,
-            m.Heirs: self._heirs,
+            m.Successors: self._successors,
             m.Reconfig: self._reconfig,
             m.Standby: self._standby,
             m.Freq: self._freq,
@@ -141,7 +141,7 @@ class Operations:
 
     def _check(self, request: m.Request) -> None:
         """Refuse what needs a claim and has none, and what comes during a stop."""
-        if isinstance(request, m.Spawn | m.Control | m.Heirs | m.Reconfig):
+        if isinstance(request, m.Spawn | m.Control | m.Successors | m.Reconfig):
             _check_timeout(request.timeout)
         if isinstance(request, _UNCLAIMED):
             return
@@ -295,9 +295,9 @@ class Operations:
     async def _reconfig(self, request: m.Reconfig) -> Result:
         return await reconfig.reconfigure(self._rtpu, request), []
 
-    async def _heirs(self, request: m.Heirs) -> Result:
-        heirs, subsystem = self._rtpu.heirs, request.subsystem
-        return await heirs.expect(
+    async def _successors(self, request: m.Successors) -> Result:
+        successors, subsystem = self._rtpu.successors, request.subsystem
+        return await successors.expect(
             subsystem, request.after, request.timeout, far=request.far
         ), []
 

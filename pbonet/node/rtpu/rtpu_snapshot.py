@@ -1,4 +1,4 @@
-"""What an RTPU process knows of its tasks beside what stands in shared memory.
+"""An RTPU process's knowledge of its tasks that is not in shared memory.
 
 It tells its agent whenever that changes, ahead of the answer or event by which anybody
 else could hear of it. So the agent knows how everything stands without asking, and
@@ -31,7 +31,7 @@ LETTERS = {"periodic": "P", "synchronous": "Y", "sporadic": "S", "deferrable": "
 
 
 class Home(Protocol):
-    """What is needed of the RTPU process."""
+    """The part of the RTPU process that is needed here."""
 
     tasks: dict[tuple[str, str], Task]
     tombs: dict[tuple[str, str], TaskStatus]
@@ -43,7 +43,7 @@ class Home(Protocol):
 
 
 class KnownTask(Struct, kw_only=True):
-    """What is known of one task; names are those of `TaskStatus`."""
+    """One task; the names are those of `TaskStatus`."""
 
     subsystem: str
     task: str
@@ -67,7 +67,7 @@ class KnownTask(Struct, kw_only=True):
 
 
 class Known(Struct, tag="known", kw_only=True):
-    """What has changed; None where nothing has."""
+    """Changes; None where there is none."""
 
     tasks: list[KnownTask] | None = None
     """In the order in which they were spawned."""

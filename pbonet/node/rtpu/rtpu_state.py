@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import time
@@ -26,11 +27,11 @@ from . import (
 )
 from .claims import Claims
 from .constant_owners import Givers
-from .cross_core_handover import Heirs
 from .fallbacks import Fallbacks
 from .fork_client import Server, Spawner
 from .illegal_flag import Flags
 from .orphaned_rings import let_ring_go
+from .successors import Successors
 from .tables import Tables
 from .task_handle import crash_place, describe_end
 from .task_signals import Signals
@@ -49,6 +50,8 @@ Key = tuple[str, str]
 """Subsystem and task."""
 WATCH_PERIOD = 0.5
 """Seconds between looks at what nobody reports: files that vanish, the dispatcher."""
+GLANCE = 0.005
+"""Seconds between looks for a writer, while the flag is up for want of one."""
 
 
 class Rtpu:
@@ -86,10 +89,10 @@ class Rtpu:
         """The same, as they came with the spawn."""
         self.ranks: dict[Key, ranking.Ranked] = {}
         self.recordings: dict[str, rtpu_messages.Recording] = {}
-        """What the agent is to have recorded, by subsystem."""
+        """Recordings that the agent is to make, by subsystem."""
         self.stopping: set[str] = set()
         self.lists: dict[str, list[tuple[str, str]]] = {}
-        """What is being carried out of lists of signals, by subsystem."""
+        """Lists of signals that are being carried out, by subsystem."""
         self._chores: set[asyncio.Task[None]] = set()
         self.turned_on = 0
         self.signals = Signals(events)
@@ -99,7 +102,7 @@ class Rtpu:
         self.dispatcher: rt.Dispatcher
         self.vigil: rt.Vigil
         self.fallbacks = Fallbacks(self)
-        self.heirs = Heirs(self)
+        self.successors = Successors(self)
         self.givers = Givers(self)
         self.limits: list[str] = []
         self.locks_memory = True
@@ -107,7 +110,7 @@ class Rtpu:
         self._awake: cpu_idle_states.Awake | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
-        """Has heirs of a subsystem on other machines called."""
+        """Has successors on other machines called."""
         self.changed: Callable[[], None] | None = None
         """Called when something may have changed that `rtpu_snapshot` tells."""
 
@@ -360,7 +363,7 @@ class Rtpu:
             errnum=notice.errnum,
             place=notice.place,
         )
-        self.flags.look()
+        self.flags.report()
 
     def _engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
         """Take note that the dispatcher has brought a task ON."""
@@ -378,7 +381,7 @@ class Rtpu:
         elif replaced and task.state is State.ON:  # its death is known already
             self.flags.narrow(subsystem, replaced, task.facts.outputs)
         self.settle(task)
-        self.flags.relieve()
+        self.flags.evaluate()
 
     def settle(self, task: Task, *, ranked: bool = False) -> None:
         """Bring ranks, error text and the flag in line with a task's state."""
@@ -449,7 +452,7 @@ class Rtpu:
         last.signals["ERROR"] += 1
         self.tombs[task.facts.subsystem, task.name] = last
         if slot.comes:
-            self.heirs.died(task, called=slot.called)
+            self.successors.died(task, called=slot.called)
         elif slot.mode is not Mode.OFF or task.busy == lifecycle.Event.ON:
             self._raise_flag(task, "has died")
         trace = task.child.crash_text()
@@ -487,13 +490,26 @@ class Rtpu:
             if task.facts.rmod.tasktype is not TaskType.PERIODIC:
                 task.child.rouse(INTERRUPT)  # it may wait in `sync`
 
+    async def _pause(self) -> None:
+        """Wait for the watch's next round; meanwhile lower the flag promptly.
+
+        The task that writes what was missing may be another RTPU's.
+        """
+        loop = asyncio.get_running_loop()
+        end = loop.time() + WATCH_PERIOD
+        while (left := end - loop.time()) > 0.0:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.flags.waits.wait(), left)
+                await asyncio.sleep(GLANCE)
+                self.flags.glance()
+
     async def _watch_quietly(self) -> None:
         """Look after what nobody reports."""
         led = True
         while True:
-            await asyncio.sleep(WATCH_PERIOD)
+            await self._pause()
             self.core.reap()
-            self.flags.relieve()
+            self.flags.evaluate()
             self.givers.look()
             self.fallbacks.look_again()
             self.signals.look(self.core, self.tasks.values())

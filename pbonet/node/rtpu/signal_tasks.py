@@ -73,9 +73,9 @@ async def control(
         task.stopping = True  # from here on nobody gets ready for it
         await rtpu.fallbacks.spare(task)
         rtpu.fallbacks.dismiss(task)  # nothing is asked of it: it may hang in `on`
-        rtpu.heirs.dismiss(task)
+        rtpu.successors.dismiss(task)
         return await kill(rtpu, task, limit, arg=arg)
-    await rtpu.heirs.withdraw(task)
+    await rtpu.successors.withdraw(task)
     if event is lifecycle.Event.ON:
         await rtpu.fallbacks.withdraw(task)
     lifecycle.rule(task.state, event, where=task.name)
@@ -153,7 +153,7 @@ def note(
         task.warnings = 0
         task.warning = ""
     rtpu.settle(task, ranked=ranked)
-    rtpu.flags.relieve()
+    rtpu.flags.evaluate()
     rtpu.events.add(
         Severity.ERROR if error else Severity.INFO,
         "SIGNAL_FAILED" if error else "STATE",
@@ -181,7 +181,7 @@ async def stop(
     rtpu.stopping |= set(subsystems)
     for subsystem in subsystems:
         rtpu.fallbacks.dismiss_all(subsystem)
-        rtpu.heirs.dismiss_all(subsystem)
+        rtpu.successors.dismiss_all(subsystem)
     try:
         tasks = [t for t in rtpu.tasks.values() if t.facts.subsystem in subsystems]
         tasks.sort(key=lambda t: _position(t, order))

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pbonet.config import Rmod
-    from pbonet.xm.net import TaskStatus
+    from pbonet.node import rt
+    from pbonet.xm.net import Call, TaskStatus
 
     from .fork_client import Child
 
@@ -52,7 +53,7 @@ _DUMP_TIME = 0.1
 
 
 class Facts(msgspec.Struct, kw_only=True):
-    """What a task was made from; does not change while it lives."""
+    """The configuration of a task; does not change while it lives."""
 
     subsystem: str
     name: str
@@ -66,6 +67,16 @@ class Facts(msgspec.Struct, kw_only=True):
     def outputs(self) -> list[str]:
         """The variables that the task writes in its cycles."""
         return [self.rmod.svar_name(port) for port in self.rmod.outvar]
+
+
+class Waiting(msgspec.Struct):
+    """What a successor stands by for; see `successors`."""
+
+    after: list[str]
+    """Its predecessors, on any RTPU, which call it."""
+    calls: list[Call]
+    """One for each of them."""
+    timer: asyncio.TimerHandle
 
 
 class Task:
@@ -109,6 +120,8 @@ class Task:
         """Its status as it ended."""
         self.stands_by = ""
         """The task that this one is the fallback of, while it stands by for it."""
+        self.waiting: Waiting | None = None
+        """Its predecessors, while it stands by for them or has not been asked for."""
         self.engaged: asyncio.Future[rtpu_messages.Notice] | None = None
         """Resolves when the dispatcher has engaged the task and its `on` has run."""
         self.stopping = False
@@ -144,7 +157,7 @@ class Task:
 
     @property
     def busy(self) -> str:
-        """What the task is carrying out now; empty when it waits for a message."""
+        """The task's current command; empty when it waits for a message."""
         return next(iter(self._busy.values()), "")
 
     async def command(
@@ -175,39 +188,6 @@ class Task:
         try:
             answer = self._ask(what, make, last=last)
             return await self.wait_for(answer, what, left, of=limit)
-        finally:
-            self._lock.release()
-
-    async def off_and_prepare(
-        self, off: Make, prepare: Make, limit: float, *, last: bool
-    ) -> tuple[rtpu_messages.Done, PbonetError | None]:
-        """Send an ``off``, and what the task is to hear behind it without being asked.
-
-        Args:
-            off: Makes the first message from its number.
-            prepare: Makes the second one.
-            limit: As for `command`.
-            last: As for `command`.
-
-        Returns:
-            The answer to the first message, and what went wrong with the second.
-
-        Raises:
-            PbonetError: As `command`, of the first message.
-        """
-        left = await self._turn(limit)
-        try:
-            first = self._ask("off", off, last=last)
-            try:
-                second = self._ask("prepare", prepare, last=last)
-            except PbonetError as error:
-                return await self.wait_for(first, "off", left, of=limit), error
-            done = await self.wait_for(first, "off", left, of=limit)
-            try:
-                await self.wait_for(second, "prepare", limit)
-            except PbonetError as error:
-                return done, error
-            return done, None
         finally:
             self._lock.release()
 
@@ -489,3 +469,14 @@ def describe_end(code: int) -> str:
         "SIGALRM": " (did not turn itself off in time)",
     }
     return f"signal {name}{words.get(name, '')}"
+
+
+async def rest(core: rt.CoreTable, task: Task) -> None:
+    """Have a task that did not come on stand by no longer.
+
+    Of one that has died it stays known what it waited for, until its end is heard of.
+    """
+    if not core.snapshot(task.facts.slot).dead:
+        core.follow(task.facts.slot, [])
+    with contextlib.suppress(PbonetError):
+        await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), 1.0)

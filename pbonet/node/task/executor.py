@@ -84,7 +84,7 @@ class Executor:
         self.task = instance.task
         self.state = State.NOT_CREATED
         self.failure: MethodError | None = None
-        """What a method failed with last, whatever `error` made of it."""
+        """The last failure of a method, whatever `error` made of it."""
         self.cycling: Callable[[], str] = lambda: "cycle"
         """Says which method runs now where somebody else does the cycling."""
         self._spent = False

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class Local(Copies, Protocol):
-    """What copies, and says what it has committed."""
+    """A transfer that reports what it has committed."""
 
     @property
     def array(self) -> Callable[[str], NDArray[Any]]:
@@ -196,7 +196,7 @@ class Journal:
         return self._copied(Step.COMMIT, flags, self._about.outvar)
 
     def cede(self) -> None:
-        """Write the out-vars no more, and leave them to an heir's claim."""
+        """Write the out-vars no more, and leave them to a successor's claim."""
         self._local.cede()
 
     def release(self) -> None:

@@ -1,4 +1,4 @@
-"""What each step of a task's life does: a copy, or a method of the module."""
+"""The steps of a task's life: copies, and methods of the module."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Actions:
         do: What each step does.
         dt: What `cycle` is told.
         method: The method that runs, or ran last; ``stable`` for a cycle that was one.
-        cede: Whether an heir takes the out-vars in its own claim.
+        cede: Whether a successor takes the out-vars in its own claim.
 
     Raises:
         DeclarationError: A CRITICAL task whose module has no ``stable``.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Inspected(Struct):
-    """What an inspector leaves behind."""
+    """The result of an inspector."""
 
     modules: list[ModuleInfo]
     errors: list[WireError]

@@ -1,4 +1,4 @@
-"""What carries a task's ports in and out, as the executor sees it."""
+"""Transfer of a task's ports in and out, as the executor sees it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class Copies(Protocol):
-    """What carries a task's ports between the local and the global table.
+    """Transfer of a task's ports between the local and the global table.
 
     Every method may raise a `PbonetError`. Those that return flags return 0 when all is
     well; those in `step_failures.REFUSED` are errors of the task, the others are
@@ -49,7 +49,7 @@ class Copies(Protocol):
         ...
 
     def cede(self) -> None:
-        """Write the out-vars no more, and leave them to an heir's claim."""
+        """Write the out-vars no more, and leave them to a successor's claim."""
 
     def release(self) -> None:
         """Give up the out-vars, whose values stand."""

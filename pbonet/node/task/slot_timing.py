@@ -35,7 +35,7 @@ class SlotWatch:
 
     @property
     def criticality(self) -> int:
-        """What the dispatcher ranks the task by at this moment."""
+        """The task's criticality at this moment."""
         return self.told.now("criticality", self.ranked, -1)
 
     @criticality.setter

@@ -1,4 +1,4 @@
-"""What a step of a task's life may fail with, and how that is told."""
+"""Failures of a step of a task's life, and how they are reported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pbonet.svar import Blamed
 
 RAISED = (Exception, SystemExit, TaskFailure)
-"""What is caught around a module's methods: everything but the wish to end Python."""
+"""Exceptions caught around a module's methods: all but those that end Python."""
 
 Raised = Exception | TaskFailure
 

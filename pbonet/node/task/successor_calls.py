@@ -1,63 +1,67 @@
-"""A task's ways to its heirs on other RTPUs of the machine (`cross_core_handover`)."""
+"""The calls by which a task that has ended engages its successors (``call.h``)."""
 
 from __future__ import annotations
 
 import contextlib
 from typing import TYPE_CHECKING
 
-from pbonet.errors import PbonetError
-from pbonet.node import rt
+from pbonet.errors import PbonetError, StateError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from pbonet.node import rt
     from pbonet.xm.net import Call
 
+Found = tuple["rt.CoreTable", int, int, int, int]
+"""Where a successor stands by, as `rt.Slot.disarm` takes it."""
 
-class Heralds:
-    """The heirs that a task calls when it has ended; in the task's process.
+
+class Successors:
+    """Where the successors of a task stand by; in the task's process.
 
     Args:
-        open_core: Opens the table of a core by its number.
+        core: The core table of the task.
+        open_core: Opens the table of another core by its number.
     """
 
-    def __init__(self, open_core: Callable[[int], rt.CoreTable]) -> None:
-        self._open_core = open_core
-        self._ways: list[tuple[rt.CoreTable, Call]] = []
-        self.gone: list[str] = []
-        """Heirs that were not there any more when they were called last."""
+    def __init__(
+        self, core: rt.CoreTable, open_core: Callable[[int], rt.CoreTable]
+    ) -> None:
+        self._core, self._open_core = core, open_core
+        self._others: dict[int, rt.CoreTable] = {}
+        """The tables of other cores that were opened, by core."""
 
-    def learn(self, calls: list[Call]) -> list[str]:
-        """Find the heirs; return those that are not to be seen from here.
+    def find(self, calls: Sequence[Call]) -> list[Found]:
+        """Find the successors that calls are for.
 
-        Args:
-            calls: Whom to call; replaces whoever was to be called before.
+        Raises:
+            StateError: One does not stand by any more.
         """
-        self.forget()
+        found: list[Found] = []
         for call in calls:
+            table = self._table(call.core)
+            slot = call.slot, call.life, call.ticket, call.caller
+            if table is None or not table.expects(*slot):
+                raise StateError(
+                    f"{call.successor} cannot take over: it does not stand by",
+                    expected="a successor that waits for the end of this task",
+                    remedy="give the swap again",
+                )
+            found.append((table, *slot))
+        return found
+
+    def _table(self, core: int) -> rt.CoreTable | None:
+        """Return the table of a core, if there is one."""
+        if core == self._core.core:
+            return self._core
+        if core not in self._others:
             with contextlib.suppress(PbonetError):
-                table = self._open_core(call.core)
-                self._ways.append((table, call))
-        return [call.heir for call in calls if not self._sees(call)]
+                self._others[core] = self._open_core(core)
+        return self._others.get(core)
 
-    def _sees(self, call: Call) -> bool:
-        return any(
-            one is call
-            and table.expects(call.slot, call.life, call.ticket, call.caller)
-            for table, one in self._ways
-        )
-
-    def call(self) -> None:
-        """Tell all of them that the task has ended; once."""
-        self.gone = [
-            call.heir
-            for table, call in self._ways
-            if not table.call(call.slot, call.life, call.ticket, call.caller)
-        ]
-        self.forget()
-
-    def forget(self) -> None:
-        """Call nobody any more."""
-        for table, _ in self._ways:
+    def close(self) -> None:
+        """Close the tables of other cores."""
+        for table in self._others.values():
             table.close()
-        self._ways = []
+        self._others.clear()

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Alarm:
-    """What a task has raised: on its module's word, or because its inputs are stale.
+    """Causes that a task has raised: by its module, or because its inputs are stale.
 
     Both end when the task is not ON any more, and with its process.
 

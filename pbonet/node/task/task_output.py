@@ -1,4 +1,4 @@
-"""What modules print: carried to the RTPU process, never waited for.
+"""Output that modules print: carried to the RTPU process, never waited for.
 
 In the task, file descriptors 1 and 2 are one non-blocking pipe. Python's own streams
 are replaced by a writer that drops what does not fit and says how much; C code that

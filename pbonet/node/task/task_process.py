@@ -36,12 +36,14 @@ from .executor import Executor
 from .parameters_in_task import get_params, set_param
 from .slot_timing import SlotWatch
 from .step_failures import ALL_REFUSED, RAISED, Raised, contained, refused
-from .successor_calls import Heralds
+from .successor_calls import Found, Successors
 from .task_channel import Context, SlotTime, Voice
 from .task_flag_causes import Alarm
 from .task_ports import ages, check_ports, local_table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pbonet.config import Rmod
     from pbonet.log import TaskAbout
 
@@ -95,14 +97,14 @@ class Host:
         self._over = False
         self._asked_to_end = ""
         self._waiting_outside = False
-        self.heralds = Heralds(self.open_core)
-        self.heir_of: list[str] = []
+        self.predecessors: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
-        """What it says when it has come on, made beforehand: its first cycle waits."""
+        """Its message after `on`, made beforehand because its first cycle waits."""
         self._wake_read = -1
         self.core = core
         self.slot = rt.Slot(core, spec.slot)
+        self.successors = Successors(core, self.open_core)
         self.watch = SlotWatch(self.slot.failures)
         self.decoder: msgspec.msgpack.Decoder[rtpu_messages.ToTask] = (
             msgspec.msgpack.Decoder(rtpu_messages.ToTask)
@@ -252,7 +254,7 @@ class Host:
                 self.end(self._asked_to_end or "its parent process is gone")
             elif self.executor.state is State.ON:
                 self._cycle()
-            elif self.heir_of:
+            elif self.predecessors:
                 self._stand_by()
             else:
                 self._wait()
@@ -277,7 +279,7 @@ class Host:
     def _engage(self) -> None:
         """Come on, because others have ended; nobody has sent the signal."""
         failed: PbonetError | None = None
-        self.heir_of = []
+        self.predecessors = []
         kind = self.slot.after or -1  # none: it was taken back before it could run
         self.local.given_up = lambda: self.slot.after != kind
         self.time.turned_on()
@@ -288,7 +290,7 @@ class Host:
         except PbonetError as error:
             failed = error
         finally:
-            self.local.heir_of([])
+            self.local.take_over_from([])
         if self.executor.state is State.ON:
             self.slot.arm()
             self.voice.send(self._engaged)
@@ -435,12 +437,11 @@ class Host:
     def _do(self, message: rtpu_messages.ToTask) -> object:
         match message:
             case rtpu_messages.Signal():
-                self._signal(message)
-                return self.heralds.gone
+                return self._signal(message)
             case rtpu_messages.Prepare():
                 self._prepare(message)
-            case rtpu_messages.Herald():
-                return self.heralds.learn(message.calls)
+            case rtpu_messages.Calls():
+                self.successors.find(message.calls)
             case rtpu_messages.Disown():
                 self.local.release()
             case rtpu_messages.SetParam():
@@ -456,8 +457,14 @@ class Host:
                     self.context.freq = message.hz
         return None
 
-    def _signal(self, message: rtpu_messages.Signal) -> None:
+    def _signal(self, message: rtpu_messages.Signal) -> tuple[list[str], bool]:
+        """Carry out a signal.
+
+        Returns:
+            Successors that were called and have died, and whether the task stands by.
+        """
         which = message.signal
+        calls = self.successors.find(message.calls)
         if which == "on":
             self.time.turned_on()
         did = Did(which, arg=message.arg, handover=message.handover, cede=message.cede)
@@ -465,24 +472,30 @@ class Host:
             self.executor.signal(
                 which, message.arg, handover=message.handover, cede=message.cede
             )
-        self._after_signal(cede=message.cede)
+        heard = self._after_signal(calls)
+        called = zip(message.calls, heard, strict=False)
+        gone = [call.successor for call, there in called if not there]
+        if message.then is not None and self.executor.state is State.OFF:
+            with contextlib.suppress(PbonetError):
+                self._prepare(message.then)
+        return gone, bool(self.predecessors)
 
     def _prepare(self, wanted: rtpu_messages.Prepare) -> None:
         """Be ready to come on in the place of others; refused as `on` would be."""
-        self.heir_of, after = [], wanted.after
-        self.local.heir_of([])
+        self.predecessors, after = [], wanted.after
+        self.local.take_over_from([])
         if not after:
             return
         lifecycle.rule(self.executor.state, lifecycle.Event.ON, where=self.spec.task)
-        self.local.heir_of([*after, *wanted.owners])
+        self.local.take_over_from([*after, *wanted.owners])
         try:
             self.local.check_claim()
         except PbonetError:
-            self.local.heir_of([])
+            self.local.take_over_from([])
             raise
         if wanted.far:
-            self.local.heir_of([])
-        self.heir_of = after
+            self.local.take_over_from([one for one in after if one not in wanted.far])
+        self.predecessors = after
         self._engaged = rtpu_messages.encode(
             rtpu_messages.Notice(
                 severity=int(Severity.INFO),
@@ -492,27 +505,36 @@ class Host:
             )
         )
 
-    def _after_signal(self, *, cede: bool = False) -> None:
-        """Bring the slot in line with the state, and call heirs, who wait for that."""
+    def _after_signal(self, calls: Sequence[Found] = ()) -> list[bool]:
+        """Bring the slot in line with the state; see `_disarm`."""
         state = self.executor.state
+        heard: list[bool] = []
         if state is not State.ON:
-            self._disarm()
-            if cede and state is State.OFF:
-                self.heralds.call()
+            heard = self._disarm(calls)
             self._tidy()
         if state is State.NOT_CREATED:
             self._over = True
+        return heard
 
     def _tidy(self) -> None:
         """Have the collector of garbage find nothing in the cycles to come."""
         gc.collect()
         gc.freeze()
 
-    def _disarm(self) -> None:
-        """Take part in no releases; in ERROR, have whoever stands by engaged."""
-        fails = self.executor.state is State.ERROR
-        (self.slot.fall if fails else self.slot.disarm)()
+    def _disarm(self, calls: Sequence[Found] = ()) -> list[bool]:
+        """Take part in no releases; have successors engaged, in ERROR the fallback.
+
+        Returns:
+            Which successors live, of those that were called.
+        """
+        heard: list[bool] = []
+        if self.executor.state is State.ERROR:
+            self.slot.fall()
+        else:
+            heard = self.slot.disarm(calls)
+        self.successors.close()
         self.alarm.end()
+        return heard
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
         wired = PbonetError.to_wire(error) if error else None  # its line goes beside

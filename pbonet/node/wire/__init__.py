@@ -1,4 +1,4 @@
-"""What the processes of one machine have in common: messages, life cycle, events."""
+"""Shared by the processes of one machine: messages, life cycle, events."""
 
 from pbonet.lazy import attach
 

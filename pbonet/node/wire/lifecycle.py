@@ -18,7 +18,7 @@ from pbonet.pbo import Answer, State
 
 
 class Event(StrEnum):
-    """What a task reacts to; somebody sends all but `WAKEUP`, `SYNC` and `ABORT`."""
+    """Events of a task; all but `WAKEUP`, `SYNC` and `ABORT` are sent to it."""
 
     SPAWN = "spawn"
     ON = "on"
@@ -81,7 +81,7 @@ _COPIES = frozenset({
 
 
 class Failure(StrEnum):
-    """What follows when a step of a rule fails."""
+    """The consequence of a failed step of a rule."""
 
     KILL = "kill"
     """`kill` runs, and the task is NOT-CREATED."""
@@ -94,7 +94,7 @@ class Failure(StrEnum):
 
 
 class Outcome(Struct, frozen=True):
-    """What follows one answer of a method: steps, and an end.
+    """The consequence of one answer of a method: steps, and an end state.
 
     Behind an answer of `error` the end is reached whatever fails in the steps.
     """
@@ -104,7 +104,7 @@ class Outcome(Struct, frozen=True):
 
 
 class Rule(Struct, frozen=True, kw_only=True):
-    """What follows one event in one state."""
+    """The consequence of one event in one state."""
 
     steps: tuple[Step, ...]
     to: State
@@ -112,11 +112,11 @@ class Rule(Struct, frozen=True, kw_only=True):
     failure: Failure
     """Of any step but `kill`, whose failure is reported and stops nothing."""
     answers: Mapping[Answer | None, Outcome | None] = {}
-    """What the method may return: an outcome ends the rule, None goes on."""
+    """Answers that the method may return: an outcome ends the rule, None goes on."""
     resume: tuple[Step, ...] = ()
     """After a failure that `error` answers with CONTINUE: steps on the way to `to`."""
     answered: Mapping[Answer, Outcome] = {}
-    """What follows the other answers of `error` where that is not in `ANSWERED`."""
+    """The consequence of other answers of `error`, if that is not in `ANSWERED`."""
 
 
 _ENDED = Outcome((Step.RELEASE, Step.KILL), State.NOT_CREATED)
@@ -196,11 +196,11 @@ ANSWERED: Mapping[Answer, Outcome] = {
     Answer.OFF: Outcome((Step.RELEASE,), State.OFF),
     Answer.ERROR: Outcome((Step.RELEASE,), State.ERROR),
 }
-"""What follows OFF and ERROR; CONTINUE is followed by the rule's own `resume`."""
+"""The consequences of OFF and ERROR; CONTINUE leads to the rule's own `resume`."""
 
 
 NOT_MADE = Outcome((Step.KILL,), State.NOT_CREATED)
-"""What follows a failed `init`; `error` is not asked."""
+"""The consequence of a failed `init`; `error` is not asked."""
 
 
 def outcome(found: Rule, answer: Answer) -> Outcome:

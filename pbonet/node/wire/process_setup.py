@@ -1,4 +1,4 @@
-"""What every process of a node does with itself and with its fellows.
+"""Set-up that every process of a node shares.
 
 Process identities that survive the reuse of a number, the parent-death signal, the
 environment that must stand before exec.

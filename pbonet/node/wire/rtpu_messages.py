@@ -1,4 +1,4 @@
-"""What the processes of one RTPU say to each other: msgpack structs and their framing.
+"""Messages between the processes of one RTPU: msgpack structs and their framing.
 
 Three links, all Unix sockets of one machine and one user:
 
@@ -37,7 +37,7 @@ LARGEST_PACKET = 200_000
 
 
 class RtpuConfig(Struct, frozen=True, kw_only=True):
-    """What an agent tells the RTPU process that it starts, on its command line."""
+    """Settings of an RTPU process, on its command line."""
 
     domain: str
     name: str
@@ -57,7 +57,7 @@ DUMP_SIGNAL = signal.SIGQUIT
 
 
 class TaskReady(Struct, kw_only=True):
-    """What a task says about itself when its `init` is done."""
+    """A task's description of itself when its `init` is done."""
 
     module: str
     version: str
@@ -112,7 +112,7 @@ class Shutdown(Struct, tag="shutdown"):
 
 
 class Arrived(Struct, tag="arrived"):
-    """What came over the network for a queue of this RTPU."""
+    """A message from the network for a queue of this RTPU."""
 
     queue: str
     data: bytes
@@ -144,7 +144,7 @@ class LogLimits(Struct, frozen=True):
 
 
 class Recording(Struct, kw_only=True):
-    """What is to be recorded; in a memory file of the recorder."""
+    """The plan of a recording; in a memory file of the recorder."""
 
     domain: str
     rtpu: str
@@ -210,7 +210,7 @@ FromRecorder = Note | Recorder
 
 
 class RtpuInfo(Struct, tag="info", kw_only=True):
-    """Who the RTPU process is."""
+    """Identity of the RTPU process."""
 
     pid: int
     core: int
@@ -221,7 +221,7 @@ class RtpuInfo(Struct, tag="info", kw_only=True):
     tables: dict[str, bool] = {}
     """Subsystems whose tables are open, and whether operators set variables there."""
     recordings: dict[str, Recording] = {}
-    """What is to be recorded, by subsystem."""
+    """Recordings, by subsystem."""
 
 
 class Answered(Struct, tag="answered"):
@@ -244,7 +244,7 @@ class Ending(Struct, tag="ending"):
 
 
 class Called(Struct, tag="called"):
-    """Tasks have ended whose heirs are on other machines."""
+    """Tasks have ended whose successors are on other machines."""
 
     subsystem: str
     calls: list[Call]
@@ -294,9 +294,14 @@ class Signal(Struct, tag="signal"):
     arg: str = ""
     handover: bool = False
     cede: bool = False
-    """For ``off``: the heir takes the out-vars itself; see `Prepare`."""
+    """For ``off``: it goes on owning the out-vars until successors take them."""
+    calls: list[Call] = []
+    """For ``off``: how the task engages its successors. One that does not stand by any
+    more fails the ``off`` before it begins."""
     replaces: list[str] = []
     """For ``reinit``: tasks that leave, and whose constants it takes over."""
+    then: Prepare | None = None
+    """For ``off``: what the task stands by for when it is OFF."""
 
 
 class Prepare(Struct, tag="prepare"):
@@ -307,16 +312,13 @@ class Prepare(Struct, tag="prepare"):
     """Tasks whose out-vars it takes over then; empty: stand by no longer."""
     owners: list[str] = []
     """Tasks that own these variables before those do."""
-    far: bool = False
-    """They are on another machine: it comes on when nobody owns the variables there any
-    more, and takes them from nobody who does again."""
+    far: list[str] = []
+    """Those of them that are on other machines. They have given the variables up when
+    the task is engaged, which takes them from nobody who owns them again."""
 
 
-class Herald(Struct, tag="herald"):
-    """Find those who take over on other RTPUs; they are called behind the next `off`.
-
-    Answered with the names of those that cannot be found.
-    """
+class Calls(Struct, tag="calls"):
+    """Find successors on other cores, which the next ``off`` engages; it takes long."""
 
     n: int
     calls: list[Call]
@@ -350,7 +352,7 @@ class SetFreq(Struct, tag="freq"):
     hz: float
 
 
-ToTask = Signal | Prepare | Herald | Disown | SetParam | GetParam | SetFreq
+ToTask = Signal | Prepare | Calls | Disown | SetParam | GetParam | SetFreq
 
 
 # -- task to RTPU process -------------------------------------------------------------
@@ -416,7 +418,7 @@ class TaskSpec(Struct, kw_only=True):
 
 
 class InspectSpec(Struct, kw_only=True):
-    """What an inspector has to describe."""
+    """Modules that an inspector describes."""
 
     libraries: tuple[str, ...]
     name: str | None = None

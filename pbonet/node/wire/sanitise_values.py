@@ -1,4 +1,4 @@
-"""What modules tell and no message can hold, made into what one can, where it goes."""
+"""Converts values that msgpack cannot encode."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 UNTOLD = TypeError, ValueError, OverflowError, RecursionError
-"""What `rtpu_messages.encode` raises for objects that no message can hold."""
+"""Exceptions of `rtpu_messages.encode` for values that msgpack cannot encode."""
 
 _NUMPY: tuple[type[object], ...] = np.generic, np.ndarray
 

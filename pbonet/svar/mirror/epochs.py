@@ -1,4 +1,4 @@
-"""Whose value of a variable counts, when it has stood on several machines.
+"""Decides which machine's value of a variable counts.
 
 Each claim of a variable has an *epoch*: one more than the newest claim that was known
 to have ended when it was made. A task that takes over in order therefore has a higher

@@ -1,4 +1,4 @@
-"""What stands in a machine's table for the tasks of others: their groups, as told."""
+"""Groups of other machines' tasks in a machine's table."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _NUMBERS = (1 << 56) - 1
 
 
 class Counts:
-    """What has come from a machine since this one began to listen."""
+    """Data from a machine since this one began to listen."""
 
     def __init__(self) -> None:
         self.packets = 0

@@ -1,4 +1,4 @@
-"""What of a machine's table is told to the others: its own groups, as they change."""
+"""Groups of a machine's own tasks, sent to the others as they change."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Own:
         self.live = False
         """Whether a task owns it, as it was told last."""
         self._last: News | None = None
-        """What was sent last, of one that is not sent at each commit."""
+        """The state that was sent last, of a group that is not sent at each commit."""
         self.stamp_ns = 0
         """When what was sent last was committed."""
         self.period_ns = 0

@@ -1,4 +1,4 @@
-"""What the machines of a subsystem tell each other of their tables.
+"""Packets in which the machines of a subsystem exchange their tables.
 
 A *group* is what one task of a machine writes together, or one variable that an
 operator set. A packet carries news of groups, and, when ownership has changed or
@@ -53,7 +53,7 @@ class Full(Struct, array_like=True):
 
 
 class Packet(Struct, array_like=True):
-    """What one machine sends."""
+    """A packet from one machine."""
 
     v: int
     machine: str

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .packets import Packet
 
 RAISER = "mirror"
-"""Who raises the flag when machines are out of sight, or fight."""
+"""Raiser of the flag when machines are unreachable, or claim the same variable."""
 
 
 class Mirror:
@@ -56,7 +56,7 @@ class Mirror:
         self.host = socket.gethostname()
         self.others: dict[str, Machine] = {}
         self._newcomers: set[str] = set()
-        """Those that have not been told yet what stands here."""
+        """Machines that have not received this table's content yet."""
         self._late = late
         self._epochs = Epochs()
         self._outbox = Outbox(table, keep=keep)

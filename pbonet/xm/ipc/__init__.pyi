@@ -16,4 +16,4 @@ from .mailboxes import Mailbox as Mailbox, interrupt as interrupt
 from .names import Name as Name, live_on as live_on
 from .remote_channel import alive as alive
 from .segments import Segment as Segment
-from .shm_object_files import sweep as sweep
+from .shm_object_files import FILES as FILES, sweep as sweep

@@ -20,7 +20,7 @@ PATROL_NS: int
 """How often a sleeper looks around, nanoseconds."""
 
 class Taken(IntEnum):
-    """What a P came to; only a time-out is false."""
+    """The result of a P; only a time-out is false."""
 
     TIMED_OUT = 0
     TAKEN = 1
@@ -36,7 +36,7 @@ class Policy(IntEnum):
     """Of the highest priority; first in, first out among equals."""
 
 class Full(IntEnum):
-    """What becomes of a message when the queue is full."""
+    """The policy for a message when the queue is full."""
 
     REFUSE = 0
     """`XmQueueFullError`."""
@@ -46,7 +46,7 @@ class Full(IntEnum):
     """Room is made: the oldest go, of HPF the oldest of the lowest priority."""
 
 class Shared:
-    """What semaphores and queues have in common."""
+    """Base of semaphores and queues."""
 
     @property
     def name(self) -> str:

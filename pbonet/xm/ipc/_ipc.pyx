@@ -17,6 +17,7 @@ from posix.mman cimport (MAP_FAILED, MAP_POPULATE, MAP_SHARED, PROT_READ, PROT_W
                          madvise, mmap, munmap)
 from posix.unistd cimport close
 
+from pbonet import shm
 from pbonet.errors import (XmDamagedError, XmDestroyedError, XmError, XmFullError,
                            XmLayoutError, XmQueueFullError, XmTooLongError)
 from pbonet.outside import active
@@ -186,7 +187,7 @@ cdef class Shared:
         if self.at is NULL:
             return
         from pathlib import Path
-        files.unlink_same(Path(self.path), self.fd)
+        shm.remove_same(Path(self.path), self.fd)
         xm_destroy(<xm_object *>self.at)
         if not self.waits:
             self.unmap()
@@ -232,7 +233,7 @@ cdef class Semaphore(Shared):
             from pbonet.xm.ipc import remote_resources as far
             return far.FarSemaphore.create_there(found, initial, highest, binary)
         path = found.path("sem")
-        fd, fresh = files.make(path, sizeof(xm_sem))
+        fd, fresh = files.FILES.make(path, sizeof(xm_sem))
         cdef Semaphore self = Semaphore.__new__(Semaphore)
         self.name = str(found)
         try:
@@ -243,7 +244,7 @@ cdef class Semaphore(Shared):
         except BaseException:
             fresh.unlink()
             raise
-        files.publish(fresh, path)
+        files.FILES.publish(fresh, path)
         return self
 
     @staticmethod

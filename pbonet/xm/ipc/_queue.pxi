@@ -23,7 +23,7 @@ cdef class Queue(Shared):
         plan.policy = Policy(policy)
         cdef uint64_t size = xm_lay_out(&plan, messages, n, block)
         path = found.path("queue")
-        fd, fresh = files.make(path, size)
+        fd, fresh = files.FILES.make(path, size)
         cdef Queue self = Queue.__new__(Queue)
         self.name = str(found)
         try:
@@ -34,7 +34,7 @@ cdef class Queue(Shared):
         except BaseException:
             fresh.unlink()
             raise
-        files.publish(fresh, path)
+        files.FILES.publish(fresh, path)
         return self
 
     @staticmethod

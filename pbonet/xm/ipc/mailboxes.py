@@ -14,6 +14,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
+from pbonet import shm
 from pbonet.errors import (
     StateError,
     XmDestroyedError,
@@ -24,7 +25,6 @@ from pbonet.errors import (
     did_you_mean,
 )
 from pbonet.outside import Outside, active, using
-from pbonet.shm import Closing
 from pbonet.xm.net import Interrupt
 
 from . import names, remote_channel
@@ -53,7 +53,7 @@ def _resource(text: str | int) -> Name:
     return name._replace(resource=PREFIX + name.resource)
 
 
-class Mailbox(Closing):
+class Mailbox(shm.Closeable):
     """A mailbox of this process's own RTPU (``xmMboxInstall``).
 
     Args:

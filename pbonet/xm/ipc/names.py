@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from pbonet import shm
 from pbonet.errors import UnreachableError, XmMissingError, XmNameError, did_you_mean
 from pbonet.xm.net import run_folder
 
@@ -29,7 +30,7 @@ class Home(NamedTuple):
     domain: str
     rtpu: str
     priority: Callable[[], int]
-    """What its waits have that name no priority: a task's criticality."""
+    """Default priority of its waits: a task's criticality."""
     subsystem: str = ""
     """Of a task; empty for other processes."""
 
@@ -48,7 +49,7 @@ class Name(NamedTuple):
     def path(self, kind: str) -> Path:
         """Return its file; `kind` is ``sem``, ``queue``, ``shm`` or ``tbuf``."""
         place = ":".join(self)
-        return folder() / f"pbonet.{os.geteuid()}.{place}.{kind}"
+        return shm.path_of(f"{place}.{kind}")
 
 
 def _no_priority() -> int:
@@ -93,11 +94,6 @@ def living_on(rtpu: str, *, domain: str, subsystem: str = "") -> Generator[None]
 def home() -> Home:
     """Return where this process is at home."""
     return _home
-
-
-def folder() -> Path:
-    """Return where shared memory files stand: ``PBONET_SHM_DIR``, or ``/dev/shm``."""
-    return Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108 - its place
 
 
 def find(text: str | Name) -> tuple[Name, bool]:
@@ -179,10 +175,10 @@ def rtpus(domain: str) -> set[str]:
 
 def standing(kind: str, domain: str) -> list[str]:
     """Return the names of the resources of a kind that stand on this machine."""
-    prefix, suffix = f"pbonet.{os.geteuid()}.{domain}:", f".{kind}"
+    prefix, suffix = shm.own(f"{domain}:"), f".{kind}"
     return sorted(
         name.removeprefix(prefix).removesuffix(suffix)
-        for name in os.listdir(folder())  # noqa: PTH208 - three times as fast
+        for name in os.listdir(shm.folder())  # noqa: PTH208 - three times as fast
         if name.startswith(prefix) and name.endswith(suffix)
     )
 

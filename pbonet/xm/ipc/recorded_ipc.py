@@ -30,7 +30,7 @@ def opened(
 
 
 class _Heard:
-    """What both have in common."""
+    """Base of both."""
 
     _WHAT = ""
     _SETTINGS: tuple[str, ...] = ()

@@ -68,7 +68,7 @@ class Carrier(Protocol):
 
 
 class Post:
-    """What a task asks goes to its RTPU's agent, and from there to the others.
+    """Sends a task's requests to its RTPU's agent, and from there to the others.
 
     Every thread has a connection of its own, and the process one more, on which nothing
     is asked: when the last one closes, the agent drops what stands for the process.

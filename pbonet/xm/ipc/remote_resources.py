@@ -167,7 +167,7 @@ def _priority(priority: int | None) -> int:
 
 
 class _There:
-    """What all resources of other machines have."""
+    """Base of all resources of other machines."""
 
     def __init__(self, far: Far) -> None:
         self._far = far

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from pbonet import shm
 from pbonet.errors import (
     XmDamagedError,
     XmDestroyedError,
@@ -24,7 +25,6 @@ from pbonet.errors import (
     XmLayoutError,
 )
 from pbonet.outside import refuse
-from pbonet.shm import Closing
 
 from . import names, shm_object_files
 
@@ -48,7 +48,7 @@ _ELSEWHERE = (
 )
 
 
-class Segment(Closing):
+class Segment(shm.Closeable):
     """A segment, attached (``shmCreate``, ``shmAttach``).
 
     Attributes:
@@ -83,12 +83,12 @@ class Segment(Closing):
             raise ValueError(f"a segment has at least one byte, not {size}")
         refuse(f"the shared memory segment {name}")
         found = names.resolve(name, remedy=_ELSEWHERE)
-        fd, fresh = shm_object_files.make(found.path(KIND), _START + size)
+        fd, fresh = shm_object_files.FILES.make(found.path(KIND), _START + size)
         self = cls(found, fd, _START + size)
         try:
             self._bytes()[: _HEAD.size] = _HEAD.pack(_MAGIC, VERSION, 0, size)
             self._enter()
-            shm_object_files.publish(fresh, self._path)
+            shm_object_files.FILES.publish(fresh, self._path)
         except BaseException:
             fresh.unlink(missing_ok=True)
             self._let_go()
@@ -174,7 +174,7 @@ class Segment(Closing):
     def destroy(self) -> None:
         """Remove it (``shmDestroy``); others keep what they have and are told."""
         if self._map is not None:
-            shm_object_files.unlink_same(self._path, self._fd)
+            shm.remove_same(self._path, self._fd)
             struct.pack_into("I", self._bytes(), _DESTROYED, 1)
             self._let_go()
 

@@ -20,6 +20,7 @@ from .codec import Codec as Codec, failure as failure
 from .file_messages import FileWrite as FileWrite
 from .message_parts import VarValue as VarValue, plain as plain
 from .messages import (
+    LAST_TICKET as LAST_TICKET,
     MOST_CALLERS as MOST_CALLERS,
     AgentInfo as AgentInfo,
     Answer as Answer,

@@ -1,4 +1,4 @@
-"""Who may do what on the network, as zenoh's access control enforces it.
+"""Permissions on the network, as zenoh's access control enforces them.
 
 zenoh judges a message by the link on which it comes or goes, so every agent keeps its
 own edge: what an observer sends is dropped by the agent it is connected to, whichever

@@ -17,7 +17,7 @@ class Lost(Struct, kw_only=True):
 
 
 class AgentInfo(Struct, kw_only=True):
-    """Who an agent is and what it can do."""
+    """An agent's identity and abilities."""
 
     name: str
     domain: str
@@ -31,7 +31,7 @@ class AgentInfo(Struct, kw_only=True):
     backend: str
     """``fifo`` or ``park``; what it means is in `limits`."""
     limits: list[str] = []
-    """What is reduced and why, one sentence each; empty when nothing is."""
+    """Reduced guarantees and their reasons, one sentence each."""
     version: str
     python: str
     claims: dict[str, int] = {}
@@ -48,7 +48,7 @@ class AgentInfo(Struct, kw_only=True):
     keys_left: float | None = None
     """Seconds that its keys are good for; None if it has none."""
     lost: list[Lost] = []
-    """Those that it has seen and sees no more, and that did not say that they end."""
+    """Agents that disappeared without announcing their end."""
 
 
 class Way(Struct, kw_only=True):
@@ -70,12 +70,12 @@ class Way(Struct, kw_only=True):
 
 
 class TableNews(Struct, kw_only=True):
-    """What has come from another machine for a subsystem's table."""
+    """Data from another machine for a subsystem's table."""
 
     subsystem: str
     host: str
     commits: int
-    """Those that stand, or stood, in the table."""
+    """Groups that are, or were, in the table."""
     gaps: int
     """Commits that were passed over, because newer ones were there."""
     refused: int
@@ -85,7 +85,7 @@ class TableNews(Struct, kw_only=True):
 
 
 class LinkReport(Struct, kw_only=True):
-    """What an agent knows of the ways to the others."""
+    """An agent's measurements of the latency to the others."""
 
     rtpu: str
     ways: list[Way] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import ClassVar
 
 import msgspec
@@ -27,7 +28,7 @@ class _Version(Struct):
 
 
 MALFORMED = (msgspec.MsgspecError, UnicodeDecodeError)
-"""What decoding raises: msgspec lets text that is no UTF-8 out as it is."""
+"""Exceptions of decoding: msgspec passes text that is not UTF-8 as it is."""
 
 
 class Codec:
@@ -38,10 +39,12 @@ class Codec:
     def __init__(self) -> None:
         self._encoder = msgspec.msgpack.Encoder()
         self._version = msgspec.msgpack.Decoder(_Version)
-        self._request: msgspec.msgpack.Decoder[AnyMessage] = msgspec.msgpack.Decoder(
-            AnyMessage
-        )
         self._answer = msgspec.msgpack.Decoder(Answer)
+
+    @cached_property
+    def _request(self) -> msgspec.msgpack.Decoder[AnyMessage]:
+        """The decoder of requests, which only servers need."""
+        return msgspec.msgpack.Decoder(AnyMessage)
 
     def pack(self, message: Request | Answer | Event) -> bytes:
         """Return the message as msgpack bytes."""

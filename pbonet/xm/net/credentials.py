@@ -29,7 +29,7 @@ SOON: Final = 30 * 86400.0
 
 
 class Role(StrEnum):
-    """What a certificate lets its holder do."""
+    """Permissions of a certificate's holder."""
 
     AGENT = "agent"
     MASTER = "master"

@@ -39,7 +39,7 @@ PAUSE = 0.02
 
 
 class Dials(msgspec.Struct, kw_only=True):
-    """What an agent says of itself while it decides whom it dials."""
+    """An agent's description of itself while it decides which agents to dial."""
 
     rtpu: str
     zid: str
@@ -52,12 +52,12 @@ _DIALS: Final = msgspec.msgpack.Decoder(Dials)
 
 
 class Behind(NamedTuple):
-    """Who was found behind an endpoint."""
+    """The agent found at an endpoint."""
 
     zid: str = ""
     """The zenoh identity of the router there; empty if there is none."""
     said: Dials | None = None
-    """What it says of itself, if it is an agent of the domain that runs already."""
+    """Its description of itself, if it is a running agent of the domain."""
 
 
 class Dialled:

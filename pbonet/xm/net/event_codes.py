@@ -19,4 +19,4 @@ TOLD: Final = frozenset(
 )
 """Codes of what happens to a node, its tasks, tables, links and logs."""
 KNOWN: Final = TOLD | BY_CODE.keys()
-"""Those, and the errors that are told as events."""
+"""These, and the errors that are reported as events."""

@@ -1,4 +1,4 @@
-"""What is asked of the files of another machine (Stewart 1994, section 5.3.2).
+"""Requests about the files of another machine (Stewart 1994, section 5.3.2).
 
 Paths are relative to the folder that the agent declares (`files` of agent.toml). A file
 is written beside its place under a name of its own, and moved there when it is whole.
@@ -45,7 +45,7 @@ class FileWrite(XmRequest, tag="xm_write"):
 
     path: str
     part: str
-    """What the client calls it until it is whole."""
+    """The client's name for it until it is whole."""
     offset: int
     data: bytes
 
@@ -78,7 +78,7 @@ class FileMove(XmRequest, tag="xm_move"):
 
 
 class FileSeen(Struct, kw_only=True):
-    """What stands at a path."""
+    """The entry at a path."""
 
     name: str
     """The last part of the path."""

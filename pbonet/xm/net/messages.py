@@ -1,4 +1,4 @@
-"""What travels between masters and agents: msgpack maps, defined once.
+"""Messages between masters and agents: msgpack maps, defined once.
 
 Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``,
 where ``op`` names the operation and the other fields are its arguments; an answer is
@@ -33,7 +33,8 @@ from .statuses import (
 
 VERSION = 1
 MOST_CALLERS = 32
-"""So many tasks of other RTPUs one heir can wait for."""
+"""So many tasks one successor can wait for."""
+LAST_TICKET = (1 << 31) - 1
 _Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]
 ParamValue: TypeAlias = values.ParamValue
 Standing: TypeAlias = values.Standing
@@ -41,7 +42,7 @@ VarValue: TypeAlias = values.VarValue
 
 
 class Request(Struct, kw_only=True, tag_field="op"):
-    """What every request carries."""
+    """Fields of every request."""
 
     v: int = VERSION
     id: str = ""
@@ -143,37 +144,38 @@ class Control(Request, tag="control"):
 
 
 class Call(Struct, kw_only=True):
-    """How a task that has ended calls its heir on another RTPU."""
+    """How a task that has ended engages its successor, which stands by."""
 
-    heir: str
+    successor: str
     outputs: list[str]
-    """The variables that the heir writes."""
+    """The variables that the successor writes; of a call from another machine those
+    that the caller wrote, too."""
     core: A[int, Meta(ge=0, lt=1024)]
     slot: A[int, Meta(ge=0, lt=128)]
     life: _Word
     """Of the slot: which task has it."""
-    ticket: _Word
+    ticket: A[int, Meta(ge=0, le=LAST_TICKET)]
     """Tells this exchange from others."""
     caller: A[int, Meta(ge=0, lt=MOST_CALLERS)]
     """Which of those who call, counted from 0."""
     far: bool = False
-    """The heir is on another machine: the agents call it, with the table's news."""
+    """The successor is on another machine: the agents call, with the table's news."""
 
 
-class Heirs(Request, tag="heirs"):
+class Successors(Request, tag="successors"):
     """Have tasks stand by to take over from tasks on other RTPUs.
 
     Result: a list of `Call` for each task that is waited for, by its name; they are for
-    `Reconfig.calls` there. An ``on`` in a list then waits until the heir has come on.
+    `Reconfig.calls` there. An ``on`` in a list then waits until it has come on.
     """
 
     after: dict[str, A[list[str], Meta(max_length=MOST_CALLERS)]]
-    """The heirs, and for each the tasks that it waits for; an empty list: none, it
+    """The successors, and for each the tasks that it waits for; an empty list: none, it
     stands by no longer."""
     timeout: float = 5.0
     """Seconds; then they stand by no longer."""
-    far: bool = False
-    """Those they wait for are on another machine."""
+    far: list[str] = []
+    """Predecessors that are on other machines."""
 
 
 class Reconfig(Request, tag="reconfig"):
@@ -308,7 +310,7 @@ class Sigmask(Request, tag="sigmask"):
     """
 
     task: str = ""
-    """Whose mask is changed; empty: the subsystem's."""
+    """The task whose mask is changed; empty: the subsystem's mask."""
     names: list[str] | None = None
     """The new mask; None: none is changed."""
     unset: bool = False
@@ -376,7 +378,7 @@ AnyRequest = (
     | CloseTable
     | Spawn
     | Control
-    | Heirs
+    | Successors
     | Reconfig
     | Standby
     | Freq
@@ -437,15 +439,12 @@ class Reconfigured(Struct, kw_only=True):
     error: WireError | None = None
     """Of the first item of `rest`."""
     rest: list[tuple[str, str]] = []
-    """What was not carried out, that which failed first; empty without an error. Tasks
+    """Items that were not carried out, the failed one first; empty at success. Tasks
     that are exchanged together need not fail in the order of the list."""
-    unseen: list[str] = []
-    """Heirs that are not on this machine. Their predecessors are ON: send the rest
-    again without calls."""
 
 
 class Stopped(Struct, kw_only=True):
-    """What a stop did."""
+    """The result of a stop."""
 
     off: list[str]
     killed: list[str]

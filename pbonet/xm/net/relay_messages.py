@@ -1,4 +1,4 @@
-"""What travels between a task and its agent when it uses what other machines have."""
+"""Messages between a task and its agent about resources of other machines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of a resource of another machine (Stewart 1994, section 5.4).
+"""Requests to a resource of another machine (Stewart 1994, section 5.4).
 
 The agent of the RTPU that has the resource stands in for whoever asks: it attaches, and
 waits in the line, in the client's place. A client shows a liveliness token
@@ -18,7 +18,7 @@ LONGEST = (1 << 20) - 4096
 
 
 class XmRequest(Request):
-    """What requests about resources have in common."""
+    """Base of requests about resources."""
 
 
 class Attach(XmRequest, tag="xm_attach"):
@@ -108,7 +108,7 @@ class Attached(Struct, kw_only=True):
 
 
 class Took(Struct, kw_only=True):
-    """What a `Take` came to."""
+    """The result of a `Take`."""
 
     code: int
     """As `Taken` says; of a queue 1 for a message."""

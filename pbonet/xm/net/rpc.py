@@ -18,7 +18,7 @@ import contextlib
 import contextvars
 import itertools
 import logging
-import secrets
+import os
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -133,7 +133,7 @@ class Client:
         self.name = name
         self.warned = warned
         self._codec = Codec()
-        self._run = secrets.token_hex(4)
+        self._run = os.urandom(4).hex()
         self._count = itertools.count(1)
         self._silent: dict[str, float] = {}
         """When an RTPU's agent gave no sign of life."""

@@ -21,6 +21,7 @@ import struct
 import time
 from pathlib import Path
 
+from pbonet import shm
 from pbonet.errors import DuplicateNameError, NodeError
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
@@ -248,6 +249,5 @@ def machine() -> str:
     containers on one host differ unless they share it, and two hosts of one name do.
     """
     boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-    shared = Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108
-    found = shared.stat()
+    found = shm.folder().stat()
     return f"{boot}/{found.st_dev}.{found.st_ino}"

@@ -14,7 +14,6 @@ A session must be opened in a process that was started by exec, never after a fo
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import re
 import time
@@ -29,7 +28,6 @@ from . import (
     access_control,
     credentials,
     key_expressions,
-    probe_endpoint,
     run_folder,
 )
 
@@ -139,6 +137,8 @@ def _is_loopback(address: str) -> bool:
     host = address.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
+    import ipaddress  # only where a host is given
+
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -260,6 +260,8 @@ def client(
                 continue
             got, remedy = _reason(error), ""
             if timeout:
+                from . import probe_endpoint  # only where nobody answers
+
                 got, remedy = probe_endpoint.reasons(endpoints)
             raise UnreachableError(
                 f"no agent of domain {domain} answers",

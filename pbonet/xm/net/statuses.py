@@ -103,7 +103,7 @@ class TbufStatus(Struct, kw_only=True):
 
     name: str
     writer: str
-    """Who writes it there: a process, or the agent that brings it from another machine;
+    """Its writer there: a process, or the agent that brings it from another machine;
     empty: nobody."""
     reader: str
     """The same of who reads it."""

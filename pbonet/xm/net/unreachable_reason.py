@@ -1,4 +1,4 @@
-"""What is said of agents that cannot be reached, by those who have seen them too."""
+"""Reasons why agents cannot be reached, from the agents that have seen them."""
 
 from __future__ import annotations
 

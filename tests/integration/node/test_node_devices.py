@@ -5,10 +5,10 @@ import threading
 
 import pytest
 from nodekit import rmod
+from plain_dispatcher.dispatch import replay
 from watching import wait_for
 
-from pbonet.analysis.schedule.dispatch import replay, turns
-from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.events import Event, turns
 from pbonet.node.rt import _rt
 
 MS = 1_000_000

@@ -7,11 +7,11 @@ import signal
 
 import pytest
 from nodekit import CORE, level, rmod, wait_gone
+from plain_dispatcher.dispatch import replay
 from reference import Reference
 from watching import wait_for
 
-from pbonet.analysis.schedule.dispatch import replay, turns
-from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.events import Event, turns
 from pbonet.errors import Severity
 from pbonet.node.rt import _rt
 

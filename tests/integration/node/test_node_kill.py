@@ -9,7 +9,7 @@ from nodekit import CORE, Master, alive, wait_gone, wait_hung
 from reference import Reference
 from watching import wait_for
 
-from pbonet.analysis.schedule.dispatch import Event
+from pbonet.analysis.schedule.events import Event
 from pbonet.errors import NodeError, SvarMissingError
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rt import _rt

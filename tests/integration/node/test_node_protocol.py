@@ -87,7 +87,7 @@ def test_every_event_code_is_on_the_page():
     codes = set()
     for path in NODE.rglob("*.py"):
         for text in re.findall(
-            r"(?:events\.add|\.notice|wire\.Note|wire\.Notice)\((.{0,200})",
+            r"(?:events\.add|\.notice|rtpu_messages\.(?:Note|Notice))\((.{0,200})",
             path.read_text(),
             re.DOTALL,
         ):

@@ -5,12 +5,12 @@ import statistics
 
 import pytest
 from nodekit import CORE, level, rmod
+from plain_dispatcher.dispatch import replay
 from reference import Reference
 from watching import wait_for
 
 from pbonet.analysis.schedule.criticality import RM_LEVELS
-from pbonet.analysis.schedule.dispatch import replay, turns
-from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.events import Event, turns
 from pbonet.errors import DeclarationError
 from pbonet.node.rt import _rt
 

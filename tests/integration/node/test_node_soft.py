@@ -6,11 +6,11 @@ time alone: cycles that a reference loop on the same core lost as well do not co
 
 import pytest
 from nodekit import CORE, rmod
+from plain_dispatcher.dispatch import replay
 from reference import Reference
 from watching import wait_for
 
-from pbonet.analysis.schedule.dispatch import replay, turns
-from pbonet.analysis.schedule.events import Event
+from pbonet.analysis.schedule.events import Event, turns
 from pbonet.node.ring._ring import Ring
 from pbonet.node.rt import _rt
 

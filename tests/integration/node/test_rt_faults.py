@@ -8,9 +8,9 @@ import signal
 import time
 
 import pytest
+from plain_dispatcher.dispatch import replay
 from rt_rig import CORE, MS, Host, exists, until
 
-from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision
 from pbonet.node.rt import _rt

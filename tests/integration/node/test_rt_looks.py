@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from plain_dispatcher.dispatch import replay
 from rt_rig import MS, Host, until
 
-from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision
 from pbonet.node.rt import _rt

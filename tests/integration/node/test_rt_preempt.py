@@ -10,10 +10,10 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from plain_dispatcher.dispatch import replay
 from reference import Reference
 from rt_rig import CORE, MS, NOBODY, Host
 
-from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision
 from pbonet.node.rt import _rt

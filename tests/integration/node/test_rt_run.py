@@ -8,10 +8,10 @@ import signal
 import time
 
 import pytest
+from plain_dispatcher.dispatch import replay
 from reference import Reference
 from rt_rig import CORE, MS, Host, cpu_ns, until
 
-from pbonet.analysis.schedule.dispatch import replay
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision
 from pbonet.node.rt import _rt

@@ -242,8 +242,8 @@ def test_who_comes_on_late_takes_nothing_from_who_came_back(
 
     arm.spawn("late", "arm1")
     arm.control("good", "on")
-    heirs = m.Heirs(after={"late": ["good"]}, timeout=LIMIT)
-    calls = arm.fleet.call("arm1", heirs, dict[str, list[m.Call]])
+    successors = m.Successors(after={"late": ["good"]}, timeout=LIMIT)
+    calls = arm.fleet.call("arm1", successors, dict[str, list[m.Call]])
     off = m.Reconfig(items=[("good", "off")], handover={"good": ["Y0"]}, calls=calls)
     assert arm.fleet.call("arm0", off, m.Reconfigured).done == 1
     come_back("good")  # a second order; the master of the first has gone

@@ -134,7 +134,7 @@ def test_who_frees_the_slot_of_a_task_that_was_armed_says_that_it_died(core, vig
     first, second = core.alloc("r", "t"), core.alloc("r", "u")
     pid = child(first, arm=True, vow=False)
     heir = _rt.Slot(core, second)
-    core.follow(second, _rt.FALLBACK, [first])
+    core.follow(second, [first])
     os.kill(pid, signal.SIGKILL)
     os.waitpid(pid, 0)
     core.died(first)
@@ -148,7 +148,7 @@ def test_who_frees_the_slot_of_a_task_that_was_armed_says_that_it_died(core, vig
 def test_a_task_that_died_before_the_dispatcher_saw_it_on(core):
     """The dispatcher stood still from before its arming until its slot was free."""
     first, second = core.alloc("r", "t"), core.alloc("r", "u")
-    core.follow(second, _rt.FALLBACK, [first])
+    core.follow(second, [first])
     pid = child(first, arm=True)
     os.kill(pid, signal.SIGKILL)
     os.waitpid(pid, 0)
@@ -172,7 +172,7 @@ def test_a_task_that_died_before_the_dispatcher_saw_it_on(core):
 def test_a_command_ends_standing_by(core, vigil):
     slot = core.alloc("r", "t")
     heir = _rt.Slot(core, slot)
-    core.follow(slot, _rt.FALLBACK, [slot])
+    core.follow(slot, [slot])
     core.request(slot)
     assert heir.stand_by() == _rt.COMMAND
     assert core.snapshot(slot).mode is Mode.OFF
@@ -181,14 +181,12 @@ def test_a_command_ends_standing_by(core, vigil):
 
 
 @pytest.mark.parametrize(
-    ("kind", "fallen"),
-    [(_rt.HANDOVER, False), (_rt.FALLBACK, True), (_rt.FALLBACK, False)],
-    ids=["heir", "fallback in on", "fallback that nobody needs"],
+    "fallen", [True, False], ids=["fallback in on", "fallback that nobody needs"]
 )
-def test_the_end_of_who_comes_on_raises_the_flag(core, vigil, table, kind, fallen):
+def test_the_end_of_who_comes_on_raises_the_flag(core, vigil, table, fallen):
     """It stands by for another task, and is killed before it is ON."""
     old, new = core.alloc("r", "old"), core.alloc("r", "t")
-    core.follow(new, kind, [old])
+    core.follow(new, [old])
     first = _rt.Slot(core, old)
     first.arm()
     pid = child(new, arm=False, stands=True)
@@ -199,10 +197,9 @@ def test_the_end_of_who_comes_on_raises_the_flag(core, vigil, table, kind, falle
         wait_for(lambda: core.snapshot(new).comes, "that it is engaged")
     os.kill(pid, signal.SIGKILL)
     wait_for(lambda: core.snapshot(new).dead, "the news of the death")
-    comes = kind == _rt.HANDOVER or fallen
-    assert core.snapshot(new).comes is comes
-    assert causes(table) == [("t has died", "r/t")] * comes
-    assert vigil.counts[0] == comes
+    assert core.snapshot(new).comes is fallen
+    assert causes(table) == [("t has died", "r/t")] * fallen
+    assert vigil.counts[0] == fallen
     os.waitpid(pid, 0)
     first.disarm()
     core.free(new)
@@ -210,8 +207,10 @@ def test_the_end_of_who_comes_on_raises_the_flag(core, vigil, table, kind, falle
 
 
 @pytest.mark.parametrize("calls", [0, 1, 2])
-def test_the_end_of_an_heir_that_was_called_raises_the_flag(core, vigil, table, calls):
-    """It waits for two tasks of other cores; who has called it has ended."""
+def test_the_end_of_a_successor_that_was_called_raises_the_flag(
+    core, vigil, table, calls
+):
+    """It waits for two tasks; one that has called it has ended."""
     slot = core.alloc("r", "t")
     life = core.expect(slot, ticket=7, callers=2)
     pid = child(slot, arm=False, stands=True)
@@ -226,6 +225,6 @@ def test_the_end_of_an_heir_that_was_called_raises_the_flag(core, vigil, table, 
     assert vigil.counts[0] == bool(calls)
     assert not core.call(slot, life, 7, 1), "nobody hears that"
     os.waitpid(pid, 0)
-    core.follow(slot, 0, [])
+    core.follow(slot, [])
     assert not core.snapshot(slot).called
     core.free(slot)

@@ -1,10 +1,10 @@
 """The virtual core: Figure 6.1 of the thesis, and small cases worked by hand."""
 
 import pytest
+from plain_dispatcher.dispatch import replay
+from plain_dispatcher.inline import Inline
 
 from pbonet.analysis.schedule.criticality import Timing, edf, muf, rate_monotonic
-from pbonet.analysis.schedule.dispatch import replay
-from pbonet.analysis.schedule.inline import Inline
 
 MS = 1_000_000
 SET = {"t1": (6, 2), "t2": (10, 4), "t3": (12, 3), "t4": (15, 4)}

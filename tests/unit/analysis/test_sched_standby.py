@@ -7,7 +7,6 @@ from oneslot import DEADLINE, MS, failures, kinds, one_slot
 
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Mode
-from pbonet.node.rt import _rt
 
 PERIOD = 10 * MS
 
@@ -21,7 +20,7 @@ def standby(monkeypatch, tmp_path):
         first = one.table.alloc("r", "first")
         one.table.configure(first, pid=2, period_ns=PERIOD, crit=5)
         one.table.post(first, mode=Mode.ON)
-        one.table.follow(one.slot, _rt.FALLBACK, [first])
+        one.table.follow(one.slot, [first])
         one.at(3 * MS, mode=Mode.STANDS)
         one.table.died(first)
         assert (Event.ENGAGE, 0, 12 * MS) in one.at(12 * MS)
@@ -142,7 +141,7 @@ def test_a_fallback_takes_over_from_one_that_died_in_what_no_turn_saw(
         one.at(2 * MS, mode=Mode.OFF)
         first = one.table.alloc("r", "first")
         one.table.configure(first, pid=2, period_ns=PERIOD, crit=5)
-        one.table.follow(one.slot, _rt.FALLBACK, [first])
+        one.table.follow(one.slot, [first])
         one.at(3 * MS, mode=Mode.STANDS)
         one.table.post(first, mode=Mode.ON)
         if last is Mode.COMMAND:
@@ -162,7 +161,7 @@ def unseen(monkeypatch, tmp_path):
         one.at(2 * MS, mode=Mode.OFF)
         one.first = one.table.alloc("r", "first")
         one.table.configure(one.first, pid=2, period_ns=PERIOD, crit=5)
-        one.table.follow(one.slot, _rt.FALLBACK, [one.first])
+        one.table.follow(one.slot, [one.first])
         one.at(3 * MS, mode=Mode.STANDS)
         yield one
 

@@ -3,8 +3,9 @@
 import itertools
 
 import pytest
+from plain_dispatcher.levels import HIGH, LOW, assign_levels
 
-from pbonet.analysis.schedule.urgency import HIGH, LOW, NEVER, assign_levels, urgency
+from pbonet.analysis.schedule.urgency import NEVER, urgency
 
 
 def test_criticality_comes_before_deadline_before_priority() -> None:

@@ -69,10 +69,10 @@ def test_the_lists_are_those_of_the_parts_without_what_is_inner(folder):
         "ERROR> both.rmod:3:1: INCONST does not list NDOF, an in-const of the module "
         "one+two (expected NDOF, got none); add NDOF to INCONST",
         "ERROR> both.rmod:5:1: INVAR lists Y, which is no such port of the module "
-        "one+two (expected X, got X Y); take it out; 'pbonet describe both.rmod' shows "
+        "one+two (expected X, got X Y); take it out; 'pbonet module both.rmod' shows "
         "the ports",
         "ERROR> both.rmod:6:1: OUTVAR lists W, which is no such port of the module "
-        "one+two (expected Z, got Z W); take it out; 'pbonet describe both.rmod' shows "
+        "one+two (expected Z, got Z W); take it out; 'pbonet module both.rmod' shows "
         "the ports",
         "both.rmod: RMOD both of module one+two: 3 faults",
     ]

@@ -30,7 +30,7 @@ def test_ports_of_file_and_class_are_compared_both_ways() -> None:
         "diff.rmod:6:1: INVAR does not list W, an in-var of the module mod (expected Z "
         "W, got Z); add W to INVAR",
         "diff.rmod:7:1: OUTVAR lists Z^, which is no such port of the module mod "
-        "(expected Y, got Z^); take it out; 'pbonet describe mod' shows the ports",
+        "(expected Y, got Z^); take it out; 'pbonet module mod' shows the ports",
         "diff.rmod:7:1: OUTVAR does not list Y, an out-var of the module mod (expected "
         "Y, got Z^); add Y to OUTVAR",
     ]

@@ -191,11 +191,11 @@ def test_the_report_as_text() -> None:
     assert legality.report_text(legality.report(with_server())).splitlines() == [
         "RTPU arm0 (MUF): schedulable, utilization 80.0% of 100.0%",
         "  critical set: a soft",
-        "  all deadlines would be kept under: MUF, EDF, RM",
+        "  all deadlines would be met under: MUF, EDF, RM",
         "  server srv: deferrable, 2 ms every 10 ms (20.0%); equation 22 allows 18.2%, "
         "all periods known 2.5 ms; fits",
         "  table: 0 of 1000 MB/s; a write waits 0 s, a read 0 us at most",
-        "  task  Hz       MINC ms      MAXC ms      E ms        U %   crit  set  keeps",
+        "  task  Hz       MINC ms      MAXC ms      E ms        U %   crit  set  meets",
         "  soft  83.3333  ? assumed 0  10 measured  6 measured  50.0  5     yes  1 "
         "of 2 cycles, 81.8% of periods at worst",
         "  a     100      0.5 .rmod    1 .rmod      -           10.0  5     yes  every "

@@ -25,8 +25,8 @@ def test_what_fits_together_keeps_its_promise():
     found = legality.sharing(reports(0.4, 0.5))
     assert found.kept
     assert found.as_text(1) == (
-        "arm0, arm1 share core 1, and each was judged as its owner; together they ask "
-        "for 90.0% of at most 95.0%: what was said of each holds"
+        "arm0, arm1 share core 1, but each was analysed as if it had the core alone; "
+        "together they need 90.0% of at most 95.0%, so that the results hold"
     )
 
 
@@ -36,16 +36,17 @@ def test_what_does_not_fit_together_is_no_promise():
     found = legality.sharing(each)
     assert not found.kept
     assert found.as_text(3) == (
-        "arm0, arm1 share core 3, and each was judged as its owner; together they ask "
-        "for 100.0% of at most 95.0%: nothing is promised; give each a core of its own "
-        "(pbonet agent --core), or judge their tasks on one RTPU"
+        "arm0, arm1 share core 3, but each was analysed as if it had the core alone; "
+        "together they need 100.0% of at most 95.0%, so that no deadline is "
+        "guaranteed; give each a core of its own (pbonet agent --core), or analyse "
+        "their tasks on one RTPU"
     )
 
 
 def test_what_nobody_knows_is_said():
     text = legality.sharing(reports(0.4, None)).as_text(1)
     assert "at least 40.0%" in text
-    assert text.endswith("holds, if tasks of unknown MAXC take no time")
+    assert text.endswith("the results hold, if tasks of unknown MAXC take no time")
 
 
 @pytest.mark.parametrize(

@@ -5,78 +5,119 @@ from __future__ import annotations
 import ast
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
 
 import pytest
-import typer.main
 
 from pbonet import cli
-from pbonet.cli import build
+from pbonet.cli import parser, verbs
+from pbonet.cli.table import example
 from pbonet.errors import StateError
 from pbonet.log import Log, last_run
+from pbonet.master.console.command_session import bind, split_name
 from pbonet.master.console.commands import COMMANDS, Scope
 
-OWN = {"stop", "check", "profile"}
-"""Verbs that take more than the command of their name."""
+OWN = {"stop", "check", "profile", "module"}
+"""Verbs that take other words than the command of their name."""
+PARTS = {"__init__", "__main__", "options", "table", "parser", "help", "program"}
+PARTS |= {"verbs", "completing"}
+"""Files of the command line that are no verbs."""
+SUMMARY = 68
+"""Characters of a line of help, so that it fits a terminal."""
 PUMA = Path(__file__).parents[3] / "examples" / "puma"
 ASKED = (
-    *("agent", "run", "sbs", "spawn", "on", "off", "kill", "clear", "set", "get"),
-    *("freq", "reconfig", "status", "display", "module", "check", "describe", "new"),
+    *("agent", "run", "prompt", "spawn", "on", "off", "kill", "clear", "set", "get"),
+    *("freq", "reconfig", "status", "display", "module", "check", "new"),
     *("stop", "doctor", "events"),
 )
 
 
-@pytest.fixture(scope="module")
-def app():
-    return typer.main.get_command(build())
+def every_verb():
+    """Yield every verb, those of families too."""
+    for name in verbs.NAMES:
+        found = verbs.load(name)
+        yield from [found] if isinstance(found, parser.Verb) else found.verbs.values()
 
 
-def options_of(command):
-    return {name for param in command.params for name in param.opts}
+ALL = {verb.name: verb for verb in every_verb()}
 
 
-def test_every_verb_that_was_asked_for_is_there(app):
-    assert set(ASKED) <= set(app.commands)
-    assert set(app.commands) == set(cli.VERBS)
+def options_of(verb):
+    return {name for one in verb.options for name in one.names}
 
 
-def test_every_command_of_the_table_is_a_verb_too(app):
+def test_every_verb_that_was_asked_for_is_there():
+    assert set(ASKED) <= set(verbs.NAMES)
+
+
+def test_every_file_of_a_verb_is_in_the_help():
+    files = {path.stem for path in Path(cli.__file__).parent.glob("*.py")}
+    assert files - PARTS <= set(verbs.NAMES)
+
+
+def test_every_command_of_the_table_is_a_verb_too():
     for command in COMMANDS:
         if command.scope is Scope.EVERYWHERE:
-            assert command.name in app.commands, command.name
-            arguments = {param.name for param in app.commands[command.name].params}
+            assert command.name in verbs.NAMES, command.name
             if command.name not in OWN:
+                arguments = {one.name for one in ALL[command.name].parameters}
                 assert {arg.name for arg in command.args} <= arguments, command.name
 
 
-def test_every_verb_has_help_json_and_debug(app):
-    groups = [app.commands.pop(name).commands for name in ("new", "keys", "log")]
-    verbs = {**app.commands, **groups[0], **groups[1], **groups[2]}
-    for name, command in verbs.items():
-        assert command.help, name
-        assert "--debug" in options_of(command), name
-        if name != "agent":
-            assert "--json" in options_of(command), name
-        for param in command.params:
-            assert param.help or param.name == "help", (name, param.name)
+@pytest.mark.parametrize("verb", ALL.values(), ids=ALL)
+def test_every_verb_is_documented(verb):
+    assert verb.help
+    assert len(verb.summary) <= SUMMARY
+    assert "--debug" in options_of(verb)
+    if verb.name != "agent":
+        assert "--json" in options_of(verb)
+    for one in verb.parameters:
+        assert one.help, one.name
 
 
-def test_verbs_that_change_can_take_over(app):
+@pytest.mark.parametrize("verb", ALL.values(), ids=ALL)
+def test_every_verb_has_two_examples_that_it_takes(verb):
+    assert len(verb.examples) >= 2
+    for line, purpose in verb.examples:
+        assert purpose.endswith(".")
+        words = shlex.split(line.removeprefix('eval "$(').removesuffix(')"'))
+        assert words[0] == "pbonet"
+        found, rest = verbs.find(words[1:])
+        assert found.name == verb.name
+        parser.parse(found, rest)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_every_example_of_a_command_is_a_line_of_the_prompt(command):
+    for line, _ in command.examples:
+        found, words = split_name(shlex.split(line))
+        assert found is command
+        bind(command, words, lambda _: True)
+
+
+def test_an_example_of_the_prompt_is_told_as_a_verb():
+    swap = next(one for one in COMMANDS if one.name == "swap")
+    line = "swap a b rtpu=arm1 dry_run=yes"
+    assert example(swap, line) == "pbonet swap arm.sbs a b --rtpu arm1 --dry-run"
+
+
+def test_verbs_that_change_can_take_over():
     for command in COMMANDS:
         if command.scope is Scope.EVERYWHERE and command.name != "stop":
-            has = "--take-over" in options_of(app.commands[command.name])
+            has = "--take-over" in options_of(ALL[command.name])
             assert has == command.changes, command.name
 
 
 def test_verbs_hold_no_logic():
     """A verb's file defines one function, and imports pbonet's parts inside it."""
     for path in Path(cli.__file__).parent.glob("*.py"):
-        if path.stem in {"__init__", "__main__", "options", "table"}:
+        if path.stem in PARTS:
             continue
         tree = ast.parse(path.read_text())
-        functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
-        plain = [one for one in functions if not one.decorator_list]
+        functions = [n for n in tree.body if isinstance(n, ast.FunctionDef)]
+        plain = [one for one in functions if one.name.startswith("_")]
         assert len(plain) <= 1, path.name
         assert not any(isinstance(n, ast.While | ast.Try) for n in ast.walk(tree))
 
@@ -112,7 +153,7 @@ def test_a_module_that_is_missing_is_told_at_the_line_that_names_it(call, tmp_pa
 
 
 def test_user_error_is_told_without_a_stack(call):
-    status, out, err = call("describe", "dif")
+    status, out, err = call("module", "dif")
     assert (status, out) == (1, "")
     assert err.startswith("pbonet: the library has no module dif")
     assert "did you mean diff?" in err
@@ -120,13 +161,13 @@ def test_user_error_is_told_without_a_stack(call):
 
 
 def test_debug_adds_the_stack(call):
-    status, _, err = call("describe", "dif", "--debug")
+    status, _, err = call("module", "dif", "--debug")
     assert status == 1
     assert "Traceback" in err
 
 
 def test_error_is_data_with_json(call):
-    status, out, err = call("describe", "dif", "--json")
+    status, out, err = call("module", "dif", "--json")
     assert (status, err) == (1, "")
     assert json.loads(out)["error"]["code"] == "MODULE_LOAD"
 
@@ -139,21 +180,55 @@ def test_wrong_usage_is_status_two(call):
 @pytest.mark.parametrize(
     ("words", "option", "expected"),
     [
-        (("run", "a.job", "--seconds", "5s"), "--seconds", "number"),
-        (("agent", "--core", "1.5"), "--core", "integer"),
-        (("new", "module", "a", "--freq", "-7"), "--freq", "0.001"),
-        (("events", "a.sbs", "many"), "LAST", "integer"),
+        (("run", "a.job", "--seconds", "5s"), "--seconds", "a number"),
+        (("agent", "--core", "1.5"), "--core", "an integer"),
+        (("new", "module", "a", "--freq", "-7"), "--freq", "at least 0.001"),
+        (("events", "a.sbs", "many"), "LAST", "an integer"),
     ],
 )
 def test_an_option_that_is_no_number_or_out_of_range_is_told_with_its_word(
     call, words, option, expected
 ):
     status, _, err = call(*words)
-    told = err.splitlines()[-1]
+    told, usage, _ = err.splitlines()
     assert status == 2
-    assert told.startswith(f"Error: Invalid value for '{option}': ")
-    assert expected in told
-    assert words[-1] in told
+    assert told == f"pbonet: {option} must be {expected} (got '{words[-1]}')"
+    assert usage.startswith(f"usage: pbonet {words[0]} ")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("stats",), "there is no verb stats; did you mean status?"),
+        (("log", "inf"), "pbonet log has no verb inf; did you mean info?"),
+        (("on", "a.sbs", "--domian", "x"), "there is no option --domian; did you mean"),
+        (("get",), "FILE is missing: The subsystem's .sbs file"),
+        (("get", "a.sbs", "a", "b", "c"), "one word too many: c"),
+        (("stop", "--timeout"), "--timeout needs a value: --timeout SECONDS"),
+        (("run", "a.job", "--sim=yes"), "--sim takes no value (got 'yes')"),
+        (("log", "merge", "a"), "--out is missing: The new file."),
+    ],
+)
+def test_wrong_words_are_told(call, words, told):
+    status, out, err = call(*words)
+    assert (status, out) == (2, "")
+    assert err.startswith(f"pbonet: {told}")
+
+
+def test_options_come_anywhere_and_in_every_form(monkeypatch):
+    monkeypatch.setenv("PBONET_CONNECT", "tcp/a:1 tcp/b:2")
+    monkeypatch.setenv("PBONET_LIBRARY", "/x:/y")
+    verb, rest = verbs.find(["set", "--json", "a.sbs", "t", "--domain=lab", "--", "-x"])
+    given = parser.parse(verb, rest)
+    assert (given["task"], given["param"], given["json_"]) == ("t", "-x", True)
+    assert (given["domain"], given["connect"]) == ("lab", ["tcp/a:1", "tcp/b:2"])
+    assert given["library"] == [Path("/x"), Path("/y")]
+    verb, rest = verbs.find(["log", "merge", "a", "-oc.mcap", "b"])
+    given = parser.parse(verb, rest)
+    assert (given["files"], given["out"]) == ([Path("a"), Path("b")], Path("c.mcap"))
+    verb, rest = verbs.find(["run", "a.job", "--no-embed", "--connect", "x"])
+    given = parser.parse(verb, rest)
+    assert (given["embed"], given["connect"]) == (False, ["x"])
 
 
 def test_a_host_that_is_not_found_is_told_in_words_of_pbonet(call):
@@ -261,21 +336,21 @@ def test_check_compares_an_rmod_with_its_module(call, tmp_path):
     assert f"ERROR> {rmod}:10:1: module Gain needs parameter gain" in out[-2]
 
 
-def test_describe_shows_the_parts_of_a_combination(call):
+def test_module_shows_the_parts_of_a_combination(call):
     servo = Path(__file__).parents[3] / "examples" / "servoing" / "servo.rmod"
-    status, out, _ = call("describe", str(servo))
+    status, out, _ = call("module", str(servo))
     assert status == 0
     assert "Q^_CMD  float64[ndof]    rad/s  commanded joint velocity" in out
-    info = json.loads(call("describe", str(servo), "--json")[1])
+    info = json.loads(call("module", str(servo), "--json")[1])["module"]
     names = [part["name"] for part in info["parts"]]
     assert names == ["forward_kin", "damped_ls", "qrint"]
 
 
-def test_describe_shows_ports_and_parameters(call):
-    status, out, _ = call("describe", "diff")
+def test_module_shows_ports_and_parameters(call):
+    status, out, _ = call("module", "diff")
     assert status == 0
     assert "parameters" in out
-    info = json.loads(call("describe", "diff", "--json")[1])
+    info = json.loads(call("module", "diff", "--json")[1])["module"]
     assert {port["name"] for port in info["ports"]} >= {"Z", "Z^"}
 
 

@@ -296,7 +296,7 @@ def test_installed_packages_add_modules(tmp_path, monkeypatch):
     (package / "ramp.py").write_text(GOOD)
     monkeypatch.syspath_prepend(tmp_path)
     points = [Point("parts", "robot_parts")]
-    monkeypatch.setattr(library, "entry_points", lambda **_: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: points)
     loaded = Library().load("ramp")
     assert loaded.cls.__module__ == "robot_parts.ramp"
     assert importlib.import_module("robot_parts.ramp").Ramp is loaded.cls
@@ -305,7 +305,9 @@ def test_installed_packages_add_modules(tmp_path, monkeypatch):
 
 def test_installed_packages_are_looked_up_last_and_once(folder, monkeypatch):
     asked = []
-    monkeypatch.setattr(library, "entry_points", lambda **_: asked.append(1) or [])
+    monkeypatch.setattr(
+        "importlib.metadata.entry_points", lambda **_: asked.append(1) or []
+    )
     shelf = Library([folder])
     shelf.load("ramp")
     shelf.load("diff")
@@ -320,7 +322,7 @@ def test_installed_packages_are_looked_up_last_and_once(folder, monkeypatch):
 
 def test_an_installed_package_that_does_not_import_is_told(monkeypatch):
     points = [Point("parts", "gone_package.modules")]
-    monkeypatch.setattr(library, "entry_points", lambda **_: points)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda **_: points)
     with pytest.raises(ModuleLoadError) as caught:
         Library().modules()
     assert str(caught.value) == (

@@ -350,7 +350,8 @@ def test_help_covers_the_table(session):
         assert command.usage in shown
     one = render.text("help", session.execute("help spawn").data)
     assert "spawn RMOD [RTPU] [HZ]" in one
-    assert "frequency in place of the RMOD's" in one
+    assert "frequency in place of the .rmod's" in one
+    assert "  spawn jttrace arm1 25 " in one
 
 
 def test_scopes_are_used():

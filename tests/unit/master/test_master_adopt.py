@@ -243,7 +243,7 @@ def test_check_says_where_each_time_comes_from(folder, capsys):
         main(["check", str(job)])
     assert not caught.value.code
     out = capsys.readouterr().out
-    assert "RTPU arm1 (MUF): assumed, utilization at least 8.0% of 95.0%" in out
+    assert "(MUF): schedulable if unknown MAXC is 0, utilization at least 8.0%" in out
     assert "  qrdiff     100  0.0512 measured  0.801 measured  -     8.0" in out
     run(folder, "qrdiff")
     with pytest.raises(SystemExit):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pbonet import cli
+from pbonet.cli import verbs
 from pbonet.master.console.commands import COMMANDS
 from pbonet.master.subsystem.status_fields import FIELDS
 
@@ -31,5 +31,5 @@ def test_field_is_on_the_page(field):
 
 
 def test_verbs_are_on_the_page():
-    for verb in cli.VERBS:
+    for verb in verbs.NAMES:
         assert f"`{verb}" in PAGE or f"pbonet {verb}" in PAGE, verb

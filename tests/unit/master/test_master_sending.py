@@ -28,8 +28,10 @@ GONE = UnreachableError("no agent answers", where="arm1")
 class Fleet:
     """RTPUs of one machine; each carries out its part, or answers as it is told."""
 
-    def __init__(self, **answers):
+    def __init__(self, *, came=State.OFF, **answers):
         self.answers = answers
+        self.came = came
+        """The state of `both` when it is asked for; None: nobody answers."""
         self.sent = []
         """(RTPU, request) in the order in which they were sent."""
 
@@ -38,8 +40,12 @@ class Fleet:
 
     def call(self, rtpu, request, _result, **_limit):
         self.sent.append((rtpu, request))
-        if isinstance(request, m.Heirs):
+        if isinstance(request, m.Successors):
             return {old: [call(old)] for olds in request.after.values() for old in olds}
+        if isinstance(request, m.Status):
+            if self.came is None:
+                raise GONE
+            return status(rtpu, request.task, self.came)
         answers = self.answers.get(rtpu, [])
         answer = answers.pop(0) if answers else done(request.items)
         if isinstance(answer, Exception):
@@ -61,9 +67,19 @@ class Fleet:
 def call(old):
     outputs = ["Y0", "Y1"]
     return m.Call(
-        heir="both", outputs=outputs, core=1, slot=9, life=1, ticket=1,
+        successor="both", outputs=outputs, core=1, slot=9, life=1, ticket=1,
         caller=int(old == "b"),
     )  # fmt: skip
+
+
+def status(rtpu, task, state):
+    counts = ["tid", "crit", "cycle", "miss", "tick", "warn"]
+    times = ["ref_f", "mez_f", "mez_t", "ptime", "tot_c", "min_c", "max_c", "last_c"]
+    numbers = dict.fromkeys([*counts, *times], 0)
+    one = m.TaskStatus(
+        rmod="counts", task=task, rtpu=rtpu, S="", state=state, **numbers
+    )
+    return m.RtpuStatus(rtpu=rtpu, backend="fifo", scheduler="MUF", tasks=[one])
 
 
 def done(items):
@@ -86,8 +102,9 @@ def stuck(picture, fleet):
     """Return the error of the list, and what heirs were told last."""
     with pytest.raises(ReconfigError) as caught:
         send(picture, fleet, ITEMS, 1.0)
-    rtpu, request = fleet.sent[-1]
-    assert (rtpu, request.after) == ("arm2", {"both": []}), "it stands by no longer"
+    (rtpu, request), (asked, _) = fleet.sent[-2:]
+    assert (rtpu, asked) == ("arm2", "arm2")
+    assert request.after == {"both": []}, "it stands by no longer"
     return caught.value
 
 
@@ -144,3 +161,53 @@ def test_one_is_on_another_machine_after_all(picture):
     again = [request for rtpu, request in fleet.sent if rtpu == "arm1"]
     assert [one.items for one in again] == [[("b", "off")], [("b", "off")]]
     assert [list(one.calls) for one in again] == [["b"], []]
+
+
+def called(picture, came):
+    """Return the error of a list in which an item fails after both has been called."""
+    text = rmod("counts", "Y2").replace("SVARALIAS Y=Y2\n", "")
+    source = RmodSource(parse_rmod(text, "bad.rmod"), text)
+    picture.add(Member(source=source, rtpu="arm1", freq=100.0, state=State.OFF))
+    failed = MethodError("on does not work", where="bad").to_wire()
+    answer = m.Reconfigured(done=0, rest=[("bad", "on")], error=failed)
+    both = [m.Reconfigured(done=1, states={"b": "OFF"}), answer]
+    items = [*ITEMS[:2], ("bad", "on"), ITEMS[2]]
+    with pytest.raises(ReconfigError) as caught:
+        send(picture, Fleet(arm1=both, came=came), items, 1.0)
+    assert caught.value.what.startswith("item")
+    return caught.value
+
+
+def test_a_successor_that_was_called_before_an_item_failed_is_done(picture):
+    error = called(picture, State.ON)
+    assert str(error) == (
+        "arm1/bad: item 4 of 4, on bad: on does not work; done: off a, off b, on both"
+    )
+    assert (error.done, error.rest) == (3, (("bad", "on"),))
+    assert picture.find("both").state is State.ON
+
+
+def test_a_successor_that_was_not_called_in_time_is_not_sent(picture):
+    error = called(picture, State.OFF)
+    assert "item 3 of 4, on bad: on does not work; " in str(error)
+    assert str(error).endswith("done: off a, off b; not sent: on both")
+    assert error.rest == (("bad", "on"), ("both", "on"))
+
+
+@pytest.mark.parametrize(
+    ("came", "remark"),
+    [
+        (State.ERROR, "was called, and is ERROR now"),
+        (None, "may have come on: its RTPU does not say"),
+    ],
+)
+def test_what_became_of_a_successor_is_said(picture, came, remark):
+    assert str(called(picture, came)).endswith(f"not sent: on both ({remark})")
+
+
+def test_an_item_that_stands_twice_in_a_list_was_done_once(picture):
+    answer = m.Reconfigured(done=2, rest=[("a", "off")], error=FAILED)
+    items = [("a", "off"), ("a", "on"), ("a", "off")]
+    with pytest.raises(ReconfigError) as caught:
+        send(picture, Fleet(arm0=[answer]), items, 1.0)
+    assert (caught.value.done, caught.value.rest) == (2, (("a", "off"),))

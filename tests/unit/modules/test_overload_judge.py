@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import pytest
+from plain_dispatcher.dispatch import Dispatcher
+from plain_dispatcher.inputs import pack
 
-from pbonet.analysis.schedule.dispatch import Dispatcher
-from pbonet.analysis.schedule.events import Event, pack
+from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Decision, Kind, Mode
 from pbonet.analysis.schedule.simulate import PeriodicTask, simulate
 

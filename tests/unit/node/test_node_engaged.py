@@ -30,7 +30,7 @@ class Standing(Host):
         self.executor = SimpleNamespace(state=State.OFF, signal=self._come_on)
         self.voice = SimpleNamespace(send=lambda _: None, notice=self._failed)
         self.core = SimpleNamespace()
-        self.heir_of = []
+        self.predecessors = []
         self.meanwhile = lambda: None
         self.error = None
 
@@ -110,7 +110,7 @@ def test_a_fallback_whose_on_is_slow_takes_nothing_from_the_one_before(table, ol
     failed = table.local("original", ME, outvar=["Y0"])
     new.prepare("original", owners=["old"])
     old.cede()
-    failed.heir_of(["old"])
+    failed.take_over_from(["old"])
     failed.claim()
     failed.release()  # it is in ERROR
     new.engage(old.claim)
@@ -121,14 +121,14 @@ def test_a_fallback_takes_over_from_its_original(table, old, new):
     failed = table.local("original", ME, outvar=["Y0"])
     new.prepare("original", owners=["old"])
     old.cede()
-    failed.heir_of(["old"])
+    failed.take_over_from(["old"])
     failed.claim()
     new.engage()
     assert (new.executor.state, writer(table)) == (State.ON, "new")
 
 
 def test_a_far_heir_takes_over_what_nobody_owns(table, far_old, new):
-    new.prepare("old", owners=["old@host-a"], far=True)
+    new.prepare("old", owners=["old@host-a"], far=["old"])
     far_old.release()
     new.engage()
     assert (new.executor.state, writer(table)) == (State.ON, "new")
@@ -137,7 +137,7 @@ def test_a_far_heir_takes_over_what_nobody_owns(table, far_old, new):
 def test_a_far_heir_whose_on_is_slow_takes_nothing_from_who_came_back(
     table, far_old, new
 ):
-    new.prepare("old", owners=["old@host-a"], far=True)
+    new.prepare("old", owners=["old@host-a"], far=["old"])
     far_old.release()
     new.engage(far_old.claim)
     assert (new.executor.state, writer(table)) == (State.ERROR, "old@host-a")
@@ -145,7 +145,7 @@ def test_a_far_heir_whose_on_is_slow_takes_nothing_from_who_came_back(
 
 @pytest.mark.usefixtures("far_old")
 def test_a_far_heir_does_not_come_on_where_somebody_came_back_before_it_ran(table, new):
-    new.prepare("old", owners=["old@host-a"], far=True)
+    new.prepare("old", owners=["old@host-a"], far=["old"])
     new.engage()
     assert (new.executor.state, writer(table)) == (State.OFF, "old@host-a")
     assert "owner old@host-a" in str(new.error)
@@ -153,8 +153,8 @@ def test_a_far_heir_does_not_come_on_where_somebody_came_back_before_it_ran(tabl
 
 def test_who_cannot_take_over_does_not_stand_by(far_old, new):
     with pytest.raises(SvarOwnerError, match="owner old@host-a"):
-        new.prepare("old", far=True)
-    assert new.heir_of == []
+        new.prepare("old", far=["old"])
+    assert new.predecessors == []
     far_old.release()
-    new.prepare("old", far=True)
-    assert new.heir_of == ["old"]
+    new.prepare("old", far=["old"])
+    assert new.predecessors == ["old"]

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.analysis.schedule.records import Mode
-from pbonet.errors import MethodError, NoAnswerError, StateError
-from pbonet.node.rt import _rt
+from pbonet.errors import MethodError, NoAnswerError
 from pbonet.node.rtpu import signal_tasks
 from pbonet.node.rtpu.fallbacks import LIMIT, Fallbacks
 from pbonet.node.wire import rtpu_messages
@@ -28,8 +27,8 @@ class Core:
         self.dead = set()
         self.coming = set()
 
-    def follow(self, slot, kind, slots):
-        self.follows[slot] = (kind, slots)
+    def follow(self, slot, slots):
+        self.follows[slot] = slots
 
     def snapshot(self, slot):
         return SimpleNamespace(
@@ -47,31 +46,23 @@ class FakeTask:
         self.name = name
         self.facts = SimpleNamespace(subsystem="arm", slot=slot, outputs=["Y"])
         self.state = state
-        self.stands_by = ""
+        self.stands_by, self.waiting = "", None
         self.stopping = False
         self.gone = asyncio.Event()
         self.heard = []
         self.fails_off = None
-        self.fails_prepare = None
+        self.fails_prepare = False
 
     async def command(self, what, make, limit, *, last=False):
         assert limit > 0
         assert last is (what == "off")
         message = make(1)
         self.heard.append(message)
+        stands = False
         if isinstance(message, rtpu_messages.Signal):
             self._off()
-        return rtpu_messages.Done(n=1, state=self.state)
-
-    async def off_and_prepare(self, off, prepare, limit, *, last):
-        self.heard += [off(1), prepare(2)]
-        self._off()
-        assert limit > 0
-        assert last
-        return rtpu_messages.Done(n=1, state=self.state), self.fails_prepare
-
-    async def idle(self):
-        self.heard.append("idle")
+            stands = message.then is not None and not self.fails_prepare
+        return rtpu_messages.Done(n=1, state=self.state, result=([], stands))
 
     def _off(self):
         if self.fails_off is not None:
@@ -80,7 +71,7 @@ class FakeTask:
 
 
 class Home:
-    """An RTPU with the two, and heirs that are called from others."""
+    """An RTPU with the two, and the predecessors of the first."""
 
     def __init__(self):
         self.name = "arm0"
@@ -91,11 +82,7 @@ class Home:
         self.tasks = {("arm", one.name): one for one in (self.first, self.second)}
         self.stopping = set()
         self.lists = {}
-        self.called = []
-        self.heirs = SimpleNamespace(
-            waits=lambda task: task is self.first and bool(self.called),
-            callers=lambda task: self.called if task is self.first else [],
-        )
+        self.successors = SimpleNamespace(dismiss=lambda _task: None)
         self.fallbacks = Fallbacks(self)
         asyncio.run(self.fallbacks.pair("arm", STANDBY, ORIGINAL))
 
@@ -105,20 +92,20 @@ class Home:
     def need(self, subsystem, name):
         return self.tasks[subsystem, name]
 
-    def turn_off(self, **heirs):
-        def off(n):
-            return rtpu_messages.Signal(n, "off", handover=True, cede=True)
+    def turn_off(self, *callers):
+        """Turn the standby off, while its original waits for these."""
+        self.first.waiting = SimpleNamespace(after=list(callers))
 
-        return asyncio.run(
-            self.fallbacks.turn_off(self.second, off, 5.0, last=True, heirs=heirs)
-        )
+        def off(n, then):
+            return rtpu_messages.Signal(n, "off", handover=True, cede=True, then=then)
+
+        return asyncio.run(self.fallbacks.turn_off(self.second, off, 5.0, last=True))
 
     @property
     def prepared(self):
         """What the standby was told to be ready for, message by message."""
-        messages = [
-            one for one in self.second.heard if isinstance(one, rtpu_messages.Prepare)
-        ]
+        heard = [getattr(one, "then", one) for one in self.second.heard]
+        messages = [one for one in heard if one is not None]
         return [(one.after, one.owners) for one in messages]
 
 
@@ -131,21 +118,14 @@ def stands_by(home):
     return home.second.stands_by, home.core.follows.get(4)
 
 
-READY = (ORIGINAL, (_rt.FALLBACK, [3]))
-ALONE = ("", (0, []))
+READY = (ORIGINAL, [3])
+ALONE = ("", [])
 
 
-def test_it_is_told_beforehand(home):
-    done = home.turn_off(first=[STANDBY, OTHER])
-    assert done.state == State.OFF
+def test_its_off_says_what_it_stands_by_for(home):
+    assert home.turn_off(STANDBY, OTHER) == []
+    assert home.second.state == State.OFF
     assert home.prepared == [([ORIGINAL], [STANDBY, OTHER])]
-    assert stands_by(home) == READY
-
-
-def test_its_original_may_be_called_from_another_rtpu(home):
-    home.called = [OTHER, STANDBY]
-    home.turn_off()
-    assert home.prepared == [([ORIGINAL], [OTHER, STANDBY])]
     assert stands_by(home) == READY
 
 
@@ -153,7 +133,7 @@ def test_its_original_may_be_called_from_another_rtpu(home):
     "why", ["another", "fell", "dead", "on", "gone", "often", "ended"]
 )
 def test_nothing_is_arranged_where_it_could_not_be_engaged_in_order(home, why):
-    heirs = {"third": [STANDBY]} if why == "another" else {ORIGINAL: [STANDBY]}
+    callers = [OTHER] if why == "another" else [STANDBY]
     if why == "fell":
         home.core.fell.add(3)
     elif why == "dead":
@@ -166,27 +146,21 @@ def test_nothing_is_arranged_where_it_could_not_be_engaged_in_order(home, why):
         home.first.stopping = True
     elif why == "often":
         home.fallbacks._pairs["arm", STANDBY].engaged = LIMIT
-    home.turn_off(**heirs)
+    home.turn_off(*callers)
+    assert home.prepared == []
     assert [type(one) for one in home.second.heard] == [rtpu_messages.Signal]
     assert stands_by(home) == ("", None)
 
 
-def test_an_off_that_fails_leaves_it_as_it_was(home):
-    home.second.fails_off = NoAnswerError("it hangs in off")
-    with pytest.raises(NoAnswerError):
-        home.turn_off(first=[STANDBY])
+@pytest.mark.parametrize(
+    "error", [NoAnswerError("it hangs in off"), MethodError("off raised")], ids=repr
+)
+def test_an_off_that_fails_leaves_it_as_it_was(home, error):
+    home.second.fails_off = error
+    with pytest.raises(type(error)):
+        home.turn_off(STANDBY)
     assert stands_by(home) == ALONE
     assert home.prepared[-1] == ([], []), "in case that it gets ready yet"
-    assert "idle" not in home.second.heard
-
-
-def test_an_off_that_raises_is_taken_back_behind_the_second_answer(home):
-    """Till then the task is busy, and would not be sent anything."""
-    home.second.fails_off = MethodError("off raised")
-    with pytest.raises(MethodError):
-        home.turn_off(first=[STANDBY])
-    assert home.second.heard[-2:] == ["idle", rtpu_messages.Prepare(1, [])]
-    assert stands_by(home) == ALONE
 
 
 def test_one_within_its_on_takes_nothing_from_who_comes_on(home):
@@ -197,12 +171,13 @@ def test_one_within_its_on_takes_nothing_from_who_comes_on(home):
     home.fallbacks.overtaken(home.second)
     assert 4 not in home.core.follows, "it is the one that comes on"
     home.fallbacks.overtaken(home.first)
-    assert stands_by(home) == (ORIGINAL, (0, []))
+    assert stands_by(home) == (ORIGINAL, [])
 
 
 def test_one_that_cannot_get_ready_is_off_all_the_same(home):
-    home.second.fails_prepare = StateError("no room")
-    assert home.turn_off(first=[STANDBY]).state == State.OFF
+    home.second.fails_prepare = True
+    home.turn_off(STANDBY)
+    assert home.second.state == State.OFF
     assert stands_by(home) == ALONE
     assert home.prepared[-1] == ([], [])
 
@@ -212,8 +187,8 @@ def test_of_one_that_has_died_no_slot_is_touched(home):
     home.second.fails_off = NoAnswerError("it has died")
     home.second.gone.set()
     with pytest.raises(NoAnswerError):
-        home.turn_off(first=[STANDBY])
-    assert stands_by(home) == ("", (_rt.FALLBACK, [3]))
+        home.turn_off(STANDBY)
+    assert stands_by(home) == ("", [3])
     assert home.prepared == [([ORIGINAL], [STANDBY])]
 
 
@@ -257,7 +232,6 @@ def test_nobody_gets_ready_again_for_a_task_that_is_killed(restless, monkeypatch
     """It has two fallbacks: while one is sent to rest, the other one's time comes."""
     home, third = restless, restless.tasks["arm", "third"]
     pairs = home.fallbacks
-    home.heirs.dismiss = lambda _task: None
     left = []
 
     async def killed(*_, **_more):

@@ -9,7 +9,7 @@ from pbonet.errors import SvarFullError, UnknownVariableError
 from pbonet.node.rtpu.illegal_flag import Flags
 from pbonet.node.wire.event_log import EventLog
 from pbonet.svar import Table
-from pbonet.svar.native import CAUSES_EACH
+from pbonet.svar._svar import CAUSES_EACH
 
 SVAR = """NAME Y
 TYPE double
@@ -80,10 +80,10 @@ def test_a_cause_without_room_is_raised_when_others_have_gone(table):
     for k in range(crowd):
         table.clear_illegal(f"crowd/{k}")
     assert not table.illegal
-    mine.relieve()
+    mine.evaluate()
     assert [one.cause for one in table.illegal] == ["servo has died"]
     mine.down("arm", "servo")
-    mine.relieve()
+    mine.evaluate()
     assert not table.illegal
 
 
@@ -94,7 +94,7 @@ def test_entering_and_leaving_are_events_with_the_cause(table):
     mine.up("arm", "servo", "servo has died")  # it is up already
     table.raise_illegal("of another RTPU", "arm1/eye")
     table.raise_illegal("equation 2", "master")
-    mine.look()
+    mine.report()
     mine.down("arm", "servo")
     assert [(event.code, event.text) for event in events.since(1)] == [
         ("ILLEGAL", "servo has died (arm0/servo)"),
@@ -112,12 +112,12 @@ def test_who_has_ended_for_an_heir_that_failed_is_no_writer(table):
     made.ceded("arm", ["X"])
     assert not made.written("arm", ["X"], but="heir")
     made.up("arm", "heir", "heir is in ERROR", ["X"])
-    made.relieve()
+    made.evaluate()
     assert len(table.illegal) == 1
     old.release()
     old.claim()
     assert made.written("arm", ["X"], but="heir")
-    made.relieve()
+    made.evaluate()
     assert not table.illegal
 
 
@@ -148,10 +148,10 @@ def test_what_a_fallback_does_not_write_is_missed_no_more(table):
     made.up("arm", "servo", "servo has died", ["X", "Y"])
     heir = table.local("hold", 1, outvar=["X"])
     heir.claim()
-    made.relieve()
+    made.evaluate()
     assert len(table.illegal) == 1, "nobody writes Y"
     made.narrow("arm", "servo", ["X", "Z"])
-    made.relieve()
+    made.evaluate()
     assert not table.illegal
 
 
@@ -160,14 +160,14 @@ def test_what_a_master_found_goes_when_somebody_writes(table):
     events = EventLog("arm0")
     mine = flags(table, events)
     mine.master_found("arm", "equation 2", ["X"])
-    mine.relieve()
+    mine.evaluate()
     assert standing(table) == ["equation 2"]
     second = table.local("second", 1, outvar=["X"])
     second.claim()
-    mine.relieve()
+    mine.evaluate()
     assert standing(table) == []
     second.release()
-    mine.relieve()
+    mine.evaluate()
     assert standing(table) == [], "whoever stops writing is told by others"
     assert [(event.code, event.text) for event in events.since(1)] == [
         ("ILLEGAL", "equation 2 (master)"),
@@ -185,7 +185,7 @@ def test_what_a_master_found_too_late_is_not_raised(table):
     assert standing(table) == []
     mine.ceded("arm", ["X"])  # it has ended, and its heir has failed
     mine.master_found("arm", "equation 2", ["X"])
-    mine.relieve()
+    mine.evaluate()
     assert standing(table) == ["equation 2"]
     mine.master_mended("arm", "equation 2")
     mine.master_mended("arm", "equation 2")
@@ -199,7 +199,7 @@ def test_what_a_master_says_of_no_variables_stands_until_it_is_withdrawn(table):
     mine = flags(table)
     mine.master_found("arm", "a test", [])
     table.local("second", 1, outvar=["X"]).claim()
-    mine.relieve()
+    mine.evaluate()
     assert standing(table) == ["a test"]
 
 
@@ -209,7 +209,7 @@ def test_what_a_master_found_ends_with_its_table(table):
     mine = flags(table, tables=tables)
     mine.master_found("arm", "equation 2", ["X"])
     del tables["arm"]
-    mine.relieve()
+    mine.evaluate()
     other = Table.create(
         "other", parse_svar(SVAR.replace("X", "Z"), "t.svar").variables
     )
@@ -217,7 +217,7 @@ def test_what_a_master_found_ends_with_its_table(table):
         tables["arm"] = Opened(table)
         mine.master_found("arm", "equation 2", ["X"])
         tables["arm"] = Opened(other)
-        mine.relieve()
+        mine.evaluate()
         assert standing(other) == []
     finally:
         other.destroy()

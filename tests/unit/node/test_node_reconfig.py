@@ -16,6 +16,7 @@ from pbonet.node.rtpu import reconfig
 from pbonet.node.rtpu.handover import Exchange
 from pbonet.node.rtpu.illegal_flag import Flags
 from pbonet.node.rtpu.rtpu_state import Rtpu as Process
+from pbonet.node.rtpu.successors import Successors
 from pbonet.node.wire import rtpu_messages
 from pbonet.node.wire.event_log import EventLog
 from pbonet.pbo import State
@@ -40,7 +41,7 @@ class Played:
 
     def __init__(self, rtpu, name, outputs):
         self.rtpu, self.name, self.state = rtpu, name, State.ON
-        self.freq, self.busy, self.engaged = 100.0, "", None
+        self.freq, self.busy, self.engaged, self.waiting = 100.0, "", None, None
         self.gone = asyncio.Event()
         slot = rtpu.core.alloc("arm0", name)
         rtpu.core.post(slot, mode=Mode.ON)
@@ -53,7 +54,7 @@ class Played:
     async def command(self, what, _make, _limit, **_more):
         if what == "off":
             await self.rtpu.reactions.get(self.name, self.end)()
-        return SimpleNamespace(result=[])
+        return SimpleNamespace(result=([], False))
 
     async def end(self):
         self.state = State.OFF
@@ -77,13 +78,19 @@ class Rtpu:
         self.events = EventLog(self.name)
         opened = SimpleNamespace(table=table, keep=True)
         self.flags = Flags(self.name, Tables(arm=opened), self.events)
-        self.heirs = SimpleNamespace(withdraw=self._nothing, waits=lambda _task: False)
-        self.fallbacks = SimpleNamespace(turn_off=self._turn_off)
+        self.fallbacks = SimpleNamespace(
+            turn_off=self._turn_off,
+            withdraw=self._nothing,
+            ready=self._nothing,
+            overtaken=lambda _task: None,
+        )
+        self.successors = Successors(self)
 
     async def _nothing(self, *_): ...
 
     async def _turn_off(self, task, make, limit, **_more):
-        return await task.command("off", make, limit)
+        gone, _ = (await task.command("off", make, limit)).result
+        return gone
 
     def need(self, _subsystem, name):
         if ("arm", name) not in self.tasks:
@@ -129,7 +136,13 @@ def rtpu(table, monkeypatch):
 
 def call(heir, *outputs):
     return m.Call(
-        heir=heir, outputs=list(outputs), core=1, slot=9, life=1, ticket=1, caller=0
+        successor=heir,
+        outputs=list(outputs),
+        core=1,
+        slot=9,
+        life=1,
+        ticket=1,
+        caller=0,
     )
 
 
@@ -268,9 +281,9 @@ def test_an_exchange_is_slow_though_one_of_its_tasks_is_dead(rtpu):
         dead = Played(rtpu, "dead", ["Y0"])
         Played(rtpu, "hangs", ["Y1"])
         rtpu.reactions |= {"dead": dead.die, "hangs": slow.wait}
-        items = [("dead", "off"), ("hangs", "off")]
-        calls = {name: [call("h", "Y0")] for name, _ in items}
-        exchange = Exchange(rtpu, "arm", items, LIMIT, calls)
+        calls = {name: [call("h", "Y0")] for name in ("dead", "hangs")}
+        after = {"dead": [], "hangs": []}
+        exchange = Exchange(rtpu, "arm", after, LIMIT, calls)
         await exchange.run(slow.set)
         return exchange.failed
 
@@ -298,18 +311,12 @@ def test_an_exchange_that_fails_gives_variables_up_first(rtpu, monkeypatch):
     async def spare(task):
         done.append(("spare", task.name))
 
-    rtpu.fallbacks = SimpleNamespace(
-        turn_off=rtpu.fallbacks.turn_off,
-        withdraw=rtpu._nothing,
-        ready=rtpu._nothing,
-        overtaken=lambda _task: None,
-        spare=spare,
-    )
+    rtpu.fallbacks.spare = spare
 
     async def run():
         Fails(rtpu, "old", ["Y0"])
         Fails(rtpu, "new", ["Y0"]).state = State.OFF
-        exchange = Exchange(rtpu, "arm", [("old", "off"), ("new", "on")], LIMIT)
+        exchange = Exchange(rtpu, "arm", {"old": [], "new": ["old"]}, LIMIT)
         await exchange.run(lambda: None)
         return exchange.failed
 

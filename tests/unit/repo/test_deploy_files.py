@@ -11,9 +11,8 @@ from pathlib import Path
 
 import dockerfile
 import pytest
-import typer
 
-from pbonet.cli import build
+from pbonet.cli import parser, verbs
 from pbonet.config import read_agent
 from pbonet.node.agent import systemd_notify
 from pbonet.xm.net.session import check_endpoint
@@ -44,10 +43,8 @@ def judge(tool, *words):
 
 def parsed(words):
     """Return the verb and its options, as the command line understands the words."""
-    group = typer.main.get_command(build())
-    name, verb, rest = group.resolve_command(None, list(words))
-    with verb.make_context(name, rest) as context:
-        return name, context.params
+    verb, rest = verbs.find(list(words))
+    return verb.name, parser.parse(verb, rest)
 
 
 def settings(section):

@@ -88,3 +88,19 @@ def test_no_merge_was_left_halfway() -> None:
         and mark.search(path.read_text())
     ]
     assert found == []
+
+
+def test_the_product_imports_no_oracle() -> None:
+    oracles = {path.stem for path in (ROOT / "tests" / "oracles").iterdir()}
+    assert {"plain_dispatcher", "plain_table", "reference"} <= oracles
+    imported = re.compile(r"^\s*(?:from|import)\s+(?:[.\w]*\.)?(\w+)", re.MULTILINE)
+    found = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in (
+            *(ROOT / "pbonet").rglob("*.py"),
+            *(ROOT / "examples").rglob("*.py"),
+        )
+        for name in imported.findall(path.read_text())
+        if name in oracles
+    }
+    assert found == set()

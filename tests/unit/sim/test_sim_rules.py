@@ -19,7 +19,7 @@ from pbonet.errors import (
     VerificationError,
 )
 from pbonet.master.sim.simulation import Simulation
-from pbonet.master.sim.virtual_rtpus import BEGIN_NS
+from pbonet.master.sim.virtual_loop import BEGIN_NS
 
 HEAD = """
 from typing import Annotated as A

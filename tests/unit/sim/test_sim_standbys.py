@@ -22,7 +22,7 @@ from pbonet.master.configuration.environment import Place
 from pbonet.master.console.prompt import Prompt
 from pbonet.master.console.run_job import run
 from pbonet.master.sim.simulation import Simulation
-from pbonet.master.sim.virtual_rtpus import BEGIN_NS
+from pbonet.master.sim.virtual_loop import BEGIN_NS
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.master.tools.schedule_job import simulate
 from pbonet.testing import rerun, verify

@@ -11,7 +11,7 @@ import pytest
 
 from pbonet.config.model import Variable
 from pbonet.errors import SvarDamagedError, SvarFullError, SvarMissingError
-from pbonet.svar import Flags, Table, native
+from pbonet.svar import Flags, Table, _svar
 
 ME = os.getpid()
 VARIABLES = [Variable(name=f"V{i}", type="double", nelem=3) for i in range(4)]
@@ -122,13 +122,13 @@ def test_an_owner_that_cannot_be_looked_at_counts_as_alive(table):
 def test_a_process_is_known_by_its_start_and_gone_when_it_has_ended():
     child = subprocess.Popen(["sleep", "60"])
     try:
-        assert 0 < native.process_start(child.pid) < 1 << 63
+        assert 0 < _svar.process_start(child.pid) < 1 << 63
     finally:
         child.kill()
         os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOWAIT)
-        assert native.process_start(child.pid) == 0, "a zombie does nothing more"
+        assert _svar.process_start(child.pid) == 0, "a zombie does nothing more"
         child.wait()
-    assert native.process_start(child.pid) == 0
+    assert _svar.process_start(child.pid) == 0
 
 
 def test_a_register_that_is_somebody_elses_is_not_given_up(table):

@@ -36,7 +36,7 @@ def test_an_heir_takes_over_while_the_old_one_lives(table, old):
     new = table.local("new", ME, outvar=["V0", "V1", "V2"])
     with pytest.raises(SvarOwnerError, match="old"):
         new.check_claim()
-    new.heir_of(["someone", "old"])
+    new.take_over_from(["someone", "old"])
     new.check_claim()
     old.cede()
     assert owners(table) == ["old", "old", None, None]  # nobody in between
@@ -54,7 +54,7 @@ def test_an_heir_takes_over_while_the_old_one_lives(table, old):
 
 def test_what_the_heir_does_not_take_is_left_until_it_is_released(table, old):
     new = table.local("new", ME, outvar=["V1"])
-    new.heir_of(["old"])
+    new.take_over_from(["old"])
     old.cede()
     new.claim()
     assert owners(table) == ["old", "new", None, None]
@@ -65,8 +65,8 @@ def test_what_the_heir_does_not_take_is_left_until_it_is_released(table, old):
 @pytest.mark.usefixtures("old")
 def test_the_permission_ends(table):
     new = table.local("new", ME, outvar=["V0"])
-    new.heir_of(["old"])
-    new.heir_of([])
+    new.take_over_from(["old"])
+    new.take_over_from([])
     with pytest.raises(SvarOwnerError):
         new.claim()
     assert owners(table)[0] == "old"
@@ -77,7 +77,7 @@ def test_the_old_one_comes_back_as_if_nothing_had_been(table, old):
     assert old.claim() == 0
     assert old.commit() == 0
     new = table.local("new", ME, outvar=["V0"])
-    new.heir_of(["old"])
+    new.take_over_from(["old"])
     old.cede()
     new.claim()
     with pytest.raises(SvarOwnerError, match="new"):
@@ -91,7 +91,7 @@ def test_the_old_one_comes_back_as_if_nothing_had_been(table, old):
 def heir(table, old):
     """A task that the old one hands over to; it has not claimed yet."""
     new = table.local("new", ME, outvar=["V0", "V1"])
-    new.heir_of(["old", "third"])
+    new.take_over_from(["old", "third"])
     old.cede()
     new.have_ended()
     return new
@@ -113,7 +113,7 @@ def test_who_was_turned_on_again_keeps_its_variables(table, old, heir):
     assert owners(table) == ["old", "old", None, None]
     assert old.commit() == 0
     old.cede()
-    heir.heir_of(["old"])  # another exchange
+    heir.take_over_from(["old"])  # another exchange
     heir.have_ended()
     assert heir.claim() == 0
     assert owners(table) == ["new", "new", None, None]
@@ -136,7 +136,7 @@ def test_two_heirs_of_one_that_has_ended(table, old):
     old.cede()
     for name in ("V0", "V1"):
         new = table.local(f"of {name}", ME, outvar=[name])
-        new.heir_of(["old"])
+        new.take_over_from(["old"])
         new.have_ended()
         assert new.claim() == 0
     assert owners(table) == ["of V0", "of V1", None, None]

@@ -332,7 +332,7 @@ def test_another_magic_is_no_table(table):
 def test_another_version_is_refused_with_both_numbers(table):
     patch(table.path, 8, struct.pack("<I", 99))
     with pytest.raises(
-        SvarLayoutError, match=r"expected table version 2 .*, got table version 99"
+        SvarLayoutError, match=r"expected table version 3 .*, got table version 99"
     ):
         Table.attach("arm")
 
@@ -343,7 +343,7 @@ def test_another_c_library_is_refused(table):
         Table.attach("arm")
 
 
-@pytest.mark.parametrize("size", [0, 8, 143])
+@pytest.mark.parametrize("size", [0, 8, 135])
 def test_shorter_than_a_header_is_refused(table, size):
     os.truncate(table.path, size)
     with pytest.raises(SvarDamagedError, match="not a state variable table"):
@@ -367,7 +367,7 @@ def test_every_byte_of_the_static_part_is_covered():
         raw = table.path.read_bytes()
         end = struct.unpack_from("<Q", raw, 80)[0]
         assert raw[end - 200 : end].find(b"NDOF") > 0, "the records end the static part"
-        for at in [*range(16, 144, 7), *range(144, end, 13)]:
+        for at in [*range(16, 136, 7), *range(136, end, 13)]:
             patch(table.path, at, bytes([raw[at] ^ 0x55]))
             with pytest.raises(SvarDamagedError):
                 Table.attach("arm2")
@@ -377,7 +377,7 @@ def test_every_byte_of_the_static_part_is_covered():
 
 def test_changed_permissions_are_refused(table):
     table.path.chmod(0o644)
-    with pytest.raises(SvarAccessError, match=r"expected 0600, got 0644"):
+    with pytest.raises(SvarAccessError, match=r"mode 0600, got -rw-r--r-- of"):
         Table.attach("arm")
 
 
@@ -397,10 +397,10 @@ def test_a_folder_is_refused(tmp_path):
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a file away")
 def test_another_users_file_is_refused(table):
     os.chown(table.path, 12345, -1)
-    with pytest.raises(SvarAccessError, match="belongs to somebody else"):
+    with pytest.raises(SvarAccessError, match="file is not this user's own"):
         Table.attach("arm")
     table.close()
-    with pytest.raises(SvarAccessError, match="belongs to somebody else"):
+    with pytest.raises(SvarAccessError, match="file is not this user's own"):
         Table.create("arm", PLAIN)
 
 

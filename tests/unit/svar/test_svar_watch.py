@@ -9,9 +9,9 @@ import pytest
 
 from pbonet.config.model import Variable
 from pbonet.svar import Table
+from pbonet.svar._svar import Watch, now_ns
 from pbonet.svar.mirror import packets
 from pbonet.svar.mirror.table_mirror import Mirror
-from pbonet.svar.native import Watch, now_ns
 
 ME = os.getpid()
 SOON, EVER = 1, 1 << 62

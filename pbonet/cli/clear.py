@@ -1,5 +1,0 @@
-"""``pbonet clear``, made of the command table."""
-
-from .table import verb
-
-command = verb("clear")

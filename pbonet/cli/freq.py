@@ -1,5 +1,0 @@
-"""``pbonet freq``, made of the command table."""
-
-from .table import verb
-
-command = verb("freq")

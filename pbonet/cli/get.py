@@ -1,5 +1,0 @@
-"""``pbonet get``, made of the command table."""
-
-from .table import verb
-
-command = verb("get")

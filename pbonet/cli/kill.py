@@ -1,5 +1,0 @@
-"""``pbonet kill``, made of the command table."""
-
-from .table import verb
-
-command = verb("kill")

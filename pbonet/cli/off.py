@@ -1,5 +1,0 @@
-"""``pbonet off``, made of the command table."""
-
-from .table import verb
-
-command = verb("off")

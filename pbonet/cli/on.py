@@ -1,5 +1,0 @@
-"""``pbonet on``, made of the command table."""
-
-from .table import verb
-
-command = verb("on")

@@ -1,5 +1,0 @@
-"""``pbonet reconfig``, made of the command table."""
-
-from .table import verb
-
-command = verb("reconfig")

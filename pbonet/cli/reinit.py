@@ -1,5 +1,0 @@
-"""``pbonet reinit``, made of the command table."""
-
-from .table import verb
-
-command = verb("reinit")

@@ -1,5 +1,0 @@
-"""``pbonet set``, made of the command table."""
-
-from .table import verb
-
-command = verb("set")

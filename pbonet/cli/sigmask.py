@@ -1,5 +1,0 @@
-"""``pbonet sigmask``, made of the command table."""
-
-from .table import verb
-
-command = verb("sigmask")

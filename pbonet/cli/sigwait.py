@@ -1,5 +1,0 @@
-"""``pbonet sigwait``, made of the command table."""
-
-from .table import verb
-
-command = verb("sigwait")

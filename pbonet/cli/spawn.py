@@ -1,5 +1,0 @@
-"""``pbonet spawn``, made of the command table."""
-
-from .table import verb
-
-command = verb("spawn")

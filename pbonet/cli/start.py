@@ -1,5 +1,0 @@
-"""``pbonet start``, made of the command table."""
-
-from .table import verb
-
-command = verb("start")

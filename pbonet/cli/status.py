@@ -1,5 +1,0 @@
-"""``pbonet status``, made of the command table."""
-
-from .table import verb
-
-command = verb("status")

@@ -1,5 +1,0 @@
-"""``pbonet swap``, made of the command table."""
-
-from .table import verb
-
-command = verb("swap")

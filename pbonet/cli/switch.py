@@ -1,5 +1,0 @@
-"""``pbonet switch``, made of the command table."""
-
-from .table import verb
-
-command = verb("switch")

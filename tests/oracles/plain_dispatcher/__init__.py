@@ -1,0 +1,1 @@
+"""The dispatcher's rules in plain Python, and a core in virtual time under them."""

@@ -1,0 +1,62 @@
+"""Each start loads what its verb needs; `benchmarks/startup.py` times it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PUMA = Path(__file__).parents[3] / "examples" / "puma"
+NEVER = {"asyncio", "matplotlib", "mcap", "pint", "prompt_toolkit", "rich", "typer"}
+"""What no verb needs that ends by itself."""
+HEAVY = NEVER | {"numpy", "zenoh"}
+NODE = {"pbonet.node.agent", "pbonet.node.rtpu", "pbonet.node.rt", "pbonet.master.sim"}
+"""Rooms of other processes, and of virtual time."""
+CASES = {
+    "version": (["--version"], HEAVY | {"msgspec", "argparse", "pbonet.errors"}),
+    "help": (["--help"], HEAVY | NODE),
+    "help of a verb": (["swap", "--help"], HEAVY | NODE),
+    "completion": (["--complete", "bash", "status", "a.sbs", ""], HEAVY | NODE),
+    "wrong usage": (["status"], HEAVY | NODE),
+    "check": (["check", str(PUMA / "puma.job")], NEVER | NODE | {"zenoh"}),
+    "status": (["status", str(PUMA / "puma.sbs")], NEVER | NODE | {"numpy"}),
+    "set": (["set", str(PUMA / "puma.sbs"), "a", "b", "1"], NEVER | NODE | {"numpy"}),
+}
+MOST = {"version": 4, "completion": 45, "check": 110, "status": 110}
+"""Modules of pbonet that are loaded at most; what adds one should need it."""
+
+
+def loaded(words: list[str]) -> set[str]:
+    """Return the modules that a command line loads; no agent is there."""
+    code = (
+        "import sys\nfrom pbonet.cli import main\n"
+        f"try: main({words!r})\nexcept SystemExit: pass\n"
+        "print('\\n' + '\\n'.join(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={"PBONET_DOMAIN": "nobody-here"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(done.stdout.splitlines())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_a_verb_loads_only_what_it_needs(case):
+    words, unwanted = CASES[case]
+    modules = loaded(words)
+    assert not modules & unwanted
+    ours = sorted(name for name in modules if name.startswith("pbonet."))
+    assert len(ours) <= MOST.get(case, len(ours)), ours
+
+
+@pytest.mark.slow
+def test_status_asks_over_the_network():
+    """Else the case above would show nothing."""
+    modules = loaded(CASES["status"][0])
+    assert {"zenoh", "pbonet.xm.net.rpc"} <= modules
