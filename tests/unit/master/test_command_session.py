@@ -14,7 +14,7 @@ from pbonet.master.console.commands import COMMANDS, Command, Scope, find
 from pbonet.master.console.completion import complete
 from pbonet.master.subsystem import status_fields
 from pbonet.master.subsystem.argument_text import collector
-from pbonet.master.subsystem.command_methods import Calls
+from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.pbo import State
 from pbonet.xm.net.messages import Stopped
 
@@ -66,9 +66,9 @@ class Stub:
         )
 
     on, off, kill, clear, reinit = (
-        getattr(Calls, name) for name in ("on", "off", "kill", "clear", "reinit")
+        getattr(Subsystem, name) for name in ("on", "off", "kill", "clear", "reinit")
     )
-    _signal, wait, help = Calls._signal, Calls.wait, Calls.help
+    _signal, wait, help = Subsystem._signal, Subsystem.wait, Subsystem.help
 
     def __getattr__(self, name):
         def call(*args, **named):
