@@ -15,7 +15,7 @@ from pbonet import cli
 from pbonet.errors import ConditionError, StateError, VerificationError
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot
-from pbonet.master.console.command_session import Desk
+from pbonet.master.console.command_session import CommandSession
 from pbonet.master.subsystem.subsystem import Subsystem
 
 VARIABLE = "NAME {}\nTYPE double\nDESC a level\nUNITS m\nNELEM {}\n"
@@ -166,7 +166,7 @@ def test_it_waits_as_long_as_it_may(arm):
     arm.start("low")
     level(arm, 0.5)
     with pytest.raises(ConditionError, match=r"expected them to hold within 0.05 s"):
-        Desk(arm).execute("switch high wait=50ms")
+        CommandSession(arm).execute("switch high wait=50ms")
     waiting = threading.Thread(target=level, args=(arm, 2.0))
     waiting.start()  # other commands go on while this one waits
     try:
@@ -216,7 +216,7 @@ def test_conditions_that_the_table_cannot_answer_are_refused_at_once(
         assert "wrong.job:4:5: a condition names LEVL" in str(caught.value)
         assert "wrong.job:5:6: several numbers cannot be compared" in str(caught.value)
     assert tasks(arm) == {}
-    assert Desk(arm).execute("check wrong").data["legal"] is False
+    assert CommandSession(arm).execute("check wrong").data["legal"] is False
     with pytest.raises(SystemExit):
         cli.main(["check", str(files / "wrong.job"), "--json"])
     errors = json.loads(capsys.readouterr().out)

@@ -268,11 +268,11 @@ class TestSigwait:
             turning.join()
         assert reply.data["sent"]["task"] == "talks"
         from pbonet.master.console import render
-        from pbonet.master.console.command_session import Desk
+        from pbonet.master.console.command_session import CommandSession
 
-        reply = Desk(program).execute("sigwait HALFWAY task=talks timeout=30")
+        reply = CommandSession(program).execute("sigwait HALFWAY task=talks timeout=30")
         assert render.text(reply.command, reply.data).startswith("talks HALFWAY")
-        reply = Desk(program).execute("sigmask WARNING OFF task=talks")
+        reply = CommandSession(program).execute("sigmask WARNING OFF task=talks")
         assert "talks  WARNING OFF" in render.text(reply.command, reply.data)
 
 

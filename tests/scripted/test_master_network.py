@@ -208,7 +208,7 @@ def test_many_clients_that_look_are_not_all_remembered(caller, port):
     assert caller("one", "status set", {"field": ["rmod"]}).ok
     for number in range(150):
         assert caller(f"client{number}", "help", {"command": "on"}).ok
-    assert len(port._desks) == 100
+    assert len(port._sessions) == 100
     shown = caller("one", "status").result["data"]["fields"]
     assert shown == ["rmod"]  # of the one that has control
     token.undeclare()

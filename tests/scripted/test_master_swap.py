@@ -21,7 +21,7 @@ from pbonet.errors import (
 )
 from pbonet.master.configuration.environment import Place
 from pbonet.master.console import oneshot, render
-from pbonet.master.console.command_session import Desk
+from pbonet.master.console.command_session import CommandSession
 from pbonet.master.console.network_interface import Port
 from pbonet.master.subsystem.subsystem import Subsystem
 
@@ -131,9 +131,9 @@ def test_dry_run_says_and_does_nothing(arm, world):
     assert (done.spawns, done.states) == ({"trace2": "arm1"}, {})
     assert steps(world) == []
     with Subsystem(arm.files.path, domain=world.domain, watch=True) as watcher:
-        reply = Desk(watcher).execute("switch follow dry_run=yes")
+        reply = CommandSession(watcher).execute("switch follow dry_run=yes")
         with pytest.raises(ClaimError):
-            Desk(watcher).execute("switch follow")
+            CommandSession(watcher).execute("switch follow")
     assert reply.data["kills"] == ["qrdiff", "jttrace"]
     assert steps(world) == []
     with pytest.raises(VerificationError, match="T_GRAV"):
@@ -335,7 +335,7 @@ def test_nobody_is_killed_for_tasks_of_which_an_rtpu_does_not_tell(arm, agents, 
 
 
 def test_commands_at_the_prompt(arm):
-    desk = Desk(arm)
+    desk = CommandSession(arm)
     reply = desk.execute("swap jttrace,grav_comp trace2,grav2 rtpu=arm1")
     assert reply.data["states"]["trace2"] == "ON"
     assert desk.default == "grav2"

@@ -1,4 +1,4 @@
-"""What each command does: from its arguments to plain data, through `Subsystem`."""
+"""Commands that do more than pass their arguments on to a method of `Subsystem`."""
 
 from __future__ import annotations
 
@@ -11,32 +11,17 @@ from pbonet.errors import ConfigError, SeveralError, StateError, VerificationErr
 from pbonet.master.subsystem import status_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from pbonet.master.subsystem import Transition
-
-    from .session_state import Seat
+    from .command_session import CommandSession
 
 Given: TypeAlias = dict[str, Any]
 Data: TypeAlias = dict[str, Any]
 _LAST_EVENTS = 20
 
 
-def signal(name: str) -> Callable[[Seat, Given], Data]:
-    """Return the action that sends `name` to tasks: one alone, or several as a list."""
-
-    def send(seat: Seat, given: Given) -> Data:
-        tasks = seat.tasks(given.get("task") or [])
-        call: Callable[..., dict[str, str]] = getattr(seat.subsystem, name)
-        return {"states": call(tasks, text=given.get("text") or "")}
-
-    return send
-
-
-def spawn(seat: Seat, given: Given) -> Data:
+def spawn(session: CommandSession, given: Given) -> Data:
     """Create a task."""
-    status = seat.subsystem.spawn(given["rmod"], given.get("rtpu"), given.get("hz"))
-    seat.point_at(status.task)
+    status = session.subsystem.spawn(**given)
+    session.default = status.task
     return {
         "states": {status.task: status.state},
         "rtpu": status.rtpu,
@@ -46,107 +31,44 @@ def spawn(seat: Seat, given: Given) -> Data:
     }
 
 
-def reconfig(seat: Seat, given: Given) -> Data:
-    """Send a list of signals."""
-    items: list[tuple[str, str]] = given["item"]
-    states = seat.subsystem.reconfig(items)
-    seat.point_at(items[-1][0])
-    return {"states": states}
-
-
-def swap(seat: Seat, given: Given) -> Data:
-    """Put tasks into the place of others."""
-    old, new = (
-        [name for name in given[arg].split(",") if name] for arg in ("old", "new")
-    )
-    found = seat.subsystem.swap(
-        old, new, rtpu=given.get("rtpu"), dry_run=given.get("dry_run", False)
-    )
-    seat.point_at(new[-1])
-    return _transition(found)
-
-
-def switch(seat: Seat, given: Given) -> Data:
-    """Go over to another job."""
-    return _transition(
-        seat.subsystem.switch(
-            given.get("job"),
-            dry_run=given.get("dry_run", False),
-            wait=given.get("wait"),
-        )
-    )
-
-
-def _transition(found: Transition) -> Data:
-    data: Data = msgspec.to_builtins(found)
-    return data
-
-
-def start(seat: Seat, given: Given) -> Data:
+def start(session: CommandSession, given: Given) -> Data:
     """Assemble a job."""
-    statuses = seat.subsystem.start(given.get("job"), wait=given.get("wait"))
+    statuses = session.subsystem.start(**given)
     return {"states": {status.task: status.state for status in statuses}}
 
 
-def stop(seat: Seat, _: Given) -> Data:
-    """Stop everything."""
-    stopped = seat.subsystem.stop()
-    return {"off": stopped.off, "killed": stopped.killed}
-
-
-def check(seat: Seat, given: Given) -> Data:
+def check(session: CommandSession, given: Given) -> Data:
     """Judge a job or what stands; an illegal one is an answer here, not a failure."""
     job: str | None = given.get("job")
     found: Data = {"legal": True, "warnings": [], "rtpus": []}
     try:
-        found["rtpus"] = legality.report_data(seat.subsystem.report(job))
-        found["warnings"] = seat.subsystem.check(job)
+        found["rtpus"] = legality.report_data(session.subsystem.report(job))
+        found["warnings"] = session.subsystem.check(job)
     except (ConfigError, VerificationError, SeveralError) as error:
         found |= {"legal": False, "error": error.to_wire()}
     return found
 
 
-def freq(seat: Seat, given: Given) -> Data:
-    """Show or set a frequency."""
-    task = seat.task(given.get("task"))
-    return {"task": task, "hz": seat.subsystem.freq(task, given.get("hz"))}
-
-
-def get(seat: Seat, given: Given) -> Data:
-    """Show parameters."""
-    task = seat.task(given.get("task"), given.get("param"))
-    params = seat.subsystem.get(task, given.get("param"))
-    return {"task": task, "params": msgspec.to_builtins(params)}
-
-
-def set_(seat: Seat, given: Given) -> Data:
-    """Show or change parameters."""
-    value: list[str] = given.get("value") or []
-    if not value:
-        return get(seat, given)
-    task = seat.task(given.get("task"), given.get("param"))
-    params = seat.subsystem.set(task, given["param"], " ".join(value))
-    return {"task": task, "params": msgspec.to_builtins(params)}
-
-
-def status(seat: Seat, given: Given) -> Data:
+def status(session: CommandSession, given: Given) -> Data:
     """Show status since the last one that this interface showed."""
     wanted: list[str] = given.get("task") or []
     fields = (
-        status_fields.columns([given["fields"]]) if given.get("fields") else seat.shown
+        status_fields.columns([given["fields"]])
+        if given.get("fields")
+        else session.shown
     )
-    rtpus = seat.subsystem.rtpu_status()
+    rtpus = session.subsystem.rtpu_status()
     for task in wanted:
-        seat.subsystem.picture.find(task)
+        session.subsystem.picture.find(task)
     if len(wanted) == 1:
-        seat.point_at(wanted[0])
+        session.default = wanted[0]
     tasks = [
         task
         for rtpu in rtpus
         for task in rtpu.tasks
         if not wanted or task.task in wanted
     ]
-    profiles = seat.baselines.since(tasks)
+    profiles = session.baselines.since(tasks)
     return {
         "fields": list(fields),
         "tasks": [msgspec.to_builtins(one) for one in profiles],
@@ -167,28 +89,28 @@ def status(seat: Seat, given: Given) -> Data:
     }
 
 
-def profiles(seat: Seat, given: Given) -> Data:
+def profiles(session: CommandSession, given: Given) -> Data:
     """Show the profiles of tasks and of their RTPUs."""
     from pbonet.master.subsystem import profiling
 
     wanted: list[str] = given.get("task") or []
-    found = seat.subsystem.profile(wanted)
+    found = session.subsystem.profile(wanted)
     if len(wanted) == 1:
-        seat.point_at(wanted[0])
-    picture = seat.subsystem.picture
+        session.default = wanted[0]
+    picture = session.subsystem.picture
     tasks: list[Data] = []
     for one in found:
         member = picture.get(one.status.task)
         tasks.append(profiling.task_data(one, member.rmod if member else None))
     rtpus = [
-        profiling.rtpu_data(status, tasks) for status in seat.subsystem.rtpu_status()
+        profiling.rtpu_data(status, tasks) for status in session.subsystem.rtpu_status()
     ]
     return {"tasks": tasks, "rtpus": [one for one in rtpus if one["tasks"]]}
 
 
-def profiles_save(seat: Seat, given: Given) -> Data:
+def profiles_save(session: CommandSession, given: Given) -> Data:
     """Save the profiles of tasks."""
-    saved = seat.subsystem.profile_save(given.get("task") or [])
+    saved = session.subsystem.profile_save(given.get("task") or [])
     return {
         "saved": [
             {
@@ -203,36 +125,28 @@ def profiles_save(seat: Seat, given: Given) -> Data:
     }
 
 
-def status_set(seat: Seat, given: Given) -> Data:
+def status_set(session: CommandSession, given: Given) -> Data:
     """Choose the columns of status."""
     words: list[str] = given.get("field") or []
     if words:
-        seat.shown = status_fields.columns(words)
+        session.shown = status_fields.columns(words)
     known = [
         {"name": field.name, "unit": field.unit, "doc": field.doc}
         for field in status_fields.FIELDS
     ]
-    return {"shown": list(seat.shown), "known": known}
+    return {"shown": list(session.shown), "known": known}
 
 
-def display(seat: Seat, given: Given) -> Data:
-    """Show variables."""
-    values = seat.subsystem.display(
-        given.get("variable"), task=given.get("task"), writer=given.get("writer")
-    )
-    return {"variables": [msgspec.to_builtins(value) for value in values]}
-
-
-def write(seat: Seat, given: Given) -> Data:
+def write(session: CommandSession, given: Given) -> Data:
     """Set a variable."""
-    value = seat.subsystem.write(given["variable"], given["value"])
+    value = session.subsystem.write(**given)
     return {"variables": [msgspec.to_builtins(value)]}
 
 
-def module(seat: Seat, given: Given) -> Data:
+def module(session: CommandSession, given: Given) -> Data:
     """List modules and RMODs, or show one module."""
     name: str | None = given.get("module")
-    infos = seat.subsystem.module(name)
+    infos = session.subsystem.module(name)
     if name is not None:
         return {"module": msgspec.to_builtins(infos[0])}
     return {
@@ -240,32 +154,18 @@ def module(seat: Seat, given: Given) -> Data:
             {"name": info.name, "version": info.version, "doc": info.doc}
             for info in infos
         ],
-        "rmods": seat.subsystem.files.rmods(),
+        "rmods": session.subsystem.files.rmods(),
     }
 
 
-def _number(word: int | str) -> int | str:
-    return int(word) if str(word).isdecimal() else word
-
-
-def events(seat: Seat, given: Given) -> Data:
+def events(session: CommandSession, given: Given) -> Data:
     """Show what happened."""
-    found = seat.subsystem.events(
-        given.get("last", _LAST_EVENTS),
-        since=_number(given.get("since", 0)),
-        task=given.get("task"),
-        code=given.get("code"),
-        severity=given.get("severity"),
-    )
+    given.setdefault("last", _LAST_EVENTS)
+    found = session.subsystem.events(**given)
     return {"events": [msgspec.to_builtins(event) for event in found]}
 
 
-def events_count(seat: Seat, given: Given) -> Data:
-    """Show how often each kind of event came."""
-    return {"counts": seat.subsystem.events_count(given.get("task") or [])}
-
-
-def help_(seat: Seat, given: Given) -> Data:
+def help_(session: CommandSession, given: Given) -> Data:
     """Show the commands."""
     return {
         "commands": [
@@ -286,52 +186,31 @@ def help_(seat: Seat, given: Given) -> Data:
                     for arg in command.args
                 ],
             }
-            for command in seat.subsystem.help(given.get("command"))
+            for command in session.subsystem.help(given.get("command"))
         ]
     }
 
 
-def wait(seat: Seat, given: Given) -> Data:
-    """Wait; a stop ends it."""
-    seat.subsystem.wait(given["seconds"])
-    return {}
-
-
-def sigwait(seat: Seat, given: Given) -> Data:
+def sigwait(session: CommandSession, given: Given) -> Data:
     """Wait for a signal of a task."""
-    sent = seat.subsystem.sigwait(
-        given.get("signal") or (),
-        task=_split(given.get("task")),
-        timeout=given.get("timeout"),
-    )
-    seat.point_at(sent.task)
+    sent = session.subsystem.sigwait(**given)
+    session.default = sent.task
     return {"sent": msgspec.to_builtins(sent)}
 
 
-def sigmask(seat: Seat, given: Given) -> Data:
-    """Show or set the masks of signals."""
-    return {
-        "masks": seat.subsystem.sigmask(given.get("signal") or None, given.get("task"))
-    }
-
-
-def _split(word: str | None) -> list[str]:
-    return [name for name in (word or "").split(",") if name]
-
-
-def network(seat: Seat, given: Given) -> Data:
+def network(session: CommandSession, given: Given) -> Data:
     """Hand control to a program on the network."""
     portname: str = given["portname"]
-    if seat.hand_over is None:
+    if session.hand_over is None:
         raise StateError(
             "this interface cannot hand control over",
             remedy="give the command at the prompt or in a script",
         )
-    seat.hand_over(portname)
+    session.hand_over(portname)
     return {"portname": portname}
 
 
-def quit_(seat: Seat, _: Given) -> Data:
+def quit_(session: CommandSession, _: Given) -> Data:
     """End the interface."""
-    seat.ended = True
+    session.ended = True
     return {}

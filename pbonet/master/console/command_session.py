@@ -1,6 +1,6 @@
-"""One interface to a subsystem: it takes command lines or maps, and gives replies.
+"""A command session: one interface to a subsystem takes command lines, gives replies.
 
-Each interface has a desk of its own: its default RMOD, its columns of `status`, and
+Each interface has a session of its own: its default RMOD, its columns of `status`, and
 what it has seen (Stewart 1994, section 4.4.1). Nothing here prints or reads.
 """
 
@@ -8,19 +8,26 @@ from __future__ import annotations
 
 import math
 import shlex
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
+import msgspec
 from msgspec import Struct
 
-from pbonet.errors import ClaimError, NodeError, StateError, did_you_mean
-from pbonet.master.subsystem import collected, is_sequence, sequence
+from pbonet.errors import (
+    ClaimError,
+    NodeError,
+    StateError,
+    UnknownTaskError,
+    did_you_mean,
+)
+from pbonet.master.subsystem import collected, is_sequence, sequence, status_fields
 
-from .commands import BY_NAME, COMMANDS, Arg, Command, Kind, Scope, find
-from .session_state import Seat
+from .commands import BY_NAME, Arg, Command, Kind, Scope, find
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from pbonet.master.subsystem import Subsystem
 
 _LONGEST: Final = 1000
 """Characters of a word; a longer one is no name and no number."""
@@ -64,8 +71,34 @@ class Call(Struct, frozen=True):
         return self.command.judged
 
 
-class Desk(Seat):
-    """Takes commands for one interface, and carries them out."""
+class CommandSession:
+    """Takes commands for one interface, and carries them out.
+
+    Args:
+        subsystem: The subsystem that the commands are for.
+        hand_over: Called with a port name to let a program on the network steer; None
+            where this interface cannot do that.
+    """
+
+    def __init__(
+        self,
+        subsystem: Subsystem,
+        *,
+        hand_over: Callable[[str], None] | None = None,
+    ) -> None:
+        self.subsystem: Subsystem = subsystem
+        self.hand_over = hand_over
+        self.default = ""
+        """The task that the last command was for."""
+        self.shown: tuple[str, ...] = status_fields.DEFAULT
+        self.baselines = status_fields.Baselines()
+        self.ended = False
+        """Set by `quit`."""
+
+    @property
+    def prompt(self) -> str:
+        """The prompt of section 4.4.1: subsystem and default RMOD."""
+        return f"SBS {self.subsystem.name}<{self.default}> "
 
     def read(self, line: str) -> Call | None:
         """Return what a command line asks for; None for a blank line or a comment.
@@ -122,20 +155,54 @@ class Desk(Seat):
             )
         try:
             with collected() as warnings:
-                data = command.run(self, call.given)
+                given = self._with_default(command, call.given)
+                run = command.run
+                data = run(self, given) if run else self._pass_on(command, given)
         finally:
             if self.default not in self.subsystem.picture:
                 self.default = ""  # it was killed, or never there
         return Reply(command=command.name, data=data, warnings=warnings)
 
-    @staticmethod
-    def commands(name: str | None = None) -> tuple[Command, ...]:
-        """Return the command of that name, or all.
+    def _pass_on(self, command: Command, given: dict[str, Any]) -> dict[str, Any]:
+        """Call the method that has the command's name; return its result as data."""
+        method = getattr(self.subsystem, command.name.replace(" ", "_"))
+        result: Any = msgspec.to_builtins(method(**given))
+        if names := given.get(command.points, []):
+            self.default = names[-1] if isinstance(names[-1], str) else names[-1][0]
+        if not command.shows:
+            return cast("dict[str, Any]", result) if isinstance(result, dict) else {}
+        one = [arg.name for arg in command.args if arg.last and not arg.many]
+        return {name: given[name] for name in one} | {command.shows: result}
+
+    def _with_default(self, command: Command, given: dict[str, Any]) -> dict[str, Any]:
+        """Return the arguments that are not empty, with the tasks a command is for.
+
+        The default stands in for a task that is not named; the one named becomes it.
 
         Raises:
-            NodeError: There is none of that name.
+            UnknownTaskError: A task must be named, and there is no default.
         """
-        return COMMANDS if name is None else (find(name),)
+        given = {name: word for name, word in given.items() if word not in (None, [])}
+        for arg in command.args:
+            if not arg.last:
+                continue
+            named = given.get(arg.name) or self.default
+            if not named:  # the next word may have been meant as one
+                raise self._no_task(next(iter(given.values()), ""))
+            names = dict.fromkeys([named] if isinstance(named, str) else named)
+            given[arg.name] = [*names] if arg.many else named
+            self.default = [*names][-1]
+        return {arg.name: given[arg.name] for arg in command.args if arg.name in given}
+
+    def _no_task(self, word: object) -> UnknownTaskError:
+        """Return the error for a command that needs a task and has none."""
+        text = word if isinstance(word, str) else ""
+        known = self.subsystem.picture.names
+        return UnknownTaskError(
+            f"the subsystem has no task {text}" if text else "no task is named",
+            got="tasks: " + (", ".join(known) or "none"),
+            remedy=did_you_mean(text, known) or "name one, or 'spawn' one first",
+        )
 
     def _knows(self, task: str) -> bool:
         return task in self.subsystem.picture
@@ -265,7 +332,7 @@ def _value(command: Command, arg: Arg, word: str) -> Any:  # noqa: ANN401 - by i
         return (task, signal)
     if arg.kind is not Kind.WORD and not word:
         raise _usage(command, f"{arg.name.upper()} is empty")
-    return word
+    return [name for name in word.split(",") if name] if arg.commas else word
 
 
 def _number(command: Command, arg: Arg, word: str) -> float | int:

@@ -17,7 +17,7 @@ from pbonet.errors import NodeError, did_you_mean
 from . import command_handlers
 
 if TYPE_CHECKING:
-    from .session_state import Seat
+    from .command_session import CommandSession
 
     Given = dict[str, Any]
 
@@ -68,6 +68,8 @@ class Arg(Struct, frozen=True):
     use: Use = Use.ONE
     last: bool = False
     """The task last used stands in where an interface has one."""
+    commas: bool = False
+    """It is several names in one word, with commas between them."""
 
     @property
     def need(self) -> bool:
@@ -100,13 +102,18 @@ class Command(Struct, frozen=True):
 
     name: str
     help: str
-    run: Callable[[Seat, Given], Any]
-    """Does it and returns what there is to show, as plain data."""
     args: tuple[Arg, ...] = ()
+    run: Callable[[CommandSession, Given], Given] | None = None
+    """Carries it out and returns the data to show. None: the method of `Subsystem` of
+    its name is called with its arguments."""
+    shows: str = ""
+    """The name that the method's result has in the data; empty: it is the data."""
+    points: str = ""
+    """The argument whose last task is the default of the next command."""
     changes: bool = False
     """It needs a master that holds the claim."""
     judged: bool = False
-    """It is verified against all tasks, and refused if it would be illegal."""
+    """It is verified before, and refused if it would be illegal."""
     alone: bool = False
     """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
@@ -149,34 +156,33 @@ COMMANDS: Final = (
     Command(
         "check",
         "Check a job, or the tasks that exist now, without changing anything.",
-        command_handlers.check,
         (_JOB,),
+        run=command_handlers.check,
     ),
     Command(
         "clear",
         "Bring tasks out of ERROR; they are OFF then.",
-        command_handlers.signal("clear"),
         (_TASKS, _TEXT),
         changes=True,
         examples=(
             ("clear puma_pidg", "Clear a task whose cause of error is gone."),
             ("clear cam1 cam2 text=new", "Clear two, with a text for their module."),
         ),
+        shows="states",
     ),
     Command(
         "display",
         "Show the values of shared variables, with unit, age and writer.",
-        command_handlers.display,
         (
             Arg("variable", Kind.VARIABLE, "names; * and ? match any text", Use.ANY),
             Arg("task", Kind.TASK, "only variables of this task's ports", Use.NAMED),
             Arg("writer", Kind.TASK, "only variables it writes now", Use.NAMED),
         ),
+        shows="variables",
     ),
     Command(
         "events",
         "Show the latest events of tasks and RTPUs.",
-        command_handlers.events,
         (
             Arg("last", Kind.COUNT, "how many of the newest", Use.MAYBE),
             Arg("since", Kind.WORD, "first number, or how long ago: 5m", Use.NAMED),
@@ -184,18 +190,18 @@ COMMANDS: Final = (
             Arg("code", Kind.WORD, "only this kind, such as WARNING", Use.NAMED),
             Arg("severity", Kind.WORD, "this one and worse: debug to fatal", Use.NAMED),
         ),
+        run=command_handlers.events,
     ),
     Command(
         "events count",
         "Show how often each kind of event occurred, suppressed ones included.",
-        command_handlers.events_count,
         (Arg("task", Kind.TASK, "which tasks; all if left out", Use.ANY),),
         scope=Scope.SESSION,
+        shows="counts",
     ),
     Command(
         "freq",
         "Show or set the frequency of a task.",
-        command_handlers.freq,
         (_TASK, Arg("hz", Kind.NUMBER, "the new frequency, Hz", Use.MAYBE)),
         changes=True,
         judged=True,
@@ -203,65 +209,65 @@ COMMANDS: Final = (
             ("freq puma_pidg", "Show it."),
             ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
         ),
+        shows="hz",
         alone=True,
     ),
     Command(
         "get",
         "Show the parameters of a task.",
-        command_handlers.get,
         (_TASK, Arg("param", Kind.PARAM, "which", Use.MAYBE)),
         examples=(
             ("get puma_pidg", "Show all of them."),
             ("get puma_pidg kd", "Show one."),
         ),
+        shows="params",
         alone=True,
     ),
     Command(
         "help",
         "Show the commands, or explain one.",
-        command_handlers.help_,
         (Arg("command", Kind.COMMAND, "which", Use.MAYBE),),
         scope=Scope.SESSION,
+        run=command_handlers.help_,
     ),
     Command(
         "kill",
         "Destroy tasks; one that is ON is turned off first.",
-        command_handlers.signal("kill"),
         (_TASKS, _TEXT),
         changes=True,
         examples=(
             ("kill jttrace", "Destroy one task."),
             ("kill cam1 cam2", "Destroy two, in this order."),
         ),
+        shows="states",
     ),
     Command(
         "module",
         "List the modules of the RTPUs, or show ports and parameters of one.",
-        command_handlers.module,
         (Arg("module", Kind.MODULE, "which", Use.MAYBE),),
+        run=command_handlers.module,
     ),
     Command(
         "network",
         "Hand control to a program on the network until it ends.",
-        command_handlers.network,
         (Arg("portname", Kind.WORD, "the name by which the program connects"),),
         scope=Scope.PROMPT,
+        run=command_handlers.network,
     ),
     Command(
         "off",
         "Turn tasks off: they exist, and run no cycles.",
-        command_handlers.signal("off"),
         (_TASKS, _TEXT),
         changes=True,
         examples=(
             ("off jttrace", "Turn one task off."),
             ("off jttrace puma_pidg", "Turn two off, in this order."),
         ),
+        shows="states",
     ),
     Command(
         "on",
         "Turn tasks on: they run their cycles.",
-        command_handlers.signal("on"),
         (_TASKS, _TEXT),
         changes=True,
         judged=True,
@@ -269,30 +275,30 @@ COMMANDS: Final = (
             ("on puma_pidg", "Turn one task on."),
             ("on cam1 cam2 puma_pidg", "Turn three on, in this order."),
         ),
+        shows="states",
     ),
     Command(
         "profile",
         "Show how long the cycles of tasks take, and how late they start.",
-        command_handlers.profiles,
         (Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),),
+        run=command_handlers.profiles,
     ),
     Command(
         "profile save",
         "Save the profiles beside the .sbs file, for the analysis of later starts.",
-        command_handlers.profiles_save,
         (Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),),
         scope=Scope.SESSION,
+        run=command_handlers.profiles_save,
     ),
     Command(
         "quit",
         "End this interface; the master goes on to its next one.",
-        command_handlers.quit_,
         scope=Scope.SESSION,
+        run=command_handlers.quit_,
     ),
     Command(
         "reconfig",
         "Send several signals in order, verified as one change.",
-        command_handlers.reconfig,
         (Arg("item", Kind.ITEM, "a task and a signal, such as pid:off", Use.SOME),),
         changes=True,
         judged=True,
@@ -300,22 +306,23 @@ COMMANDS: Final = (
             ("reconfig pid_a:off pid_b:on", "Turn one task off and another on."),
             ("reconfig trace:off trace:kill", "Turn a task off and destroy it."),
         ),
+        shows="states",
+        points="item",
     ),
     Command(
         "reinit",
         "Have tasks read their constants again, without turning them off.",
-        command_handlers.signal("reinit"),
         (_TASKS, _TEXT),
         changes=True,
         examples=(
             ("reinit forward_kin", "Have one task read them."),
             ("reinit forward_kin text=tool2", "The same, with a text for its module."),
         ),
+        shows="states",
     ),
     Command(
         "set",
         "Show or change the parameters of a task.",
-        command_handlers.set_,
         (
             _TASK,
             Arg("param", Kind.PARAM, "which ones; all if left out", Use.MAYBE),
@@ -326,12 +333,12 @@ COMMANDS: Final = (
             ("set puma_pidg kd", "Show one parameter."),
             ("set gain2 gain -1.5", "Change one between two cycles."),
         ),
+        shows="params",
         alone=True,
     ),
     Command(
         "sigmask",
         "Show or set which signals to ignore: names, 'none' or 'unset'.",
-        command_handlers.sigmask,
         (
             Arg("signal", Kind.SIGNAL, "names; shows masks if left out", Use.ANY),
             Arg("task", Kind.TASK, "one task; all if left out", Use.NAMED),
@@ -341,25 +348,31 @@ COMMANDS: Final = (
             ("sigmask WARNING", "Ignore the warnings of all tasks."),
             ("sigmask none task=camera", "Ignore no signal of one task."),
         ),
+        shows="masks",
     ),
     Command(
         "sigwait",
         "Wait until a task sends a signal, and take it; stop ends it.",
-        command_handlers.sigwait,
         (
             Arg("signal", Kind.SIGNAL, "names; any if left out", Use.ANY),
-            Arg("task", Kind.TASK, "only these tasks, with commas", Use.NAMED),
+            Arg(
+                "task",
+                Kind.TASK,
+                "only these tasks, with commas",
+                Use.NAMED,
+                commas=True,
+            ),
             Arg("timeout", Kind.SECONDS, "the longest wait", Use.NAMED),
         ),
         examples=(
             ("sigwait", "Wait for any signal."),
             ("sigwait FINISH ERROR timeout=10", "Wait 10 s at most, for two."),
         ),
+        run=command_handlers.sigwait,
     ),
     Command(
         "spawn",
         "Create a task from an .rmod (module configuration); it is OFF.",
-        command_handlers.spawn,
         (
             Arg("rmod", Kind.RMOD, "the .rmod file: its name, without ending"),
             Arg(
@@ -376,11 +389,11 @@ COMMANDS: Final = (
             ("spawn jttrace", "Create it on the RTPU that its file names."),
             ("spawn jttrace arm1 25", "Create it on RTPU arm1, at 25 Hz."),
         ),
+        run=command_handlers.spawn,
     ),
     Command(
         "start",
         "Create the tasks of a job and turn them on, on running RTPUs.",
-        command_handlers.start,
         (_JOB, _WAIT),
         changes=True,
         judged=True,
@@ -388,11 +401,11 @@ COMMANDS: Final = (
             ("start teleop", "Verify and start the job in teleop.job."),
             ("start wait=5", "Wait up to 5 s for its conditions."),
         ),
+        run=command_handlers.start,
     ),
     Command(
         "status",
         "Show the state and the timing of tasks.",
-        command_handlers.status,
         (
             Arg("task", Kind.TASK, "which ones; all if left out", Use.ANY),
             Arg("fields", Kind.FIELD, "columns, with commas", Use.NAMED),
@@ -401,22 +414,25 @@ COMMANDS: Final = (
             ("status", "Show all tasks."),
             ("status jttrace fields=state,refF,mezF", "Show three columns of one."),
         ),
+        run=command_handlers.status,
     ),
     Command(
         "status set",
         "Choose the columns of status: names, 'all' or 'default'.",
-        command_handlers.status_set,
         (Arg("field", Kind.FIELD, "columns; without any they are listed", Use.ANY),),
         scope=Scope.SESSION,
+        run=command_handlers.status_set,
     ),
-    Command("stop", "Turn all tasks off and end them, now.", command_handlers.stop),
+    Command(
+        "stop",
+        "Turn all tasks off and end them, now.",
+    ),
     Command(
         "swap",
         "Replace tasks by others between two cycles; the old stay, OFF.",
-        command_handlers.swap,
         (
-            Arg("old", Kind.TASK, "the tasks to replace, with commas"),
-            Arg("new", Kind.RMOD, "tasks or .rmods, with commas"),
+            Arg("old", Kind.TASK, "the tasks to replace, with commas", commas=True),
+            Arg("new", Kind.RMOD, "tasks or .rmods, with commas", commas=True),
             Arg("rtpu", Kind.RTPU, "of new tasks; as the old", Use.NAMED),
             _DRY,
         ),
@@ -426,11 +442,11 @@ COMMANDS: Final = (
             ("swap pid_a pid_b", "Replace one controller by another."),
             ("swap pid_a pid_b dry_run=yes", "Only show what would be done."),
         ),
+        points="new",
     ),
     Command(
         "switch",
         "Change to another job; tasks that both have stay ON.",
-        command_handlers.switch,
         (_JOB, _DRY, _WAIT),
         changes=True,
         judged=True,
@@ -442,14 +458,12 @@ COMMANDS: Final = (
     Command(
         "wait",
         "Wait before the next command; 'stop' ends the wait.",
-        command_handlers.wait,
         (Arg("seconds", Kind.SECONDS, "how long"),),
         scope=Scope.PROMPT,
     ),
     Command(
         "write",
         "Set a variable that no task writes.",
-        command_handlers.write,
         (
             Arg("variable", Kind.VARIABLE, "its name"),
             Arg("value", Kind.NUMBER, "its elements", Use.SOME),
@@ -459,6 +473,7 @@ COMMANDS: Final = (
             ("write T_REF 0.5 -1.5 2", "Set the elements of an array."),
             ("write MODE 3", "Set a single value."),
         ),
+        run=command_handlers.write,
     ),
 )
 

@@ -13,7 +13,7 @@ from .commands import BY_NAME, Arg, Command, Kind
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from .command_session import Desk
+    from .command_session import CommandSession
 
 _STATES: Final = {
     "on": {State.OFF},
@@ -23,21 +23,23 @@ _STATES: Final = {
 """In which states a task is offered to a signal; the others take every task."""
 
 
-def complete(desk: Desk, text: str) -> list[str]:
+def complete(session: CommandSession, text: str) -> list[str]:
     """Return the words that may stand in the place of the last one in `text`.
 
     Args:
-        desk: The interface.
+        session: The interface.
         text: The line up to the cursor.
     """
     words = text.split()
     if not words or text[-1].isspace():
         words.append("")
     *before, last = words
-    return sorted(word for word in _offers(desk, before, last) if word.startswith(last))
+    return sorted(
+        word for word in _offers(session, before, last) if word.startswith(last)
+    )
 
 
-def _offers(desk: Desk, before: list[str], last: str) -> Iterable[str]:
+def _offers(session: CommandSession, before: list[str], last: str) -> Iterable[str]:
     if not before:
         return {name.split()[0] for name in BY_NAME}
     both = " ".join(before[:2])
@@ -45,7 +47,7 @@ def _offers(desk: Desk, before: list[str], last: str) -> Iterable[str]:
     if command is None:
         return ()
     given = before[2:] if command.name == both and " " in both else before[1:]
-    offers = set(_arguments(desk, command, given, last))
+    offers = set(_arguments(session, command, given, last))
     offers |= {
         name.split()[1]
         for name in BY_NAME
@@ -55,77 +57,81 @@ def _offers(desk: Desk, before: list[str], last: str) -> Iterable[str]:
 
 
 def _arguments(
-    desk: Desk, command: Command, given: list[str], last: str
+    session: CommandSession, command: Command, given: list[str], last: str
 ) -> Iterable[str]:
     named = command.named
     name, equals, _ = last.partition("=")
     if equals and name in named:
-        return [f"{name}={word}" for word in _words(desk, command, named[name], "")]
+        return [f"{name}={word}" for word in _words(session, command, named[name], "")]
     names = [word.partition("=")[0] for word in given if "=" in word]
     plain = [
         word for word in given if "=" not in word or word.split("=")[0] not in named
     ]
     places = [a for a in command.args if not a.option and a.name not in names]
-    task = desk.default
+    task = session.default
     for word in plain:
         if places and not places[0].many:
             arg = places.pop(0)
-            if arg.last and word not in desk.subsystem.picture and places:
+            if arg.last and word not in session.subsystem.picture and places:
                 arg = places.pop(0)  # the task was left out
             task = word if arg.kind is Kind.TASK else task
     found = [f"{arg.name}=" for arg in command.args if arg.option]
     if places and not places[0].need:
         found += [f"{arg.name}=" for arg in places[1:] if arg.name in named]
     for arg in places[:1] if places and not places[0].last else places[:2]:
-        found += _words(desk, command, arg, task)
+        found += _words(session, command, arg, task)
     return found
 
 
-def _words(desk: Desk, command: Command, arg: Arg, task: str) -> Iterable[str]:
+def _words(
+    session: CommandSession, command: Command, arg: Arg, task: str
+) -> Iterable[str]:
     """Return the words that stand for an argument."""
     if arg.kind is Kind.TASK:
         states = _STATES.get(command.name)
         return [
             member.name
-            for member in desk.subsystem.picture
+            for member in session.subsystem.picture
             if states is None or member.state in states
         ]
     if arg.kind is Kind.PARAM:
-        return _params(desk, task)
+        return _params(session, task)
     make = _KINDS.get(arg.kind)
-    return make(desk) if make else ()
+    return make(session) if make else ()
 
 
-def _params(desk: Desk, task: str) -> Iterable[str]:
-    member = desk.subsystem.picture.get(task)
+def _params(session: CommandSession, task: str) -> Iterable[str]:
+    member = session.subsystem.picture.get(task)
     if member is None:
         return ()
     try:
-        info = member.info or desk.subsystem.crew.info(member.rtpu, member.rmod)
+        info = member.info or session.subsystem.crew.info(member.rtpu, member.rmod)
     except PbonetError:
         return list(member.rmod.local)
     return [param.name for param in info.params]
 
 
-def _variables(desk: Desk) -> Iterable[str]:
-    return [variable.name for variable in desk.subsystem.files.table.variables]
+def _variables(session: CommandSession) -> Iterable[str]:
+    return [variable.name for variable in session.subsystem.files.table.variables]
 
 
-def _signals(desk: Desk) -> Iterable[str]:
-    own = [name for task in desk.subsystem.status_all() for name in task.signals]
+def _signals(session: CommandSession) -> Iterable[str]:
+    own = [name for task in session.subsystem.status_all() for name in task.signals]
     return dict.fromkeys([*PREDEFINED, *own])
 
 
-def _items(desk: Desk) -> Iterable[str]:
-    return [f"{t}:{signal}" for t in desk.subsystem.picture.names for signal in SIGNALS]
+def _items(session: CommandSession) -> Iterable[str]:
+    return [
+        f"{t}:{signal}" for t in session.subsystem.picture.names for signal in SIGNALS
+    ]
 
 
-_KINDS: Final[dict[Kind, Callable[[Desk], Iterable[str]]]] = {
-    Kind.RMOD: lambda desk: desk.subsystem.files.rmods(),
-    Kind.RTPU: lambda desk: desk.subsystem.fleet.names,
+_KINDS: Final[dict[Kind, Callable[[CommandSession], Iterable[str]]]] = {
+    Kind.RMOD: lambda session: session.subsystem.files.rmods(),
+    Kind.RTPU: lambda session: session.subsystem.fleet.names,
     Kind.VARIABLE: _variables,
-    Kind.MODULE: lambda desk: desk.subsystem.files.library.modules(),
-    Kind.JOB: lambda desk: desk.subsystem.files.jobs(),
+    Kind.MODULE: lambda session: session.subsystem.files.library.modules(),
+    Kind.JOB: lambda session: session.subsystem.files.jobs(),
     Kind.FIELD: lambda _: [*status_fields.NAMES, "all", "default"],
     Kind.COMMAND: lambda _: BY_NAME,
     Kind.SIGNAL: _signals,

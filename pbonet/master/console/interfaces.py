@@ -17,7 +17,7 @@ from pbonet.errors import ConfigFileError, PbonetError
 from pbonet.master.subsystem import Subsystem
 
 from . import render
-from .command_session import Desk, Reply
+from .command_session import CommandSession, Reply
 from .network_interface import Port
 from .watch_values import Listener
 
@@ -117,7 +117,9 @@ class Script:
         self._keep_going = keep_going
         self._as_data = as_data
         self._debug = debug
-        self._desk = Desk(subsystem, hand_over=lambda port: serve(subsystem, port))
+        self._session = CommandSession(
+            subsystem, hand_over=lambda port: serve(subsystem, port)
+        )
 
     def run(self, name: str, lines: Iterable[str]) -> bool:
         """Carry the lines out; return whether one failed.
@@ -133,7 +135,7 @@ class Script:
         try:
             for number, line in enumerate(lines, 1):
                 try:
-                    reply = self._desk.execute(line)
+                    reply = self._session.execute(line)
                 except PbonetError as error:
                     failed = True
                     self._tell(error, f"{place}:{number}")
@@ -142,7 +144,7 @@ class Script:
                     continue
                 if reply is not None:
                     self._show(reply)
-                if self._desk.ended:
+                if self._session.ended:
                     return failed
         finally:
             listener.close()

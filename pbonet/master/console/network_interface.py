@@ -36,7 +36,7 @@ from pbonet.errors import (
 from pbonet.xm.net import check_name, codec, direct, key_expressions, messages as m, rpc
 
 from . import render
-from .command_session import Call, Desk, Reply, convert
+from .command_session import Call, CommandSession, Reply, convert
 from .commands import find
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pbonet.master.subsystem import Subsystem
 
 _KEPT: Final = 1000
-_DESKS: Final = 100
+_SESSIONS: Final = 100
 """Clients whose columns, baselines and default tasks are remembered."""
 _CLIENT: Final = re.compile(r"[A-Za-z0-9_.\-]{1,64}")
 _TOKEN_TIME: Final = 1.0
@@ -104,7 +104,7 @@ class Port:
         self._living: set[str] = set()
         """Clients whose tokens are seen. Asking for the tokens from a session that
         also subscribes to them misses some now and then."""
-        self._desks: OrderedDict[str, Desk] = OrderedDict()
+        self._sessions: OrderedDict[str, CommandSession] = OrderedDict()
         """By client, the one that asked last at the end."""
         self._answers: OrderedDict[tuple[str, str], bytes] = OrderedDict()
         self._orders: queue.SimpleQueue[tuple[zenoh.Query, Order] | None] = (
@@ -246,9 +246,9 @@ class Port:
         )
 
     def _do(self, order: Order) -> Reply | None:
-        desk = self._desk(order.client)
+        session = self._session_of(order.client)
         if order.line:
-            call = desk.read(order.line)
+            call = session.read(order.line)
         else:
             command = find(order.command)
             call = Call(command, convert(command, order.args))
@@ -258,22 +258,22 @@ class Port:
             self._must_hold(order.client)
         elif self._handover and call.changes:
             self._take(order.client)
-        reply = desk.perform(call)
-        if desk.ended:
-            self._desks.pop(order.client, None)
+        reply = session.perform(call)
+        if session.ended:
+            self._sessions.pop(order.client, None)
             if order.client:
                 self._give_back(order.client, "has ended")
         return reply
 
-    def _desk(self, client: str) -> Desk:
-        """Return the desk of a client; those that asked longest ago are forgotten."""
+    def _session_of(self, client: str) -> CommandSession:
+        """Return the session of a client; the oldest ones are forgotten."""
         with self._lock:
-            desk = self._desks.setdefault(client, Desk(self._subsystem))
-            self._desks.move_to_end(client)
-            while len(self._desks) > _DESKS:
-                oldest = next(name for name in self._desks if name != self._holder)
-                del self._desks[oldest]
-            return desk
+            session = self._sessions.setdefault(client, CommandSession(self._subsystem))
+            self._sessions.move_to_end(client)
+            while len(self._sessions) > _SESSIONS:
+                oldest = next(name for name in self._sessions if name != self._holder)
+                del self._sessions[oldest]
+            return session
 
     # -- who has control --------------------------------------------------------------
 

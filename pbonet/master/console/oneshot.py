@@ -35,7 +35,7 @@ from pbonet.xm.net import (
     session,
 )
 
-from .command_session import Call, Desk, Reply, convert
+from .command_session import Call, CommandSession, Reply, convert
 from .commands import find
 from .network_interface import Order
 
@@ -84,7 +84,7 @@ def run(
             return reply
     try:
         subsystem.open(opened, once=True, task=call.task)
-        reply = Desk(subsystem).perform(call)
+        reply = CommandSession(subsystem).perform(call)
     except PbonetError as error:
         for warning in dict.fromkeys(opening):
             error.add_note(warning)

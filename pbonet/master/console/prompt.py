@@ -28,7 +28,7 @@ from pbonet.master.subsystem import Window
 from pbonet.xm.net import messages as m
 
 from . import render
-from .command_session import Desk
+from .command_session import CommandSession
 from .completion import complete
 from .network_interface import Port
 from .watch_values import Listener
@@ -91,11 +91,11 @@ class Prompt:
         self._input = source or create_input()
         self._screen = screen or create_output()
         self._back = threading.Event()
-        self._desk = Desk(subsystem, hand_over=self._hand_over)
+        self._commands = CommandSession(subsystem, hand_over=self._hand_over)
         self._bar = _Toolbar(subsystem)
         self._listener = Listener(subsystem, heard=self._heard)
-        self._session: PromptSession[str] = PromptSession(
-            completer=_Completer(self._desk),
+        self._input_line: PromptSession[str] = PromptSession(
+            completer=_Completer(self._commands),
             complete_while_typing=False,
             history=history if history is not None else _history(),
             key_bindings=_bindings(),
@@ -114,7 +114,7 @@ class Prompt:
                 create_app_session(input=self._input, output=self._screen),
                 patch_stdout(raw=True),
             ):
-                while not self._desk.ended:
+                while not self._commands.ended:
                     self._turn()
         finally:
             self._bar.close()
@@ -122,7 +122,7 @@ class Prompt:
 
     def _turn(self) -> None:
         try:
-            line = self._session.prompt(self._desk.prompt)
+            line = self._input_line.prompt(self._commands.prompt)
         except KeyboardInterrupt:
             return  # the line is thrown away
         except EOFError:
@@ -132,7 +132,7 @@ class Prompt:
     def execute(self, line: str) -> None:
         """Carry out one line and print what it gave; an error is printed too."""
         try:
-            reply = self._desk.execute(line)
+            reply = self._commands.execute(line)
         except PbonetError as error:
             self._say(render.error(error, debug=self._debug))
         except Exception as error:  # noqa: BLE001 - the prompt outlives any command
@@ -201,8 +201,8 @@ def _bindings() -> KeyBindings:
 class _Completer(Completer):
     """Offers what `pbonet.master.console.completion` finds."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, commands: CommandSession) -> None:
+        self._commands = commands
 
     def get_completions(
         self,
@@ -211,7 +211,7 @@ class _Completer(Completer):
     ) -> Iterable[Completion]:
         text = document.text_before_cursor
         last = text.split()[-1] if text and not text[-1].isspace() else ""
-        for word in complete(self._desk, text):
+        for word in complete(self._commands, text):
             yield Completion(word, start_position=-len(last))
 
 

@@ -17,7 +17,7 @@ from pbonet.master.subsystem import Subsystem, sequence
 from pbonet.xm.net import codec, direct, key_expressions, messages as m
 
 from . import render
-from .command_session import Call, Desk, convert
+from .command_session import Call, CommandSession, convert
 from .commands import find
 
 if TYPE_CHECKING:
@@ -141,12 +141,12 @@ def display(
         watch=True,
     )
     with subsystem:
-        desk = Desk(subsystem)
+        session = CommandSession(subsystem)
         show = _FORMS[form]()
         begin = time.monotonic()
         shown, pause = 0, threading.Event()
         while count is None or shown < count:
-            show(desk.perform(call).data, time.monotonic() - begin)
+            show(session.perform(call).data, time.monotonic() - begin)
             shown += 1
             left = begin + shown * every - time.monotonic()
             if left > 0 and shown != count:

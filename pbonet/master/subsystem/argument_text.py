@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import logging
 import math
 import threading
@@ -10,7 +11,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TypeGuard
 
-from pbonet.errors import ParameterError, StateError, did_you_mean
+from pbonet.errors import (
+    ParameterError,
+    StateError,
+    UnknownVariableError,
+    did_you_mean,
+)
 
 from .subsystem_tasks import SIGNALS
 
@@ -114,3 +120,30 @@ def local_words(value: object) -> str:
     if is_sequence(value):
         return " ".join(map(local_words, value))
     return str(value)
+
+
+def task_of(writer: str | None) -> str | None:
+    """Return the task's name of a writer, which may be on another machine."""
+    if writer is None:
+        return None
+    from pbonet.svar.mirror import MARK
+
+    return writer.partition(MARK)[0]
+
+
+def matching(patterns: list[str], known: list[str]) -> list[str]:
+    """Return the names that patterns match, in their order, each once.
+
+    Raises:
+        UnknownVariableError: One matches none.
+    """
+    found: list[str] = []
+    for pattern in patterns:
+        names = [name for name in known if fnmatch.fnmatchcase(name, pattern)]
+        if not names:
+            raise UnknownVariableError(
+                f"the table has no variable {pattern}",
+                remedy=did_you_mean(pattern, known) or "'display' shows them all",
+            )
+        found += [name for name in names if name not in found]
+    return found

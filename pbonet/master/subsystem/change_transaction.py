@@ -1,16 +1,13 @@
-"""What the parts of `Subsystem` have of each other, and what changes stand in."""
+"""One command at a time, by a master that holds the claim."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Sequence
 
-    from pbonet.master.configuration import Clock, Files
-
-    from .rtpu_clients import Fleet
     from .subsystem_tasks import Crew
 
 
@@ -54,40 +51,3 @@ class Changing:
 
     def __exit__(self, *_: object) -> None:
         self._busy.release()
-
-
-class Opened(Protocol):
-    """An open subsystem, as the parts that `Subsystem` is made of see it."""
-
-    files: Files
-    clock: Clock
-    stopped: threading.Event
-
-    @property
-    def name(self) -> str:
-        """The subsystem's name."""
-        ...
-
-    @property
-    def crew(self) -> Crew:
-        """Its tasks."""
-        ...
-
-    @property
-    def fleet(self) -> Fleet:
-        """Its RTPUs."""
-        ...
-
-    def _warn(self, text: str) -> None:
-        """Tell a warning."""
-        ...
-
-    def _changing(
-        self,
-        *,
-        strict: bool = True,
-        claimed: bool = True,
-        rtpus: Sequence[str] | None = None,
-    ) -> Changing:
-        """Return what a command that changes it stands in."""
-        ...

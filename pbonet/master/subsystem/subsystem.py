@@ -15,13 +15,13 @@ Leaving the block stops the subsystem (`sbsFinish`); `detach` leaves it running.
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self, overload
 
 from msgspec import structs
 
 from pbonet.analysis import legality
 from pbonet.config import Library
-from pbonet.errors import NodeError, PbonetError
+from pbonet.errors import NoAnswerError, NodeError, PbonetError, StateError
 from pbonet.master.configuration import (
     Files,
     RealClock,
@@ -31,38 +31,56 @@ from pbonet.master.configuration import (
 )
 from pbonet.xm.net import messages as m, rpc, session
 
-from . import assembly, constants, status_fields
+from . import (
+    assembly,
+    constants,
+    event_filter,
+    profiling,
+    remote_modules,
+    status_fields,
+    switching,
+    task_signal_inbox,
+)
 from .argument_text import (
     check_rate,
     check_signal,
+    check_time,
     collector,
     local_words,
     log_warning,
+    matching,
+    names_of,
+    task_of,
 )
 from .change_transaction import Changing
-from .command_methods import Calls
-from .condition_gate import in_time
+from .condition_gate import Gate, in_time
+from .event_filter import Choice
 from .recording_control import book
 from .rtpu_clients import Fleet, client_name
+from .status_fields import columns
 from .subsystem_tasks import CONTROL_TIME, Crew
-from .switching import Switching
-from .task_signal_inbox import Inbox, Signalled
+from .task_signal_inbox import Inbox, Sent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+    from contextlib import AbstractContextManager
     from pathlib import Path
     from types import TracebackType
 
     import zenoh
 
     from pbonet.config import SbsFile
-    from pbonet.master.configuration import Clock, Picture
+    from pbonet.master.configuration import Clock, Picture, Saved
+    from pbonet.master.console import Command
     from pbonet.master.sim import VirtualRtpus
+    from pbonet.pbo import ModuleInfo
 
     from .embedded_agents import Embedded
+    from .status_fields import Profile
+    from .switching import Transition
 
 
-class Subsystem(Switching, Calls, Signalled):
+class Subsystem:
     """A subsystem of tasks on one or more RTPUs, steered by this master.
 
     Args:
@@ -77,7 +95,8 @@ class Subsystem(Switching, Calls, Signalled):
         virtual: Run in virtual time, in this process, without agents and devices: time
             passes where the program waits.
         partly: Be content with the RTPUs that answer; of the others it is warned.
-        warned: Called with each warning, one sentence, unless a `Desk` collects it.
+        warned: Called with each warning, one sentence, unless a `CommandSession`
+            collects it.
         record: ``off``, ``outputs``, ``all`` or ``last SECONDS``; None for what the job
             says, or outputs. In virtual time nothing is, and only ``off`` may be said.
 
@@ -124,7 +143,7 @@ class Subsystem(Switching, Calls, Signalled):
             self._agents = Embedded(
                 domain, libraries=[*map(str, libraries)], connect=connect
             )
-        self.shown = status_fields.DEFAULT
+        self.shown: tuple[str, ...] = status_fields.DEFAULT
         """Fields that `status` shows; `status_set` chooses them."""
         self.baselines = status_fields.Baselines()
         self.logbook = book(record, virtual=virtual)
@@ -437,6 +456,172 @@ class Subsystem(Switching, Calls, Signalled):
             with constants.followed(crew, f"{variable} was set", {variable: keeper}):
                 return self.fleet.call(keeper, request, m.VarValue)
 
+    # -- signals ----------------------------------------------------------------------
+
+    def on(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
+        """Send ``on`` to a task, or to several as one list judged by its end.
+
+        Args:
+            task: The tasks.
+            text: For the module of one task, as its ``self.task.arg``.
+
+        Returns:
+            The states of the tasks.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: The signal is not valid in a task's state.
+            VerificationError: The end would be illegal; nothing was sent.
+            ReconfigError: Of several, one failed.
+            PbonetError: A method of the module failed.
+        """
+        return self._signal("on", task, text)
+
+    def off(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
+        """Send ``off``; as `on`, and never refused for legality."""
+        return self._signal("off", task, text)
+
+    def kill(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
+        """Destroy tasks; as `off`."""
+        return self._signal("kill", task, text)
+
+    def clear(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
+        """Send ``clear`` to tasks in ERROR; as `off`."""
+        return self._signal("clear", task, text)
+
+    def reinit(self, task: str | Iterable[str], *, text: str = "") -> dict[str, str]:
+        """Have tasks read their constants again; as `off`."""
+        return self._signal("reinit", task, text)
+
+    def _signal(
+        self, signal: str, task: str | Iterable[str], text: str
+    ) -> dict[str, str]:
+        tasks = names_of(task)
+        if len(tasks) == 1:
+            return {tasks[0]: self.control(tasks[0], signal, text).state}
+        if not tasks or text:
+            raise StateError(
+                "a text goes to one task" if text else "no task is named",
+                expected=f"{signal} TASK text=..." if text else f"{signal} TASK ...",
+                got=f"{len(tasks)} tasks",
+                remedy=f"give '{signal}' once for each task",
+            )
+        return self.reconfig([(name, signal) for name in tasks])
+
+    def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
+        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
+
+        Tasks that have died may be killed, which forgets them and their ERROR; that is
+        done before the list is sent.
+
+        Args:
+            item: Pairs of task and signal.
+
+        Returns:
+            The states of the tasks concerned.
+
+        Raises:
+            UnknownTaskError: There is no such task; nothing was sent.
+            VerificationError: The end would be illegal; nothing was sent.
+            ReconfigError: An item failed; it says which, and what was not sent.
+        """
+        items = [(task, signal) for task, signal in item]
+        for _, signal in items:
+            check_signal(signal)
+        judged = any(signal == "on" for _, signal in items)
+        with self._changing(strict=judged) as crew:
+            for task, signal in items:
+                crew.home(task, signal)
+            names = crew.picture.names
+            living = [item for item in items if item[0] in names]
+            if judged:
+                crew.judge(legality.reconfig(living))
+            try:
+                dead = dict.fromkeys(task for task, _ in items if task not in names)
+                states = {task: crew.control(task, "kill", "").state for task in dead}
+                with constants.signals(crew, living):
+                    return states | crew.send(living)
+            finally:
+                crew.settle()
+
+    def swap(
+        self,
+        old: str | Sequence[str],
+        new: str | Sequence[str],
+        *,
+        rtpu: str | None = None,
+        dry_run: bool = False,
+    ) -> Transition:
+        """Put tasks into the place of others while everything else goes on.
+
+        The old ones stay OFF, so that one can swap back. Tasks that both name are not
+        touched. Given again behind a failure, it does what is left.
+
+        Args:
+            old: The tasks that leave, by name.
+            new: The tasks that come, by name; RMODs that are no tasks yet are spawned.
+            rtpu: Where to spawn; by default where the RMOD says, else where the first
+                of the old ones runs.
+            dry_run: Verify, and only return what would be done.
+
+        Raises:
+            UnknownTaskError: There is no such old task; nothing was done.
+            StateError: A new task stands in ERROR, or on another RTPU than `rtpu`;
+                nothing was done.
+            VerificationError: The end would be illegal; nothing was done.
+            ReconfigError: A signal failed; it says which, and what was not sent.
+            PbonetError: A new task could not be spawned; nothing else was done.
+        """
+        with self._changing(claimed=not dry_run) as crew:
+            plan = switching.plan_swap(crew, old, new, rtpu)
+            self.stopped.clear()
+            return switching.carry_out(
+                crew, plan, self.clock, self.stopped, dry_run=dry_run
+            )
+
+    def switch(
+        self,
+        job: str | Path | None = None,
+        *,
+        dry_run: bool = False,
+        wait: float | None = None,
+    ) -> Transition:
+        """Go over to the configuration of another job while shared tasks go on.
+
+        POST of the job that stands and PRE of the one to come must hold, before
+        anything is done and again when all its tasks are there; not where the job
+        stands already and is only completed. Tasks that are ON or in ERROR and not in
+        the job are turned off, and killed when those that came have done a cycle; tasks
+        that are OFF stand by, and stay so.
+
+        Args:
+            job: The ``.job`` file or its name; None where the subsystem was opened with
+                one.
+            dry_run: Verify, and only return what would be done.
+            wait: Seconds that conditions have to come true; None: they must hold now.
+
+        Raises:
+            ConfigError: The job is missing, wrong, or of another subsystem.
+            StateError: A task of the job stands, but is another one; nothing was done.
+            VerificationError: The end would be illegal, or a condition cannot be
+                answered; nothing was done.
+            ConditionError: One does not hold, and says what was seen; nothing was done.
+            ReconfigError: A signal failed, or a new task in its first cycle; it says
+                which, and what was not sent.
+            PbonetError: A new task could not be spawned; nothing else was done.
+        """
+
+        def attempt() -> Transition:
+            with self._changing(claimed=not dry_run) as crew:
+                wanted = self.files.read_job(job)
+                gate = Gate(crew, wanted, leaves=True)
+                plan = switching.plan_job(crew, wanted)
+                return switching.carry_out(
+                    crew, plan, self.clock, self.stopped, gate, dry_run=dry_run
+                )
+
+        return in_time(attempt, wait, self.clock, self.stopped)
+
     # -- the whole --------------------------------------------------------------------
 
     def start(
@@ -512,6 +697,342 @@ class Subsystem(Switching, Calls, Signalled):
         if self.fleet.claimed:
             self.crew.settle()
         return stopped
+
+    # -- looking ----------------------------------------------------------------------
+
+    @overload
+    def status(self, task: str) -> m.TaskStatus: ...
+
+    @overload
+    def status(self, task: list[str] | tuple[str, ...] = ...) -> list[m.TaskStatus]: ...
+
+    @overload
+    def status(
+        self, task: str | Sequence[str] = ..., *, fields: str | Sequence[str]
+    ) -> list[Profile]: ...
+
+    def status(
+        self,
+        task: str | Sequence[str] = (),
+        *,
+        fields: str | Sequence[str] | None = None,
+    ) -> m.TaskStatus | list[m.TaskStatus] | list[Profile]:
+        """Return the status of one task, of several, or of all (`sbsStatus`).
+
+        Args:
+            task: One task, or several; none: all.
+            fields: Columns of the command ``status``, ``all`` or ``default``, or none
+                for those of `status_set`. Then it is what that command shows: counters
+                since the last such look of this program.
+
+        Returns:
+            Of one task its record, of several a list; counters run from when it was
+            turned on.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: There is no such field.
+        """
+        wanted = names_of(task)
+        shown = columns(names_of(fields or ())) or self.shown
+        found = [t for t in self.status_all() if not wanted or t.task in wanted]
+        for name in wanted:
+            self.picture.find(name)
+        if fields is not None:
+            return [one.only(shown) for one in self.baselines.since(found)]
+        if not isinstance(task, str):
+            return found
+        if not found:
+            raise StateError(
+                "the task went away while it was looked for",
+                where=task,
+                remedy="'status' shows which tasks there are",
+            )
+        return found[0]
+
+    def status_set(self, field: str | Sequence[str] = ()) -> tuple[str, ...]:
+        """Choose what `status` shows when it is given no fields; return it.
+
+        Raises:
+            StateError: There is no such field.
+        """
+        self.shown = columns(names_of(field)) or self.shown
+        return self.shown
+
+    def status_all(self) -> list[m.TaskStatus]:
+        """Return the status of every task of the subsystem (`sbsStatusAll`)."""
+        return [task for rtpu in self.rtpu_status() for task in rtpu.tasks]
+
+    def rtpu_status(self) -> list[m.RtpuStatus]:
+        """Return the status of every RTPU that answers, and of the tasks there.
+
+        Those that do not answer are told as warnings.
+
+        Raises:
+            SeveralError: None answers, of several; of one, its own error.
+        """
+        return self.crew.refresh(strict=False)
+
+    def events_count(self, task: str | Sequence[str] = ()) -> list[dict[str, Any]]:
+        """Return how often each kind of event came, those held back in floods too.
+
+        Args:
+            task: Of which tasks; none: all.
+
+        Returns:
+            Maps with ``rtpu``, ``task``, ``code`` and ``count``.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        wanted = names_of(task)
+        rtpus = self.rtpu_status()
+        for name in wanted:
+            self.picture.find(name)
+        return [
+            {"rtpu": rtpu.rtpu, "task": name, "code": code, "count": count}
+            for rtpu in rtpus
+            for name, codes in sorted(rtpu.events.items())
+            for code, count in sorted(codes.items())
+            if not wanted or name in wanted
+        ]
+
+    def profile(self, task: str | Sequence[str] = ()) -> list[m.TaskProfile]:
+        """Return the execution profiles of tasks, of all if none is named (6.7).
+
+        Raises:
+            UnknownTaskError: There is no such task.
+        """
+        return profiling.ask(self.crew, names_of(task))
+
+    def profile_save(self, task: str | Sequence[str] = ()) -> list[tuple[Saved, Path]]:
+        """Save profiles beside the ``.sbs`` file, for the analysis of later starts.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: One that is named has run too few cycles.
+            ConfigFileError: A file cannot be written.
+        """
+        return profiling.save(self.crew, names_of(task))
+
+    def display(
+        self,
+        variable: str | Iterable[str] | None = None,
+        *,
+        task: str | None = None,
+        writer: str | None = None,
+    ) -> list[m.VarValue]:
+        """Return values of variables with their age, writer and unit.
+
+        All are of one instant, unless a value's ``whole`` says that this is not proven.
+
+        Args:
+            variable: Names, in which * and ? match; none: all.
+            task: Only those of its ports.
+            writer: Only those that it writes now.
+
+        Raises:
+            UnknownVariableError: The table has no such variable.
+            UnknownTaskError: There is no such task.
+        """
+        known = [one.name for one in self.files.table.variables]
+        patterns = names_of(variable or ())
+        names = matching(patterns, known) if patterns else known
+        if task:
+            ports = self.picture.find(task).variables
+            names = [name for name in names if name in ports]
+        if not names:
+            return []
+        request = m.Display(names=names)
+        keeper = self.files.sbs.keeper
+        values = self.fleet.call(keeper, request, list[m.VarValue])
+        values.sort(key=lambda one: names.index(one.name))
+        return [one for one in values if writer in {None, task_of(one.writer)}]
+
+    def module(self, module: str | None = None) -> list[ModuleInfo]:
+        """Return what is known about the modules in the agents' libraries.
+
+        Raises:
+            ModuleLoadError: No library has such a module, or it does not load.
+        """
+        return remote_modules.of(self.fleet, module)
+
+    def help(self, command: str | None = None) -> tuple[Command, ...]:
+        """Return the table of commands, or one of them.
+
+        Raises:
+            NodeError: There is no such command.
+        """
+        from pbonet.master.console import COMMANDS, find
+
+        return COMMANDS if command is None else (find(command),)
+
+    # -- signals and events of tasks ---------------------------------------------------
+
+    def sigwait(
+        self,
+        signal: str | Sequence[str] = (),
+        *,
+        task: str | Sequence[str] = (),
+        timeout: float | None = None,
+    ) -> Sent:
+        """Wait until a task has sent one of some signals, and take it (`sbsSigWait`).
+
+        A signal that was sent before, and not taken, is returned at once. Others stay
+        pending until they are waited for; to be rid of them, mask them.
+
+        Args:
+            signal: Names, such as ``FINISH`` or one of the module's own; none: any.
+            task: Whose; none: of any task.
+            timeout: Seconds; None: as long as it takes.
+
+        Returns:
+            The signal, the task that sent it, and how often it did.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: No task has such a signal, or the subsystem was stopped.
+            NoAnswerError: The time is over.
+        """
+        check_time(timeout)
+        signals, tasks = names_of(signal), names_of(task)
+        self.stopped.clear()
+        deadline = None if timeout is None else self.clock.now() + timeout
+        with self.news() as news:
+            statuses = self.status_all()
+            task_signal_inbox.must_be_known(
+                signals, tasks, statuses, self.picture, self.name
+            )
+            while True:
+                if sent := self.inbox.take(statuses, signals, tasks):
+                    return sent
+                left = (
+                    task_signal_inbox.LOOK_TIME
+                    if deadline is None
+                    else deadline - self.clock.now()
+                )
+                if left <= 0:
+                    raise self._too_late(signals, tasks, timeout or 0.0)
+                self.clock.wait(min(left, task_signal_inbox.LOOK_TIME), news)
+                news.clear()
+                self._must_go_on()
+                statuses = self.status_all()
+
+    def news(self) -> AbstractContextManager[threading.Event]:
+        """Have an event set whenever an RTPU publishes one of its own."""
+        return task_signal_inbox.heard(self.fleet)
+
+    def signals(self) -> list[Sent]:
+        """Return the signals that are pending, and leave them so."""
+        return self.inbox.pending(self.status_all())
+
+    def sigmask(
+        self, signal: str | Sequence[str] | None = None, task: str | None = None
+    ) -> dict[str, list[str]]:
+        """Say which signals nobody wants; masked ones are not even counted.
+
+        A task without a mask of its own obeys that of the subsystem.
+
+        Args:
+            signal: Names; ``none`` is a mask that lets all through, ``unset`` takes the
+                mask away. None: only ask.
+            task: Whose mask; None: the subsystem's.
+
+        Returns:
+            The masks that are set, by task; ``""`` is the subsystem's.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            StateError: No task has such a signal.
+            ClaimError: It is open for watching only.
+        """
+        signals = None if signal is None else names_of(signal)
+        tasks = [] if task is None else [task]
+        names = [] if signals in (["none"], ["unset"]) else list(signals or ())
+        if signals is not None:
+            self.fleet.must_be_claimed()
+        task_signal_inbox.must_be_known(
+            names, tasks, self.status_all(), self.picture, self.name
+        )
+        request = m.Sigmask(
+            task=task or "",
+            names=None if signals is None else names,
+            unset=signals == ["unset"],
+        )
+        if task is not None and signals is not None:
+            self.fleet.call(self.crew.locate(task), request, dict[str, list[str]])
+            request = m.Sigmask()
+        found, errors = self.fleet.each(lambda _: request, dict[str, list[str]])
+        rpc.raise_all(f"{len(errors)} RTPUs do not take a signal mask", errors)
+        return {key: mask for masks in found.values() for key, mask in masks.items()}
+
+    def events(
+        self,
+        last: int | None = None,
+        *,
+        since: int | str = 0,
+        task: str | None = None,
+        code: str | None = None,
+        severity: str | None = None,
+    ) -> list[m.Event]:
+        """Return events of the RTPUs that concern the subsystem, the oldest first.
+
+        Args:
+            last: At most so many, the newest; None: all that the RTPUs remember.
+            since: Number of the first event wanted of each RTPU, or how long ago it
+                may have been, such as ``5m``.
+            task: Of one task.
+            code: Of one code, such as ``WARNING``.
+            severity: The least: ``debug`` to ``fatal``.
+
+        Raises:
+            StateError: There is no such severity, or `since` says not since when.
+        """
+        given = {"task": task, "code": code, "severity": severity, "since": since}
+        wanted, first = Choice.of(given), event_filter.since(since)[0]
+        request = m.Events
+        results, errors = self.fleet.each(lambda _: request(since=first), list[m.Event])
+        rpc.raise_all(f"{len(errors)} RTPUs do not tell their events", errors)
+        found = [event for events in results.values() for event in events]
+        if doubt := wanted.doubt(found):
+            self._warn(doubt)
+        mine = [event for event in found if event.subsystem in {"", self.name}]
+        chosen = sorted(filter(wanted, mine), key=lambda event: (event.wall, event.n))
+        return chosen if last is None else chosen[max(0, len(chosen) - last) :]
+
+    # -- this program -----------------------------------------------------------------
+
+    def wait(self, seconds: float) -> bool:
+        """Let time pass; a stop ends it. Return whether all of it passed.
+
+        Raises:
+            StateError: Nobody can wait so long.
+        """
+        check_time(seconds)
+        self.stopped.clear()
+        return not self.clock.wait(seconds, self.stopped)
+
+    # -- how --------------------------------------------------------------------------
+
+    def _must_go_on(self) -> None:
+        if self.stopped.is_set():
+            raise StateError(
+                "the subsystem was stopped while a signal was waited for",
+                where=self.name,
+                remedy="start it, then wait again",
+            )
+
+    def _too_late(
+        self, signals: Sequence[str], tasks: Sequence[str], timeout: float
+    ) -> NoAnswerError:
+        others = self.signals()
+        return NoAnswerError(
+            f"no signal {' or '.join(signals) or 'at all'} within {timeout:g} s",
+            where=", ".join(tasks) or self.name,
+            got="pending: "
+            + (", ".join(f"{one.task} {one.signal}" for one in others) or "nothing"),
+            remedy="'status' shows how the tasks stand",
+        )
 
     def _warn(self, text: str) -> None:
         """Hand a warning to the command that gave it, else to whoever listens."""

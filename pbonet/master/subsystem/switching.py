@@ -9,7 +9,7 @@ end those are killed that nobody wants any more.
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -18,19 +18,16 @@ from pbonet.errors import StateError, VerificationError
 from pbonet.pbo import State
 
 from . import assembly, constants
-from .argument_text import check_signal
-from .change_transaction import Opened
-from .condition_gate import Gate, in_time
 from .first_cycle_check import prove
 
 if TYPE_CHECKING:
     import threading
     from collections.abc import Generator, Sequence
-    from pathlib import Path
 
     from pbonet.config import JobFile
-    from pbonet.master.configuration import Member
+    from pbonet.master.configuration import Clock, Member
 
+    from .condition_gate import Gate
     from .subsystem_tasks import Crew
 
 _RATE = 1e-6
@@ -57,152 +54,45 @@ class Transition(Struct, kw_only=True):
     """Where the tasks concerned stand behind it; empty while nothing was done."""
 
 
-class Switching(Opened, Protocol):
-    """The part of `Subsystem` that goes from one configuration to another."""
+def carry_out(
+    crew: Crew,
+    plan: Plan,
+    clock: Clock,
+    stopped: threading.Event,
+    gate: Gate | None = None,
+    *,
+    dry_run: bool,
+) -> Transition:
+    """Verify a plan and carry it out; with `dry_run` only verify it.
 
-    def reconfig(self, item: Sequence[tuple[str, str]]) -> dict[str, str]:
-        """Send an ordered list of signals; it is judged by its end (section 4.4.4).
-
-        Tasks that have died may be killed, which forgets them and their ERROR; that is
-        done before the list is sent.
-
-        Args:
-            item: Pairs of task and signal.
-
-        Returns:
-            The states of the tasks concerned.
-
-        Raises:
-            UnknownTaskError: There is no such task; nothing was sent.
-            VerificationError: The end would be illegal; nothing was sent.
-            ReconfigError: An item failed; it says which, and what was not sent.
-        """
-        items = [(task, signal) for task, signal in item]
-        for _, signal in items:
-            check_signal(signal)
-        judged = any(signal == "on" for _, signal in items)
-        with self._changing(strict=judged) as crew:
-            for task, signal in items:
-                crew.home(task, signal)
-            names = crew.picture.names
-            living = [item for item in items if item[0] in names]
-            if judged:
-                crew.judge(legality.reconfig(living))
-            try:
-                dead = dict.fromkeys(task for task, _ in items if task not in names)
-                states = {task: crew.control(task, "kill", "").state for task in dead}
-                with constants.signals(crew, living):
-                    return states | crew.send(living)
-            finally:
-                crew.settle()
-
-    def swap(
-        self,
-        old: str | Sequence[str],
-        new: str | Sequence[str],
-        *,
-        rtpu: str | None = None,
-        dry_run: bool = False,
-    ) -> Transition:
-        """Put tasks into the place of others while everything else goes on.
-
-        The old ones stay OFF, so that one can swap back. Tasks that both name are not
-        touched. Given again behind a failure, it does what is left.
-
-        Args:
-            old: The tasks that leave, by name.
-            new: The tasks that come, by name; RMODs that are no tasks yet are spawned.
-            rtpu: Where to spawn; by default where the RMOD says, else where the first
-                of the old ones runs.
-            dry_run: Verify, and only return what would be done.
-
-        Raises:
-            UnknownTaskError: There is no such old task; nothing was done.
-            StateError: A new task stands in ERROR, or on another RTPU than `rtpu`;
-                nothing was done.
-            VerificationError: The end would be illegal; nothing was done.
-            ReconfigError: A signal failed; it says which, and what was not sent.
-            PbonetError: A new task could not be spawned; nothing else was done.
-        """
-        olds, news = _names(old), _names(new)
-        with self._changing(claimed=not dry_run) as crew:
-            plan = _Plan(crew)
-            plan.take_out([crew.picture.find(name) for name in olds], but=news)
-            for name in news:
-                plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
-            self.stopped.clear()
-            return self._carry_out(crew, plan, dry_run=dry_run)
-
-    def switch(
-        self,
-        job: str | Path | None = None,
-        *,
-        dry_run: bool = False,
-        wait: float | None = None,
-    ) -> Transition:
-        """Go over to the configuration of another job while shared tasks go on.
-
-        POST of the job that stands and PRE of the one to come must hold, before
-        anything is done and again when all its tasks are there; not where the job
-        stands already and is only completed. Tasks that are ON or in ERROR and not in
-        the job are turned off, and killed when those that came have done a cycle; tasks
-        that are OFF stand by, and stay so.
-
-        Args:
-            job: The ``.job`` file or its name; None where the subsystem was opened with
-                one.
-            dry_run: Verify, and only return what would be done.
-            wait: Seconds that conditions have to come true; None: they must hold now.
-
-        Raises:
-            ConfigError: The job is missing, wrong, or of another subsystem.
-            StateError: A task of the job stands, but is another one; nothing was done.
-            VerificationError: The end would be illegal, or a condition cannot be
-                answered; nothing was done.
-            ConditionError: One does not hold, and says what was seen; nothing was done.
-            ReconfigError: A signal failed, or a new task in its first cycle; it says
-                which, and what was not sent.
-            PbonetError: A new task could not be spawned; nothing else was done.
-        """
-
-        def attempt() -> Transition:
-            with self._changing(claimed=not dry_run) as crew:
-                wanted = self.files.read_job(job)
-                gate = Gate(crew, wanted, leaves=True)
-                return self._carry_out(
-                    crew, _of_job(crew, wanted), gate, dry_run=dry_run
-                )
-
-        return in_time(attempt, wait, self.clock, self.stopped)
-
-    def _carry_out(
-        self, crew: Crew, plan: _Plan, gate: Gate | None = None, *, dry_run: bool
-    ) -> Transition:
-        with plan.supposed():
-            transition = plan.transition()
-            problems = crew.legal(plan.change(transition), only_asked=dry_run)
-            if gate is not None:
-                transition.conditions = gate.must_hold()
-        if dry_run:
-            crew.tell(map(legality.as_text, problems))
-            return transition
-        try:
-            crew.say(problems)
-            with plan.supposed():
-                plan.spawn(transition, self.stopped, gate)
-            items = transition.items
-            transition.states = crew.send(items)
-            plan.pair()
-            if kills := [(name, "kill") for name in transition.kills]:
-                came = prove(crew, items, kills, self.clock, self.stopped)
-                transition.states |= came
-                transition.states |= crew.send(kills, before=items)
-        finally:
-            crew.settle()
+    Raises:
+        PbonetError: It would be illegal, or a step failed.
+    """
+    with plan.supposed():
+        transition = plan.transition()
+        problems = crew.legal(plan.change(transition), only_asked=dry_run)
+        if gate is not None:
+            transition.conditions = gate.must_hold()
+    if dry_run:
+        crew.tell(map(legality.as_text, problems))
         return transition
+    try:
+        crew.say(problems)
+        with plan.supposed():
+            plan.spawn(transition, stopped, gate)
+        items = transition.items
+        transition.states = crew.send(items)
+        plan.pair()
+        if kills := [(name, "kill") for name in transition.kills]:
+            came = prove(crew, items, kills, clock, stopped)
+            transition.states |= came
+            transition.states |= crew.send(kills, before=items)
+    finally:
+        crew.settle()
+    return transition
 
 
-class _Plan:
+class Plan:
     """Which tasks leave and which come."""
 
     def __init__(self, crew: Crew) -> None:
@@ -343,14 +233,32 @@ class _Plan:
             self._crew.rank()
 
 
-def _of_job(crew: Crew, job: JobFile) -> _Plan:
+def plan_swap(
+    crew: Crew, old: str | Sequence[str], new: str | Sequence[str], rtpu: str | None
+) -> Plan:
+    """Return the plan that puts tasks into the place of others.
+
+    Raises:
+        UnknownTaskError: There is no such old task.
+        StateError: A new task stands in ERROR, or on another RTPU than `rtpu`.
+        VerificationError: No task is named.
+    """
+    olds, news = _once_each(old), _once_each(new)
+    plan = Plan(crew)
+    plan.take_out([crew.picture.find(name) for name in olds], but=news)
+    for name in news:
+        plan.put_in(_newcomer(crew, name, rtpu, crew.picture.find(olds[0])))
+    return plan
+
+
+def plan_job(crew: Crew, job: JobFile) -> Plan:
     """Return the plan that leads to a job.
 
     Raises:
         PbonetError: RMODs, RTPUs or modules are missing or wrong.
         StateError: A task of the job stands, but is another one.
     """
-    plan = _Plan(crew)
+    plan = Plan(crew)
     wanted = assembly.plan(crew, job)
     plan.take_out(
         [one for one in crew.picture if one.state is not State.OFF],
@@ -421,7 +329,7 @@ def _must_run_at(standing: Member, wanted: Member) -> None:
         )
 
 
-def _names(given: str | Sequence[str]) -> list[str]:
+def _once_each(given: str | Sequence[str]) -> list[str]:
     """Return task names without repetition.
 
     Raises:

@@ -13,7 +13,7 @@ from pbonet.cli import main
 from pbonet.config import read_rmod
 from pbonet.errors import StateError, UnknownTaskError
 from pbonet.master.configuration import adopt_times as adopt, saved_profiles
-from pbonet.master.console.command_session import Desk
+from pbonet.master.console.command_session import CommandSession
 from pbonet.master.subsystem.subsystem import Subsystem
 
 ENOUGH = 150
@@ -96,7 +96,7 @@ def test_after_a_second_on_the_extremes_bound_all_cycles(running):
 
 
 def test_the_command_shows_every_figure(running):
-    desk = Desk(running)
+    desk = CommandSession(running)
     reply = desk.execute("profile")
     assert {task["task"] for task in reply.data["tasks"]} == set(running.picture.names)
     assert {rtpu["rtpu"] for rtpu in reply.data["rtpus"]} == {"arm0", "arm1"}
@@ -123,7 +123,7 @@ def test_the_command_shows_every_figure(running):
 
 def test_profiles_are_saved_used_and_adopted(running, puma, call, tmp_path):
     """The whole way: measured, saved, judged with, and written into the RMODs."""
-    desk = Desk(running)
+    desk = CommandSession(running)
     saved = desk.execute("profile save grav_comp").data["saved"]
     host = saved_profiles.here()
     path = tmp_path / "profiles" / host / "grav_comp.json"
@@ -165,7 +165,7 @@ def test_a_saved_profile_gives_a_soft_task_its_reserve(running, puma, tmp_path):
     )
     soft = text.replace("MAXC ", "SOFTNESS 0.1\nMAXC ")
     (tmp_path / "grav_comp.rmod").write_text(soft)
-    Desk(running).execute("profile save grav_comp")
+    CommandSession(running).execute("profile save grav_comp")
     running.finish()
     rmod = tmp_path / "jttrace.rmod"
     source = running.files.rmod("jttrace")
@@ -190,7 +190,7 @@ def test_a_saved_profile_gives_a_soft_task_its_reserve(running, puma, tmp_path):
 def test_too_few_cycles_are_not_saved(arm, tmp_path):
     arm.spawn("puma_pidg", "arm0")
     arm.spawn("grav_comp", "arm1")
-    desk = Desk(arm)
+    desk = CommandSession(arm)
     with pytest.raises(StateError, match="has not run long enough"):
         desk.execute("profile save grav_comp")
     reply = desk.execute("profile save")

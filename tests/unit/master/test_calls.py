@@ -15,7 +15,7 @@ from pbonet.errors import (
     StateError,
     VerificationError,
 )
-from pbonet.master.console.command_session import Desk
+from pbonet.master.console.command_session import CommandSession
 from pbonet.master.console.commands import COMMANDS, Command, Use
 from pbonet.master.subsystem import status_fields
 from pbonet.master.subsystem.subsystem import Subsystem
@@ -142,7 +142,7 @@ def test_every_command_that_can_be_refused_is_tried():
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
 def test_call_refuses_in_the_words_of_the_command(arm, command):
-    desk = Desk(arm, hand_over=arm.network)
+    desk = CommandSession(arm, hand_over=arm.network)
     for wanted in REFUSED.get(command.name, []):
         given = dict(wanted)
         if given.get("job") == "far":

@@ -1,4 +1,4 @@
-"""The command table and the desk: lines and maps become calls."""
+"""The command table and the session: lines and maps become calls."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import pytest
 
 from pbonet.errors import ClaimError, NodeError, StateError, UnknownTaskError
 from pbonet.master.console import commands, render
-from pbonet.master.console.command_session import Desk, convert, split_name
+from pbonet.master.console.command_session import CommandSession, convert, split_name
 from pbonet.master.console.commands import COMMANDS, Command, Scope, find
 from pbonet.master.console.completion import complete
 from pbonet.master.subsystem import status_fields
 from pbonet.master.subsystem.argument_text import collector
-from pbonet.master.subsystem.command_methods import Calls
+from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.pbo import State
+from pbonet.xm.net.messages import Stopped
 
 THESIS = [
     *("clear", "display", "kill", "module", "network", "off", "on"),
@@ -65,13 +66,13 @@ class Stub:
         )
 
     on, off, kill, clear, reinit = (
-        getattr(Calls, name) for name in ("on", "off", "kill", "clear", "reinit")
+        getattr(Subsystem, name) for name in ("on", "off", "kill", "clear", "reinit")
     )
-    _signal, wait, help = Calls._signal, Calls.wait, Calls.help
+    _signal, wait, help = Subsystem._signal, Subsystem.wait, Subsystem.help
 
     def __getattr__(self, name):
-        def call(*args, **_):
-            self.calls.append((name, *args))
+        def call(*args, **named):
+            self.calls.append((name, *args, *named.values()))
             if name in {"get", "set", "display", "events"}:
                 return []
             if name == "freq":
@@ -81,7 +82,7 @@ class Stub:
             if name == "write":
                 return None
             if name == "stop":
-                return SimpleNamespace(off=["pid"], killed=[])
+                return Stopped(off=["pid"], killed=[])
             return SimpleNamespace(
                 state="ON", task="x", rtpu="arm0", module="m", version="1", ref_f=1.0
             )
@@ -95,8 +96,8 @@ def stub():
 
 
 @pytest.fixture
-def desk(stub):
-    return Desk(stub)
+def session(stub):
+    return CommandSession(stub)
 
 
 def last(stub):
@@ -124,13 +125,13 @@ def test_commands_are_documented_and_have_unambiguous_arguments():
         ("on pid", ("control", "pid", "on", "")),
         ("on pid text='go home'", ("control", "pid", "on", "go home")),
         ("off pid traj", ("reconfig", [("pid", "off"), ("traj", "off")])),
-        ("spawn diff", ("spawn", "diff", None, None)),
+        ("spawn diff", ("spawn", "diff")),
         ("spawn diff arm1 40", ("spawn", "diff", "arm1", 40.0)),
         ("freq pid 250", ("freq", "pid", 250.0)),
-        ("freq pid", ("freq", "pid", None)),
-        ("set pid kp 1 2 3", ("set", "pid", "kp", "1 2 3")),
-        ("set pid kp", ("get", "pid", "kp")),
-        ("get pid", ("get", "pid", None)),
+        ("freq pid", ("freq", "pid")),
+        ("set pid kp 1 2 3", ("set", "pid", "kp", ["1", "2", "3"])),
+        ("set pid kp", ("set", "pid", "kp")),
+        ("get pid", ("get", "pid")),
         ("reconfig pid:off traj:on", ("reconfig", [("pid", "off"), ("traj", "on")])),
         ("display Q_*", ("display", ["Q_*"])),
         ("write T_REF 1 -2.5e-3", ("write", "T_REF", [1.0, -0.0025])),
@@ -139,34 +140,34 @@ def test_commands_are_documented_and_have_unambiguous_arguments():
         ("on pid   # a comment", ("control", "pid", "on", "")),
     ],
 )
-def test_lines_become_calls(desk, stub, line, call):
+def test_lines_become_calls(session, stub, line, call):
     if line.startswith("start"):
-        stub.start = lambda job, **_: stub.calls.append(("start", job)) or []
-    desk.execute(line)
+        stub.start = lambda job: stub.calls.append(("start", job)) or []
+    session.execute(line)
     assert last(stub) == call
 
 
-def test_last_task_stands_in_and_shows_in_the_prompt(desk, stub):
-    assert desk.prompt == "SBS arm<> "
+def test_last_task_stands_in_and_shows_in_the_prompt(session, stub):
+    assert session.prompt == "SBS arm<> "
     with pytest.raises(UnknownTaskError, match="no task is named"):
-        desk.execute("on")
-    desk.execute("off pid")
-    assert desk.prompt == "SBS arm<pid> "
+        session.execute("on")
+    session.execute("off pid")
+    assert session.prompt == "SBS arm<pid> "
     for line, call in (
         ("on", ("control", "pid", "on", "")),
         ("freq 40", ("freq", "pid", 40.0)),
-        ("set kp 2", ("set", "pid", "kp", "2")),
-        ("get", ("get", "pid", None)),
+        ("set kp 2", ("set", "pid", "kp", ["2"])),
+        ("get", ("get", "pid")),
     ):
-        desk.execute(line)
+        session.execute(line)
         assert last(stub) == call
-    desk.execute("on traj")
-    assert desk.default == "traj"
+    session.execute("on traj")
+    assert session.default == "traj"
 
 
-def test_parameter_without_any_task_is_asked_back(desk):
+def test_parameter_without_any_task_is_asked_back(session):
     with pytest.raises(UnknownTaskError) as caught:
-        desk.execute("set pidd kp 3")
+        session.execute("set pidd kp 3")
     assert caught.value.remedy == "did you mean pid?"
 
 
@@ -188,44 +189,44 @@ def test_parameter_without_any_task_is_asked_back(desk):
         ("on 'pid", "the line is not understood"),
     ],
 )
-def test_wrong_lines_say_what_is_expected(desk, line, message):
+def test_wrong_lines_say_what_is_expected(session, line, message):
     with pytest.raises(StateError) as caught:
-        desk.execute(line)
+        session.execute(line)
     assert caught.value.what == message
     assert caught.value.expected or caught.value.remedy
 
 
-def test_unknown_command_names_the_nearest(desk):
+def test_unknown_command_names_the_nearest(session):
     with pytest.raises(NodeError) as caught:
-        desk.execute("spwan pid")
+        session.execute("spwan pid")
     assert caught.value.remedy == "did you mean spawn?"
 
 
-def test_blank_lines_and_comments_do_nothing(desk, stub):
-    assert desk.execute("") is None
-    assert desk.execute("  # nothing") is None
+def test_blank_lines_and_comments_do_nothing(session, stub):
+    assert session.execute("") is None
+    assert session.execute("  # nothing") is None
     assert stub.calls == []
 
 
-def test_status_set_is_a_command_of_two_words(desk):
+def test_status_set_is_a_command_of_two_words(session):
     assert split_name(["status", "set", "miss"])[0].name == "status set"
     assert split_name(["status", "pid"])[0].name == "status"
-    desk.execute("status set rmod,miss mezF")
-    assert desk.shown == ("rmod", "miss", "mezF")
-    desk.execute("status set all")
-    assert desk.shown == status_fields.NAMES
-    assert desk.execute("status set default").data["shown"] == list(
+    session.execute("status set rmod,miss mezF")
+    assert session.shown == ("rmod", "miss", "mezF")
+    session.execute("status set all")
+    assert session.shown == status_fields.NAMES
+    assert session.execute("status set default").data["shown"] == list(
         status_fields.DEFAULT
     )
 
 
-def test_maps_give_the_same_calls(desk, stub):
-    desk.call("spawn", {"rmod": "diff", "hz": 40})
-    assert last(stub) == ("spawn", "diff", None, 40.0)
-    desk.call("reconfig", {"item": [["pid", "off"], "traj:on"]})
+def test_maps_give_the_same_calls(session, stub):
+    session.call("spawn", {"rmod": "diff", "hz": 40})
+    assert last(stub) == ("spawn", "diff", 40.0)
+    session.call("reconfig", {"item": [["pid", "off"], "traj:on"]})
     assert last(stub) == ("reconfig", [("pid", "off"), ("traj", "on")])
-    desk.call("set", {"task": "pid", "param": "kp", "value": [1, 2.5]})
-    assert last(stub) == ("set", "pid", "kp", "1 2.5")
+    session.call("set", {"task": "pid", "param": "kp", "value": [1, 2.5]})
+    assert last(stub) == ("set", "pid", "kp", ["1", "2.5"])
 
 
 @pytest.mark.parametrize(
@@ -244,18 +245,18 @@ def test_wrong_maps_are_refused(args, message):
 
 
 def test_watcher_may_look_and_not_change():
-    desk = Desk(Stub(watch=True))
-    desk.execute("freq pid")
-    desk.execute("set pid")
+    session = CommandSession(Stub(watch=True))
+    session.execute("freq pid")
+    session.execute("set pid")
     for line in ("freq pid 3", "set pid kp 1", "on pid", "spawn diff"):
         with pytest.raises(ClaimError, match="open for watching only"):
-            desk.execute(line)
-    desk.execute("stop")
+            session.execute(line)
+    session.execute("stop")
 
 
-def test_warnings_come_with_the_reply(desk, stub):
-    stub.stop = lambda: collector()("slow") or SimpleNamespace(off=[], killed=["a"])
-    reply = desk.execute("stop")
+def test_warnings_come_with_the_reply(session, stub):
+    stub.stop = lambda: collector()("slow") or Stopped(off=[], killed=["a"])
+    reply = session.execute("stop")
     assert reply.warnings == ["slow"]
     assert render.text("stop", reply.data) == "ended by force: a"
     assert collector() is None
@@ -265,7 +266,7 @@ def test_warnings_of_commands_that_overlap_come_with_their_own_reply(stub):
     """A stop comes while another command runs, and ends after it."""
     stopping, started = threading.Event(), threading.Event()
 
-    def start(_, **_wait):
+    def start():
         started.set()
         assert stopping.wait(10)
         collector()("of start")
@@ -275,79 +276,79 @@ def test_warnings_of_commands_that_overlap_come_with_their_own_reply(stub):
         stopping.set()
         starter.join(10)
         collector()("of stop")
-        return SimpleNamespace(off=[], killed=[])
+        return Stopped(off=[], killed=[])
 
     stub.start, stub.stop = start, stop
     replies = []
     starter = threading.Thread(
-        target=lambda: replies.append(Desk(stub).execute("start"))
+        target=lambda: replies.append(CommandSession(stub).execute("start"))
     )
     starter.start()
     assert started.wait(10)
-    replies.append(Desk(stub).execute("stop"))
+    replies.append(CommandSession(stub).execute("stop"))
     assert [reply.warnings for reply in replies] == [["of start"], ["of stop"]]
 
 
 @pytest.mark.parametrize("seconds", ["-1", "1e30"])
 def test_nobody_waits_for_ever_or_backwards(stub, seconds):
-    desk = Desk(stub, hand_over=print)
+    session = CommandSession(stub, hand_over=print)
     with pytest.raises(StateError, match="this is no time limit"):
-        desk.execute(f"wait {seconds}")
+        session.execute(f"wait {seconds}")
 
 
-def test_a_client_of_the_network_keeps_nobody_waiting(desk):
+def test_a_client_of_the_network_keeps_nobody_waiting(session):
     with pytest.raises(StateError, match="wait makes no sense here"):
-        desk.execute("wait 1")
+        session.execute("wait 1")
 
 
-def test_what_may_be_left_out_can_be_given_by_name(desk, stub):
-    desk.execute("spawn diff hz=40")
-    assert last(stub) == ("spawn", "diff", None, 40.0)
-    desk.execute("spawn diff rtpu=arm1")
-    assert last(stub) == ("spawn", "diff", "arm1", None)
-    desk.execute("set pid file task=3")  # all words that are left are the value
-    assert last(stub) == ("set", "pid", "file", "task=3")
+def test_what_may_be_left_out_can_be_given_by_name(session, stub):
+    session.execute("spawn diff hz=40")
+    assert last(stub) == ("spawn", "diff", 40.0)
+    session.execute("spawn diff rtpu=arm1")
+    assert last(stub) == ("spawn", "diff", "arm1")
+    session.execute("set pid file task=3")  # all words that are left are the value
+    assert last(stub) == ("set", "pid", "file", ["task=3"])
 
 
-def test_events_shows_as_many_as_wanted(desk, stub):
+def test_events_shows_as_many_as_wanted(session, stub):
     asked = []
-    stub.events = lambda *last, **chosen: asked.append((*last, chosen)) or []
-    assert desk.execute("events 0").data == {"events": []}
-    desk.execute("events code=WARNING task=pid since=3")
-    none = {"since": 0, "task": None, "code": None, "severity": None}
-    assert asked[0] == (0, none)
-    assert asked[1] == (20, none | {"since": 3, "task": "pid", "code": "WARNING"})
+    stub.events = lambda **chosen: asked.append(chosen) or []
+    assert session.execute("events 0").data == {"events": []}
+    session.execute("events code=WARNING task=pid since=3")
+    assert asked[0] == {"last": 0}
+    chosen = {"since": "3", "task": "pid", "code": "WARNING"}
+    assert asked[1] == {"last": 20, **chosen}
 
 
-def test_task_that_is_gone_is_no_default(desk, stub):
-    desk.execute("off pid")
-    assert desk.prompt == "SBS arm<pid> "
+def test_task_that_is_gone_is_no_default(session, stub):
+    session.execute("off pid")
+    assert session.prompt == "SBS arm<pid> "
     stub.control = lambda *_: (stub.picture.pop("pid"), SimpleNamespace(state="x"))[1]
-    desk.execute("kill")
-    assert desk.prompt == "SBS arm<> "
+    session.execute("kill")
+    assert session.prompt == "SBS arm<> "
     with pytest.raises(UnknownTaskError, match="no task is named"):
-        desk.execute("on")
+        session.execute("on")
 
 
-def test_quit_ends_the_interface(desk):
-    assert not desk.ended
-    desk.execute("quit")
-    assert desk.ended
+def test_quit_ends_the_interface(session):
+    assert not session.ended
+    session.execute("quit")
+    assert session.ended
 
 
-def test_network_needs_an_interface_that_can_hand_over(desk, stub):
+def test_network_needs_an_interface_that_can_hand_over(session, stub):
     with pytest.raises(StateError, match="network makes no sense here"):
-        desk.execute("network onika")
+        session.execute("network onika")
     ports = []
-    Desk(stub, hand_over=ports.append).execute("network onika")
+    CommandSession(stub, hand_over=ports.append).execute("network onika")
     assert ports == ["onika"]
 
 
-def test_help_covers_the_table(desk):
-    shown = render.text("help", desk.execute("help").data)
+def test_help_covers_the_table(session):
+    shown = render.text("help", session.execute("help").data)
     for command in COMMANDS:
         assert command.usage in shown
-    one = render.text("help", desk.execute("help spawn").data)
+    one = render.text("help", session.execute("help spawn").data)
     assert "spawn RMOD [RTPU] [HZ]" in one
     assert "frequency in place of the .rmod's" in one
     assert "  spawn jttrace arm1 25 " in one
@@ -383,10 +384,10 @@ def test_scopes_are_used():
         ("nonsense x", []),
     ],
 )
-def test_completion_offers_what_there_is(desk, text, words):
-    assert complete(desk, text) == words
+def test_completion_offers_what_there_is(session, text, words):
+    assert complete(session, text) == words
 
 
-def test_completion_of_parameters_knows_the_last_task(desk):
-    desk.execute("off pid")
-    assert complete(desk, "set k") == ["kd", "kp"]
+def test_completion_of_parameters_knows_the_last_task(session):
+    session.execute("off pid")
+    assert complete(session, "set k") == ["kd", "kp"]
