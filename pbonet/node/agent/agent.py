@@ -2,8 +2,8 @@
 
 It registers by a liveliness token, takes requests over zenoh and hands them to its RTPU
 process, which carries them out; it publishes what happens there. It holds no state of
-its own that matters: when it is killed, control goes on for the declared grace, and an
-agent that starts within it takes over.
+its own that matters: when it is killed, control continues for the declared grace, and
+an agent that starts within it takes over.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ log = logging.getLogger("pbonet.node")
 STOP_TIME = 2.0
 """Seconds that turning everything OFF may take."""
 ANEW_TIME = 10.0
-"""Seconds in which an agent that starts anew takes its RTPU process over, at least."""
+"""Least seconds in which a restarted agent takes its RTPU process over."""
 TOKEN_TIME = 1.0
 """Seconds for which the token of a predecessor that was killed may linger."""
 LOCK_TIME = 0.3
@@ -79,7 +79,7 @@ class Agent:
     """An agent and its RTPU process.
 
     Args:
-        config: What belongs to the machine; `name` must be there.
+        config: The machine's configuration; `name` must be set.
         backend: ``auto``, ``fifo`` or ``park``; see `pbonet.node.rt._rt.Dispatcher`.
     """
 
@@ -143,7 +143,7 @@ class Agent:
 
         Raises:
             DuplicateNameError: Another agent of the domain has the name.
-            PbonetError: Something that is needed cannot be had.
+            PbonetError: Something that is needed is not available.
         """
         survive_cuts()  # it carries tables between machines
         text = f"agent {self.name}, process {os.getpid()}"
@@ -239,7 +239,7 @@ class Agent:
             self._leave()
 
     def abandon(self) -> None:
-        """Leave, and let the RTPU process go on for the agent that comes next."""
+        """Leave, and let the RTPU process continue for the next agent."""
         link = self._begin_to_stop()
         if link is not None:
             link.leave(ANEW_TIME)
@@ -249,7 +249,7 @@ class Agent:
         self._leave()
 
     def _begin_to_stop(self) -> RtpuLink | None:
-        """Let nothing be started any more; return what there is to end."""
+        """Prevent further starts; return what there is to end."""
         with self._guard:
             self._stopping = True
             link, self._link = self._link, None
@@ -259,7 +259,7 @@ class Agent:
         return link
 
     def _met_twin(self, other: AgentInfo) -> None:
-        """Report another agent of this name, which a new link has brought to sight."""
+        """Report another agent of this name, which a new link has made visible."""
         text = (
             f"another agent {other.name} runs on {other.host}, process {other.pid}; "
             "requests reach either: stop one of them"
@@ -273,7 +273,7 @@ class Agent:
         return None if ahead is None else -ahead
 
     def _note(self, note: msgspec.Struct) -> None:
-        """Have something numbered among the events, if there is an RTPU process."""
+        """Let something be numbered as an event, if there is an RTPU process."""
         link = self._link
         if link is not None:
             with contextlib.suppress(NodeError):
@@ -311,7 +311,7 @@ class Agent:
         return self._over.wait(timeout)
 
     def heed_signals(self) -> None:
-        """Have `wait` look up at signals; to be called by the main thread."""
+        """Let signals wake `wait`; to be called by the main thread."""
         self._over.heed_signals()
 
     def ask_to_end(self) -> None:
@@ -319,11 +319,11 @@ class Agent:
         self._over.set()
 
     def may_start_anew(self, again: Callable[[], AgentConfig] | None = None) -> bool:
-        """Tell whether one that goes by what `again` returns could come; say if not."""
+        """Return whether an agent configured as `again` returns could start."""
         try:
             config = self.config if again is None else again()
             restart_check.check(self.config, config, self._rtpu_config.core)
-        except Exception as error:  # noqa: BLE001 - whatever it is, this one goes on
+        except Exception as error:  # noqa: BLE001 - whatever it is, this one continues
             why = error if isinstance(error, PbonetError) else repr(error)
             text = f"the agent does not start anew: {why}"
             log.error("%s: %s", self.name, text)  # noqa: TRY400 - no fault of a program
@@ -360,7 +360,7 @@ class Agent:
         link.send(rtpu_messages.Forward(n, data, masters))
 
     def info(self) -> AgentInfo:
-        """Return who this is and what it can do."""
+        """Return this agent's identity and what it can do."""
         info = self._link.info if self._link is not None else None
         if self._about is None or info is None:
             return self._describe()
@@ -377,7 +377,7 @@ class Agent:
         )
 
     def _describe(self) -> AgentInfo:
-        """Return what does not change about this agent while its session stands."""
+        """Return what does not change about this agent while its session lasts."""
         return AgentInfo(
             name=self.name,
             domain=self.config.domain,
@@ -408,18 +408,18 @@ class Agent:
     # -- what the RTPU process says ----------------------------------------------------
 
     def answered(self, n: int, data: bytes) -> None:
-        """Pass an answer on to whoever asked."""
+        """Pass an answer on to its client."""
         if self._server is not None:
             self._server.answer(n, data)
 
     def published(self, data: bytes) -> None:
-        """Publish an event, and put it on record."""
+        """Publish an event, and record it."""
         self._recorders.tell(rtpu_messages.Happened(data))
         if self._server is not None:
             self._server.publish(data)
 
     def called(self, call: rtpu_messages.Called) -> None:
-        """Have successors on other machines called."""
+        """Let successors on other machines be called."""
         if self._mirrors is not None:
             self._mirrors.call(call)
 
@@ -447,7 +447,7 @@ class Agent:
             self._server.fail_pending(f"the link to the RTPU process broke: {reason}")
 
     def let_go(self) -> None:
-        """Carry no table any more, so that whoever comes next may make them anew."""
+        """Carry no table any more, so that the next agent may make them again."""
         self._overview.let_go()
         if self._mirrors is not None:
             self._mirrors.carry({}, wait=LET_GO_TIME)

@@ -1,4 +1,4 @@
-"""An agent's life as a process: its signals, its manager, and how it starts anew."""
+"""An agent's life as a process: its signals, its service manager, its restart."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ HEEDED = (*ENDS, signal.SIGHUP)
 
 
 class Life:
-    """One agent, until it ends or starts anew.
+    """One agent, until it ends or restarts.
 
     Args:
         agent: The agent, before its start.
-        again: Returns what it would go by if it started anew; the same if left out.
+        again: Returns the configuration for a restart; the same if left out.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Life:
         self._stays = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
     def heed_signals(self) -> None:
-        """End by SIGTERM and SIGINT, start anew by SIGHUP."""
+        """End on SIGTERM and SIGINT, restart on SIGHUP."""
         for which in ENDS:
             signal.signal(which, self._on_end)
         signal.signal(signal.SIGHUP, self._on_hangup)
@@ -55,7 +55,7 @@ class Life:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, HEEDED)
 
     def leave_signals(self) -> None:
-        """Leave what comes from now on, and an end that was asked for, to the next.
+        """Leave later signals, and an end that was requested, to the next agent.
 
         Threads of zenoh outlive their session and would take signals for this process.
         """
@@ -68,7 +68,7 @@ class Life:
             signal.pthread_kill(threading.get_ident(), signal.SIGTERM)
 
     def wait(self) -> bool:
-        """Wait for the end; return whether the agent is to start anew."""
+        """Wait for the end; return whether the agent is to restart."""
         while True:
             self.agent.wait()
             if self._ends or not self._anew:
@@ -85,7 +85,7 @@ class Life:
         self.agent.ask_to_end()
 
     def _on_hangup(self, number: int, frame: FrameType | None) -> None:
-        """Start anew, or end when it came because the terminal has gone."""
+        """Restart, or end if the signal came because the terminal is gone."""
         if not self._on_terminal or _has_terminal():
             self._anew = True
             self.agent.ask_to_end()
@@ -94,7 +94,7 @@ class Life:
 
 
 def _has_terminal() -> bool:
-    """Tell whether this process has a terminal that is there."""
+    """Return whether this process has a terminal that exists."""
     try:
         os.close(os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY | os.O_CLOEXEC))
     except OSError:
@@ -103,7 +103,7 @@ def _has_terminal() -> bool:
 
 
 def announce(info: AgentInfo) -> None:
-    """Say on standard output that the RTPU takes commands, and what is reduced."""
+    """Report on standard output that the RTPU takes commands, and what is reduced."""
     lines = [f"{info.name}: ready on core {info.core}, scheduling by {info.backend}"]
     lines += [f"{info.name}: {limit}" for limit in info.limits]
     with contextlib.suppress(OSError):  # nobody reads it
@@ -119,14 +119,14 @@ def main(
 ) -> int:
     """Run an agent until SIGTERM, SIGINT, or the end of its RTPU process.
 
-    At SIGHUP the program is started anew in its place, as it was called: it reads its
-    configuration and keys again, and takes over the RTPU process, which goes on. What
-    would keep it from that is looked for before.
+    On SIGHUP the program replaces itself, with the same arguments: it reads its
+    configuration and keys again, and takes over the RTPU process, which continues. What
+    would prevent that is checked before.
 
     Args:
-        config: What the agent goes by.
+        config: The agent's configuration.
         backend: See `Agent`.
-        again: Returns what it would go by if it started anew; the same if left out.
+        again: Returns the configuration for a restart; the same if left out.
 
     Returns:
         The exit status: 0, or 1 when it ended by itself or something had to be forced.

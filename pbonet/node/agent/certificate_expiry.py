@@ -1,10 +1,10 @@
-"""How long an agent's keys are good for, and whether others take them.
+"""How long an agent's keys are valid, and whether other agents accept them.
 
-When a certificate runs out the links that it opened are closed, on either side, and no
-new ones come, as if every cable had been pulled. Whoever is to make another one hears
-of it for weeks before, and is told what is wrong when it has happened. So it is when
-two agents have keys of different authorities, as while those of a laboratory are
-replaced: zenoh says nothing of it, and who dials would only find that nobody answers.
+When a certificate expires, the links that it opened are closed on both sides, and no
+new ones come up, as if every cable had been pulled. The operators are warned for weeks
+before, and the cause is reported when it has happened. The same is done when two agents
+have keys of different authorities, as while those of a laboratory are replaced: zenoh
+does not report it, and the dialling side would only get no answer.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ log = logging.getLogger("pbonet.node")
 
 DAY = 86400.0
 LOOK = 600.0
-"""Seconds between looks at the clock, for it may be set."""
+"""Seconds between checks of the clock, because it may be set."""
 LINK_LOOK = 2.0
-"""Seconds between looks at links that are to be there and are not."""
+"""Seconds between checks of links that should exist and do not."""
 _END = 1.0
-"""Seconds that the end waits for a look."""
+"""Seconds that the end waits for a check."""
 
 
 class KeyTerm:
@@ -40,9 +40,9 @@ class KeyTerm:
 
     Args:
         folder: The key folder; None if there are no keys.
-        name: The agent's.
-        tell: Takes what is to be told to masters.
-        unlinked: Returns the endpoints that are dialled, and to which no link stands.
+        name: The agent's name.
+        tell: Takes what is to be reported to masters.
+        unlinked: Returns the endpoints that are dialled and have no link.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class KeyTerm:
         self._folder, self._name, self._tell = folder, name, tell
         self._unlinked = unlinked
         self._refused: dict[str, str] = {}
-        """Why there is no link to an endpoint, as it was told."""
+        """The reported reason why there is no link to an endpoint."""
         self._until = credentials.prove(folder) if folder is not None else None
         self._over = threading.Event()
         self._thread = threading.Thread(
@@ -64,16 +64,16 @@ class KeyTerm:
 
     @property
     def left(self) -> float | None:
-        """Seconds that the keys are good for; None if there are none."""
+        """Seconds for which the keys are valid; None if there are none."""
         return None if self._until is None else credentials.left(self._until)
 
     def start(self) -> None:
-        """Tell when it is time."""
+        """Report it when it is time."""
         if self._until is not None:
             self._thread.start()
 
     def stop(self) -> None:
-        """Tell nothing any more; a name that is being looked up is not waited for."""
+        """Stop reporting; a name that is being resolved is not waited for."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join(_END)
@@ -91,7 +91,7 @@ class KeyTerm:
                 return
 
     def _look_at_links(self) -> None:
-        """Tell where the keys of two agents keep a link from standing."""
+        """Report where the keys of two agents prevent a link."""
         if self._folder is None:
             return
         unlinked = set(self._unlinked())

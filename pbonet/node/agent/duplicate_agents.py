@@ -1,4 +1,4 @@
-"""Looks for a second agent of one name, whenever a link comes up.
+"""Searches for a second agent of the same name whenever a link comes up.
 
 Names are checked before an agent declares its own. Two agents that could not see each
 other then may meet later, when a link between their machines comes up: then it is too
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 SETTLE_TIME = 0.5
-"""Seconds from a link's beginning until everybody behind it is known."""
+"""Seconds from the start of a link until all agents reached by it are known."""
 ANSWER_TIME = 2.0
 
 
@@ -34,7 +34,7 @@ class Twins:
         session: The agent's session.
         key: The key on which agents of that name answer.
         pid: The agent's own process.
-        found: Called once for each other agent, with who it is.
+        found: Called once for each other agent, with its identity.
     """
 
     def __init__(
@@ -58,14 +58,14 @@ class Twins:
         )
 
     def start(self) -> None:
-        """Look now, and whenever a link comes up."""
+        """Search now, and whenever a link comes up."""
         self._listener = self._session.info.declare_transport_events_listener(
             self._on_link, history=True
         )
         self._thread.start()
 
     def stop(self) -> None:
-        """Look no more."""
+        """Stop searching."""
         self._over.set()
         self._linked.set()
         if self._thread.is_alive():
@@ -84,7 +84,7 @@ class Twins:
                 self._look()
 
     def _look(self) -> None:
-        """Ask everybody of that name who it is."""
+        """Ask all agents of that name for their identity."""
         try:
             replies = self._session.get(
                 self._key,
@@ -104,7 +104,7 @@ class Twins:
         try:
             info = msgspec.convert(self._codec.answer(data).result, m.AgentInfo)
         except (ProtocolError, msgspec.ValidationError):
-            return  # another version; its master will say so
+            return  # another version; its master will report it
         who = (info.machine, info.pid)
         if who != self._me and who not in self._known:
             self._known.add(who)

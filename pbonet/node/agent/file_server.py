@@ -1,8 +1,8 @@
 """Files of this machine for others, confined to one folder (section 5.3.2).
 
-A path is followed to where it really leads, which must be within the folder, and is
-then opened from the folder downwards without following any link, so that one that is
-put in its way meanwhile is refused too.
+A path is resolved to its real target, which must be within the folder, and is then
+opened from the folder downwards without following any link, so that a link that is
+created meanwhile is refused too.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Filer:
     def _folder(
         self, path: str, *, parent: bool = False
     ) -> Generator[tuple[int, str], None, None]:
-        """Open the folder in which a path's last part stands; give it and that part."""
+        """Open the folder that holds a path's last part; return it and that part."""
         root, parts = self._real(path, parent=parent)
         flags = os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
         fd = os.open(root, flags)
@@ -188,7 +188,7 @@ class Filer:
         return seen
 
     def _is_link(self, path: str) -> bool:
-        """Tell whether a path is a symbolic link, wherever that leads."""
+        """Return whether a path is a symbolic link, whatever its target."""
         try:
             with self._folder(path, parent=True) as (fd, name):
                 found = os.stat(name, dir_fd=fd, follow_symlinks=False)
@@ -211,7 +211,7 @@ class Filer:
                 one.encode()
                 entries.append(self._stat(f.FileStat(path=f"{request.path}/{one}")))
             except UnicodeEncodeError:
-                continue  # no name that could travel
+                continue  # no name that can be sent
             except XmError as error:
                 link = self._is_link(f"{request.path}/{one}")
                 if link or not isinstance(error, XmMissingError):  # or it has gone
@@ -367,7 +367,7 @@ class Filer:
                 remedy="name what is in the folder, and where it is to be",
             )
         with self._folder(request.path, parent=True) as (fd, name):
-            os.stat(name, dir_fd=fd, follow_symlinks=False)  # told by its own path
+            os.stat(name, dir_fd=fd, follow_symlinks=False)  # reported by its own path
             with self._folder(request.to, parent=True) as (other, target):
                 os.rename(name, target, src_dir_fd=fd, dst_dir_fd=other)
 

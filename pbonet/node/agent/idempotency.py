@@ -1,4 +1,4 @@
-"""Requests that came before: carried out once, answered as often as they are asked."""
+"""Repeated requests: carried out once, answered as often as they come."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 KEPT = 1 << 20
 """Bytes of answers that are kept; the oldest go first."""
 OVERHEAD = 256
-"""Bytes that an answer counts beside its own."""
+"""Bytes that an answer counts in addition to its own."""
 REQUESTS = 4096
-"""Requests of which it is known that they stand on record; the oldest go first."""
+"""Requests that are known to be recorded; the oldest go first."""
 
 
 class Repeats:
-    """Answers by who asked and the request's id.
+    """Answers by client and the request's id.
 
-    A request is repeated when a link was lost under way, so the newest answers do.
+    A request is repeated when a link was lost meanwhile, so the newest answers suffice.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Repeats:
         return False
 
     def end(self, who: tuple[str, str], data: bytes) -> None:
-        """Answer a request, as often as it was asked."""
+        """Answer a request, as often as it came."""
         with self._guard:
             waiting = self._under_way.pop(who, [])
             self._answers[who] = data
@@ -59,14 +59,14 @@ class Repeats:
 
 
 class Noted:
-    """Which requests stand on record: what is repeated is only answered again."""
+    """The recorded requests: a repeated one is only answered again."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
         self._noted: OrderedDict[tuple[str, str], None] = OrderedDict()
 
     def first(self, client: str, request_id: str) -> bool:
-        """Tell whether a request is to be put on record, and take it that it is."""
+        """Return whether a request is to be recorded, and count it as recorded."""
         if not request_id:
             return True
         who = client, request_id

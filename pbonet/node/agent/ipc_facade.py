@@ -20,12 +20,12 @@ class Mail:
     """Both halves.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         places: The agent's files.
         files: The folder of files for others, if it declares one.
 
     Raises:
-        NodeError: That folder is not there.
+        NodeError: That folder does not exist.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class Mail:
         self._relay = Relay(session, domain, name, places.post)
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
-        """Carry a request out and have its answer sent; comes back at once."""
+        """Start a request, whose answer is sent when it is done; returns at once."""
         self._office.take(request, reply)
 
     def end_waits(self) -> None:

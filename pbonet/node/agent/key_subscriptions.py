@@ -1,9 +1,9 @@
 """Keys of the network whose messages become events of tasks (`events` of agent.toml).
 
-The agent hears a key and hands what comes to its RTPU process, which puts it into a
-queue of that RTPU (`network_queues`). So a server or synchronous task waits for a
-camera, an operator or a planner as it waits for a neighbour, and has nothing of the
-network in its process.
+The agent subscribes to a key and passes what comes to its RTPU process, which puts it
+into a queue of that RTPU (`network_queues`). So a server or synchronous task waits for
+a camera, an operator or a planner as it waits for a task beside it, without any network
+code in its process.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     import zenoh
 
 WAITING = 256
-"""Messages that wait to be handed on; the oldest go first."""
+"""Messages that wait to be passed on; the oldest go first."""
 
 
 class Ears:
-    """Hears keys and hands on what comes.
+    """Subscribes to keys and passes on what comes.
 
-    What zenoh calls must come back at once, so a thread does the handing on.
+    Callbacks of zenoh must return at once, so a thread passes the messages on.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         keys: Key expressions by queue.
         hand_on: Takes a message for the RTPU process, or a note that it did not get one
             that was too long for any queue.
@@ -61,7 +61,7 @@ class Ears:
         self._thread.start()
 
     def stop(self) -> None:
-        """Hear nothing any more."""
+        """End all subscriptions."""
         for subscriber in self._subscribers:
             subscriber.undeclare()  # type: ignore[no-untyped-call]
         self._over = True
@@ -81,7 +81,7 @@ class Ears:
         return heard
 
     def _refuse(self, queue: str, size: int) -> None:
-        """Count a message that no queue takes; tell of the first."""
+        """Count a message that no queue takes; report the first."""
         self._too_long[queue] += 1
         if self._too_long[queue] == 1:
             self._tell(

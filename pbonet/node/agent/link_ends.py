@@ -1,4 +1,4 @@
-"""An agent's two kinds of ends of a link: records go out, and come in.
+"""An agent's two ends of a link: one sends records, one receives them.
 
 Both use buffers as tasks do, each as the one reader or the one writer on its machine;
 so a task notices no difference, and nothing of it runs in a task's process.
@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from pbonet.xm.ipc import Name
 
 LOOK_NS = 100_000_000
-"""How long a sender sleeps at most before it looks whether it shall end."""
+"""How long a sender sleeps at most before it checks whether it should end."""
 CLOCKS_NS = 200_000_000
-"""For so long a receiver goes by what it knows of the other machine's clock."""
+"""How long a receiver relies on a measurement of the other machine's clock."""
 
 
 class Sender:
-    """Sends every new record of a link; of those it comes too late for, the newest.
+    """Sends every new record of a link; where it is too late, the newest.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         name: The link.
         key: Where records go.
         who: What the buffer notes, for messages.
@@ -69,7 +69,7 @@ class Sender:
         return self._thread.is_alive()
 
     def stop(self) -> None:
-        """Send no more, and let another reader have the buffer."""
+        """Stop sending, and release the buffer to another reader."""
         self._over = True
         self._thread.join()
         with contextlib.suppress(zenoh.ZError):
@@ -91,7 +91,7 @@ class Receiver:
     """Puts the records of another machine into this one's buffer.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         name: The link.
         key: Where records come from.
         who: What the buffer notes, for messages.
@@ -130,7 +130,7 @@ class Receiver:
         self._subscriber = session.declare_subscriber(key, direct(self._take))
 
     def stop(self) -> None:
-        """Take no more, and let another writer have the buffer."""
+        """Stop receiving, and release the buffer to another writer."""
         with contextlib.suppress(zenoh.ZError):
             self._subscriber.undeclare()  # type: ignore[no-untyped-call]
         self._over = True  # a record may be on its way in
@@ -153,7 +153,7 @@ class Receiver:
                 self._misfit(error)
 
     def _look(self, now: int) -> None:
-        """Find out how far the clocks are apart; have this thread go before others."""
+        """Find the offset of the clocks; raise this thread's level."""
         self._again = now + CLOCKS_NS
         self._ahead = self._offset()
         process_setup.go_before_others()

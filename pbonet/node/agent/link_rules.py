@@ -1,9 +1,9 @@
-"""Decides an agent's duty for a link from who uses it, here and elsewhere.
+"""Decides an agent's duty for a link from its users, here and elsewhere.
 
-Pure: `subsystem_links` looks, asks this, and acts. A link has at most one writer and
-one reader in the domain. Where both are on one machine, nothing is to be done. Else
-the agent of the reader's machine shows a *sink*, one of the writer's answers with a
-*source* that names the sink it serves, and records flow while both stand.
+Pure: `subsystem_links` collects the facts, calls this, and acts. A link has at most one
+writer and one reader in the domain. Where both are on one machine, nothing is to be
+done. Else the agent of the reader's machine shows a *sink*, one of the writer's answers
+with a *source* that names the sink it serves, and records flow while both exist.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ IDLE = Duty()
 
 
 def duty(me: str, here: Here, there: Elsewhere, now: Duty) -> Duty:
-    """Return what the agent `me` is to do for a link, that now does `now`."""
+    """Return the duty of the agent `me` for a link, given its present duty `now`."""
     if here.writer and not here.reader:
         return Duty(serve=_keep(now.serve, there.sinks - {me}))
     if here.reader and not here.writer:

@@ -1,13 +1,13 @@
-"""Links that stand and tell nothing are cut, so that they are made again.
+"""Cuts links that are up but transfer no declarations, so that they are made again.
 
-A router of zenoh tells a neighbour what it declares when that becomes a child in its
+A router of zenoh sends a neighbour its declarations when that becomes a child in its
 tree of links. Trees are computed at most every 100 ms and compared with the last ones.
-So a neighbour whose link ends and is made again within that time is told nothing: it
-sees no token, and no request finds its way, for as long as the link stands. That is met
-where a router with several links was held for a moment (decision 0194).
+So a neighbour whose link ends and is made again within that time receives none: it sees
+no token, and no request finds its way, as long as the link lasts. This happens where a
+router with several links was held up for a moment (decision 0194).
 
-zenoh offers no way to close one link. Shutting its socket down is what a cable does
-that is pulled: both routers notice at once, and who dials dials again.
+zenoh offers no way to close one link. Shutting its socket down acts like a pulled
+cable: both routers notice at once, and the dialling side dials again.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from pbonet.xm.net import AgentInfo
 
 LOOKS = 3
-"""A neighbour that is not seen in so many looks, a second apart, will not be."""
+"""After so many checks, a second apart, an unseen neighbour will not appear."""
 PAUSE = 10
-"""Looks until the same link may be cut once more."""
+"""Checks until the same link may be cut again."""
 MOST = 256
 """Neighbours that are remembered; each start of an agent is another one."""
 _CREDENTIALS = struct.Struct("3i")
@@ -59,17 +59,17 @@ class Relink:
         self._known: dict[str, Known] = {}
         """By zenoh identity."""
         self._missed: dict[str, int] = {}
-        """Looks at which a neighbour was not seen; below 0 for a pause."""
+        """Checks at which a neighbour was not seen; below 0 for a pause."""
 
     def met(self, info: AgentInfo, *, here: bool) -> None:
-        """Take note of an agent that has answered."""
+        """Note an agent that has answered."""
         self._known.pop(info.zid, None)
         self._known[info.zid] = Known(info.name, info.pid, here)
         while len(self._known) > MOST:
             self._known.pop(next(iter(self._known)))
 
     def unseen(self, seen: Iterable[str]) -> dict[str, Known]:
-        """Return the neighbours to which a link stands, and that are not seen."""
+        """Return the neighbours that have a link and are not seen."""
         there = set(seen)
         linked = (str(zid) for zid in self._session.info.routers_zid())
         return {
@@ -79,7 +79,7 @@ class Relink:
         }
 
     def look(self, seen: Iterable[str]) -> list[str]:
-        """Cut links that tell nothing; to be called every second.
+        """Cut links that transfer no declarations; to be called every second.
 
         Args:
             seen: Names of the agents that are seen and can be asked.
@@ -103,7 +103,7 @@ class Relink:
         return again
 
     def _cut(self, zid: str, known: Known) -> bool:
-        """Shut the sockets of the links to a neighbour down; tell whether any was."""
+        """Shut down the sockets of a neighbour's links; return whether it had any."""
         ends = {
             (plain(str(one.src)), plain(str(one.dst)))
             for one in self._session.info.links()
@@ -113,7 +113,7 @@ class Relink:
 
 
 def _sockets() -> Iterator[socket.socket]:
-    """Give the sockets of this process, one after the other, as copies."""
+    """Yield the sockets of this process, one after the other, as copies."""
     for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 - numbers, no paths
         with contextlib.suppress(OSError):
             copy = os.dup(int(name))
@@ -125,7 +125,7 @@ def _sockets() -> Iterator[socket.socket]:
 
 
 def _is_link(one: socket.socket, ends: set[tuple[str, str]], known: Known) -> bool:
-    """Tell whether a socket carries one of the links to a neighbour."""
+    """Return whether a socket carries one of the links to a neighbour."""
     if one.family not in {socket.AF_INET, socket.AF_INET6, socket.AF_UNIX}:
         return False
     try:
@@ -163,7 +163,7 @@ def resolved(endpoint: str) -> set[str]:
 
 
 def inside(locator: str) -> str:
-    """Return what stands between the protocol and the settings of a locator."""
+    """Return the part of a locator between its protocol and its settings."""
     return locator.partition("/")[2].partition("?")[0].partition("#")[0]
 
 

@@ -1,9 +1,9 @@
-"""The ways to the other agents: round trips, and how far the clocks are apart.
+"""The paths to the other agents: round trips and clock offsets.
 
-Every second each agent asks every other one of its domain who it is. The shortest of
-the last round trips tells best by how much the other machine's clock is ahead: when
-both ways take the same time, the answer was made in the middle of it, and it cannot be
-wrong by more than half of the trip (Cristian 1989).
+Every second each agent asks every other agent of its domain for its identity. The
+shortest of the last round trips gives the best estimate of how much the other machine's
+clock is ahead: when both ways take the same time, the answer was made in the middle of
+it, and it cannot be wrong by more than half of the trip (Cristian 1989).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ log = logging.getLogger("pbonet.node")
 PERIOD = 1.0
 """Seconds between round trips to one agent."""
 _END = "end"
-"""Last part of the key on which an agent that ends in order says so."""
+"""Last part of the key on which an agent announces its orderly end."""
 KEPT = 8
 """Round trips that the shortest is chosen from."""
 TRIES = 3
@@ -47,11 +47,11 @@ TRIES = 3
 ANSWER_TIME = 0.5
 """Seconds for an answer; it is made at once."""
 AGAIN = 10
-"""A report looks so often again for who is seen and cannot be asked."""
+"""How often a report retries agents that are seen and cannot be asked."""
 PAUSE = 0.1
-"""Seconds between such looks: links are being restored."""
+"""Seconds between such retries: links are being restored."""
 LOST_TIME = 86400.0
-"""Seconds for which an agent that is seen no more is told of."""
+"""Seconds for which an agent that is no longer seen is reported."""
 MOST_LOST = 64
 """Agents that are remembered though they are seen no more."""
 _UNASKED = "its agent is seen, and no request finds its way there"
@@ -87,13 +87,13 @@ class Peer:
 
 
 class Ways:
-    """The search for the ways from one agent to the others.
+    """The measurement of the paths from one agent to the others.
 
     Args:
         link: The agent's session.
-        me: Who the agent is.
-        tell: Takes how far clocks are apart, every second.
-        note: Takes what is to be told to masters.
+        me: The agent's identity.
+        tell: Takes the clock offsets, every second.
+        note: Takes what is to be reported to masters.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Ways:
         self._note = note
         self._peers: dict[str, Peer] = {}
         self._lost: dict[str, tuple[m.Lost, float]] = {}
-        """Agents that were seen, and when they were looked for in vain."""
+        """Agents that were seen, and when a search for them failed."""
         self._ended: set[str] = set()
         """Agents that have announced their end."""
         self._relink = link_watchdog.Relink(link)
@@ -129,7 +129,7 @@ class Ways:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask no more, and say to the others that this is no loss."""
+        """Stop asking, and announce to the others that this is no loss."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -139,7 +139,7 @@ class Ways:
             self._session.put(key, b"")  # pyright: ignore[reportUnknownMemberType]
 
     def unlinked(self, endpoints: Sequence[str]) -> list[str]:
-        """Return the endpoints over TLS to which no link stands."""
+        """Return the endpoints over TLS that have no link."""
         wanted = [one for one in endpoints if one.startswith("tls/")]
         with contextlib.suppress(zenoh.ZError):
             there = {
@@ -147,7 +147,7 @@ class Ways:
             }
             ports = Counter(_port(link_watchdog.plain(one)) for one in wanted)
             ports.subtract(_port(one) for one in there)
-            if any(count > 0 for count in ports.values()):  # else no name is looked up
+            if any(count > 0 for count in ports.values()):  # else no name is resolved
                 return [
                     o for o in wanted if there.isdisjoint(link_watchdog.resolved(o))
                 ]
@@ -167,7 +167,7 @@ class Ways:
         ]
 
     def _heard_end(self, sample: zenoh.Sample) -> None:
-        """Take note of an agent that ends in order; runs in zenoh's own thread."""
+        """Note an agent that ends in order; runs in zenoh's own thread."""
         name = key_expressions.rtpu_name(str(sample.key_expr))
         with self._guard:
             if name in self._peers:
@@ -230,7 +230,7 @@ class Ways:
                 self._tell(rtpu_messages.Clocks(self._me().machine, others))
 
     def _relink_unseen(self) -> None:
-        """Have links made anew by which neighbours are not seen."""
+        """Let links be made again through which neighbours are not seen."""
         with self._guard:
             peers = list(self._peers.items())
         for name in self._relink.look(_seen(peers)):
@@ -240,7 +240,7 @@ class Ways:
                 self._note(rtpu_messages.Note(int(Severity.WARNING), "LINK_ANEW", text))
 
     def _apart(self) -> list[rtpu_messages.Apart]:
-        """Return how far the clocks of other machines are apart from this one's."""
+        """Return the offsets of other machines' clocks from this one's."""
         mine = self._me().machine
         with self._guard:
             return [
@@ -282,7 +282,7 @@ class Ways:
                     peer.error = found
 
     def _lose(self, name: str, peer: Peer) -> None:
-        """Remember who is seen no more, unless it has said that it ends."""
+        """Remember agents that are no longer seen, unless they announced their end."""
         if name in self._ended:
             self._ended.discard(name)
         elif peer.info is not None:
@@ -292,7 +292,7 @@ class Ways:
                 self._lost.pop(next(iter(self._lost)))
 
     def _ask(self, key: str) -> m.AgentInfo | str:
-        """Return who answers on a key, or why nobody does."""
+        """Return the identity that answers on a key, or why none does."""
         replies = self._session.get(
             key, payload=self._codec.pack(m.Hello(id="way")), timeout=ANSWER_TIME
         )

@@ -21,7 +21,7 @@ class Feed:
     """Frames for a reader that may be slow, may end, and may be replaced.
 
     Args:
-        unfit: Told how many frames found no room, once there is room again.
+        unfit: Called with how many frames found no room, once there is room again.
         stuck: Called when the reader takes nothing any more.
     """
 
@@ -32,12 +32,12 @@ class Feed:
         self._bytes = 0
         self._dropped = 0
         self._reader = 0
-        """Which one is fed: 1, 2, ..."""
+        """The number of the present reader: 1, 2, ..."""
         self._over = False
         self._changed = threading.Condition()
 
     def put(self, frame: bytes) -> None:
-        """Hand something on; never waits."""
+        """Pass something on; never waits."""
         with self._changed:
             if self._over:
                 return
@@ -63,7 +63,7 @@ class Feed:
         ).start()
 
     def leave(self) -> None:
-        """Have the reader's pipe closed now; what is kept waits for another one."""
+        """Close the reader's pipe now; what is kept waits for another reader."""
         with self._changed:
             self._reader += 1
             self._changed.notify_all()

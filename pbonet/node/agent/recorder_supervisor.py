@@ -37,7 +37,7 @@ RESTARTS: Final = 5
 BEFORE: Final = 32
 """Commands that are kept of a subsystem until it is recorded."""
 AGAIN_TIME: Final = 1.0
-"""Seconds between tries to start a recorder that the system gives no process for."""
+"""Seconds between tries to start a recorder while the system has no process for it."""
 WINDOW: Final = 60.0
 """A recorder that is lost more often than this many times in so many seconds is not
 started again."""
@@ -49,7 +49,7 @@ class _Child:
     Args:
         wanted: What it records.
         before: Commands that were answered before.
-        tell: Takes what it says.
+        tell: Takes its messages.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class _Child:
         return process
 
     def tell(self, message: rtpu_messages.ToRecorder) -> None:
-        """Hand something on; a recorder that takes nothing is started anew."""
+        """Pass something on; a recorder that takes nothing is restarted."""
         self._feed.put(rtpu_messages.frame(message))
 
     def _kill(self) -> None:
@@ -121,7 +121,7 @@ class _Child:
         self._tell(rtpu_messages.Note(int(Severity.WARNING), "NOT_RECORDED", text))
 
     def end(self) -> None:
-        """Have the log finished; `join` waits for that."""
+        """Let the log be finished; `join` waits for that."""
         with self._guard:
             self._ending.set()
             self._feed.end()
@@ -150,7 +150,7 @@ class _Child:
                 self._tell(decoder.decode(said.read(size)))
 
     def _again(self, code: int) -> bool:
-        """Start a recorder that was lost anew; return whether that was done."""
+        """Restart a recorder that was lost; return whether that was done."""
         with self._guard:
             if self._ending.is_set():
                 return False
@@ -168,7 +168,7 @@ class _Child:
         return False
 
     def _started_again(self) -> bool:
-        """Start another one as soon as the system lets it; False if it is to end."""
+        """Start another one as soon as the system allows; False if it is to end."""
         told = False
         while True:
             with self._guard:
@@ -194,8 +194,8 @@ class Recorders:
     """Keeps a recorder for each subsystem that is to be recorded.
 
     Args:
-        tell: Hands a note to the RTPU process.
-        config: What the machine says of its logs; each log carries it.
+        tell: Passes a note to the RTPU process.
+        config: The machine's settings for logs; each log contains them.
     """
 
     def __init__(self, tell: Tell, config: AgentConfig) -> None:
@@ -257,7 +257,7 @@ class Recorders:
             self._before.pop(subsystem, None)
 
     def fares(self, subsystem: str) -> rtpu_messages.Recorder | None:
-        """Return how the recorder of a subsystem fares; None without one."""
+        """Return the state of a subsystem's recorder; None without one."""
         return self._fares.get(subsystem)
 
     def _said(self, message: rtpu_messages.FromRecorder) -> None:
@@ -267,7 +267,7 @@ class Recorders:
             self._tell(message)
 
     def tell(self, message: rtpu_messages.ToRecorder) -> None:
-        """Have something put on record."""
+        """Let something be recorded."""
         with self._guard:
             children = list(self._children.values())
         for child in children:
@@ -276,7 +276,7 @@ class Recorders:
     def commanded(
         self, request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
     ) -> None:
-        """Put a command on record, or keep it until its subsystem is recorded."""
+        """Record a command, or keep it until its subsystem is recorded."""
         if not request.subsystem:
             return
         told = command(request, answer, begun_ns, ended_ns)
@@ -292,8 +292,8 @@ class Recorders:
     ) -> bool:
         """Keep a short command; returns False where it must be `commanded` instead.
 
-        It takes next to no time: of what nobody records nothing need be made, unless
-        somebody begins to.
+        It takes almost no time: a command that is not recorded needs no record, unless
+        a recording begins.
         """
         if not self._guard.acquire(blocking=False):
             return False
@@ -315,8 +315,8 @@ class Recorders:
         """Finish every log.
 
         Args:
-            sweep: Remove the rings that nobody has come for; else the RTPU process
-                goes on, and they wait for the next agent's recorders.
+            sweep: Remove the rings that no recorder took; otherwise the RTPU process
+                continues, and they wait for the next agent's recorders.
         """
         self.update({})
         with self._guard:

@@ -1,8 +1,8 @@
 """The express mail server of an RTPU (Stewart 1994, sections 5.3 and 5.4).
 
-It stands in for clients on other machines: attaches to semaphores and queues of this
-one in their place, and waits in the same lines as everybody here, with the priority of
-who asks. A client's liveliness token is its lease. When that goes, its waits end, what
+It acts for clients on other machines: it attaches to semaphores and queues of this
+machine in their place, and waits in the same lines as local tasks, with the client's
+priority. A client's liveliness token is its lease. When that goes, its waits end, what
 it had been sent and not acknowledged is given back, and what it held counts as held by
 a process that died.
 
@@ -58,7 +58,7 @@ WAITING = 1000
 HANDLES = 512
 """Resources that clients are attached to, at a time."""
 BROKEN_OFF = 256
-"""Waits that were broken off before they came, and are remembered."""
+"""Waits that were cancelled before they arrived, and are remembered."""
 TOKEN_TIME = 1.0
 """Seconds in which the token of a client that attaches is seen."""
 
@@ -89,7 +89,7 @@ class Office:
         session: The agent's.
         domain: Its domain.
         rtpu: Its name.
-        filer: Who reads and writes files.
+        filer: Reads and writes files.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class Office:
     # -- clients -----------------------------------------------------------------------
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        """Take note of a token; runs in zenoh's thread, which nothing may hold up."""
+        """Note a token; runs in zenoh's thread, which nothing may hold up."""
         client = key_expressions.last(str(sample.key_expr))
         with self._change:
             if sample.kind == zenoh.SampleKind.PUT:
@@ -154,7 +154,7 @@ class Office:
             self._change.notify_all()
 
     def _lost(self, client: str) -> None:
-        """Clean up behind a client that is gone."""
+        """Clean up after a client that is gone."""
         with self._change:
             theirs = [
                 (n, held) for n, held in self._held.items() if held.client == client
@@ -167,7 +167,7 @@ class Office:
         self._filer.lost(client)
 
     def _clean(self, held: Held) -> None:
-        """Let go of what a client that is gone had, once nobody works on it."""
+        """Release what a client that is gone had, once no request uses it."""
         with self._change:
             if held.busy or not held.gone:
                 return
@@ -186,7 +186,7 @@ class Office:
     # -- requests ----------------------------------------------------------------------
 
     def take(self, request: r.XmRequest, reply: Callable[[bytes], None]) -> None:
-        """Carry out a request and have its answer sent; comes back at once."""
+        """Start a request, whose answer is sent when it is done; returns at once."""
         who = request.client, request.id
         once = not roles.only_looks(request)
         if once and not self._repeats.begin(who, reply):
@@ -226,7 +226,7 @@ class Office:
             answer = codec.failure(error, request.id)
         except (ValueError, TypeError, OverflowError) as error:
             answer = codec.failure(_unfit(self._rtpu, error), request.id)
-        except Exception as error:  # the office outlives any request
+        except Exception as error:  # the server outlives any request
             log.exception("%s: a request could not be carried out", self._rtpu)
             answer = codec.failure(_unfit(self._rtpu, error), request.id)
         with self._change:
@@ -300,7 +300,7 @@ class Office:
         self._clean(held)
 
     def _still(self, request: Any, held: Held) -> bool:  # noqa: ANN401
-        """Tell whether a wait under way is still wanted."""
+        """Return whether a wait under way is still wanted."""
         return not (self._over or held.gone or request.take in self._broken_off)
 
     def _take(self, request: r.Take) -> r.Took:

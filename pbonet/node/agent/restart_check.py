@@ -1,7 +1,7 @@
-"""Whether an agent may start anew where another one is (SIGHUP).
+"""Checks whether an agent may restart in place of the present one (SIGHUP).
 
-Its RTPU process goes on meanwhile, for some seconds. So whatever would keep the next
-agent from taking it over is looked for before this one lets go.
+Its RTPU process continues meanwhile, for some seconds. So everything that would prevent
+the next agent from taking it over is checked before this one lets go.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ _THE_PROCESS: Final = ("libraries", "runs", "awake")
 LATER: Final = (
     "%s: another value of %s reaches the RTPU process when it is started again"
 )
-"""How a change is told that `kept` has found."""
+"""The report of a change that `kept` has found."""
 
 
 def check(old: AgentConfig, new: AgentConfig, core: int) -> None:
     """Refuse a configuration with which the RTPU process could not be taken over.
 
     Args:
-        old: What the agent goes by.
-        new: What it would go by.
-        core: That of its RTPU process.
+        old: The agent's configuration.
+        new: The configuration after a restart.
+        core: The core of its RTPU process.
 
     Raises:
-        PbonetError: It would be another RTPU, its keys are no good, or something that
+        PbonetError: It would be another RTPU, its keys are not valid, or something that
             it names cannot be used.
     """
     for what, is_, to_be in (

@@ -1,4 +1,4 @@
-"""The agent's side of its RTPU process: finds or starts it, talks to it, hears its end.
+"""The agent's side of its RTPU process: finds, starts and uses it, learns of its end.
 
 An RTPU process that runs already, because its agent was killed or restarted, is taken
 over as it is; its tasks don't notice.
@@ -62,13 +62,13 @@ class Listener(Protocol):
         """Take that successors on other machines are to be called."""
 
     def informed(self, info: rtpu_messages.RtpuInfo) -> None:
-        """Take who the RTPU process is, as it has changed."""
+        """Take the changed identity of the RTPU process."""
 
     def learned(self, news: Known) -> None:
         """Take what the RTPU process knows now."""
 
     def broke(self, reason: str) -> None:
-        """Take the news that the link broke, and stands again; nobody has ended."""
+        """Take the news that the link broke and is restored; no process has ended."""
 
     def let_go(self) -> None:
         """Let go of its tables: what it has left is about to be removed."""
@@ -82,8 +82,8 @@ class RtpuLink:
 
     Args:
         places: Its files.
-        config: What it is started with, unless it runs.
-        listener: Who hears what it says.
+        config: The settings to start it with, unless it runs.
+        listener: Takes its messages.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class RtpuLink:
         self._thread: threading.Thread | None = None
         self._closing = False
         self._short = False
-        """Something that the machine lacks has been told."""
+        """A shortage of the machine has been reported."""
         self._unread: list[float] = []
         self._misread = ""
         """The fault of the last message that could not be read."""
@@ -186,7 +186,7 @@ class RtpuLink:
         )
 
     def shut_down(self, timeout: float) -> bool:
-        """Have everything turned OFF in order; return whether it ended by itself."""
+        """Let everything be turned OFF in order; return whether it ended by itself."""
         self._closing = True
         with contextlib.suppress(NodeError):
             self.send(rtpu_messages.Shutdown(timeout))
@@ -198,7 +198,7 @@ class RtpuLink:
         return by_itself
 
     def close(self) -> None:
-        """Let go of the RTPU process, which goes on for its grace."""
+        """Let go of the RTPU process, which continues for its grace."""
         self._closing = True
         sock = self._sock
         if sock is not None:
@@ -234,7 +234,7 @@ class RtpuLink:
         """Return a socket to it; None when it takes none.
 
         Raises:
-            OSError: The machine gives no socket.
+            OSError: The machine has no socket left.
         """
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
@@ -248,7 +248,7 @@ class RtpuLink:
         return sock
 
     def _attach(self, sock: socket.socket) -> rtpu_messages.RtpuInfo:
-        """Be its agent.
+        """Attach as its agent.
 
         Raises:
             NodeError: It has another one, or is of another version or core.
@@ -287,7 +287,7 @@ class RtpuLink:
         return info
 
     def _live(self, sock: socket.socket) -> None:
-        """Hear the RTPU process until it ends; a link that breaks is made anew."""
+        """Read from the RTPU process until it ends; a broken link is made again."""
         while True:
             reason, orderly = self._read(sock)
             with self._write_lock:
@@ -309,7 +309,7 @@ class RtpuLink:
             self._listener.lost(how, again=not (orderly or self._unreadable))
 
     def _read(self, sock: socket.socket) -> tuple[str, bool]:
-        """Hand on what comes; return why nothing comes any more, and if in order."""
+        """Pass on what comes; return why nothing comes any more, and if in order."""
         while True:
             try:
                 data = rtpu_messages.receive_frame(sock)
@@ -324,7 +324,7 @@ class RtpuLink:
                 self._hand_over(message)
 
     def _decode(self, data: bytes) -> FromRtpu:
-        """Return what the RTPU process says.
+        """Return the RTPU process's next message.
 
         Raises:
             ProtocolError: It cannot be read; counted.
@@ -387,7 +387,7 @@ class RtpuLink:
         return None
 
     def _taken_back(self, sock: socket.socket) -> rtpu_messages.RtpuInfo | None:
-        """Be its agent again; None: it has not noticed yet, or it ends."""
+        """Attach as its agent again; None: it has not noticed yet, or it ends."""
         try:
             sock.settimeout(AGAIN_TIME)
             info = self._attach(sock)
@@ -398,7 +398,7 @@ class RtpuLink:
         return info
 
     def _lacks(self, error: OSError) -> None:
-        """Tell once what the machine lacks, and leave it a little time."""
+        """Report once what the machine lacks, and leave it a little time."""
         if not self._short:
             self._short = True
             log.error(
@@ -414,7 +414,7 @@ class RtpuLink:
         """Send there from now on, unless the link is being closed."""
         with self._write_lock:
             self._sock = sock
-        if self._closing:  # by who saw no socket to shut down
+        if self._closing:  # by a thread that saw no socket to shut down
             with self._write_lock:
                 self._sock = None
                 sock.close()
@@ -462,7 +462,7 @@ class RtpuLink:
                 break
             except OSError as error:
                 if self._closing or error.errno not in LACKS:
-                    break  # what is wrong with the files is found by who starts anew
+                    break  # a fault of the files is found at the restart
                 self._lacks(error)
         if orderly:
             return reason
@@ -484,7 +484,7 @@ def _send(sock: socket.socket, data: memoryview, flags: int = 0) -> memoryview:
 
 @contextlib.contextmanager
 def _contained() -> Generator[None]:
-    """Tell a listener something in this block; the link outlives what it raises."""
+    """Call a listener in this block; the link survives what it raises."""
     try:
         yield
     except Exception:

@@ -1,9 +1,9 @@
-"""An agent's view of its RTPU: out of shared memory, without waking anybody.
+"""An agent's view of its RTPU: from shared memory, without waking any process.
 
-What the core's table and the state variable tables say is read there; the little that
-only the RTPU process knows it has told before (`rtpu_snapshot`). So status,
-profiles and values of variables are given, and variables set as an operator does,
-by the agent alone (Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
+The core's table and the state variable tables are read there; the little that only the
+RTPU process knows, it has sent before (`rtpu_snapshot`). So status, profiles and values
+of variables are given, and variables set as an operator does, by the agent alone
+(Stewart 1994, sections 4.4.1, 4.5 and 6.7.1).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FEW = 8
 """So many tasks and links, or variables, are looked at in less time than a thread is
 woken."""
 NEWS_TIME = 2.0
-"""Seconds in which the RTPU process tells of a task that it has just begun or ended."""
+"""Seconds in which the RTPU process reports a task that it has just begun or ended."""
 
 Handled = m.Status | m.Profile | m.Display | m.Write
 HANDLED = (m.Status, m.Profile, m.Display, m.Write)
@@ -54,7 +54,7 @@ HANDLED = (m.Status, m.Profile, m.Display, m.Write)
 
 
 class Seen(NamedTuple):
-    """A task, and what stood in the core's table about it at one time."""
+    """A task, and the core table's entries about it at one time."""
 
     task: KnownTask
     slot: SlotStatus
@@ -62,13 +62,13 @@ class Seen(NamedTuple):
 
 
 class Overview:
-    """How one RTPU, its tasks and its tables stand.
+    """The state of one RTPU, its tasks and its tables.
 
     Args:
         domain: The agent's domain.
         rtpu: The RTPU's name.
-        note: Takes note of a fault of pbonet itself.
-        recorder: Tells how a subsystem's recorder fares.
+        note: Takes the report of a fault of pbonet itself.
+        recorder: Returns the state of a subsystem's recorder.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Overview:
     # -- what the RTPU process says ----------------------------------------------------
 
     def informed(self, info: RtpuInfo) -> None:
-        """Look at the core of the RTPU process, and at the tables that it has open."""
+        """Open the core table of the RTPU process, and the tables that it has open."""
         if self._core is None:
             self._core = rt.CoreTable(info.core, member=False)
         for subsystem in self._tables.keys() - info.tables.keys():
@@ -123,7 +123,7 @@ class Overview:
         """Let go of everything: the RTPU process has ended."""
         for subsystem in list(self._tables):
             self._let_go(subsystem)
-        with self._news:  # who waits for news hears that there will be none
+        with self._news:  # wake the waiters: there will be no news
             core, self._core, self._known = self._core, None, Known()
             self._told += 1
             self._news.notify_all()
@@ -160,7 +160,7 @@ class Overview:
     def at_once(self, request: object) -> bytes | None:
         """Return the packed answer to a request that takes little.
 
-        None to any other, and where somebody is to be waited for.
+        None to any other, and where it must wait for another process.
         """
         if isinstance(request, m.Display):
             few = request.names is not None and 0 < len(request.names) <= FEW
@@ -219,7 +219,7 @@ class Overview:
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
         while True:
             found, core = self._of(request, self._look()), self._open()
-            with contextlib.suppress(NodeError):  # one has ended: the next look waits
+            with contextlib.suppress(NodeError):  # one has ended: the next read waits
                 return [
                     status.task_profile(
                         self._shown(one), one.slot, core.histograms(one.task.slot)
@@ -245,10 +245,10 @@ class Overview:
     # -- what is seen ------------------------------------------------------------------
 
     def _look(self) -> list[Seen]:
-        """Return all tasks with what stands in the core's table about them.
+        """Return all tasks with the core table's entries about them.
 
-        A slot that has another task than is known was given away this moment: the
-        RTPU process is about to tell, and is waited for a little.
+        A slot that has another task than is known was given away this moment: the RTPU
+        process is about to report it, and is waited for a little.
 
         Raises:
             NodeError: The RTPU process has ended.
@@ -264,7 +264,7 @@ class Overview:
                 return found
 
     def _more(self, told: int) -> bool:
-        """Wait until more has been told; return whether it came in time."""
+        """Wait until more has been reported; return whether it came in time."""
         with self._news:
             return self._news.wait_for(lambda: self._told > told, NEWS_TIME)
 

@@ -10,11 +10,11 @@ import time
 
 
 class Ending:
-    """An event that handlers of signals may set, for they may run amid its `wait`.
+    """An event that handlers of signals may set, even during its `wait`.
 
-    The kernel may hand a signal to a thread of zenoh, and then nothing interrupts the
-    main thread. So a signal rings too, see `heed_signals`: whoever waits looks up, and
-    Python runs the handler.
+    The kernel may deliver a signal to a thread of zenoh, and then nothing interrupts
+    the main thread. So a signal also writes into a pipe, see `heed_signals`: the
+    waiting thread wakes up, and Python runs the handler.
     """
 
     def __init__(self) -> None:
@@ -22,32 +22,32 @@ class Ending:
         self._come = False
 
     def __del__(self) -> None:
-        """Close the pipe: nobody can set it any more."""
+        """Close the pipe: the event can no longer be set."""
         os.close(self._hears)
         os.close(self._rings)
 
     def heed_signals(self) -> None:
-        """Have every signal of this process ring; to be called by the main thread."""
+        """Let every signal of this process wake it; to be called by the main thread."""
         signal.set_wakeup_fd(self._rings, warn_on_full_buffer=False)
 
     def set(self) -> None:
-        """Let it come."""
+        """Set the event."""
         self._come = True
-        with contextlib.suppress(BlockingIOError):  # it rings already
+        with contextlib.suppress(BlockingIOError):  # the pipe is full already
             os.write(self._rings, b"!")
 
     def clear(self) -> None:
-        """Take it back."""
+        """Clear the event."""
         self._come = False
 
     def is_set(self) -> bool:
-        """Tell whether it has come."""
+        """Return whether it is set."""
         return self._come
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it has come, for so many seconds at most; return whether it has.
+        """Wait until it is set, for so many seconds at most; return whether it is.
 
-        For one thread: a second one would not hear the bell.
+        For one thread: a second one would not be woken.
         """
         end = None if timeout is None else time.monotonic() + timeout
         while not self._come:

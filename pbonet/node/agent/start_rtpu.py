@@ -33,8 +33,8 @@ def start(
     """Start an RTPU process and return it when it takes agents.
 
     Raises:
-        PbonetError: What kept it from starting.
-        OSError: The system gives no process.
+        PbonetError: What prevented the start.
+        OSError: The system cannot create a process.
     """
     read, write = os.pipe()
     config = msgspec.structs.replace(config, ready_fd=write)
@@ -62,10 +62,10 @@ def start(
 def _wait_until_ready(
     places: run_folder.Places, process: subprocess.Popen[bytes], read: int
 ) -> None:
-    """Wait for the one message that says how the start went.
+    """Wait for the one message with the result of the start.
 
     Raises:
-        PbonetError: What kept it from starting.
+        PbonetError: What prevented the start.
     """
     deadline = time.monotonic() + START_TIME
     data = b""

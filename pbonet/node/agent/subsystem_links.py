@@ -1,8 +1,8 @@
 """Links between subsystems on different machines (Stewart 1994, section 5.6).
 
-An agent looks after the links of its domain that stand on its machine. Whoever has an
-end there need not tell it: locks on the buffer's file say who is there, also of those
-that are killed. What is to be done `link_rules` says; it is done here.
+An agent serves the links of its domain that exist on its machine. Users of a link need
+not register: locks on the buffer's file show which are there, and are released when one
+is killed. `link_rules` decides what is to be done; it is done here.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 LOOK = 0.1
-"""Seconds between looks at the links of this machine."""
+"""Seconds between checks of the links of this machine."""
 YIELD = 1.0
-"""Seconds until a link that another agent looks after is tried again."""
+"""Seconds until a link that another agent serves is tried again."""
 
 
 class Care:
-    """One link that this agent looks after."""
+    """One link that this agent serves."""
 
     def __init__(self, name: names.Name) -> None:
         self.name = name
@@ -66,12 +66,12 @@ class Links:
     """An agent's part in all links of its domain.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         domain: Its domain.
         name: Its name.
         offset: Returns nanoseconds from the clock of an agent's machine to this one's;
             None while they are not known.
-        tell: Takes what is to be told to masters.
+        tell: Takes what is to be reported to masters.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Links:
         self._thread.start()
 
     def stop(self) -> None:
-        """Look after nothing any more; files that nobody uses are removed."""
+        """Stop serving links; files that are not used are removed."""
         self._over = True
         self._news.set()
         self._thread.join()
@@ -118,7 +118,7 @@ class Links:
     # -- what others show --------------------------------------------------------------
 
     def _heard(self, sample: zenoh.Sample) -> None:
-        """Take note of a token that came or went; runs in zenoh's own thread."""
+        """Note a token that came or went; runs in zenoh's own thread."""
         parts = key_expressions.link_parts(str(sample.key_expr))
         if parts is None:
             return
@@ -160,11 +160,11 @@ class Links:
         for text, care in list(self._cares.items()):
             try:
                 self._tend(text, care, stands=text in standing)
-            except Exception:  # the others want to be looked after too
+            except Exception:  # the others must be served too
                 log.exception("%s: link %s cannot be looked after", self._name, text)
 
     def _tend(self, text: str, care: Care, *, stands: bool) -> None:
-        """Look after one link."""
+        """Serve one link."""
         here = care.here
         unused = not here.writer and not here.reader and care.duty == IDLE
         if not stands or care.gone or unused:
@@ -172,12 +172,12 @@ class Links:
             return
         wanted = duty(self._name, here, self._elsewhere(text), care.duty)
         if care.sender is not None and not care.sender.works:
-            wanted = IDLE  # and anew at the next look
+            wanted = IDLE  # and again at the next check
         if wanted != care.duty:
             self._change(care, wanted)
 
     def _adopt(self, text: str) -> None:
-        """Look after a link, unless another agent of this machine does."""
+        """Serve a link, unless another agent of this machine does."""
         if time.monotonic() < self._later.get(text, 0.0):
             return
         place, _, resource = text.partition(":")
@@ -194,7 +194,7 @@ class Links:
         places.leave(care.buffer)
 
     def _change(self, care: Care, wanted: Duty) -> None:
-        """Go over to another duty; what cannot be done now is tried again."""
+        """Change to another duty; what cannot be done now is tried again."""
         if care.receiver is not None and care.duty.take != wanted.take:
             care.receiver.stop()
             care.receiver = None

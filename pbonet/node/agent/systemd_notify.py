@@ -1,4 +1,4 @@
-"""Tells the manager that started the agent how it stands (systemd's `Type=notify`)."""
+"""Reports the agent's state to its service manager (systemd's `Type=notify`)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import os
 import socket
 
 VARIABLE = "NOTIFY_SOCKET"
-"""Names the manager's socket; absent when nobody wants to know."""
+"""Names the manager's socket; absent when there is no manager."""
 
 
 def tell(state: str) -> bool:
-    """Tell the service manager, if there is one, that `state` holds.
+    """Report `state` to the service manager, if there is one.
 
     The protocol is one datagram to a Unix socket, a name that begins with `@` being one
     of the abstract name space (sd_notify(3)).

@@ -1,7 +1,7 @@
-"""An agent's part in what its tasks ask of other machines; see `remote_channel`.
+"""Passes requests of the agent's tasks to other machines; see `remote_channel`.
 
-Tasks connect by a Unix socket. For each process the agent shows a liveliness token
-while a connection of it is open, so that what stands for it elsewhere ends with it.
+Tasks connect by a Unix socket. For each process the agent declares a liveliness token
+while a connection of it is open, so that what acts for it elsewhere ends with it.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ class _Wire:
         self._guard = threading.Lock()
 
     def send(self, data: bytes) -> None:
-        """Send an answer; one that nobody wants any more is dropped."""
+        """Send an answer; drop it when it is no longer wanted."""
         with self._guard, contextlib.suppress(OSError):
             self.link.send_bytes(data)
 
     def end(self) -> None:
-        """Have whoever reads from it come to its end."""
+        """Let its reader see the end of the connection."""
         with contextlib.suppress(OSError):
             twin = socket.socket(fileno=os.dup(self.link.fileno()))
             with twin:
@@ -66,7 +66,7 @@ class Relay:
     """Takes letters of tasks and passes them on.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         domain: Its domain.
         name: Its name.
         path: The socket that tasks connect to.
@@ -126,7 +126,7 @@ class Relay:
             while not self._over:
                 letter = self._letter.decode(wire.link.recv_bytes(LARGEST))
                 client = client or self._welcome(letter.client, wire)
-                if letter.wait or letter.rtpu:  # else it only says that it is there
+                if letter.wait or letter.rtpu:  # else it only announces its presence
                     self._pool.submit(self._carry, wire, letter)
         except (OSError, EOFError):
             pass  # it has ended
@@ -150,7 +150,7 @@ class Relay:
         return client
 
     def _farewell(self, client: str, wire: _Wire) -> None:
-        """Take a client's token back with its last connection."""
+        """Withdraw a client's token with its last connection."""
         with self._guard:
             self._open.discard(wire)
             token, wires = self._tokens.get(client, (None, set[_Wire]()))

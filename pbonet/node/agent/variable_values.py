@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
     """Return values of variables with their provenance, without owning any.
 
-    All values are those of one instant; where that is not proven, they say so.
+    All values are those of one instant; where that is not proven, they are marked so.
 
     Raises:
         UnknownVariableError: The table has no variable of that name.
@@ -44,7 +44,7 @@ def display(table: Table, names: Sequence[str] | None) -> list[VarValue]:
 def write(
     table: Table, name: str, values: Sequence[float], *, keep: bool, wait: bool = True
 ) -> VarValue | None:
-    """Set a variable that no task writes; return how it stands then.
+    """Set a variable that no task writes; return its state afterwards.
 
     Without `wait` nothing is done, and None returned, if the table is locked just now.
 
@@ -71,7 +71,7 @@ def write(
 
 
 def _value(table: Table, name: str, *, whole: bool) -> VarValue:
-    """Return a variable by itself, of one look."""
+    """Return a variable by itself, from one read."""
     value, info = table.see(name)
     return _shown(table, name, value, info, stale=info.stale, whole=whole)
 

@@ -1,9 +1,10 @@
 """An agent's part in zenoh: takes requests, gives answers, publishes events.
 
-A request is handed on at once and its query kept; the answer is given whenever it
-comes, so a slow `init` stands in nobody's way. What cannot be understood is answered
-with an error, never with silence. Requests that only look have a key of their own, so
-that access control can tell who may steer (see `pbonet.xm.net.roles`).
+A request is passed on at once and its query kept; the answer is given whenever it
+comes, so a slow `init` blocks no other request. What cannot be understood is answered
+with an error, never with silence. Requests that only read have a key of their own, so
+that access control can tell readers from clients that may command (see
+`pbonet.xm.net.roles`).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ SHORT = 1024
 PENDING = 2000
 """Requests that wait for their answers; more are refused."""
 LOOKS = 4
-"""Threads for requests that look at much, or wait for what the RTPU process tells."""
+"""Threads for requests that read much, or wait for the RTPU process."""
 
 CHANGES = (
     m.Claim,
@@ -74,21 +75,21 @@ class Node(Protocol):
     def forward(
         self, n: int, data: bytes, masters: list[tuple[str, str]] | None
     ) -> None:
-        """Hand a request on; its answer comes through `Server.answer`."""
+        """Pass a request on; its answer comes through `Server.answer`."""
 
     def spread(self, subsystem: str, done: Callable[[], None], **how: bool) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
-        With `take`, this machine has taken what theirs say as well; with `value`, only
+        With `take`, this machine has taken their states as well; with `value`, only
         a value was set.
         """
 
     def info(self) -> AgentInfo:
-        """Return who this is."""
+        """Return this agent's identity."""
         ...
 
     def ways(self) -> LinkReport:
-        """Return the ways to the other agents, measured now."""
+        """Return the paths to the other agents, measured now."""
         ...
 
 
@@ -97,7 +98,7 @@ _Work: TypeAlias = "Callable[[], None]"
 
 
 class _Waiting(NamedTuple):
-    """A request that was handed on."""
+    """A request that was passed on."""
 
     query: zenoh.Query
     request: m.AnyRequest
@@ -108,7 +109,7 @@ class Mail(Protocol):
     """Handler of requests about semaphores and queues."""
 
     def take(self, request: XmRequest, reply: Callable[[bytes], None]) -> None:
-        """Carry a request out and have its answer sent; comes back at once."""
+        """Start a request, whose answer is sent when it is done; returns at once."""
 
 
 class Book(Protocol):
@@ -117,12 +118,12 @@ class Book(Protocol):
     def commanded(
         self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
     ) -> None:
-        """Put a command on record: its packed answer, when it came and was answered."""
+        """Record a command: its packed answer, when it came and was answered."""
 
     def noted(
         self, request: m.AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
     ) -> bool:
-        """Keep a short one that nobody records; return whether that was done now."""
+        """Keep a short one that is not recorded; return whether that was done now."""
         ...
 
 
@@ -133,10 +134,10 @@ class Server:
         session: The agent's session.
         domain: The agent's domain.
         name: The RTPU's name.
-        node: Who carries requests out.
-        mail: Who carries out those about semaphores and queues.
-        overview: Who carries out those that need no RTPU process.
-        book: Is told of what changes something.
+        node: Carries requests out.
+        mail: Carries out those about semaphores and queues.
+        overview: Carries out those that need no RTPU process.
+        book: Records requests that change something.
     """
 
     def __init__(
@@ -189,7 +190,7 @@ class Server:
         self._thread.start()
 
     def stop(self) -> None:
-        """Answer no more; requests that wait are told so."""
+        """Stop answering; waiting requests get an error."""
         for queryable in self._queryables:
             with contextlib.suppress(zenoh.ZError):
                 queryable.undeclare()  # type: ignore[no-untyped-call]
@@ -227,7 +228,7 @@ class Server:
         )
 
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
-        """Have a command put on record, however often it was asked for."""
+        """Record a command once, however often it came."""
         if roles.only_looks(request):
             return
         if self._noted.first(request.client, request.id):
@@ -256,8 +257,8 @@ class Server:
     def _arrive(self, query: zenoh.Query) -> None:
         """Take a query from zenoh's own thread, which nothing may hold up.
 
-        Only who the agent is and how a few tasks or variables stand can be told at
-        once, and one variable be set; another thread does the rest.
+        Only the agent's identity and the state of a few tasks or variables can be
+        returned at once, and one variable be set; another thread does the rest.
         """
         data = query.payload.to_bytes() if query.payload is not None else b""
         if len(data) <= SHORT and AT_ONCE.search(data):
@@ -267,7 +268,7 @@ class Server:
         self._put(partial(self._take, query))
 
     def _put(self, work: _Work) -> None:
-        """Have the rest of a request done behind those that came before it."""
+        """Let the rest of a request be done after those that came before it."""
         with self._guard:
             self._behind += 1
         self._arrived.put(partial(self._done, work))
@@ -349,7 +350,7 @@ class Server:
             self._forward(query, request, data, None)
 
     def _handle(self, query: zenoh.Query, request: Handled) -> None:
-        """Have a request carried out in this process; what changes something, once."""
+        """Let a request be done in this process; once, if it changes something."""
         if isinstance(request, m.Write):
             self._once(query, request, short=False)
         else:
@@ -358,7 +359,7 @@ class Server:
             )
 
     def _once(self, query: zenoh.Query, request: m.Write, *, short: bool) -> None:
-        """Have a request carried out, unless it was before; a short one at once."""
+        """Let a request be carried out, unless it was before; a short one at once."""
         do = self._overview.write_at_once if short else self._overview.answer
         who = request.client, request.id or secrets.token_hex(8)
         if self._repeats.begin(who, partial(self._reply, query)):
@@ -384,7 +385,7 @@ class Server:
         *,
         short: bool,
     ) -> None:
-        """Answer a request that was carried out, then put it on record."""
+        """Answer a request that was carried out, then record it."""
         end = partial(self._repeats.end, who, data)
         self._node.spread(request.subsystem, end, value=True)
         said = request, data, begun_ns, time.monotonic_ns()
@@ -393,7 +394,7 @@ class Server:
             self._arrived.put(partial(self._book.commanded, *said))
 
     def _measure(self) -> None:
-        """Answer with the ways to the other agents, which takes their round trips."""
+        """Answer with the paths to the other agents, which takes their round trips."""
         with self._guard:
             asked, self._measured = self._measured, []
         if not asked:

@@ -1,9 +1,9 @@
-"""The RTPU process's care for its table when the agent that carried it is gone.
+"""Handles the variables of remote tasks when the agent that carried them is gone.
 
-Variables that tasks on other machines write stood here in the agent's name. Nobody
-brings them up to date now: they are given up, so that a task here may take them over,
-and the illegal-configuration flag is up until somebody writes them again. Another agent
-of this machine carries them on if there is one, and a restarted agent does.
+Variables that tasks on other machines write were owned here by the agent. They are no
+longer updated, so they are given up for a task here to take over, and the
+illegal-configuration flag is up until they are written again. Another agent of this
+machine carries them on if there is one, and a restarted agent does.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ async def give_up(rtpu: Rtpu) -> None:
     end = time.monotonic() + PATIENCE
     while not _all_reaped(rtpu):
         if time.monotonic() > end:
-            return  # it lives: it was told to leave, or is another one
+            return  # it lives: it was asked to leave, or is another one
         await asyncio.sleep(PAUSE)
 
 
 def back(rtpu: Rtpu) -> None:
-    """Take back what was raised for the loss."""
+    """Withdraw what was raised for the loss."""
     for subsystem in rtpu.tables.subsystems():
         rtpu.flags.down(subsystem, NAME)
 

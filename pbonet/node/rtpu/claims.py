@@ -33,7 +33,7 @@ class Entry(Struct, kw_only=True):
     minfreq: float
     maxfreq: float
     job: Standing | None = None
-    """The job that stands, on the RTPU that keeps the table."""
+    """The current job, on the RTPU that keeps the table."""
 
 
 class Claims:
@@ -54,7 +54,7 @@ class Claims:
         return {name: entry.epoch for name, entry in self._entries.items()}
 
     def entries(self) -> list[Entry]:
-        """Return all claims, without the jobs that stand."""
+        """Return all claims, without the current jobs."""
         return [structs.replace(entry, job=None) for entry in self._entries.values()]
 
     def get(self, subsystem: str) -> Entry | None:
@@ -72,8 +72,8 @@ class Claims:
 
         Args:
             request: What is asked for.
-            masters: Subsystem and client of the masters that live; None when nobody
-                knows, and then all of them count as alive.
+            masters: Subsystem and client of the masters that live; None when that is
+                not known, and then all of them count as alive.
             busy: Subsystems that have tasks on the RTPU.
 
         Raises:
@@ -113,7 +113,7 @@ class Claims:
         return check(self._rtpu, self._entries.get(request.subsystem), request)
 
     def stand(self, subsystem: str, job: Standing | None) -> None:
-        """Note which job of `subsystem` stands; harmless when it has no claim."""
+        """Note the current job of `subsystem`; harmless when it has no claim."""
         if entry := self._entries.get(subsystem):
             entry.job = job
 
@@ -212,9 +212,9 @@ def check(rtpu: str, entry: Entry | None, request: Request) -> Entry:
     """Return the claim under which a request comes.
 
     Args:
-        rtpu: Where it comes.
+        rtpu: The RTPU that received it.
         entry: The claim of its subsystem, if that has one.
-        request: What is asked.
+        request: The request.
 
     Raises:
         ClaimError: Its subsystem has none, or another master took over.

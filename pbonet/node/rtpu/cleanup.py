@@ -1,9 +1,9 @@
 """Files and processes to clean up if the RTPU process is killed, and the clean-up.
 
-The RTPU process writes down what it makes: tasks, rings, tables. Whoever comes after a
-killed one, its agent at once or the next RTPU process of that name, reads this, waits
-for the tasks to end (each turns itself off within a second), ends those that do not,
-and removes what stands in shared memory.
+The RTPU process writes down what it makes: tasks, rings, tables. After it was killed,
+its agent (at once) or the next RTPU process of that name reads this, waits for the
+tasks to end (each turns itself off within a second), ends those that do not, and
+removes what is left in shared memory.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 PATIENCE = 1.5
-"""Seconds that orphaned tasks have: they end themselves within one."""
+"""Seconds that orphaned tasks get to end; they end themselves within one."""
 KILL_TIME = 5.0
-"""Seconds in which one that was killed has ended, on a machine that stalls, too."""
+"""Seconds in which a killed task ends, even on a machine that stalls."""
 _LOOK = 0.01
 
 
@@ -134,7 +134,7 @@ def _end_tasks(state: Leftovers, patience: float) -> list[str]:
 
 
 def _outlive(tasks: list[TaskLeft], patience: float) -> list[TaskLeft]:
-    """Wait for the tasks' ends; return those that live all the same."""
+    """Wait for the tasks to end; return those that still live."""
     deadline = time.monotonic() + patience
     while left := [
         one for one in tasks if process_setup.is_alive(one.pid, one.started)

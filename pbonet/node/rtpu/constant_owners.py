@@ -1,8 +1,8 @@
-"""Constants that have changed hands while the exchange is still to come.
+"""Constants that have changed owners before the exchange of tasks.
 
-`swap` and `switch` have the new task take the constants over as soon as it stands, and
-exchange the tasks later (decision 0110). When the master dies in between, the old task
-runs with constants of a task that is OFF. The RTPU of the new one says so.
+With `swap` and `switch` the new task takes over the constants as soon as it exists; the
+tasks are exchanged later (decision 0110). If the master dies in between, the old task
+runs with constants of a task that is OFF. The RTPU of the new task reports this.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 RAISER = "constants"
 PATIENCE = 5.0
-"""Seconds without a word of the master, after which nobody seems to go on."""
+"""Seconds without a message from the master after which it counts as gone."""
 
 
 class Home(Protocol):
@@ -33,12 +33,12 @@ class Home(Protocol):
 
 
 class Giver(Struct):
-    """A task that gives constants in the place of others."""
+    """A task that provides constants in place of others."""
 
     task: Task
     olds: list[str]
     heard: float
-    """When the master has said something last."""
+    """The time of the master's last message."""
     told: bool = False
 
 
@@ -46,7 +46,7 @@ class Givers:
     """The tasks of one RTPU that have taken constants over.
 
     Args:
-        rtpu: Whose.
+        rtpu: The RTPU.
     """
 
     def __init__(self, rtpu: Home) -> None:
@@ -54,7 +54,7 @@ class Givers:
         self._givers: list[Giver] = []
 
     def took_over(self, task: Task, olds: Sequence[str]) -> None:
-        """Take note that a task gives the constants of others from now on."""
+        """Note that a task provides the constants of others from now on."""
         for giver in list(self._givers):
             same = giver.task.facts.subsystem == task.facts.subsystem
             if same and (giver.task is task or giver.task.name in olds):
@@ -63,13 +63,13 @@ class Givers:
             self._givers.append(Giver(task, list(olds), time.monotonic()))
 
     def heard(self, subsystem: str) -> None:
-        """Take note that the master of a subsystem goes on."""
+        """Note that the master of a subsystem continues."""
         for giver in self._givers:
             if giver.task.facts.subsystem == subsystem:
                 giver.heard = time.monotonic()
 
     def look(self) -> None:
-        """Raise the flag where nobody goes on, and withdraw it where that is over."""
+        """Raise the flag where no master continues, and withdraw it once one does."""
         for giver in list(self._givers):
             left = self._on(giver)
             if giver.task.gone.is_set() or not left:

@@ -1,8 +1,8 @@
-"""Keeps a machine's processors awake, for who pays power for early wake-ups.
+"""Keeps a machine's processors awake: more power for shorter wake-up latency.
 
-A processor with nothing to do sleeps, deeper the longer it may take to wake. The kernel
-lets a program say that it may take no time at all: as long as the program holds this
-file open, idle processors look for work instead (Linux, `pm_qos_interface`).
+An idle processor sleeps, more deeply the longer it may take to wake. A program can ask
+the kernel for no latency at all: as long as it holds this file open, idle processors
+poll for work instead (Linux, `pm_qos_interface`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 DEVICE = Path("/dev/cpu_dma_latency")
 _NO_TIME = bytes(4)
-"""Microseconds that waking may take, as the kernel has them."""
+"""Microseconds that waking may take, in the kernel's format."""
 
 
 class Awake:
@@ -21,7 +21,7 @@ class Awake:
     def __init__(self) -> None:
         self._fd = -1
         self.limits: list[str] = []
-        """Why they sleep all the same, for who is told what the node cannot do."""
+        """The reason why they sleep anyway, for the report of the node's limits."""
         try:
             self._fd = os.open(DEVICE, os.O_WRONLY | os.O_CLOEXEC)
             os.write(self._fd, _NO_TIME)

@@ -61,7 +61,7 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
 
     Raises:
         ConfigError: The RMOD is wrong.
-        PbonetError: What went wrong, in the task's own words where it had any.
+        PbonetError: What went wrong, in the task's own words where it reported any.
     """
     key = (request.subsystem, request.task)
     _check_free(rtpu, key)
@@ -82,7 +82,7 @@ async def spawn(rtpu: Rtpu, request: Spawn) -> Task:
 
 
 def with_effective(rmod: Rmod, seconds: float | None) -> Rmod:
-    """Return what a soft task is ranked by: E as measured where the RMOD has none."""
+    """Return a soft task's E for its rank: as measured where the RMOD has none."""
     if not rmod.softness or rmod.effc is not None:
         return rmod
     return structs.replace(rmod, effc=seconds)
@@ -105,7 +105,7 @@ def check_freq(rmod: Rmod, freq: float | None) -> float:
     """Return the frequency that a task of `rmod` gets, in Hz; 0 where it has none.
 
     Raises:
-        ParameterError: The frequency cannot be had.
+        ParameterError: The frequency is not possible.
     """
     wanted = rmod.freq if freq is None else freq
     if wanted is None:
@@ -155,7 +155,7 @@ class Limits(TypedDict, total=False):
 
 
 def limits(rmod: Rmod, freq: float) -> Limits:
-    """Return what the dispatcher watches of a task that runs at `freq` Hz.
+    """Return the limits the dispatcher watches for a task that runs at `freq` Hz.
 
     The reserve is a server's capacity, the E of a soft task, or MAXC. A device that
     times a task is expected at the task's frequency.

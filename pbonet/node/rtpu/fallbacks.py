@@ -1,12 +1,12 @@
 """Standbys: a task that is engaged when another one fails (a job's FALLBACK).
 
-The dispatcher does the engaging, alone and at once (``standby.h``). Here is only
-decided who stands by, which is arranged beforehand, and told what has happened, which
-is done afterwards. A pair is arranged while the original is ON and the standby OFF, and
-whenever the original is about to come on.
+The dispatcher engages it, alone and at once (``standby.h``). This file only arranges
+beforehand which task stands by, and reports afterwards what has happened. A pair is
+arranged while the original is ON and the standby OFF, and whenever the original is
+about to come on.
 
 Nothing flaps: an original that is cleared does not take its place back, a standby that
-fails too has nobody behind it, and after `LIMIT` times a pair is not arranged again.
+fails too has no further standby, and after `LIMIT` times a pair is not arranged again.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from .task_handle import Task
 
 LIMIT = 3
-"""So often a standby is engaged; then an operator is needed."""
+"""How often a standby is engaged before an operator is needed."""
 TIME = 2.0
-"""Seconds that a standby may take to get ready, and to be told so."""
+"""Seconds that a standby may take to get ready, and to receive the request for it."""
 
 
 class Pair(Struct):
@@ -47,13 +47,13 @@ class Pair(Struct):
     engaged: int = 0
     """How often the standby had to come on."""
     told: str = ""
-    """Why it cannot stand by, as was said last."""
+    """The last reported reason why it cannot stand by."""
     arranged: Task | None = None
     """The original that the standby waits for, or has waited for last."""
 
 
 class Home(Protocol):
-    """The part of the RTPU of all these tasks that is needed here."""
+    """The part of the RTPU that is needed here."""
 
     name: str
     core: rt.CoreTable
@@ -140,7 +140,7 @@ class Fallbacks:
     # -- standing by -------------------------------------------------------------------
 
     async def ready(self, original: Task, after: Sequence[str] = ()) -> None:
-        """Have those stand by for a task that is about to come on.
+        """Let the fallbacks stand by for a task that is about to come on.
 
         It may fail in its first cycle.
 
@@ -153,7 +153,7 @@ class Fallbacks:
                 original.facts.subsystem,
                 original.name,
             ):
-                with contextlib.suppress(PbonetError):  # told when the task is ON
+                with contextlib.suppress(PbonetError):  # reported when the task is ON
                     await self._arrange(pair, after, coming=True)
 
     def look(self, task: Task) -> None:
@@ -166,7 +166,7 @@ class Fallbacks:
                 self._later(pair)
 
     def look_again(self) -> None:
-        """Do so for every pair; what was in the way may have gone."""
+        """Update every pair, because what was in the way may be gone."""
         for pair in list(self._pairs.values()):
             self._later(pair)
 
@@ -186,7 +186,7 @@ class Fallbacks:
                 self._tell(Severity.WARNING, pair, f"cannot stand by: {error}")
 
     def _due(self, pair: Pair, *, coming: bool = False) -> bool:
-        """Tell whether the standby is to stand by now, and does not.
+        """Return whether the standby should stand by now, and does not.
 
         Args:
             pair: The two.
@@ -221,12 +221,12 @@ class Fallbacks:
         return standby, original
 
     def _succeeds(self, standby: Task) -> bool:
-        """Tell whether a list is about to turn a task on, here or elsewhere."""
+        """Return whether a list is about to turn a task on, here or elsewhere."""
         listed = self._rtpu.lists.get(standby.facts.subsystem, ())
         return (standby.name, "on") in listed or standby.waiting is not None
 
     def _unengaged(self, standby: Task) -> bool:
-        """Tell whether the dispatcher lets a task rest, that it has not told of yet."""
+        """Return whether the dispatcher suspends a task and has not reported it yet."""
         slot = self._rtpu.core.snapshot(standby.facts.slot)
         return slot.mode in {Mode.OFF, Mode.STANDS} and not slot.comes
 
@@ -257,7 +257,7 @@ class Fallbacks:
             pair.told = ""
 
     def _follow(self, pair: Pair, standby: Task, original: Task) -> None:
-        """Have the dispatcher engage a task that stands by when its original falls."""
+        """Let the dispatcher engage a task that stands by when its original fails."""
         standby.stands_by, pair.arranged = pair.original, original
         self._rtpu.core.follow(standby.facts.slot, [original.facts.slot])
 
@@ -269,10 +269,11 @@ class Fallbacks:
         *,
         last: bool,
     ) -> list[str]:
-        """Turn a task off that hands over, and have it stand by for its own original.
+        """Turn off a task that hands over, and let it stand by for its own original.
 
-        If that is its successor, it may fail in its first cycle, before anybody hears
-        that the task is off. So the task goes on from its `off` to standing by.
+        If that is its successor, the successor may fail in its first cycle, before the
+        end of this task's `off` is reported. So the task goes directly from its `off`
+        to standing by.
 
         Args:
             task: It is ON.
@@ -281,7 +282,7 @@ class Fallbacks:
             last: It comes after the task's next cycle.
 
         Returns:
-            Successors that the task has called, and that have died.
+            Successors that the task called and that have died.
 
         Raises:
             PbonetError: As `Task.command`.
@@ -300,7 +301,7 @@ class Fallbacks:
         return gone
 
     def _turn_back(self, task: Task) -> rtpu_messages.Prepare | None:
-        """Arrange that a task stands by for its original, which it hands over to.
+        """Arrange that a task stands by for its original, to which it hands over.
 
         Returns:
             What the task needs for that; None: it does not stand by.
@@ -318,27 +319,27 @@ class Fallbacks:
         return rtpu_messages.Prepare(0, [original.name], owners)
 
     async def _stay(self, task: Task) -> None:
-        """Have a task not stand by that could not be turned off, or not get ready."""
+        """Cancel the standby of a task that could not be turned off or made ready."""
         task.stands_by = ""
         if not task.gone.is_set():
             await rest(self._rtpu.core, task)
 
     async def withdraw(self, task: Task) -> None:
-        """Have a task stand by no longer, if it does: it gets a signal itself."""
+        """End the standby of a task, if any, because it gets a signal itself."""
         async with self._lock:
             if task.stands_by:
                 self.dismiss(task)
                 await task.command("rest", lambda n: rtpu_messages.Prepare(n, []), TIME)
 
     async def spare(self, task: Task) -> None:
-        """Have nobody engaged for a task that is going to be ended on purpose."""
+        """Engage no fallback for a task that will be ended on purpose."""
         for other in self._rtpu.of(task.facts.subsystem):
             if other.stands_by == task.name:
                 with contextlib.suppress(PbonetError):  # one that hangs in its `on`
                     await self.withdraw(other)
 
     def overtaken(self, task: Task) -> None:
-        """Have fallbacks that are within their `on` take nothing from who comes on.
+        """Keep fallbacks within their `on` from taking outputs of a task that comes on.
 
         Args:
             task: Is about to come on, and writes what they would.
@@ -355,12 +356,12 @@ class Fallbacks:
                 self._rtpu.core.follow(slot, [])
 
     def dismiss_all(self, subsystem: str) -> None:
-        """Have nobody engaged any more: the subsystem is being stopped."""
+        """Engage no task any more, because the subsystem is being stopped."""
         for task in self._rtpu.of(subsystem):
             self.dismiss(task)
 
     def dismiss(self, task: Task) -> None:
-        """Have a task not engaged any more, without a word to it: it is being ended."""
+        """Keep a task from being engaged, without a message: it is being ended."""
         if task.stands_by:
             self._rtpu.core.follow(task.facts.slot, [])
             task.stands_by = ""
@@ -368,7 +369,7 @@ class Fallbacks:
     # -- engaged -----------------------------------------------------------------------
 
     def engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
-        """Tell that the dispatcher has engaged a standby, and what came of it."""
+        """Report that the dispatcher engaged a standby, and the result."""
         pair = self._pairs.get((task.facts.subsystem, task.name))
         if pair is None or not task.stands_by:
             return

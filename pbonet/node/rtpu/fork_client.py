@@ -1,4 +1,4 @@
-"""The RTPU process's side of the fork server: asks for children, hears their ends."""
+"""The RTPU process's side of the fork server: requests children, learns their ends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 F_SETPIPE_SZ = 1031
 FORK_TIME = 10.0
 ORPHANED = 256
-"""Stands for the exit code of a child that outlived the fork server: nobody tells."""
+"""Exit code of a child that outlived the fork server: the real one is unknown."""
 ROUSE_PERIOD = 0.1
 """Seconds between signals to a child that may wait; without `off` it ends in one."""
 START_TIME = 20.0
@@ -57,7 +57,7 @@ class Child:
         self.exited: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def crash_text(self) -> str:
-        """Return what the child left about its end: a traceback, or nothing."""
+        """Return what the child wrote about its end: a traceback, or nothing."""
         return _read_all(self._crash).decode(errors="replace").strip()
 
     def result(self) -> bytes:
@@ -77,7 +77,7 @@ class Child:
             asyncio.get_running_loop().call_later(ROUSE_PERIOD, self.rouse, which)
 
     def watch(self) -> None:
-        """Resolve `exited` at its end: its parent is gone, nobody tells its code."""
+        """Resolve `exited` at its end: its parent is gone, so its code is unknown."""
         if self._pidfd < 0:
             self._orphan_ended()
             return
@@ -120,7 +120,7 @@ class Server(NamedTuple):
 
 
 class Spawner:
-    """Holds the fork server, starts another when it ends; forks children through it.
+    """Owns the fork server, replaces it when it ends, and forks children through it.
 
     Args:
         core: The RTPU's core.
@@ -181,7 +181,7 @@ class Spawner:
         """Fork a child of `kind` that finds `spec` in its memory file.
 
         Raises:
-            NodeError: The system gives no process, or there is no fork server.
+            NodeError: The system cannot create a process, or there is no fork server.
         """
         async with self._lock:
             if self._server is None:
@@ -308,7 +308,7 @@ class Spawner:
 
 
 def _by_exec(core: int) -> Server:
-    """Start a fork server in a fresh interpreter, for this process has threads now."""
+    """Start a fork server in a fresh interpreter: this process has threads now."""
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     arguments = [str(far.fileno()), str(os.getpid()), str(core)]
     far.set_inheritable(True)

@@ -55,7 +55,7 @@ def plan(
 
     Args:
         rtpu: Where the tasks are.
-        subsystem: Whose they are.
+        subsystem: The subsystem of the tasks.
         items: What is left of a list.
         calls: For tasks that leave, the successors that stand by already.
     """
@@ -86,7 +86,7 @@ def plan(
 
 
 def _is_exchanged(task: Task, signal: str) -> bool:
-    """Tell whether an item may be part of an exchange."""
+    """Return whether an item may be part of an exchange."""
     wanted = {"off": State.ON, "on": State.OFF}.get(signal)
     return (
         task.state is wanted
@@ -112,9 +112,9 @@ class Exchange:
 
     Args:
         rtpu: Where all tasks are.
-        subsystem: Whose they are.
-        after: The tasks in their order, and of each that comes on its predecessors; see
-            `plan`.
+        subsystem: The subsystem of the tasks.
+        after: The tasks in their order, with the predecessors of each that comes on;
+            see `plan`.
         limit: Seconds that it may take.
         calls: For tasks that leave, the successors that stand by already.
         slowest: Seconds in which tasks of other RTPUs leave for the same successors.
@@ -163,7 +163,7 @@ class Exchange:
         return max(self._deadline - time.monotonic(), 0.01)
 
     async def run(self, slow: Callable[[], None]) -> None:
-        """Carry it out; what went wrong is in `failed`.
+        """Carry it out; `failed` then holds what went wrong.
 
         Args:
             slow: Called when it takes longer than a cycle of the slowest task that
@@ -190,7 +190,7 @@ class Exchange:
                 await self._rtpu.successors.give_up(task)
 
     def _watched(self, slow: Callable[[], None]) -> asyncio.TimerHandle:
-        """Have `slow` called unless all new tasks are armed by then."""
+        """Call `slow` unless all new tasks are armed by then."""
         core, tasks = self._rtpu.core, (*self._news, *self._olds)
 
         def look() -> None:
@@ -215,7 +215,7 @@ class Exchange:
                 raise error
 
     async def _prepare(self, task: Task) -> None:
-        """Have a task stand by; its predecessors call it."""
+        """Let a task stand by; its predecessors call it."""
         self._rtpu.fallbacks.overtaken(task)
         olds = self._after[task.name]
         calls = await self._rtpu.successors.stand_by(task, olds, self._left)
@@ -223,7 +223,7 @@ class Exchange:
             self._calls[old].append(call)
 
     async def _learn(self, task: Task) -> None:
-        """Have a task find the successors on other cores that it calls itself."""
+        """Let a task find the successors on other cores that it calls itself."""
         near, here = self._near(task), self._rtpu.core.core
         if any(call.core != here for call in near):
             await task.command(
@@ -278,11 +278,11 @@ class Exchange:
         return [call for call in self._calls[task.name] if not call.far]
 
     def _is_far(self, task: Task) -> bool:
-        """Tell whether the agent calls a successor, which is on another machine."""
+        """Return whether the agent calls a successor, which is on another machine."""
         return any(call.far for call in self._calls[task.name])
 
     def _call_far(self) -> None:
-        """Have the agent call on other machines; here all is done for them."""
+        """Let the agent call successors on other machines; all is done here."""
         calls: list[Call] = []
         for task in self._olds:
             if task.name in self._ended:
@@ -311,11 +311,11 @@ class Exchange:
         return self._rtpu.flags.written(subsystem, outputs, but=task.name)
 
     def _has_come(self, new: Task) -> bool:
-        """Tell whether a task has come on; in a cycle since it may have failed."""
+        """Return whether a task has come on; it may have failed in a cycle since."""
         return new.name in self._came or new.state is State.ON
 
     def _has_rest(self, task: Task) -> bool:
-        """Tell whether a task owns what nobody has taken over."""
+        """Return whether a task owns variables that were not taken over."""
         return (
             task.state is State.OFF
             and not self._is_far(task)
@@ -323,10 +323,10 @@ class Exchange:
         )
 
     def _abandon(self) -> None:
-        """Raise the flag for what nobody has taken over, and will not any more.
+        """Raise the flag for variables that no successor will take over any more.
 
-        It goes up before the variables are given up, and before it is known what has
-        become of successors that do not answer.
+        It goes up before the variables are given up, and before the state of successors
+        that do not answer is known.
         """
         for task in self._olds:
             if task.state is not State.OFF:
@@ -346,24 +346,24 @@ class Exchange:
 
     @property
     def hanging(self) -> list[Task]:
-        """Tasks whose `off` nobody waits for any more; see `late`."""
+        """Tasks for whose `off` the exchange no longer waits; see `late`."""
         return [one for one in self._olds if one.busy and not one.gone.is_set()]
 
     async def late(self, task: Task) -> bool:
         """Wait for an `off` that hangs; return whether it ended in order after all.
 
-        Nobody stands by any more, so the task gives up what it was to hand over.
+        No successor stands by any more, so the task gives up what it was to hand over.
         """
         await task.idle()
         if task.state is not State.OFF:
             return False
-        if not task.stands_by:  # it may have got ready after its `off`
+        if not task.stands_by:  # it may have become ready after `off`
             await rest(self._rtpu.core, task)
         await self._disown(task)
         return True
 
     def events(self) -> list[tuple[Task, lifecycle.Event, PbonetError | None]]:
-        """Return what there is to be told of every task, in the order of the items."""
+        """Return the report on every task, in the order of the items."""
         tasks = {task.name: task for task in (*self._news, *self._olds)}
         return [
             (tasks[name], lifecycle.Event(signal), self.failed.get(name))

@@ -1,9 +1,9 @@
 """An RTPU's entries in the illegal-configuration flag (Stewart 1994, section 3.10).
 
 An entry is raised by an event: a task that others may depend on is in ERROR or dead, a
-reconfiguration takes longer than a cycle, or its other part has not come. Whether it
-still stands follows from the table: it goes as soon as living tasks own all variables
-that were missing, whichever RTPU they are on. Entries without such variables stand
+reconfiguration takes longer than a cycle, or its other part has not come. Whether it is
+still valid follows from the table: it goes as soon as living tasks own all variables
+that were missing, whichever RTPU they are on. Entries without such variables remain
 until they are withdrawn.
 """
 
@@ -38,15 +38,15 @@ class _Entry(Struct):
     raiser: str
     cause: str
     missing: Collection[str] | None = None
-    """Variables that nobody writes; None: the entry stands until it is withdrawn."""
+    """Variables that no task writes; None: the entry remains until it is withdrawn."""
     but: str = ""
     """A task that does not count as a writer of them."""
     by: Mapping[str, str] = {}
     """The task that has handed each variable over; only of a list."""
     pending: bool = False
-    """It is not raised yet: tasks on another RTPU may take over still."""
+    """It is not raised yet: tasks on another RTPU may still take over."""
     generation: int = -1
-    """That of the table when the entry was evaluated last."""
+    """The table's state when the entry was evaluated last."""
 
 
 class Flags:
@@ -79,10 +79,10 @@ class Flags:
         """Raise an entry.
 
         Args:
-            subsystem: Whose flag.
-            name: Who it is about: a task, or what the RTPU does.
+            subsystem: The flag's subsystem.
+            name: The subject: a task, or what the RTPU does.
             cause: Why.
-            outputs: Variables that nobody writes now; the entry goes when all of them
+            outputs: Variables that no task writes now; the entry goes when all of them
                 are written again.
         """
         opened = self._tables.sound(subsystem)
@@ -105,10 +105,10 @@ class Flags:
                 self.report()
 
     def narrow(self, subsystem: str, name: str, outputs: Collection[str]) -> None:
-        """Have an entry go when those of its outputs are written that are among these.
+        """Let an entry go once those of its outputs that are in `outputs` are written.
 
         Args:
-            subsystem: Whose flag.
+            subsystem: The flag's subsystem.
             name: The task that the entry is about; harmless when there is none.
             outputs: What the task's fallback writes, which has taken its place.
         """
@@ -117,14 +117,14 @@ class Flags:
             entry.missing = [output for output in entry.missing if output in outputs]
 
     def master_found(self, subsystem: str, cause: str, unfed: Collection[str]) -> None:
-        """Raise an entry for a master, whose knowledge of the tasks may be old.
+        """Raise an entry for a master, whose knowledge of the tasks may be outdated.
 
         Args:
-            subsystem: Whose flag.
+            subsystem: The flag's subsystem.
             cause: Why.
-            unfed: Variables that nobody writes, as the master knows. The entry goes
-                when all of them are written, and is not raised if they are: a fallback
-                asks no master. None: the master withdraws it itself.
+            unfed: Variables that no task writes, as far as the master knows. The entry
+                goes when all of them are written, and is not raised if they are: a
+                fallback asks no master. None: the master withdraws it itself.
 
         Raises:
             SvarMissingError: The table is not open.
@@ -156,7 +156,7 @@ class Flags:
     def written(
         self, subsystem: str, outputs: Collection[str], *, but: str = ""
     ) -> bool:
-        """Tell whether living tasks other than `but` own all of these variables."""
+        """Return whether living tasks other than `but` own all of these variables."""
         opened = self._tables.sound(subsystem)
         if opened is None:
             return False
@@ -168,7 +168,7 @@ class Flags:
         )
 
     def ceded(self, subsystem: str, outputs: Collection[str]) -> None:
-        """Take note that the owners of variables have ended, and nobody takes over."""
+        """Note that the owners of variables have ended without successors."""
         opened = self._tables.sound(subsystem)
         if opened is not None:
             owned = [opened.table.info(output) for output in outputs]
@@ -181,7 +181,7 @@ class Flags:
         """Raise an entry unless others have taken variables over by then.
 
         Args:
-            subsystem: Whose variables.
+            subsystem: The subsystem of the variables.
             outputs: Their names, and which task each was handed over by.
             done: What of the list is done.
             within: Seconds.
@@ -211,7 +211,7 @@ class Flags:
         """Raise an entry: a task is off, and its successor will not come.
 
         Args:
-            subsystem: Whose variables.
+            subsystem: The subsystem of the variables.
             by: The task that has handed them over; it may own them still.
             outputs: Their names.
         """
@@ -219,7 +219,7 @@ class Flags:
         self.expect(subsystem, dict.fromkeys(outputs, by), f"off {by}", 0.0)
 
     def _due(self, subsystem: str, entry: _Entry) -> None:
-        """Raise an entry for variables that nobody writes and no other entry names."""
+        """Raise an entry for variables that no task writes and no other entry names."""
         if not any(one is entry for one in self._unfinished(subsystem)):
             return
         known = {
@@ -238,10 +238,10 @@ class Flags:
         self.evaluate()
 
     def decided(self, subsystem: str, handover: Collection[str] = ()) -> None:
-        """Withdraw what was raised for earlier lists: what comes was decided anew.
+        """Withdraw what was raised for earlier lists, because a new list was decided.
 
         Args:
-            subsystem: Whose variables.
+            subsystem: The subsystem of the variables.
             handover: Tasks that hand over in the list that was decided on. What one of
                 them has handed over in an earlier part of it still counts.
         """
@@ -323,7 +323,7 @@ class Flags:
             entry.generation = opened.table.generation
             if entry.pending:
                 continue
-            with contextlib.suppress(SvarError):  # no room: other causes hold it up
+            with contextlib.suppress(SvarError):  # no room: other causes hold the flag
                 if entry.missing is None or not self.written(
                     subsystem, entry.missing, but=entry.but
                 ):

@@ -1,4 +1,4 @@
-"""Asks an inspector what modules the libraries hold."""
+"""Asks an inspector which modules the libraries hold."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PATIENCE = 8.0
 
 
 class Inspecting:
-    """Inspects for whoever asks, one after the other.
+    """Serves inspection requests, one after the other.
 
-    An inspector runs the code of all modules, so many at once would hold up all else
-    on the machine. Those that ask the same before it begins get the same answer.
+    An inspector runs the code of all modules, so many at once would hold up everything
+    else on the machine. Equal requests that come before it begins get the same answer.
 
     Args:
-        rtpu: Whose libraries.
+        rtpu: The RTPU that has the libraries.
     """
 
     def __init__(self, rtpu: Rtpu) -> None:

@@ -1,4 +1,4 @@
-"""Puts what the agent has heard into queues of the RTPU; see `key_subscriptions`."""
+"""Puts what the agent receives into queues of the RTPU; see `key_subscriptions`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Inlets:
     """Queues that the network fills; the newest messages stay.
 
     Args:
-        events: Where to tell what cannot be put in.
+        events: Takes reports of what cannot be put in.
     """
 
     def __init__(self, events: EventLog) -> None:
@@ -24,7 +24,7 @@ class Inlets:
         self._told: set[str] = set()
 
     def put(self, message: rtpu_messages.Arrived) -> None:
-        """Put a message into its queue; one that a module destroyed is made anew."""
+        """Put a message into its queue; one that a module destroyed is made again."""
         try:
             try:
                 self._send(message)

@@ -1,9 +1,9 @@
-"""Rings of tasks that are gone, which no recorder has begun to empty yet.
+"""Rings of tasks that have ended, which no recorder has begun to empty yet.
 
-A recorder that is being started takes some tenths of a second to come. A task that
-ends before leaves its ring under a name of its own, so that one of its name may be
-spawned; whoever empties it removes it. What nobody comes for the agent removes when it
-ends, else the next RTPU process of that name.
+A recorder that is being started takes some tenths of a second to come. The ring of a
+task that ends before that gets a unique name, so that another task of the same name may
+be spawned; the recorder that empties it removes it. A ring that no recorder empties is
+removed by the agent when it ends, otherwise by the next RTPU process of that name.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOST: Final = 16
 """Rings of an RTPU that wait for a recorder, of 1 MiB each; more are not left."""
 _ENDING: Final = ".ring"
 _LEFT: Final = "~"
-"""Stands in no name of a domain, subsystem, task or RTPU."""
+"""Occurs in no name of a domain, subsystem, task or RTPU."""
 
 
 def let_ring_go(task: Task, recording: Recording | None) -> None:
@@ -72,12 +72,12 @@ def _leave(path: Path, recording: Recording, pid: int) -> bool:
 
 
 def is_left(name: str) -> bool:
-    """Tell whether a ring of this name waits for a recorder, its task being gone."""
+    """Return whether a ring of this name waits for a recorder, its task being gone."""
     return _LEFT in name
 
 
 def sweep(domain: str, rtpu: str) -> None:
-    """Remove all that an RTPU has left, and nobody has come for."""
+    """Remove all rings that an RTPU left and no recorder took."""
     for path in _left(domain, rtpu):
         with contextlib.suppress(OSError):
             path.unlink()

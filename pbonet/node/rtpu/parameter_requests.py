@@ -34,7 +34,7 @@ async def set_(rtpu: Rtpu, task: Task, name: str, value: str) -> list[ParamValue
     """Change a parameter and return it as it is now.
 
     Raises:
-        PbonetError: What the task answered; the old value stands.
+        PbonetError: What the task answered; the old value remains.
     """
     done = await task.command(
         "set", lambda n: rtpu_messages.SetParam(n, name, value), TIMEOUT
@@ -53,7 +53,7 @@ async def set_freq(rtpu: Rtpu, task: Task, hz: float) -> None:
     """Change a task's frequency, from its next release on.
 
     Raises:
-        ParameterError: It cannot be had.
+        ParameterError: It is not possible.
         PbonetError: What the task answered.
     """
     wanted = create_task.check_freq(task.facts.rmod, hz)

@@ -1,8 +1,8 @@
 """Which criticality and priority each task of an RTPU has (Stewart 1994, 6.2.3, 4.5.1).
 
 The rule is the one by which a configuration is verified, `legality.criticalities`;
-here it is applied to what runs. All tasks of the RTPU count, of whichever subsystem,
-because they share its core, and so no master could do it.
+here it is applied to what runs. All tasks of the RTPU count, whatever their subsystem,
+because they share its core; so no single master could do this.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ class Ranked(Struct, frozen=True):
 
 
 def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
-    """Return what every task is ranked by.
+    """Return the rank of every task.
 
     The tasks that are ON share the core among themselves. One that is OFF takes nothing
     from them, and is ranked as if all were ON.
 
     Args:
-        rtpu: Says which scheduler it has, and its range of frequencies.
+        rtpu: Gives its scheduler and its range of frequencies.
         wishes: Every task of the RTPU.
     """
     wishes = list(wishes)
@@ -78,9 +78,9 @@ def rank(rtpu: RtpuEntry, wishes: Iterable[Wish]) -> dict[str, Ranked]:
 
 
 def _task(wish: Wish, rtpu: str) -> Task:
-    """Return a task as the rule takes it, with the criticality that somebody fixed.
+    """Return a task in the form of the rule, with the criticality set for it, if any.
 
-    The master's word goes before the RMOD's.
+    The master's value goes before the RMOD's.
     """
     told = wish.told[0] if wish.told is not None else wish.spawn_crit
     rmod = wish.rmod if told is None else structs.replace(wish.rmod, crit=told)

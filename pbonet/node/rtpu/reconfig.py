@@ -86,7 +86,7 @@ class _List:
         return self._result
 
     async def _next(self, items: Sequence[Item]) -> tuple[list[Item], int]:
-        """Carry out what comes next; return what of it was not done, and its length."""
+        """Carry out the next step; return its undone items, and its length."""
         request = self._request
         after = plan(self._rtpu, request.subsystem, items, request.calls)
         if after:
@@ -107,7 +107,7 @@ class _List:
             if name in request.handover and (request.subsystem, name) in rtpu.tasks
             for output in request.handover[name]
         }
-        if outputs:  # behind a failure the master sends nothing more
+        if outputs:  # after a failure the master sends nothing more
             within = 0.0 if self._result.error else TRIP
             what = f"off {' '.join(gone)}"
             rtpu.flags.expect(request.subsystem, outputs, what, within)
@@ -184,13 +184,13 @@ class _List:
         return undone
 
     async def _late(self, made: Exchange, task: Task) -> None:
-        """Take note of an `off` that ends when nobody waits for it any more."""
-        with contextlib.suppress(PbonetError):  # it has died: that is told elsewhere
+        """Note an `off` that ends when it is no longer waited for."""
+        with contextlib.suppress(PbonetError):  # it died: reported elsewhere
             if await made.late(task):
                 note(self._rtpu, task, lifecycle.Event.OFF)
 
     def _has_successor(self, task: Task, rest: Sequence[Item]) -> bool:
-        """Tell whether a task that is turned on later in the list takes an output."""
+        """Return whether a task that is turned on later in the list takes an output."""
         mine = set(task.facts.outputs)
         for name, signal in rest:
             other = self._rtpu.tasks.get((task.facts.subsystem, name))
@@ -206,7 +206,7 @@ class _Slow:
 
     Args:
         rtpu: Where it is carried out.
-        subsystem: Whose flag.
+        subsystem: The flag's subsystem.
     """
 
     def __init__(self, rtpu: Rtpu, subsystem: str) -> None:

@@ -1,7 +1,7 @@
 """An RTPU's part of the request ``record``.
 
-The RTPU process only keeps what was asked for, so that it outlives an agent; the agent
-has it carried out by a recorder.
+The RTPU process only keeps the request, so that it outlives an agent; the agent lets a
+recorder carry it out.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def begin(rtpu: Rtpu, request: Record) -> Recorded:
 
 
 def end(rtpu: Rtpu, subsystem: str) -> None:
-    """Have the recording of a subsystem finished."""
+    """Let the recording of a subsystem be finished."""
     if rtpu.recordings.pop(subsystem, None) is not None:
         rtpu.tell_claims()
 

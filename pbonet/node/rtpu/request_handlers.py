@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 KEPT_ANSWERS = 1000
 LONGEST = 3600.0
-"""Seconds that anybody may ask to wait."""
+"""Longest wait that a request may ask for, in seconds."""
 LARGEST_LIST = 900_000
-"""Bytes of events in one answer; the asker goes on from the last number it got."""
+"""Bytes of events in one answer; the client continues from the last number it got."""
 _LOOKING = m.Hello | m.Modules | m.Events
 _UNCLAIMED = _LOOKING | m.Claim | m.Stop
 _READING = _LOOKING | m.Get
@@ -324,7 +324,7 @@ class Operations:
 
     async def _rank(self, request: m.Rank) -> Result:
         whose, tombs = request.subsystem, self._rtpu.tombs
-        # One that has died since the master looked is no fault of the others.
+        # One that died since the master read the list is no fault of the others.
         ranks = {n: r for n, r in request.tasks.items() if (whose, n) not in tombs}
         for name in ranks:
             self._rtpu.need(whose, name)
@@ -359,7 +359,7 @@ class Operations:
 
 
 def _check_timeout(timeout: float) -> None:
-    """Refuse a time limit that is none.
+    """Refuse an invalid time limit.
 
     Raises:
         ProtocolError: It is negative, too long, or no number.

@@ -44,7 +44,7 @@ class AgentLink:
     """The listening socket, and the one agent that may be connected to it.
 
     Args:
-        rtpu: What the agent's requests are about.
+        rtpu: The RTPU that the agent's requests are about.
         end: Called with a reason when the process must end.
     """
 
@@ -77,7 +77,7 @@ class AgentLink:
     async def listen(self, places: run_folder.Places) -> None:
         """Listen on the runtime folder's socket, and wait for an agent at most grace.
 
-        A file that stands there was left by a dead process: its lock is ours.
+        A file that exists there was left by a dead process: its lock is ours.
         """
         places.remove(places.ctl)
         self._server = await asyncio.start_unix_server(self._serve, places.ctl)
@@ -85,7 +85,7 @@ class AgentLink:
         self._start_grace()
 
     async def close(self, reason: str) -> None:
-        """Tell the agent that the process ends, and close."""
+        """Notify the agent that the process ends, and close."""
         self._inlets.close()
         if self._server is not None:
             self._server.close()
@@ -191,13 +191,13 @@ class AgentLink:
         self._soon()
 
     def _soon(self) -> None:
-        """Send behind what the loop does now, so that nothing half done is told."""
+        """Send after what the loop does now, so that nothing half done is reported."""
         if not self._due:
             self._due = True
             asyncio.get_running_loop().call_soon(self._flush)
 
     def _flush(self) -> None:
-        """Send what has changed, then what may make others ask for it."""
+        """Send what has changed, then what may cause questions about it."""
         self._due = False
         out, self._outbox = self._outbox, []
         if self._writer is not None and not self._writer.is_closing():
@@ -208,10 +208,10 @@ class AgentLink:
 
 
 async def run(config: rtpu_messages.RtpuConfig, forks: Server) -> int:
-    """Be the RTPU process until there is a reason to end.
+    """Run as the RTPU process until there is a reason to end.
 
     Args:
-        config: What the agent told.
+        config: The settings from the agent.
         forks: The fork server that was forked off before.
     """
     loop = asyncio.get_running_loop()
@@ -277,7 +277,7 @@ def main(argv: list[str]) -> int:
     config = msgspec.json.decode(argv[0], type=rtpu_messages.RtpuConfig)
     try:
         forks = Server(*fork_server.beside(config.core, close=config.ready_fd))
-        faulthandler.enable(all_threads=False)  # others run on meanwhile
+        faulthandler.enable(all_threads=False)  # others keep running
         survive_cuts()
         process_setup.set_title("pbonet-rtpu")
         return asyncio.run(run(config, forks))

@@ -1,8 +1,9 @@
 """An RTPU process's knowledge of its tasks that is not in shared memory.
 
-It tells its agent whenever that changes, ahead of the answer or event by which anybody
-else could hear of it. So the agent knows how everything stands without asking, and
-whoever asks for status wakes nobody on the RTPU's side (see `shared_memory_status`).
+It notifies its agent whenever that changes, before the answer or event by which any
+other process could learn of it. So the agent knows the state of everything without
+asking, and a request for status wakes no process of the RTPU (see
+`shared_memory_status`).
 """
 
 from __future__ import annotations
@@ -81,10 +82,10 @@ class Known(Struct, tag="known", kw_only=True):
 
 
 class Teller:
-    """Says what has changed since the last time.
+    """Reports what has changed since the last time.
 
     Args:
-        rtpu: Whose.
+        rtpu: The RTPU whose state it is.
     """
 
     def __init__(self, rtpu: Home) -> None:
@@ -93,7 +94,7 @@ class Teller:
         self._told: dict[str, bytes] = {}
 
     def forget(self) -> None:
-        """Begin again, for an agent that knows nothing."""
+        """Start again, for an agent that knows nothing."""
         self._told.clear()
 
     def news(self) -> bytes:
@@ -157,9 +158,9 @@ def no_task(
     """Return the error for a task that is not there.
 
     Args:
-        rtpu: Where it was looked for.
-        subsystem: Whose it should be.
-        name: Its own.
+        rtpu: Where it was searched for.
+        subsystem: The subsystem that should have it.
+        name: The task's name.
         known: The subsystem's tasks.
         tomb: Its last status, if it has died.
     """

@@ -49,17 +49,17 @@ if TYPE_CHECKING:
 Key = tuple[str, str]
 """Subsystem and task."""
 WATCH_PERIOD = 0.5
-"""Seconds between looks at what nobody reports: files that vanish, the dispatcher."""
+"""Seconds between checks of what is not reported: lost files, the dispatcher."""
 GLANCE = 0.005
-"""Seconds between looks for a writer, while the flag is up for want of one."""
+"""Seconds between checks for a writer, while the flag is up for lack of one."""
 
 
 class Rtpu:
     """The state of one RTPU process.
 
     Args:
-        config: What its agent told it at its start.
-        events: Where to tell what happens.
+        config: The settings from its agent at its start.
+        events: Takes reports of what happens.
         places: Its files in the runtime folder.
         forks: The fork server that its process began with; in virtual time None.
     """
@@ -110,9 +110,9 @@ class Rtpu:
         self._awake: cpu_idle_states.Awake | None = None
         self.claims_changed: Callable[[], None] | None = None
         self.call_far: Callable[[str, list[Call]], None] | None = None
-        """Has successors on other machines called."""
+        """Lets successors on other machines be called."""
         self.changed: Callable[[], None] | None = None
-        """Called when something may have changed that `rtpu_snapshot` tells."""
+        """Called when something that `rtpu_snapshot` reports may have changed."""
 
     def _open_tables(self) -> Tables:
         return Tables(self.config.domain, changed=self.tell_claims)
@@ -128,7 +128,7 @@ class Rtpu:
         """Take the core, start dispatching, start the fork server.
 
         Raises:
-            PbonetError: One of these cannot be had.
+            PbonetError: One of these is not possible.
         """
         probe = rt.probe()
         self.limits = list(probe.reasons)
@@ -176,7 +176,7 @@ class Rtpu:
                 held.close()
 
     def info(self) -> rtpu_messages.RtpuInfo:
-        """Return who this process is."""
+        """Return the identity of this process."""
         return rtpu_messages.RtpuInfo(
             pid=os.getpid(),
             core=self.config.core,
@@ -246,7 +246,7 @@ class Rtpu:
         raise known.no_task(self.name, subsystem, name, names, tomb)
 
     def rank(self, *joining: Task) -> None:
-        """Rank all tasks anew and tell the dispatcher what has changed.
+        """Rank all tasks again and pass what has changed to the dispatcher.
 
         Args:
             joining: Tasks that are about to be turned on; they count already. One that
@@ -266,7 +266,7 @@ class Rtpu:
                 )
 
     def _entry(self) -> RtpuEntry:
-        """Return what those who use the RTPU say of it, taken together."""
+        """Return the combined descriptions of the RTPU by its users."""
         entries = [self.claims.get(subsystem) for subsystem in self.busy()]
         known = [entry for entry in entries if entry is not None]
         if not known:
@@ -304,7 +304,7 @@ class Rtpu:
         return slot.cycles - slot.on_cycles
 
     def watch_life(self, task: Task) -> None:
-        """Have the task's death, or its going to ERROR, known at once."""
+        """Report the task's death, or its change to ERROR, at once."""
         opened = self.tables.get(task.facts.subsystem)
         depended_on = opened is not None and task.facts.outputs
         self.vigil.watch(
@@ -318,12 +318,12 @@ class Rtpu:
     # -- what happens unasked ----------------------------------------------------------
 
     def heard(self) -> None:
-        """Take note that a task has sent something, or has ended."""
+        """Note that a task has sent something, or has ended."""
         if self.changed is not None:
             self.changed()
 
     def told_by(self, task: Task, notice: rtpu_messages.Notice) -> None:
-        """Take what a task reports: an event, and perhaps an error or a warning."""
+        """Process a task's report: an event, and perhaps an error or a warning."""
         severity = Severity(notice.severity)
         for code, count in notice.lost.items():
             where = task.facts.subsystem
@@ -366,7 +366,7 @@ class Rtpu:
         self.flags.report()
 
     def _engaged(self, task: Task, notice: rtpu_messages.Notice) -> None:
-        """Take note that the dispatcher has brought a task ON."""
+        """Note that the dispatcher has turned a task ON."""
         if task.state is State.ON:
             self.turned_on += 1
             task.on_rank = self.turned_on
@@ -410,7 +410,7 @@ class Rtpu:
         self.signals.end(self.core, task)
         self.vigil.forget(task.facts.slot)
         self.core.died(task.facts.slot)
-        # Behind the mark: who calls from here on is told that nobody comes.
+        # After the mark: from here on callers learn that no successor comes.
         slot = self.core.snapshot(task.facts.slot)
         self.core.free(task.facts.slot)
         for kept in (self.tasks, self.told, self.spawned):
@@ -493,7 +493,7 @@ class Rtpu:
     async def _pause(self) -> None:
         """Wait for the watch's next round; meanwhile lower the flag promptly.
 
-        The task that writes what was missing may be another RTPU's.
+        The task that writes what was missing may be on another RTPU.
         """
         loop = asyncio.get_running_loop()
         end = loop.time() + WATCH_PERIOD
@@ -504,7 +504,7 @@ class Rtpu:
                 self.flags.glance()
 
     async def _watch_quietly(self) -> None:
-        """Look after what nobody reports."""
+        """Check what is not reported."""
         led = True
         while True:
             await self._pause()

@@ -66,7 +66,7 @@ async def control(
 
     Raises:
         StateError: It is not valid in the task's state; nothing was sent.
-        PbonetError: What the task answered, or why it did not.
+        PbonetError: What the task answered, or why it did not answer.
     """
     event = event_of(signal, task.name)
     if event is lifecycle.Event.KILL:
@@ -146,7 +146,7 @@ def note(
     *,
     ranked: bool = False,
 ) -> None:
-    """Take note of what a signal has led to; `ranked`: ranking is the caller's work."""
+    """Note what a signal has led to; `ranked`: ranking is the caller's work."""
     if event is lifecycle.Event.ON and task.state is State.ON:
         rtpu.turned_on += 1
         task.on_rank = rtpu.turned_on
@@ -172,8 +172,8 @@ async def stop(
     """Turn tasks OFF in order, kill them, and say which had to be forced.
 
     Args:
-        rtpu: Whose tasks.
-        subsystems: Whose tasks.
+        rtpu: The RTPU of the tasks.
+        subsystems: The subsystems of the tasks.
         limit: Seconds in all; a task that hangs costs the others little of it.
         order: Tasks to turn off first; the others follow, last turned on first.
     """
@@ -221,13 +221,13 @@ async def _all_off(rtpu: Rtpu, tasks: Sequence[Task], deadline: float) -> list[s
             await control(rtpu, task, "off", max(share, LEAST))
             obeyed.append(task.name)
         except PbonetError:
-            if task.busy:  # else it stands in ERROR, or has ended
+            if task.busy:  # else it is in ERROR, or has ended
                 _calm(task)
     return obeyed
 
 
 def _calm(task: Task) -> None:
-    """Take its real-time level from a task that hangs, so that others can obey."""
+    """Remove the real-time level of a task that hangs, so that others can obey."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(task.child.pid, os.SCHED_OTHER, os.sched_param(0))
 

@@ -42,7 +42,7 @@ def task_status(
     Args:
         rtpu: The RTPU's name.
         task: What the RTPU process knows of it.
-        slot: What stands in the core table.
+        slot: The task's slot in the core table.
         signals: How often it has sent each signal.
     """
     cycles = slot.cycles - slot.on_cycles
@@ -165,14 +165,14 @@ def rtpu_status(
     Args:
         rtpu: Its name.
         scheduler: The algorithm in use.
-        core: What stands in the core table about the dispatcher.
-        cpu_ns: Looks up the dispatcher's CPU time, which is told if there are tasks.
+        core: The dispatcher's entries in the core table.
+        cpu_ns: Reads the dispatcher's CPU time, which is reported if there are tasks.
         tasks: The tasks asked for.
         spent_ns: CPU time of all its tasks since the dispatcher began.
         illegal: Causes for which the illegal-configuration flag is up.
         events: How often each event came, by task and code.
-        tbufs: Links between subsystems that stand on the machine.
-        recorder: How the subsystem's recorder fares.
+        tbufs: Links between subsystems that exist on the machine.
+        recorder: The state of the subsystem's recorder.
     """
     now = max((task.now for task in tasks), default=0)
     since = now - core.since_ns if now and core.since_ns else 0

@@ -1,4 +1,4 @@
-"""Successors: tasks that stand by until all who hand over to them have called.
+"""Successors: tasks that stand by until all their predecessors have called.
 
 A task that takes over stands by with a ticket in its slot (``call.h``). Each of its
 predecessors calls when its `off` has ended, and the dispatcher engages the successor in
@@ -7,8 +7,8 @@ whether they are on one core, on two cores of a machine, or on two machines: the
 agent calls with the news of the table, and the ``on`` of the master does
 so at the latest.
 
-A ticket, which no other wait has had, tells whose call it is. A caller that does not
-find it in the slot comes too late.
+A ticket, which is unique to one wait, identifies the call. A caller that does not find
+it in the slot is too late.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Home(Protocol):
         ...
 
     def rank(self, *joining: Task) -> None:
-        """Rank all tasks anew; those that join count already."""
+        """Rank all tasks again; those that join count already."""
         ...
 
     def later(self, chore: Coroutine[None, None, None], name: str) -> None:
@@ -67,7 +67,7 @@ class Successors:
     """The successors of one RTPU.
 
     Args:
-        rtpu: Where they are.
+        rtpu: The RTPU they are on.
     """
 
     def __init__(self, rtpu: Home) -> None:
@@ -81,10 +81,10 @@ class Successors:
         *,
         far: Collection[str] = (),
     ) -> dict[str, list[Call]]:
-        """Have tasks stand by for others; an empty list ends that.
+        """Let tasks stand by for others; an empty list ends that.
 
         Args:
-            subsystem: Whose tasks.
+            subsystem: The subsystem of the tasks.
             after: The successors, and of each its predecessors, on any RTPU.
             limit: Seconds after which they stand by no longer.
             far: Those of the predecessors that are on other machines.
@@ -114,7 +114,7 @@ class Successors:
     async def stand_by(
         self, task: Task, after: list[str], limit: float, *, far: Collection[str] = ()
     ) -> list[Call]:
-        """Have a task stand by; return how each of its predecessors calls it.
+        """Let a task stand by; return how each of its predecessors calls it.
 
         Args:
             task: It is OFF, and counts already among the ranked ones.
@@ -165,7 +165,7 @@ class Successors:
         return self._rtpu.flags.owners(task.facts.subsystem, task.facts.outputs)
 
     async def asked(self, task: Task) -> bool:
-        """Take note that the ``on`` of a task is asked for.
+        """Note that the ``on`` of a task is requested.
 
         Returns:
             Whether it comes by itself: it stands by, or came on already. For those of
@@ -210,22 +210,22 @@ class Successors:
             raise error_of(notice)
 
     async def give_up(self, task: Task) -> None:
-        """Have a task that did not come on stand by no longer, nor its fallback."""
+        """End the standby of a task that did not come on, and of its fallback."""
         self._forget(task)
         await self._rtpu.fallbacks.spare(task)
         if task.state is State.OFF:
             await rest(self._rtpu.core, task)
 
     async def withdraw(self, task: Task) -> None:
-        """Have a task stand by no longer, if it does."""
+        """End the standby of a task, if it stands by."""
         if self._forget(task) and task.engaged and not task.engaged.done():
             await rest(self._rtpu.core, task)
 
     def died(self, task: Task, *, called: bool = False, ended: bool = False) -> None:
         """Keep the flag up for a task that has died as it was about to come on.
 
-        Its death has raised it natively. While somebody writes what it was to take over
-        the entry stands until the exchange of the two has ended.
+        Its death has raised it natively. While another task writes what this one was to
+        take over, the entry remains until the exchange of the two has ended.
 
         Args:
             task: The task.
@@ -252,12 +252,12 @@ class Successors:
         rtpu.flags.up(subsystem, task.name, cause, () if written else outputs)
 
     def dismiss_all(self, subsystem: str) -> None:
-        """Have nobody engaged any more: the subsystem is being stopped."""
+        """Engage no task any more, because the subsystem is being stopped."""
         for task in self._rtpu.of(subsystem):
             self.dismiss(task)
 
     def dismiss(self, task: Task) -> None:
-        """Have a task not engaged any more, without a word to it: it is being ended."""
+        """Keep a task from being engaged, without a message: it is being ended."""
         if self._forget(task):
             self._rtpu.core.follow(task.facts.slot, [])
 
@@ -269,7 +269,7 @@ class Successors:
         return waiting is not None
 
     def _expire(self, task: Task) -> None:
-        """End a wait that the master has not gone on with."""
+        """End a wait that the master has not followed up."""
         if task.waiting is not None:
             withdrawn = self.withdraw(task)
             self._rtpu.later(withdrawn, f"{task.name} stands by no longer")

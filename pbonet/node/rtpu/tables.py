@@ -3,7 +3,7 @@
 On each machine a subsystem has one table. The RTPU process of the keeper makes it and
 removes it; others on that machine attach. On other machines the first one makes it, and
 agents carry what changes from one to the other. When the keeper is gone, or elsewhere,
-whoever lets go last removes the file.
+the last process that detaches removes the file.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Tables:
 
         Raises:
             ConfigError: The text of the file is wrong.
-            SvarError: The table cannot be made, or stands with another layout.
+            SvarError: The table cannot be made, or exists with another layout.
         """
         run_folder.check_name("a subsystem", request.subsystem)
         file = parse_svar(request.svar, request.svar_name)
@@ -245,9 +245,9 @@ def lock_to_carry(path: Path) -> int:
 
 
 def remove_unused(path: Path) -> bool:
-    """Remove a table's file unless somebody is attached; return whether it is gone.
+    """Remove a table's file unless a process is attached; return whether it is gone.
 
-    Whoever is attached holds a shared lock on the file.
+    Every attached process holds a shared lock on the file.
     """
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)

@@ -1,8 +1,8 @@
 """One task as the RTPU process holds it: its process, its socket, what is known of it.
 
-Nothing here decides what a signal means or when a task may have one; that is the work
+Nothing here decides what a signal means or when a task may get one; that is the work
 of `request_handlers`. This is the link: one message at a time, its answer within
-a time limit, and the certainty of hearing about the end.
+a time limit, and a certain notification of its end.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Facts(msgspec.Struct, kw_only=True):
 
 
 class Waiting(msgspec.Struct):
-    """What a successor stands by for; see `successors`."""
+    """The wait of a successor; see `successors`."""
 
     after: list[str]
     """Its predecessors, on any RTPU, which call it."""
@@ -85,8 +85,8 @@ class Task:
     Args:
         facts: What it was made from.
         child: Its process.
-        wake: Tells the task, through its slot, that a message waits; when told so, that
-            it is to look behind its next cycle.
+        wake: Notifies the task, through its slot, that a message waits; optionally that
+            it must be read after the next cycle.
         tell: Takes what the task reports unasked, and what it prints.
         heard: Called when the task has said anything, or has ended.
         ended: Called once, with the exit code, when the process is gone.
@@ -175,7 +175,7 @@ class Task:
             make: Makes the message from its number.
             limit: Seconds to wait for the answer, and before that for those who asked
                 earlier.
-            last: It is carried out behind the task's next cycle, at the level of that.
+            last: It is carried out after the task's next cycle, at the cycle's level.
 
         Raises:
             StateError: The task is still carrying out an earlier message; nothing was
@@ -273,7 +273,7 @@ class Task:
         await asyncio.gather(*self._waiting.values(), return_exceptions=True)
 
     def send(self, message: rtpu_messages.ToTask, *, last: bool = False) -> None:
-        """Hand a message to the task; it looks at it after its present component."""
+        """Pass a message to the task; it reads it after its present component."""
         data = rtpu_messages.encode(message)
         if len(data) > rtpu_messages.LARGEST_PACKET:
             raise TaskError(
@@ -304,7 +304,7 @@ class Task:
         return ""
 
     async def end(self, patience: float) -> bool:
-        """Wait for the end, then make it; return whether it came by itself.
+        """Wait for the end, then force it; return whether it came by itself.
 
         In slices: if the whole machine stands still, for us as for the task, that is
         one slice, and not the task's delay.
@@ -328,7 +328,7 @@ class Task:
         return answer
 
     async def _live(self) -> None:
-        """Read what the task says until it ends; then clean up after it."""
+        """Read what the task sends until it ends; then clean up after it."""
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -353,11 +353,11 @@ class Task:
             self._heard()
 
     def _bury(self, code: int) -> None:
-        """Tell whoever waits that the task is gone, and close its files."""
+        """Notify all waiters that the task is gone, and close its files."""
         for answer in self._waiting.values():
             if not answer.done():
                 answer.set_exception(self.death(code))
-                answer.exception()  # nobody may wait for it any more
+                answer.exception()  # there may be no waiter any more
         self._waiting.clear()
         if self.engaged is not None and not self.engaged.done():
             self.engaged.set_exception(self.death(code))
@@ -472,9 +472,9 @@ def describe_end(code: int) -> str:
 
 
 async def rest(core: rt.CoreTable, task: Task) -> None:
-    """Have a task that did not come on stand by no longer.
+    """End the standby of a task that did not come on.
 
-    Of one that has died it stays known what it waited for, until its end is heard of.
+    For one that has died, what it waited for stays known until its end is reported.
     """
     if not core.snapshot(task.facts.slot).dead:
         core.follow(task.facts.slot, [])

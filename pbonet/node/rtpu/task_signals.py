@@ -1,8 +1,9 @@
-"""Signals of tasks, as the RTPU process sees them: counts, masks, what was not told.
+"""Signals of tasks in the RTPU process: counts, masks, what was not reported.
 
 A task counts each signal in shared memory and sends a notice with it. Notices may be
-dropped or held back in a flood; the counts never are. What was counted and not told
-becomes one event for each task and look, so that a flood is no flood of events.
+dropped or held back in a flood; the counts never are. Signals that were counted and not
+reported become one event per task and check, so that a flood of signals is no flood of
+events.
 """
 
 from __future__ import annotations
@@ -43,14 +44,14 @@ class _Told(Struct):
 
     counts: list[int] = field(default_factory=lambda: [0] * SIGNALS)
     behind: list[int] = field(default_factory=lambda: [0] * SIGNALS)
-    """How many were untold at the last look; their notices may have been under way."""
+    """How many were unreported at the last check; notices may have been under way."""
 
 
 class Signals:
     """The signals of all tasks of one RTPU.
 
     Args:
-        events: Where to tell.
+        events: Takes the reports.
     """
 
     def __init__(self, events: EventLog) -> None:
@@ -79,7 +80,7 @@ class Signals:
             self.mask(subsystem, task, None)
 
     def apply(self, core: CoreTable, task: Task) -> None:
-        """Have a task obey its mask; without one, that of its subsystem."""
+        """Apply a task's mask; without one, that of its subsystem."""
         subsystem = task.facts.subsystem
         names = self._masks.get((subsystem, task.name))
         if names is None:
@@ -89,13 +90,13 @@ class Signals:
     # -- counts ------------------------------------------------------------------------
 
     def told(self, task: Task, bits: int) -> None:
-        """Take note that signals have become an event."""
+        """Note that signals have become an event."""
         told = self._told.setdefault(task, _Told())
         for k in range(SIGNALS):
             told.counts[k] += bits >> k & 1
 
     def look(self, core: CoreTable, tasks: Iterable[Task]) -> None:
-        """Tell what was counted and not told, not even by the time of this look."""
+        """Report what was counted and is still not reported at this check."""
         for task in tasks:
             told = self._told.setdefault(task, _Told())
             now = [
@@ -108,7 +109,7 @@ class Signals:
             told.behind = now
 
     def end(self, core: CoreTable, task: Task) -> None:
-        """Tell what is left of a task that has ended, and forget it."""
+        """Report what is left of a task that has ended, and forget it."""
         told = self._told.pop(task, _Told())
         counts = core.signals(task.facts.slot)
         rest = [count - known for count, known in zip(counts, told.counts, strict=True)]

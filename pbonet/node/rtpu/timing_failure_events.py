@@ -1,8 +1,8 @@
-"""Tells of timing failures, stalls and refused calls; looked at twice a second.
+"""Reports timing failures, stalls and refused calls; checked twice a second.
 
-The dispatcher and the tasks count them in shared memory without telling anybody who
-would have to be waited for. Here the counts become events, one for each task and look,
-so that a flood of failures is no flood of events.
+The dispatcher and the tasks count them in shared memory without waiting for any other
+process. Here the counts become events, one per task and check, so that a flood of
+failures is no flood of events.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 
 
 class Timekeeper:
-    """Compares counts with those of the last look.
+    """Compares counts with those of the last check.
 
     Args:
-        events: Where to tell.
+        events: Takes the reports.
     """
 
     def __init__(self, events: EventLog) -> None:
@@ -39,7 +39,7 @@ class Timekeeper:
         self._errors = 0
 
     def look(self, core: CoreStatus, tasks: Iterable[tuple[Task, SlotStatus]]) -> None:
-        """Tell what has come since the last look."""
+        """Report what has come since the last check."""
         seen: dict[tuple[str, str, int], tuple[int, ...]] = {}
         for task, slot in tasks:
             key = (task.facts.subsystem, task.name, slot.pid)
@@ -105,7 +105,7 @@ class Timekeeper:
 
 
 def _cause() -> str:
-    """Say what may have stopped a core, as far as the kernel tells."""
+    """Return what may have stopped a core, as far as the kernel reports it."""
     try:
         runtime = int(_THROTTLE.read_text(encoding="ascii"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Tells a module of a timing failure amid its cycle, and puts that on record."""
+"""Reports a timing failure to a module during its cycle, and records that."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _RECOVERIES = {
 
 
 class Telling:
-    """Called by the native loop with the kind of failure; returns what follows.
+    """Handler that the native loop calls with the kind of failure.
 
     Args:
         executor: Calls the module's handler.
-        told: Has what came: the kind, the line that was interrupted (empty: none of
-            the module's, its method had not begun), the release, what the handler
-            asked, and its answer.
-        time: The task's.
+        told: Records the kind, the line that was interrupted (empty: none of the
+            module's, its method had not begun), the release, what the handler asked,
+            and its answer.
+        time: The task's time.
         ours: Code of the runtime that calls the module.
     """
 

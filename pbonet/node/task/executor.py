@@ -1,6 +1,7 @@
 """Runs the methods of one instance, with the right copies before and after each.
 
-Task processes use it, and Bench and simulator. It obeys `pbonet.node.wire.lifecycle`.
+Task processes, the bench and the simulator use it. It follows the rules in
+`pbonet.node.wire.lifecycle`.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ class Executor:
     Args:
         instance: Bound by `pbonet.pbo.bind`.
         copies: Carries its ports.
-        illegal: Given for a CRITICAL task: tells whether the illegal-configuration flag
-            is up, in which case `cycle` runs ``stable`` instead.
+        illegal: For a CRITICAL task: returns whether the illegal-configuration flag is
+            up; `cycle` then runs ``stable`` instead.
 
     Raises:
         DeclarationError: A CRITICAL task whose module has no ``stable``.
@@ -84,9 +85,9 @@ class Executor:
         self.task = instance.task
         self.state = State.NOT_CREATED
         self.failure: MethodError | None = None
-        """The last failure of a method, whatever `error` made of it."""
+        """The last failure of a method, however `error` answered it."""
         self.cycling: Callable[[], str] = lambda: "cycle"
-        """Says which method runs now where somebody else does the cycling."""
+        """Returns the method that runs now, where the native loop does the cycling."""
         self._spent = False
         self._outdated = False
         self._actions = Actions(instance, copies, illegal)
@@ -101,11 +102,11 @@ class Executor:
     # -- signals ----------------------------------------------------------------------
 
     def spawn(self) -> State:
-        """Run `init`; the task is OFF behind it.
+        """Run `init`; the task is OFF afterwards.
 
         Raises:
             MethodError: It failed; `kill` has run and the task is NOT-CREATED.
-            StateError: The instance has had its life.
+            StateError: The instance was initialised before.
         """
         if self._spent:
             raise StateError(
@@ -125,18 +126,18 @@ class Executor:
             name: The signal.
             arg: Text for the module, as ``self.task.arg``.
             handover: For ``off`` and ``kill``: a successor takes over the outputs.
-            cede: For ``off``: it does so in its own claim.
+            cede: For ``off``: the successor takes them over in its own claim.
 
         Returns:
-            The state behind it. For ``on`` it may be OFF, when the module cannot start
+            The state afterwards. For ``on`` it may be OFF, when the module cannot start
             yet; for ``clear`` it may be ERROR.
 
         Raises:
             StateError: The signal is not valid in this state; nothing happened.
             SvarOwnerError: ``on``: another task writes an out-var; nothing happened.
-            PortError: ``reinit``: a size changed; the old constants stand.
-            MethodError: A method failed and was not put right; `state` says where the
-                task stands now.
+            PortError: ``reinit``: a size changed; the old constants remain.
+            MethodError: A method failed and the error was not corrected; `state` is the
+                task's state now.
         """
         event = signal_event(name, where=self.task.name)
         self.task.arg = arg
@@ -161,7 +162,7 @@ class Executor:
 
         Raises:
             ParameterError: No such parameter, or the value is refused.
-            MethodError: The module refused it; the old value stands.
+            MethodError: The module refused it; the old value remains.
             StateError: There is no task.
         """
         rule(self.state, Event.SET, where=self.task.name)
@@ -178,7 +179,7 @@ class Executor:
         return getattr(params, key)
 
     def get(self, name: str) -> object:
-        """Return a parameter's present value, as the module's `get` gives it.
+        """Return a parameter's present value, as the module's `get` returns it.
 
         Raises:
             ParameterError: There is no such parameter.
@@ -199,7 +200,7 @@ class Executor:
             now: What ``self.task.now`` is during the cycle, in nanoseconds.
 
         Returns:
-            The state behind it; OFF when the module asked for it.
+            The state afterwards; OFF when the module asked for it.
 
         Raises:
             StateError: The task is not ON.
@@ -214,7 +215,7 @@ class Executor:
             for do in self._wakeup:
                 do()
         except CycleAborted:
-            with suppress(MethodError):  # it is in `failure`, like that of a cycle
+            with suppress(MethodError):  # `failure` holds it, like that of a cycle
                 self.abort()
         except RAISED as error:
             self.fault(error, self._actions.method)
@@ -229,7 +230,8 @@ class Executor:
     def sync(self) -> State:
         """Wait for the event that wakes a synchronous task: runs the module's `sync`.
 
-        Return ON when the event came, else what `error` made of a failure.
+        Return ON when the event came, otherwise the state that `error` chose after a
+        failure.
 
         Raises:
             StateError: It is not ON.
@@ -242,10 +244,10 @@ class Executor:
         return self.state
 
     def fault(self, error: BaseException, method: str = "cycle") -> State:
-        """Have `error` deal with what a cycle raised, and return the next state.
+        """Let `error` handle what a cycle raised, and return the next state.
 
-        The native loop's owner calls this with whatever came out of the loop, an error
-        made from refused flags included.
+        The owner of the native loop calls this with any exception from the loop,
+        including an error made from refused flags.
 
         Args:
             error: What was raised.
@@ -261,14 +263,15 @@ class Executor:
     def timing_failure(self, kind: TimingFailure) -> Recovery:
         """Call the module's handler in the middle of a cycle (section 6.3).
 
-        Nothing is copied. The caller goes on, calls `abort`, or skips a release, as is
-        returned. A module without a handler goes on, with a warning.
+        Nothing is copied. The caller continues, calls `abort`, or skips a release,
+        depending on what is returned. A module without a handler continues, with a
+        warning.
 
         Raises:
             StateError: The task is not ON.
-            MethodError: The handler gave an answer that there is not.
-            Exception: Whatever the handler raised, an error of the task as if the
-                cycle had raised it; `fault` takes it.
+            MethodError: The handler returned an unknown answer.
+            Exception: What the handler raised: an error of the task, as if the cycle
+                had raised it; pass it to `fault`.
         """
         task, cls = self.task, type(self.instance)
         if self.state is not State.ON:
@@ -292,17 +295,17 @@ class Executor:
         return answer
 
     def abort(self) -> State:
-        """Begin anew behind a cycle that a timing failure ended: `on` runs again.
+        """Start again after a cycle that a timing failure ended: `on` runs again.
 
-        What the cycle left in the out-vars is discarded; the task goes on owning them.
+        What the cycle left in the out-vars is discarded; the task still owns them.
 
         Returns:
-            The state behind it: ON, or OFF when `on` answers that it cannot go on.
+            The state afterwards: ON, or OFF when `on` answers that it cannot continue.
 
         Raises:
             StateError: The task is not ON.
-            MethodError: `on` failed and was not put right; `state` says where the task
-                stands now.
+            MethodError: `on` failed and the error was not corrected; `state` is the
+                task's state now.
         """
         return self._run(Event.ABORT)
 
@@ -327,7 +330,7 @@ class Executor:
         task.on_fail = self._on_fail if found.failure is Failure.ERROR else None
 
     def _steps(self, found: Rule, steps: tuple[Step, ...]) -> None:
-        """Take the steps of a rule, and go to its end or where an answer sends."""
+        """Take the steps of a rule, then enter its end state or the one answered."""
         end: Outcome | None = None
         for step in steps:
             end = self._take(found, step)
@@ -349,7 +352,7 @@ class Executor:
             raise StepFailed(step, contained(error)) from None
 
     def _go(self, state: State) -> None:
-        """Be in `state`."""
+        """Enter `state`."""
         task = self.task
         self.state = task.state = task.nextstate = state
         task.on_fail = self._on_fail if state is State.ON else None
@@ -358,7 +361,7 @@ class Executor:
     # -- failures ---------------------------------------------------------------------
 
     def _recover(self, found: Rule, failed: StepFailed) -> None:
-        """Do what the rule says about a failure, then raise it unless put right."""
+        """Do what the rule says about a failure; raise it unless it was corrected."""
         if isinstance(failed.cause, RefusedError) and self.state in _ALIVE:
             self._go(self.state)
             raise failed.cause.error from None
@@ -381,12 +384,13 @@ class Executor:
     def _put_right(
         self, found: Rule, error: Raised, failure: MethodError
     ) -> MethodError | None:
-        """Ask `error` unless it was asked, and obey.
+        """Ask `error`, unless it was asked already, and do what it answers.
 
-        Of a combination the parts behind the one that failed may fail in their turn.
+        In a combination, the parts after the one that failed may fail as well.
 
         Returns:
-            What is still wrong; None when it answered CONTINUE and that went well.
+            The failure that remains; None when `error` answered CONTINUE and that
+            succeeded.
         """
         while (answer := self._answer(error, failure)) is Answer.CONTINUE:
             try:
@@ -411,9 +415,9 @@ class Executor:
         return failure
 
     def _answer(self, error: Raised, failure: MethodError) -> Answer:
-        """Return what handlers or `error` have answered, within ``fail()`` or now."""
+        """Return what handlers or `error` answered, within ``fail()`` or now."""
         if isinstance(error, TaskFailure) and error.answer is not None:
-            if error.answer is Answer.CONTINUE:  # of a handler that jumps
+            if error.answer is Answer.CONTINUE:  # from a handler that jumps
                 self.failure = None
             return error.answer
         shown = error.error if isinstance(error, TaskFailure) else error
@@ -428,7 +432,7 @@ class Executor:
         return self._ask(error, failure)
 
     def _follow(self, after: Outcome, failure: MethodError) -> None:
-        """Go where an outcome leads; what fails on the way is told with `failure`."""
+        """Follow an outcome; what fails on the way is reported with `failure`."""
         self.task.on_fail = None
         self.task.nextstate = after.to
         self._actions.cede = False
@@ -449,7 +453,7 @@ class Executor:
         return self._ask(error, self._described(error, method))
 
     def _ask(self, error: Raised, failure: MethodError) -> Answer:
-        """Run the module's `error`; an error in there is the answer ERROR."""
+        """Run the module's `error`; an exception in it counts as the answer ERROR."""
         task, before = self.task, self.task.on_fail
         shown = error.error if isinstance(error, TaskFailure) else error
         task.on_fail = None
@@ -482,7 +486,7 @@ class Executor:
         return f"{self.task.name}.{part}" if part else self.task.name
 
     def _also(self, failure: MethodError, error: Raised, method: str) -> None:
-        """Note in `failure` what failed because of it."""
+        """Add to `failure` what failed because of it."""
         second = method_error(error, method, self._who())
         add_remedy(failure, f"and then {second}")
         self.task.errmsg = str(failure)

@@ -1,10 +1,10 @@
 """The fork server: one thread, numpy and pbonet imported, never zenoh.
 
 The RTPU process begins as one thread that has imported all of this, and forks it off
-before anything else; a fork server that takes the place of a dead one is started by
-exec, for a process with threads cannot be forked. It is asked for children over a
-socket. A child comes up in milliseconds with everything imported, and belongs to this
-process: should it end, the kernel tells every child, and each turns itself off.
+before anything else. A fork server that replaces a dead one is started by exec, because
+a process with threads cannot be forked. Requests for children arrive over a socket. A
+child comes up in milliseconds with everything imported, and belongs to this
+process: if it ends, the kernel signals every child, and each turns itself off.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from pbonet.node.wire import process_setup, rtpu_messages
 from . import module_inspector, task_output, task_process
 
 FDS = 4
-"""Socket, output, specification, and crash text: what comes with a request."""
+"""The files that come with a request: socket, output, specification, crash text."""
 CRASHED = 70
-"""Exit code of a child that ended on an exception nobody caught."""
+"""Exit code of a child that ended with an uncaught exception."""
 
 
 def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
@@ -44,7 +44,7 @@ def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
         Its process id and the socket to it.
 
     Raises:
-        NodeError: The system gives no process.
+        NodeError: The system cannot create a process.
     """
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     parent = os.getpid()
@@ -67,7 +67,7 @@ def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
         if close >= 0:
             os.close(close)
         code = serve(far, parent, core)
-    except BaseException:  # noqa: BLE001 - what stands above belongs to the parent
+    except BaseException:  # noqa: BLE001 - the frames above belong to the parent
         traceback.print_exc()
     finally:
         os._exit(code)
@@ -79,7 +79,7 @@ def main(argv: list[str]) -> int:
 
 
 def serve(control: socket.socket, parent: int, core: int) -> int:
-    """Be the fork server of process `parent` until the socket is closed.
+    """Run as the fork server of process `parent` until the socket is closed.
 
     Returns:
         The exit status: 0, or 1 when the parent is gone already.
@@ -87,10 +87,10 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
     os.sched_setaffinity(0, process_setup.housekeeping_cores(core))
     if not process_setup.set_parent_death_signal(signal.SIGKILL, parent):
         return 1
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at once, as by SIGTERM
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at once, as with SIGTERM
     process_setup.set_title("pbonet-forks")
     gc.collect()
-    gc.freeze()  # children share these pages for as long as nobody counts references
+    gc.freeze()  # children share these pages until a reference count changes
     control.send(rtpu_messages.encode(rtpu_messages.Ready()))
     return ForkServer(control).serve()
 
@@ -161,23 +161,23 @@ class ForkServer:
 def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:
     """Turn the process just forked into a task or an inspector; return its exit code.
 
-    Never raises: whatever goes wrong is written where the RTPU process finds it.
+    Never raises: errors are written where the RTPU process finds them.
     """
     sock_fd, spec_fd, crash_fd = _arrange_fds(fds)
     try:
         task_output.take_over()
         process_setup.set_title(request.title)
-        faulthandler.enable(crash_fd, all_threads=False)  # others run on meanwhile
+        faulthandler.enable(crash_fd, all_threads=False)  # others keep running
         run = module_inspector.run if request.kind == "inspect" else task_process.run
         return run(sock_fd, spec_fd, crash_fd, server)
-    except BaseException:  # noqa: BLE001 - the end of the process, told to the RTPU
+    except BaseException:  # noqa: BLE001 - the process ends, and the RTPU is notified
         with contextlib.suppress(OSError):
             os.write(crash_fd, traceback.format_exc().encode())
         return CRASHED
 
 
 def _arrange_fds(fds: list[int]) -> tuple[int, int, int]:
-    """Keep the files of this child alone, numbered from 3; output becomes 1 and 2."""
+    """Keep only the files of this child, numbered from 3; output becomes 1 and 2."""
     base = max(fds) + 1
     for i, fd in enumerate(fds):
         os.dup2(fd, base + i, inheritable=False)

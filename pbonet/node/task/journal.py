@@ -1,8 +1,8 @@
-"""Puts on record what a task does between its cycles.
+"""Records what a task does between its cycles.
 
-The native loop records the cycles. All else that is needed to run the module's code
-again from a log goes through here: the copies around the other methods, and what made
-the executor run them. None of it happens within a cycle.
+The native loop records the cycles. Everything else that is needed to run the module's
+code again from a log is recorded here: the copies around the other methods, and what
+made the executor run them. None of this happens within a cycle.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Local(Copies, Protocol):
 
 
 class Taker(Protocol):
-    """Where records go: a ring, or what stands for one."""
+    """The destination of records: a ring, or a substitute for one."""
 
     def put(
         self,
@@ -81,16 +81,16 @@ class Time(Protocol):
         ...
 
     def tick(self) -> int:
-        """Have it stand still from now on, and return it."""
+        """Freeze it from now on, and return it."""
         ...
 
     def held(self) -> AbstractContextManager[object]:
-        """Have it stand still in a block."""
+        """Freeze it within a block."""
         ...
 
 
 class Whose(NamedTuple):
-    """Of which task records are, where there is no process of its own."""
+    """The task that records are about, where it has no process of its own."""
 
     domain: str
     rtpu: str
@@ -119,11 +119,11 @@ class Journal:
     """The copies of a task, and a record of each; see `port_transfer.Copies`.
 
     Args:
-        local: What copies.
-        ring: Where records go.
-        about: Whose they are.
+        local: Does the copying.
+        ring: Takes the records.
+        about: The task they are about.
         time: The task's time, which stands still from one record to the next.
-        tape: What the module hears from outside.
+        tape: The module's inputs from outside.
     """
 
     def __init__(
@@ -142,9 +142,9 @@ class Journal:
 
     @contextlib.contextmanager
     def doing(self, did: Did) -> Generator[None]:
-        """Put on record what is about to be done, and have time stand still."""
+        """Record what is about to be done, and freeze time."""
         with self._time.held():
-            did.arg = readable(did.arg)  # a module's error may say anything
+            did.arg = readable(did.arg)  # a module's error may contain anything
             self._put(Step.DID, msgspec.json.encode(did))
             try:
                 yield
@@ -196,11 +196,11 @@ class Journal:
         return self._copied(Step.COMMIT, flags, self._about.outvar)
 
     def cede(self) -> None:
-        """Write the out-vars no more, and leave them to a successor's claim."""
+        """Stop writing the out-vars, and leave them to a successor's claim."""
         self._local.cede()
 
     def release(self) -> None:
-        """Give up the out-vars, whose values stand."""
+        """Give up the out-vars, whose values remain."""
         self._local.release()
 
     def _copied(self, step: Step, flags: int, variables: Variables) -> int:
@@ -212,7 +212,7 @@ class Journal:
         return flags
 
     def broken_off(self) -> None:
-        """Put on record what `sync` heard before a command broke it off."""
+        """Record what `sync` received before a command interrupted it."""
         self._put_heard(Step.SYNC)
 
     def _put_heard(self, step: Step) -> None:
@@ -239,7 +239,7 @@ def about(
     library: Library,
     table: Indexed,
 ) -> TaskAbout:
-    """Return whose cycles a task's ring holds."""
+    """Return the task whose cycles a ring holds."""
 
     def variables(ports: tuple[str, ...]) -> Variables:
         indices = {table.index(rmod.svar_name(port)) for port in ports}

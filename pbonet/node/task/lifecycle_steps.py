@@ -27,9 +27,10 @@ class Actions:
 
     Attributes:
         do: What each step does.
-        dt: What `cycle` is told.
-        method: The method that runs, or ran last; ``stable`` for a cycle that was one.
-        cede: Whether a successor takes the out-vars in its own claim.
+        dt: What `cycle` is given.
+        method: The method that runs, or ran last; ``stable`` when that ran as the
+            cycle.
+        cede: Whether a successor takes over the out-vars in its own claim.
 
     Raises:
         DeclarationError: A CRITICAL task whose module has no ``stable``.
@@ -91,7 +92,7 @@ class Actions:
             raise refused(flags, self._copies.blamed)
 
     def _copy_in_consts(self) -> None:
-        """Copy in-consts in; the old ones come back when that fails or does not fit."""
+        """Copy the in-consts in; restore the old ones if that fails."""
         arrays = memory(self._instance).arrays
         ports = type(self._instance).__interface__.ports
         names = [port.attr for port in ports if port.kind is Kind.INCONST]
@@ -111,7 +112,7 @@ class Actions:
         self._accept(self._copies.copy_out_consts(self._task.now))
 
     def _copy_in_on(self) -> None:
-        """Copy in what `on` wants, if the task may then own its out-vars."""
+        """Copy in what `on` needs, if the task may then own its out-vars."""
         try:
             self._copies.check_claim()
         except SvarError as error:
@@ -130,7 +131,7 @@ class Actions:
 
     @property
     def _stamp(self) -> int:
-        """The time that outputs are stamped with."""
+        """The time stamp of the outputs."""
         return self._task.stamp_ns or self._task.now
 
     def _release(self) -> None:

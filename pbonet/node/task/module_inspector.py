@@ -1,4 +1,4 @@
-"""Describes modules in a process of its own, for loading a module runs its code."""
+"""Describes modules in a separate process, because loading a module runs its code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Inspected(Struct):
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
-    """Describe what the specification asks for, write it over it, and end."""
+    """Describe what the specification asks for, write the result over it, and end."""
     del sock_fd, crash_fd
     if not process_setup.set_parent_death_signal(signal.SIGKILL, server):
         return 1
@@ -42,7 +42,7 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
 
 
 def inspect(library: Library, name: str | None) -> Inspected:
-    """Return what there is to know about one module, or about all."""
+    """Return the description of one module, or of all."""
     names: Sequence[str] = library.modules() if name is None else [name]
     found = Inspected([], [])
     for one in names:

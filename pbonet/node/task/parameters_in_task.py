@@ -1,4 +1,4 @@
-"""A task's parameters as they are asked for and changed between two cycles."""
+"""Reading and changing a task's parameters between two cycles."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def get_params(
     executor: Executor, info: ModuleInfo, name: str | None
 ) -> list[ParamValue]:
-    """Return one parameter as the module's `get` gives it, or all.
+    """Return one parameter as the module's `get` returns it, or all.
 
     Raises:
         ParameterError: There is no such parameter.
@@ -27,7 +27,7 @@ def get_params(
 def set_param(
     executor: Executor, info: ModuleInfo, name: str, value: str
 ) -> list[ParamValue]:
-    """Change a parameter and return it as it is then.
+    """Change a parameter and return its new value.
 
     Raises:
         ParameterError: There is no such parameter, or the value is refused.

@@ -13,7 +13,7 @@ class Copies(Protocol):
 
     Every method may raise a `PbonetError`. Those that return flags return 0 when all is
     well; those in `step_failures.REFUSED` are errors of the task, the others are
-    counted by whoever copies.
+    counted by the code that copies.
     """
 
     @property
@@ -49,7 +49,7 @@ class Copies(Protocol):
         ...
 
     def cede(self) -> None:
-        """Write the out-vars no more, and leave them to a successor's claim."""
+        """Stop writing the out-vars, and leave them to a successor's claim."""
 
     def release(self) -> None:
-        """Give up the out-vars, whose values stand."""
+        """Give up the out-vars, whose values remain."""

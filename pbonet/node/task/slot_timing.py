@@ -1,4 +1,4 @@
-"""Time as a module deals with it in a real task: `pbonet.pbo.Watch` over its slot."""
+"""A module's view of time in a real task: `pbonet.pbo.Watch` over its slot."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 class SlotWatch:
-    """The watch of a task that the dispatcher looks after.
+    """The watch of a task that the dispatcher supervises.
 
     Args:
-        failures: The native half, which tells the dispatcher.
+        failures: The native half, which notifies the dispatcher.
     """
 
     told: Told
-    """Puts on record what the module is told here."""
+    """Records what the module is given here."""
 
     def __init__(self, failures: Failures) -> None:
         self._failures = failures
@@ -52,14 +52,14 @@ class SlotWatch:
         self._failures.deadline = check_deadline(self.task, value)
 
     def critical(self) -> AbstractContextManager[None]:
-        """Return what holds timing failures off, and the loss of criticality."""
+        """Return what holds off timing failures and the loss of criticality."""
         return self._failures.section
 
     def timed(self, name: str) -> AbstractContextManager[None]:
-        """Return what times the section `name` in CPU time.
+        """Return the timer of the CPU time of section `name`.
 
         Raises:
-            MethodError: The name cannot be, or there is no room for one more.
+            MethodError: The name is invalid, or there is no room for another.
         """
         found = self._sections.get(name)
         if found is None:
@@ -68,7 +68,7 @@ class SlotWatch:
         return found
 
     def ranked(self) -> int:
-        """Return the criticality at this moment, which goes on no record."""
+        """Return the criticality at this moment, which is not recorded."""
         return self._failures.criticality
 
     def _due(self) -> float:

@@ -51,10 +51,10 @@ class StepFailed(Exception):  # noqa: N818 - carries a failure to the executor
 
 
 class RefusedError(Exception):
-    """Something asked for a step that cannot be; the module is not at fault.
+    """A step was requested that is not possible; the module is not at fault.
 
     Args:
-        error: What is told to whoever sent the signal.
+        error: What is reported to the sender of the signal.
     """
 
     def __init__(self, error: PbonetError) -> None:
@@ -63,10 +63,10 @@ class RefusedError(Exception):
 
 
 def contained(error: BaseException) -> Raised:
-    """Return what a module raised as something that can be dealt with.
+    """Return what a module raised as an exception that can be handled.
 
-    A module may raise anything; ``sys.exit()`` must not end the task's process, for the
-    task would then miss its `off` and `kill`.
+    A module may raise anything; ``sys.exit()`` must not end the task's process, because
+    the task would then miss its `off` and `kill`.
     """
     if isinstance(error, Exception | TaskFailure):
         return error
@@ -83,7 +83,7 @@ def refused(flags: int, blamed: Blamed) -> SvarError:
 
     Args:
         flags: Some of them in `REFUSED`.
-        blamed: Variable and element they are about.
+        blamed: The variable and element they are about.
     """
     bit, text = next(item for item in REFUSED.items() if flags & item[0])
     keeps = "the table keeps its last values"
@@ -101,15 +101,15 @@ def refused(flags: int, blamed: Blamed) -> SvarError:
 
 
 def is_answer(answer: object) -> TypeGuard[Answer]:
-    """Tell whether a module, typed or not, returned an `Answer`."""
+    """Return whether a module, typed or not, returned an `Answer`."""
     return isinstance(answer, Answer)
 
 
 def answered(found: Rule, step: Step, answer: object) -> Outcome | None:
-    """Return how what a step gave ends its rule, None to go on.
+    """Return how the result of a step ends its rule; None to continue.
 
     Raises:
-        MethodError: A method gave an answer that the rule does not have.
+        MethodError: A method returned an answer that the rule does not have.
     """
     if (answer is None or is_answer(answer)) and answer in found.answers:
         return found.answers[answer]
@@ -120,7 +120,7 @@ def recovery(answer: object) -> Recovery:
     """Return what a handler of timing failures answered.
 
     Raises:
-        MethodError: It gave an answer that there is not.
+        MethodError: It returned an unknown answer.
     """
     if answer is None:
         return Recovery.CONTINUE
@@ -186,21 +186,21 @@ def _method_error(error: Raised, where: str) -> MethodError:
 
 
 def placed(text: str, place: str) -> str:
-    """Return a message with the line of code behind it, if one is known."""
+    """Return a message followed by the line of code, if that is known."""
     return f"{text} ({place})" if place else text
 
 
 def own_place(trace: str) -> str:
-    """Return the innermost line of the module's own folder in what a crash left.
+    """Return the innermost line in the module's own folder from a crash's traceback.
 
     Args:
-        trace: Lines of `faulthandler`, the innermost first; a line of ctypes, in which
-            a library was called, is not the line of the module.
+        trace: Lines of `faulthandler`, the innermost first; a line of ctypes, where a
+            library was called, is not the module's line.
     """
     calls: list[tuple[str, str]] = []
     for call in _CALL.finditer(trace):
         if Path(__file__).parents[1] in Path(call[1]).parents:
-            break  # from here on outwards it is the task's process
+            break  # from here outwards it is the task's process
         calls.append((call[1], "{}:{} in {}".format(*call.groups())))
     return innermost(reversed(calls))
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from pbonet.xm.net import Call
 
 Found = tuple["rt.CoreTable", int, int, int, int]
-"""Where a successor stands by, as `rt.Slot.disarm` takes it."""
+"""The place where a successor stands by, in the form `rt.Slot.disarm` takes."""
 
 
 class Successors:
-    """Where the successors of a task stand by; in the task's process.
+    """Finds where the successors of a task stand by; in the task's process.
 
     Args:
         core: The core table of the task.
@@ -30,13 +30,13 @@ class Successors:
     ) -> None:
         self._core, self._open_core = core, open_core
         self._others: dict[int, rt.CoreTable] = {}
-        """The tables of other cores that were opened, by core."""
+        """The opened tables of other cores, by core."""
 
     def find(self, calls: Sequence[Call]) -> list[Found]:
         """Find the successors that calls are for.
 
         Raises:
-            StateError: One does not stand by any more.
+            StateError: One no longer stands by.
         """
         found: list[Found] = []
         for call in calls:

@@ -1,4 +1,4 @@
-"""How a task speaks: to the RTPU process, and to its module about time."""
+"""A task's messages to the RTPU process, and its module's view of time."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from .step_failures import Raised
 
 LONGEST_TEXT = 5000
-"""Characters of each text that are told when a notice is too long."""
+"""Characters of each text that are sent when a notice is too long."""
 INTERRUPT = signal.SIGUSR2
 ORPHAN_SIGNAL = signal.SIGUSR1
-"""Sent by the kernel when the parent has ended; taken in native code."""
+"""Sent by the kernel when the parent has ended; handled in native code."""
 F_SETSIG = 10
 
 
@@ -38,15 +38,15 @@ class Interrupted(BaseException):
 
 
 def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
-    """Have the kernel signal what arrives on `sock`, its end included.
+    """Let the kernel signal what arrives on `sock`, including its end.
 
     Args:
         sock: The task's socket.
-        arrived: Called in the main thread, within whatever it does; may raise
+        arrived: Called in the main thread, at any point; may raise
             `Interrupted` to end it.
     """
     signal.signal(INTERRUPT, lambda _number, _frame: arrived())
-    # If both come at once the first one tells the kernel whether the wait begins again.
+    # If both come at once, the first one decides whether the kernel restarts the wait.
     signal.siginterrupt(ORPHAN_SIGNAL, True)  # noqa: FBT003 - the library's
     fcntl.fcntl(sock, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(sock, F_SETSIG, int(INTERRUPT))
@@ -57,9 +57,9 @@ def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
 class Voice:
     """The task's end of its socket.
 
-    Answers wait until the RTPU process takes them; what a module says within a cycle
-    never waits: it is dropped when there is no room, counted, and told later. News of
-    the task's state wait neither, but are owed until there is room.
+    Answers wait until the RTPU process takes them. What a module sends within a cycle
+    never waits: without room it is dropped, counted, and reported later. News of the
+    task's state does not wait either, but is kept until there is room.
 
     Args:
         sock: Sequenced packets to the RTPU process.
@@ -74,11 +74,11 @@ class Voice:
 
     @property
     def owing(self) -> list[socket.socket]:
-        """The socket, while news of the task's state wait for room there."""
+        """The socket, while news of the task's state waits for room there."""
         return [self.sock] if self._owed else []
 
     def pay(self) -> bool:
-        """Send what is owed, as far as there is room; return whether that was all."""
+        """Send the kept news, as far as there is room; return whether all was sent."""
         try:
             while self._owed:
                 self.sock.send(self._owed[0], socket.MSG_DONTWAIT)
@@ -99,11 +99,11 @@ class Voice:
             return b""
 
     def waits(self) -> bool:
-        """Return whether a packet, or the end, waits to be heard."""
+        """Return whether a packet, or the end, waits to be received."""
         return bool(select.select([self.sock], [], [], 0)[0])
 
     def say(self, done: rtpu_messages.Done) -> None:
-        """Answer a message; what cannot be told is answered with an error."""
+        """Answer a message; what cannot be encoded is answered with an error."""
         done.lost = dict(self._lost)
         try:
             data = rtpu_messages.encode(done)
@@ -148,7 +148,7 @@ class Voice:
         error: PbonetError | None = None,
         about: PbonetError | None = None,
     ) -> None:
-        """Tell that something happened unasked; `about` has number and place."""
+        """Report something unasked; `about` holds its number and place."""
         about = about or error
         self._post(
             rtpu_messages.Notice(
@@ -164,7 +164,7 @@ class Voice:
         )
 
     def report(self, error: Raised, executor: Executor, cycle: int) -> None:
-        """Tell what a cycle raised and what became of it."""
+        """Report what a cycle raised and how that was handled."""
         if isinstance(error, PbonetError):
             told = error
         else:
@@ -185,7 +185,7 @@ class Voice:
         return f"{names}: {notice.text}" if notice.text else names
 
     def send(self, data: bytes) -> None:
-        """Tell news of the state that were encoded beforehand, and don't wait."""
+        """Send news of the state, encoded beforehand, without waiting."""
         self._offer(data, owe=True)
 
     def _post(self, notice: rtpu_messages.Notice) -> None:
@@ -217,7 +217,7 @@ class Voice:
 
 
 def _instead(done: rtpu_messages.Done, error: PbonetError) -> bytes:
-    """Return an answer with the state and the error in the place of what it held."""
+    """Return an answer with the state and the error instead of its content."""
     return rtpu_messages.encode(
         rtpu_messages.Done(n=done.n, state=done.state, error=error.to_wire())
     )
@@ -242,7 +242,7 @@ def _untold(error: BaseException) -> PbonetError:
 
 
 def _packed(notice: rtpu_messages.Notice) -> bytes:
-    """Return a notice in bytes; if it is too long or cannot be told, what can be."""
+    """Return a notice in bytes; if that is not possible, a shortened one."""
     with contextlib.suppress(*UNTOLD):
         data = rtpu_messages.encode(notice)
         if len(data) <= rtpu_messages.LARGEST_PACKET:
@@ -272,7 +272,7 @@ def _short_error(wired: WireError) -> WireError:
 
 
 def _shortened(given: object) -> str:
-    """Return the beginning and the end of a text that is too long to be told."""
+    """Return the beginning and the end of a text that is too long to be sent."""
     text = str(given)
     left_out = len(text) - LONGEST_TEXT
     if left_out <= 0:
@@ -285,9 +285,8 @@ class SlotTime:
     """Time, cycle count and criticality of a slot; see `pbonet.pbo.Schedule`.
 
     Args:
-        slot: The task's.
-        told: Keeps on record what the module is told of it that is in no cycle's
-            record.
+        slot: The task's slot.
+        told: Records what the module is given of it that is in no cycle's record.
     """
 
     def __init__(self, slot: Slot, told: Told) -> None:
@@ -298,7 +297,7 @@ class SlotTime:
         self.cycling = False
 
     def turned_on(self) -> None:
-        """Count cycles from here."""
+        """Count cycles from now."""
         self._base = self._slot.cycles
 
     @property
@@ -310,7 +309,7 @@ class SlotTime:
 
     @contextlib.contextmanager
     def held(self) -> Generator[None]:
-        """Have time stand still between cycles, so that a log can say which it was."""
+        """Freeze time between cycles, so that a log can state it."""
         self.tick()
         try:
             yield
@@ -318,7 +317,7 @@ class SlotTime:
             self._held = 0
 
     def tick(self) -> int:
-        """Have it stand still from now on, and return it."""
+        """Freeze it from now on, and return it."""
         self._held = self._slot.now_ns
         return self._held
 
@@ -334,7 +333,7 @@ class SlotTime:
 
     @property
     def crit(self) -> int:
-        """The criticality that the dispatcher ranks the task by."""
+        """The criticality by which the dispatcher ranks the task."""
         failures = self._slot.failures
         return self._told.now("crit", lambda: failures.own_criticality, 0)
 

@@ -19,9 +19,9 @@ class Alarm:
     Both end when the task is not ON any more, and with its process.
 
     Args:
-        table: Whose flag.
+        table: The table with the flag.
         raiser: The task, with its RTPU.
-        task: The module's view of it; gets a hook, and says what happens.
+        task: The module's view of it; gets a hook, and reports what happens.
     """
 
     def __init__(self, table: Table, raiser: str, task: TaskContext) -> None:
@@ -52,7 +52,7 @@ class Alarm:
             self._said(cause, up=False)
 
     def _said(self, cause: str, *, up: bool) -> None:
-        """Obey the module; withdrawing no particular cause withdraws all of its."""
+        """Obey the module; withdrawing without a cause withdraws all its causes."""
         if up:
             self._causes.add(cause)
             self._raise(cause)
@@ -62,7 +62,7 @@ class Alarm:
             self._clear(one)
 
     def _raise(self, cause: str) -> None:
-        with contextlib.suppress(SvarError):  # no room: other causes hold it up
+        with contextlib.suppress(SvarError):  # no room: other causes keep the flag up
             self._table.raise_illegal(cause, self._raiser)
 
     def _clear(self, cause: str) -> None:

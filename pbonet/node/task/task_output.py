@@ -1,4 +1,4 @@
-"""Output that modules print: carried to the RTPU process, never waited for.
+"""Output that modules print: carried to the RTPU process without waiting.
 
 In the task, file descriptors 1 and 2 are one non-blocking pipe. Python's own streams
 are replaced by a writer that drops what does not fit and says how much; C code that
@@ -64,12 +64,12 @@ class DroppingWriter(io.TextIOBase):
         except BlockingIOError:
             sent = 0
         except OSError:
-            return  # nobody reads any more
+            return  # the reader is gone
         self._dropped = len(data) - sent
 
 
 def take_over() -> None:
-    """Make Python's streams drop rather than wait; 1 and 2 are the pipe already."""
+    """Let Python's streams drop rather than wait; 1 and 2 are the pipe already."""
     os.set_blocking(1, False)
     sys.stdout = DroppingWriter(1)
     sys.stderr = DroppingWriter(2)

@@ -1,4 +1,4 @@
-"""Whether an RMOD and its module fit together, and which variables the ports are."""
+"""Checks that an RMOD and its module fit, and finds the ports' variables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def listed(rmod: Rmod) -> dict[Kind, tuple[str, ...]]:
 
 
 def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
-    """Return the local table of this process, with the variables behind the ports.
+    """Return the local table of this process, with the variables of the ports.
 
     Raises:
         SvarError: A variable is not there, or there is no room.
@@ -46,12 +46,12 @@ def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
 def ages(
     rmod: Rmod, info: ModuleInfo, stale: Callable[[str], bool]
 ) -> Callable[[str], bool]:
-    """Return what tells a module whether the in-var of an attribute is stale.
+    """Return a function that tells if the in-var of an attribute is stale.
 
     Args:
-        rmod: Names the variables behind the ports.
-        info: Of the module.
-        stale: Tells it of a variable.
+        rmod: Names the variables of the ports.
+        info: The module's description.
+        stale: Returns it for a variable.
     """
     names = {
         port.attr: rmod.svar_name(port.name)
@@ -65,8 +65,8 @@ def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
     """Refuse an RMOD that its module does not fit: by ports, or by methods.
 
     Raises:
-        PortError: A port is missing on one side, or is of another kind.
-        DeclarationError: A method that the RMOD counts on is missing.
+        PortError: A port is missing on one side, or its kind differs.
+        DeclarationError: A method that the RMOD relies on is missing.
     """
     for what, where, expected, remedy in missing_methods(rmod, info):
         raise DeclarationError(what, where=where, expected=expected, remedy=remedy)

@@ -2,7 +2,7 @@
 
 It comes out of the fork server with everything imported. Commands arrive as packets on
 its socket; while the task cycles, the RTPU process also raises a flag in the task's
-slot, on which the native loop comes back between two cycles. When the RTPU process or
+slot, which makes the native loop return between two cycles. When the RTPU process or
 the fork server ends, so does the task: it runs `off` and `kill` within a second.
 """
 
@@ -49,9 +49,9 @@ if TYPE_CHECKING:
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
-    """Be the task that the specification describes; return the exit code."""
+    """Run the task that the specification describes; return the exit code."""
     orphan_fd = rt.orphan_guard(task_channel.ORPHAN_SIGNAL, server)
-    # Only its own stack: reading those of threads that run can end the process.
+    # Only its own stack: reading those of running threads can end the process.
     faulthandler.register(rtpu_messages.DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)
     data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
@@ -78,7 +78,7 @@ class Host:
     """A task's process: makes the instance, obeys messages, cycles.
 
     Args:
-        spec: What the task is to be.
+        spec: The task's specification.
         voice: The socket to the RTPU process.
         core: The table of its core.
         orphan_fd: Readable once the parent is gone.
@@ -100,7 +100,7 @@ class Host:
         self.predecessors: list[str] = []
         """While it stands by: the tasks whose out-vars it takes over."""
         self._engaged = b""
-        """Its message after `on`, made beforehand because its first cycle waits."""
+        """Its message after `on`, encoded beforehand because its first cycle waits."""
         self._wake_read = -1
         self.core = core
         self.slot = rt.Slot(core, spec.slot)
@@ -113,7 +113,7 @@ class Host:
     # -- birth -------------------------------------------------------------------------
 
     def take_signals(self) -> None:
-        """Have signals from outside end the task."""
+        """Let signals from outside end the task."""
         self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         for which in (signal.SIGTERM, signal.SIGINT):
@@ -140,7 +140,7 @@ class Host:
         return Table.attach(self.spec.table, layout=self.spec.layout)
 
     def live_in_process(self) -> None:
-        """Tell what this process is to those whom the module asks for its place."""
+        """Set what a module's question about its place is answered with."""
         spec = self.spec
         live_on(
             spec.rtpu,
@@ -211,7 +211,7 @@ class Host:
         return Ring.create(self.spec.ring, about=msgspec.json.encode(told))
 
     def settle(self) -> None:
-        """Make the process fit for real time, then say that the task is OFF."""
+        """Prepare the process for real time, then report that the task is OFF."""
         notes: list[str] = []
         try:
             rt.lock_memory()
@@ -228,7 +228,7 @@ class Host:
         self.ready(notes)
 
     def ready(self, notes: list[str]) -> None:
-        """Say that the task is OFF, and what else there is to say."""
+        """Report that the task is OFF, with all else there is to report."""
         ready = rtpu_messages.TaskReady(
             module=self.info.name,
             version=self.info.version,
@@ -244,7 +244,7 @@ class Host:
 
     @property
     def outside(self) -> bool:
-        """Whether the module says in `sync` when it is time."""
+        """Whether the module's `sync` decides when a cycle is due."""
         return self.rmod.tasktype is not TaskType.PERIODIC
 
     def live(self) -> None:
@@ -277,7 +277,7 @@ class Host:
         self._take()
 
     def _engage(self) -> None:
-        """Come on, because others have ended; nobody has sent the signal."""
+        """Turn ON because others have ended, without a signal from a master."""
         failed: PbonetError | None = None
         self.predecessors = []
         kind = self.slot.after or -1  # none: it was taken back before it could run
@@ -305,11 +305,11 @@ class Host:
         )
 
     def _cycle(self) -> int:
-        """Cycle until a message waits or something fails; return why it came back."""
+        """Cycle until a message waits or something fails; return the reason."""
         instance = self.executor.instance
         reason = 0
         if not self.voice.pay():
-            self.core.request(self.spec.slot)  # come back behind a cycle, and pay
+            self.core.request(self.spec.slot)  # return after a cycle, and pay
         self.time.cycling = True
         try:
             reason = self.slot.run(
@@ -341,12 +341,12 @@ class Host:
         return reason
 
     def _aged(self, stale: bool) -> None:  # noqa: FBT001 - called by the native loop
-        """Say that inputs of a critical task have become stale, or are fresh again."""
+        """Report that inputs of a critical task became stale, or are fresh again."""
         name = self.local.blamed[0]
         self.alarm.aged(f"the input {name} of {self.spec.task} is stale" * stale)
 
     def _sync(self) -> None:
-        """Wait as the module says; a message that arrives ends the wait."""
+        """Wait as the module's `sync` does; a message that arrives ends the wait."""
         self._waiting_outside = True
         if self.voice.waits() or self._asked_to_end:
             raise task_channel.Interrupted  # before the wait could be interrupted
@@ -383,7 +383,7 @@ class Host:
             )
 
     def _fault(self, error: Raised) -> None:
-        """Have the executor deal with what a cycle raised, and report it."""
+        """Let the executor handle what a cycle raised, and report it."""
         method = self._method()
         self._waiting_outside = False
         settled = False
@@ -395,11 +395,11 @@ class Host:
             error = second
         if self.executor.state is not State.ON:
             self._disarm()
-        if not settled:  # else the handler's own event says it
+        if not settled:  # else the handler's own event reports it
             self.voice.report(error, self.executor, self.time.cyclecount)
 
     def _obey(self, signal: str) -> None:
-        """Carry out a signal that nobody waits for; report how it went."""
+        """Carry out a signal for which no request waits; report the result."""
         failed: PbonetError | None = None
         try:
             with self.journal.doing(Did(signal)):
@@ -481,7 +481,7 @@ class Host:
         return gone, bool(self.predecessors)
 
     def _prepare(self, wanted: rtpu_messages.Prepare) -> None:
-        """Be ready to come on in the place of others; refused as `on` would be."""
+        """Get ready to replace other tasks; refused in the same cases as `on`."""
         self.predecessors, after = [], wanted.after
         self.local.take_over_from([])
         if not after:
@@ -517,12 +517,12 @@ class Host:
         return heard
 
     def _tidy(self) -> None:
-        """Have the collector of garbage find nothing in the cycles to come."""
+        """Leave nothing for the garbage collector in the cycles to come."""
         gc.collect()
         gc.freeze()
 
     def _disarm(self, calls: Sequence[Found] = ()) -> list[bool]:
-        """Take part in no releases; have successors engaged, in ERROR the fallback.
+        """Leave the releases; engage the successors, or in ERROR the fallback.
 
         Returns:
             Which successors live, of those that were called.
@@ -537,7 +537,7 @@ class Host:
         return heard
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
-        wired = PbonetError.to_wire(error) if error else None  # its line goes beside
+        wired = PbonetError.to_wire(error) if error else None  # its line is sent too
         state = self.executor.state.value
         done = rtpu_messages.Done(n=n, state=state, result=result, error=wired)
         if isinstance(error, MethodError):
@@ -547,7 +547,7 @@ class Host:
     # -- death -------------------------------------------------------------------------
 
     def end(self, reason: str) -> None:
-        """Run `off` and `kill` for whatever reason nobody sent them."""
+        """Run `off` and `kill` when the task ends without having been sent them."""
         self.voice.notice(
             Severity.WARNING,
             "ENDING",

@@ -1,4 +1,4 @@
-"""Answers to requests, whatever happens while they are carried out."""
+"""Packs the answers to requests, including every kind of failure."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Answers:
     """Packs results and failures.
 
     Args:
-        rtpu: Who answers.
-        report: Takes the text of a fault that no error of ours describes.
+        rtpu: The RTPU that answers.
+        report: Takes the text of a fault that is no error of pbonet.
     """
 
     def __init__(self, rtpu: str, report: Callable[[str], None]) -> None:
@@ -44,13 +44,13 @@ class Answers:
         return data
 
     def bad(self, request: m.Request, error: Exception) -> bytes:
-        """Return the answer with an error; one that is not ours is reported."""
+        """Return the answer with an error; one that is not pbonet's is reported."""
         if not isinstance(error, PbonetError):
             error = self._fault(request, error)
         return self._codec.pack(codec.failure(error, request.id))
 
     def _fault(self, request: m.Request, error: Exception) -> PbonetError:
-        """Return what to answer to a failure that no error of ours describes."""
+        """Return the answer to a failure that is no error of pbonet."""
         if isinstance(error, OSError) and error.errno == _DISK_FULL:
             return SvarFullError(
                 "no room is left in shared memory",
@@ -71,7 +71,7 @@ class Answers:
 
 
 def being_stopped(rtpu: str, subsystem: str) -> StateError:
-    """Return the error for what is asked of a subsystem during a stop."""
+    """Return the error for a request to a subsystem that is being stopped."""
     return StateError(
         f"subsystem {subsystem} is being stopped",
         where=rtpu,

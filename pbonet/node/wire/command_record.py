@@ -1,4 +1,4 @@
-"""Commands as they stand in a log: who asked for what, when, and what came of it."""
+"""Commands as a log records them: the requester, the request, times, the result."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from pbonet.xm.net import AnyRequest
 
 LONGEST_TEXT: Final = 300
-"""Characters of a text that stand in a log; longer ones are files, attached to it."""
+"""Characters of a text that a log holds; longer ones are files, attached to it."""
 LONGEST_LIST: Final = 64
 LARGEST: Final = 8192
-"""Bytes of what was asked, and of an answer; the way to the recorder is narrow."""
+"""Bytes of a request and of an answer; the pipe to the recorder is narrow."""
 _PLAIN: Final = frozenset({"v", "id", "client", "subsystem", "epoch", "op"})
 _ANSWER: Final = msgspec.msgpack.Decoder(Answer)
 
@@ -26,10 +26,10 @@ _ANSWER: Final = msgspec.msgpack.Decoder(Answer)
 def command(
     request: AnyRequest, answer: bytes, begun_ns: int, ended_ns: int
 ) -> rtpu_messages.Commanded:
-    """Return what a log says of a command that was answered.
+    """Return a log's record of a command that was answered.
 
     Args:
-        request: What was asked.
+        request: The request.
         answer: The packed answer.
         begun_ns: When it came, CLOCK_MONOTONIC.
         ended_ns: When it was answered.
@@ -53,7 +53,7 @@ def command(
 
 
 def _bounded(value: object) -> object:
-    """Return a value that does not take more than it may."""
+    """Return a value cut to the allowed size."""
     short = _short(msgspec.to_builtins(value))
     size = len(msgspec.json.encode(short))
     return short if size <= LARGEST else f"({size} bytes)"

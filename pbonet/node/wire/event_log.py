@@ -1,4 +1,4 @@
-"""Events of one RTPU: numbered, kept for late askers, handed to whoever publishes.
+"""Events of one RTPU: numbered, kept for late requests, passed to the publisher.
 
 Every error, warning, state change and line of output becomes an event. The RTPU process
 keeps them, so that numbers go on when its agent is restarted.
@@ -45,7 +45,7 @@ class EventLog:
         self._counts: Counter[tuple[str, str, str]] = Counter()
         self.publish: Callable[[Event], None] | None = None
         self.state_of: Callable[[str, str], str] | None = None
-        """Tells the state of a subsystem's task."""
+        """Returns the state of a subsystem's task."""
 
     @property
     def next(self) -> int:
@@ -121,7 +121,7 @@ def by_task(
 
     Args:
         counts: As `EventLog.counts` returns them.
-        subsystem: Whose tasks; empty: of all subsystems.
+        subsystem: The subsystem of the tasks; empty: all subsystems.
     """
     found: dict[str, dict[str, int]] = {}
     for whose, task, code, count in counts:
@@ -133,9 +133,9 @@ def by_task(
 
 
 class LineBudget:
-    """Says which lines of a talkative source still pass: a rate with a burst.
+    """Decides which lines of a talkative source pass: a rate with a burst.
 
-    What does not pass is counted, and the count is told once lines pass again.
+    What does not pass is counted, and the count is reported once lines pass again.
     """
 
     def __init__(self, rate: float = 20.0, burst: float = 100.0) -> None:

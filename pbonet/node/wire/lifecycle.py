@@ -23,7 +23,7 @@ class Event(StrEnum):
     SPAWN = "spawn"
     ON = "on"
     WAKEUP = "wakeup"
-    """The timer, or `sync` having returned."""
+    """The timer, or the return of `sync`."""
     SYNC = "sync"
     """A synchronous or aperiodic task is about to wait for its event."""
     ABORT = "abort"
@@ -44,7 +44,7 @@ class Step(StrEnum):
     COPY_IN = "in-vars in"
     COPY_IN_ON = "in-vars and out-vars in"
     COPY_IN_AGAIN = "in-vars and out-vars in again"
-    """The same for a task that owns its out-vars and goes on owning them."""
+    """The same for a task that owns its out-vars and keeps them."""
     CLAIM = "out-vars out, own"
     """Out-vars are copied out and are the task's own: one event for all others."""
     COMMIT = "out-vars out"
@@ -96,7 +96,7 @@ class Failure(StrEnum):
 class Outcome(Struct, frozen=True):
     """The consequence of one answer of a method: steps, and an end state.
 
-    Behind an answer of `error` the end is reached whatever fails in the steps.
+    After an answer of `error` the end state is reached even if a step fails.
     """
 
     steps: tuple[Step, ...]
@@ -204,7 +204,7 @@ NOT_MADE = Outcome((Step.KILL,), State.NOT_CREATED)
 
 
 def outcome(found: Rule, answer: Answer) -> Outcome:
-    """Return what follows OFF or ERROR of `error` behind a failure in a rule."""
+    """Return what follows when `error` answers OFF or ERROR to a failure in a rule."""
     return found.answered.get(answer) or ANSWERED[answer]
 
 
@@ -307,7 +307,7 @@ def _way(after: Outcome) -> str:
 
 
 def arrows() -> dict[tuple[State, State], list[str]]:
-    """Return which states follow which, and on what, for the documentation's figure."""
+    """Return the transitions between states, for the documentation's figure."""
     found: dict[tuple[State, State], list[str]] = {}
     for (state, event), one in RULES.items():
         if one.to is not state or event is Event.WAKEUP:

@@ -1,7 +1,7 @@
 """Set-up that every process of a node shares.
 
-Process identities that survive the reuse of a number, the parent-death signal, the
-environment that must stand before exec.
+Process identities that survive the reuse of a number, the parent-death signal, and the
+environment that must be set before exec.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     import signal
 
 LINK_LEVEL = 2
-"""Of the threads that carry records from machine to machine; commands have 3."""
+"""Level of the threads that carry records between machines; commands have 3."""
 _SENDS = "tx-"
-"""How the names of zenoh's threads begin that send."""
+"""Prefix of the names of zenoh's sending threads."""
 PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 
@@ -43,7 +43,7 @@ EXEC_ENVIRONMENT = {
 
 
 def set_parent_death_signal(which: signal.Signals, parent: int) -> bool:
-    """Ask for `which` when the parent ends; return whether `parent` still is it."""
+    """Ask for `which` when the parent ends; return whether that is still `parent`."""
     _libc.prctl(PR_SET_PDEATHSIG, int(which), 0, 0, 0)
     return os.getppid() == parent
 
@@ -69,9 +69,9 @@ def go_before_others() -> bool:
 
 
 def send_before_others() -> None:
-    """Give zenoh's threads that send that level too, where this process has the right.
+    """Give zenoh's sending threads that level too, where this process has the right.
 
-    They are the session's own, and known by their names alone.
+    They belong to the session, and only their names identify them.
     """
     level = os.sched_param(LINK_LEVEL)
     for task in Path("/proc/self/task").iterdir():
@@ -91,7 +91,7 @@ def settle_memory() -> None:
 def start_time(pid: int) -> int:
     """Return when process `pid` started, in clock ticks since boot; 0 if it is gone.
 
-    Together with the number it names a process for as long as the machine is up. One
+    Together with the number it identifies a process as long as the machine is up. One
     that was killed has files and locks until the last of its threads has ended.
     """
     try:
@@ -123,7 +123,7 @@ def environment() -> dict[str, str]:
 def housekeeping_cores(core: int) -> set[int]:
     """Return the cores where work that is not real-time belongs: all but `core`.
 
-    When the RTPU's core is the only one this process may use, it is that one.
+    If the RTPU's core is the only one this process may use, that core is returned.
     """
     allowed = os.sched_getaffinity(0)
     return (allowed - {core}) or allowed

@@ -8,7 +8,8 @@ Three links, all Unix sockets of one machine and one user:
 * RTPU process and fork server: sequenced packets, with file descriptors.
 * RTPU process and task: sequenced packets, one message each.
 
-None of this is public: both ends are always of one version, and say so when they meet.
+None of this is public: both ends are always of one version, and check it when they
+connect.
 """
 
 from __future__ import annotations
@@ -49,11 +50,11 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     """Folder of the logs, absolute."""
     awake: bool = False
     ready_fd: int = -1
-    """Where to write one `Ready` when commands can be taken."""
+    """Where to write one `Ready` when commands are accepted."""
 
 
 DUMP_SIGNAL = signal.SIGQUIT
-"""Makes a task write where it stands into its crash file, whatever it is doing."""
+"""Makes a task write its present stack into its crash file, whatever it is doing."""
 
 
 class TaskReady(Struct, kw_only=True):
@@ -98,7 +99,7 @@ class Forward(Struct, tag="forward"):
 
 
 class Note(Struct, tag="note"):
-    """Something the agent noticed, to be numbered among the events."""
+    """Something the agent noticed, to be numbered as an event."""
 
     severity: int
     code: str
@@ -119,7 +120,7 @@ class Arrived(Struct, tag="arrived"):
 
 
 class Recorder(Struct, tag="recorder", kw_only=True):
-    """How a recorder fares."""
+    """The state of a recorder."""
 
     subsystem: str
     path: str = ""
@@ -140,7 +141,7 @@ class LogLimits(Struct, frozen=True):
     log_mb: float = 0.0
     log_minutes: float = 0.0
     runs_mb: float = 0.0
-    """Of all logs in the folder of the runs."""
+    """The limit of all logs in the folder of the runs."""
 
 
 class Recording(Struct, kw_only=True):
@@ -178,18 +179,18 @@ class Happened(Struct, tag="happened"):
 
 
 class Apart(Struct):
-    """How far the clock of another agent's machine is from this one's."""
+    """The offset of another machine's clock from this one's."""
 
     rtpu: str
     machine: str
     offset_ns: int
-    """By so many nanoseconds it is ahead."""
+    """How far it is ahead, in nanoseconds."""
     within_ns: int
-    """How wrong that may be."""
+    """The uncertainty of the offset."""
 
 
 class Clocks(Struct, tag="clocks"):
-    """How far the clocks of other machines are apart from this one's."""
+    """The offsets of other machines' clocks from this one's."""
 
     machine: str
     others: list[Apart]
@@ -294,10 +295,10 @@ class Signal(Struct, tag="signal"):
     arg: str = ""
     handover: bool = False
     cede: bool = False
-    """For ``off``: it goes on owning the out-vars until successors take them."""
+    """For ``off``: it keeps the out-vars until successors take them over."""
     calls: list[Call] = []
-    """For ``off``: how the task engages its successors. One that does not stand by any
-    more fails the ``off`` before it begins."""
+    """For ``off``: how the task engages its successors. If one no longer stands by,
+    the ``off`` fails before it begins."""
     replaces: list[str] = []
     """For ``reinit``: tasks that leave, and whose constants it takes over."""
     then: Prepare | None = None
@@ -339,7 +340,7 @@ class SetParam(Struct, tag="set"):
 
 
 class GetParam(Struct, tag="get"):
-    """Ask for one parameter or for all."""
+    """Asks for one parameter or for all."""
 
     n: int
     name: str | None = None
@@ -412,7 +413,7 @@ class TaskSpec(Struct, kw_only=True):
     ring: str
     libraries: tuple[str, ...]
     forker: int
-    """The fork server's process id: who must be the parent."""
+    """The fork server's process id, which must be the parent's."""
     replaces: list[str] = []
     """Tasks that leave, and whose constants it takes over."""
 
@@ -427,11 +428,11 @@ class InspectSpec(Struct, kw_only=True):
 def encode(message: Struct) -> bytes:
     """Return `message` as msgpack bytes.
 
-    What comes from a module may hold numpy's numbers and arrays, which are told as
-    Python's, and texts that are no Unicode; see `untold.readable`.
+    Values from a module may hold numpy's numbers and arrays, which are encoded as
+    Python's, and texts that are no Unicode; see `sanitise_values.readable`.
 
     Raises:
-        TypeError: It holds what cannot be told; all classes of that are `UNTOLD`.
+        TypeError: It holds what cannot be encoded; `UNTOLD` lists all such exceptions.
     """
     try:
         return msgspec.msgpack.encode(message, enc_hook=of_numpy)

@@ -14,10 +14,10 @@ _NUMPY: tuple[type[object], ...] = np.generic, np.ndarray
 
 
 def readable(text: str) -> str:
-    r"""Return a text as UTF-8 can hold it.
+    r"""Return a text that UTF-8 can encode.
 
-    Python has bytes of file names that are none as lone surrogates; they become escapes
-    as in ``\udcff``.
+    Python represents bytes of file names that are not UTF-8 as lone surrogates; they
+    become escapes as in ``\udcff``.
     """
     return text.encode(errors="backslashreplace").decode()
 
