@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pbonet.master.subsystem import Subsystem
+    from pbonet.master.console import Subsystem
 
 __all__ = ["Subsystem"]
 
@@ -20,6 +20,6 @@ def __getattr__(name: str) -> object:
     """Load `Subsystem` when it is asked for."""
     if name != "Subsystem":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from pbonet.master.subsystem import Subsystem
+    from pbonet.master.console import Subsystem
 
     return Subsystem

@@ -11,14 +11,14 @@ from pbonet.errors import ConfigError, SeveralError, StateError, VerificationErr
 from pbonet.master.subsystem import status_fields
 
 if TYPE_CHECKING:
-    from .command_session import CommandSession
+    from .session_state import SessionState
 
 Given: TypeAlias = dict[str, Any]
 Data: TypeAlias = dict[str, Any]
 _LAST_EVENTS = 20
 
 
-def spawn(session: CommandSession, given: Given) -> Data:
+def spawn(session: SessionState, given: Given) -> Data:
     """Create a task."""
     status = session.subsystem.spawn(**given)
     session.default = status.task
@@ -31,13 +31,13 @@ def spawn(session: CommandSession, given: Given) -> Data:
     }
 
 
-def start(session: CommandSession, given: Given) -> Data:
+def start(session: SessionState, given: Given) -> Data:
     """Assemble a job."""
     statuses = session.subsystem.start(**given)
     return {"states": {status.task: status.state for status in statuses}}
 
 
-def check(session: CommandSession, given: Given) -> Data:
+def check(session: SessionState, given: Given) -> Data:
     """Judge a job or what stands; an illegal one is an answer here, not a failure."""
     job: str | None = given.get("job")
     found: Data = {"legal": True, "warnings": [], "rtpus": []}
@@ -49,7 +49,7 @@ def check(session: CommandSession, given: Given) -> Data:
     return found
 
 
-def status(session: CommandSession, given: Given) -> Data:
+def status(session: SessionState, given: Given) -> Data:
     """Show status since the last one that this interface showed."""
     wanted: list[str] = given.get("task") or []
     fields = (
@@ -89,7 +89,7 @@ def status(session: CommandSession, given: Given) -> Data:
     }
 
 
-def profiles(session: CommandSession, given: Given) -> Data:
+def profiles(session: SessionState, given: Given) -> Data:
     """Show the profiles of tasks and of their RTPUs."""
     from pbonet.master.subsystem import profiling
 
@@ -108,7 +108,7 @@ def profiles(session: CommandSession, given: Given) -> Data:
     return {"tasks": tasks, "rtpus": [one for one in rtpus if one["tasks"]]}
 
 
-def profiles_save(session: CommandSession, given: Given) -> Data:
+def profiles_save(session: SessionState, given: Given) -> Data:
     """Save the profiles of tasks."""
     saved = session.subsystem.profile_save(given.get("task") or [])
     return {
@@ -125,7 +125,7 @@ def profiles_save(session: CommandSession, given: Given) -> Data:
     }
 
 
-def status_set(session: CommandSession, given: Given) -> Data:
+def status_set(session: SessionState, given: Given) -> Data:
     """Choose the columns of status."""
     words: list[str] = given.get("field") or []
     if words:
@@ -137,13 +137,13 @@ def status_set(session: CommandSession, given: Given) -> Data:
     return {"shown": list(session.shown), "known": known}
 
 
-def write(session: CommandSession, given: Given) -> Data:
+def write(session: SessionState, given: Given) -> Data:
     """Set a variable."""
     value = session.subsystem.write(**given)
     return {"variables": [msgspec.to_builtins(value)]}
 
 
-def module(session: CommandSession, given: Given) -> Data:
+def module(session: SessionState, given: Given) -> Data:
     """List modules and RMODs, or show one module."""
     name: str | None = given.get("module")
     infos = session.subsystem.module(name)
@@ -158,47 +158,21 @@ def module(session: CommandSession, given: Given) -> Data:
     }
 
 
-def events(session: CommandSession, given: Given) -> Data:
+def events(session: SessionState, given: Given) -> Data:
     """Show what happened."""
     given.setdefault("last", _LAST_EVENTS)
     found = session.subsystem.events(**given)
     return {"events": [msgspec.to_builtins(event) for event in found]}
 
 
-def help_(session: CommandSession, given: Given) -> Data:
-    """Show the commands."""
-    return {
-        "commands": [
-            {
-                "name": command.name,
-                "usage": command.usage,
-                "help": command.help,
-                "changes": command.changes,
-                "examples": [list(example) for example in command.examples],
-                "args": [
-                    {
-                        "name": arg.name,
-                        "kind": str(arg.kind),
-                        "doc": arg.doc,
-                        "use": str(arg.use),
-                        "last": arg.last,
-                    }
-                    for arg in command.args
-                ],
-            }
-            for command in session.subsystem.help(given.get("command"))
-        ]
-    }
-
-
-def sigwait(session: CommandSession, given: Given) -> Data:
+def sigwait(session: SessionState, given: Given) -> Data:
     """Wait for a signal of a task."""
     sent = session.subsystem.sigwait(**given)
     session.default = sent.task
     return {"sent": msgspec.to_builtins(sent)}
 
 
-def network(session: CommandSession, given: Given) -> Data:
+def network(session: SessionState, given: Given) -> Data:
     """Hand control to a program on the network."""
     portname: str = given["portname"]
     if session.hand_over is None:
@@ -210,7 +184,7 @@ def network(session: CommandSession, given: Given) -> Data:
     return {"portname": portname}
 
 
-def quit_(session: CommandSession, _: Given) -> Data:
+def quit_(session: SessionState, _: Given) -> Data:
     """End the interface."""
     session.ended = True
     return {}

@@ -20,14 +20,14 @@ from pbonet.errors import (
     UnknownTaskError,
     did_you_mean,
 )
-from pbonet.master.subsystem import collected, is_sequence, sequence, status_fields
+from pbonet.master.subsystem import collected, is_sequence, sequence
 
 from .commands import BY_NAME, Arg, Command, Kind, Scope, find
+from .session_state import SessionState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pbonet.master.subsystem import Subsystem
 
 _LONGEST: Final = 1000
 """Characters of a word; a longer one is no name and no number."""
@@ -71,29 +71,8 @@ class Call(Struct, frozen=True):
         return self.command.judged
 
 
-class CommandSession:
-    """Takes commands for one interface, and carries them out.
-
-    Args:
-        subsystem: The subsystem that the commands are for.
-        hand_over: Called with a port name to let a program on the network steer; None
-            where this interface cannot do that.
-    """
-
-    def __init__(
-        self,
-        subsystem: Subsystem,
-        *,
-        hand_over: Callable[[str], None] | None = None,
-    ) -> None:
-        self.subsystem: Subsystem = subsystem
-        self.hand_over = hand_over
-        self.default = ""
-        """The task that the last command was for."""
-        self.shown: tuple[str, ...] = status_fields.DEFAULT
-        self.baselines = status_fields.Baselines()
-        self.ended = False
-        """Set by `quit`."""
+class CommandSession(SessionState):
+    """Takes commands for one interface, and carries them out."""
 
     @property
     def prompt(self) -> str:

@@ -17,7 +17,7 @@ from pbonet.errors import NodeError, did_you_mean
 from . import command_handlers
 
 if TYPE_CHECKING:
-    from .command_session import CommandSession
+    from .session_state import SessionState
 
     Given = dict[str, Any]
 
@@ -103,7 +103,7 @@ class Command(Struct, frozen=True):
     name: str
     help: str
     args: tuple[Arg, ...] = ()
-    run: Callable[[CommandSession, Given], Given] | None = None
+    run: Callable[[SessionState, Given], Given] | None = None
     """Carries it out and returns the data to show. None: the method of `Subsystem` of
     its name is called with its arguments."""
     shows: str = ""
@@ -151,6 +151,35 @@ _WAIT: Final = Arg(
     "wait", Kind.SECONDS, "how long its conditions may take to become true", Use.NAMED
 )
 _TEXT: Final = Arg("text", Kind.WORD, "text for the module", Use.NAMED)
+
+
+def _help(_: SessionState, given: Given) -> Given:
+    """Show the commands."""
+    name: str | None = given.get("command")
+    wanted = COMMANDS if name is None else (find(name),)
+    return {
+        "commands": [
+            {
+                "name": command.name,
+                "usage": command.usage,
+                "help": command.help,
+                "changes": command.changes,
+                "examples": [list(example) for example in command.examples],
+                "args": [
+                    {
+                        "name": arg.name,
+                        "kind": str(arg.kind),
+                        "doc": arg.doc,
+                        "use": str(arg.use),
+                        "last": arg.last,
+                    }
+                    for arg in command.args
+                ],
+            }
+            for command in wanted
+        ]
+    }
+
 
 COMMANDS: Final = (
     Command(
@@ -228,7 +257,7 @@ COMMANDS: Final = (
         "Show the commands, or explain one.",
         (Arg("command", Kind.COMMAND, "which", Use.MAYBE),),
         scope=Scope.SESSION,
-        run=command_handlers.help_,
+        run=_help,
     ),
     Command(
         "kill",

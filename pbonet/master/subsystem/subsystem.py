@@ -71,7 +71,6 @@ if TYPE_CHECKING:
 
     from pbonet.config import SbsFile
     from pbonet.master.configuration import Clock, Picture, Saved
-    from pbonet.master.console import Command
     from pbonet.master.sim import VirtualRtpus
     from pbonet.pbo import ModuleInfo
 
@@ -303,17 +302,6 @@ class Subsystem:
             return assembly.end(self.crew, self.name)
         finally:
             self.detach()
-
-    def network(self, portname: str) -> None:
-        """Hand control to a program on the network until it ends (`sbsNetwork`).
-
-        Raises:
-            NodeError: The name cannot be one.
-            DuplicateNameError: Another master serves a port of this name.
-        """
-        from pbonet.master.console import serve
-
-        serve(self, portname)
 
     def quit(self) -> None:
         """End the subsystem with its last interface, and warn of tasks that hung.
@@ -856,16 +844,6 @@ class Subsystem:
             ModuleLoadError: No library has such a module, or it does not load.
         """
         return remote_modules.of(self.fleet, module)
-
-    def help(self, command: str | None = None) -> tuple[Command, ...]:
-        """Return the table of commands, or one of them.
-
-        Raises:
-            NodeError: There is no such command.
-        """
-        from pbonet.master.console import COMMANDS, find
-
-        return COMMANDS if command is None else (find(command),)
 
     # -- signals and events of tasks ---------------------------------------------------
 

@@ -15,10 +15,10 @@ from pbonet.errors import (
     StateError,
     VerificationError,
 )
+from pbonet.master import Subsystem
 from pbonet.master.console.command_session import CommandSession
 from pbonet.master.console.commands import COMMANDS, Command, Use
 from pbonet.master.subsystem import status_fields
-from pbonet.master.subsystem.subsystem import Subsystem
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 SERVOING = EXAMPLES / "servoing"

@@ -63,6 +63,10 @@ def test_no_room_is_used_past_its_face(ours):
     assert ours.past_faces() == []
 
 
+def test_no_files_import_each_other_in_a_circle(ours):
+    assert ours.circles() == []
+
+
 def test_no_folder_is_too_full(ours):
     folders = ours.folders()
     assert {name: n for name, n in folders.items() if n > house.MOST_FILES} == {}
@@ -94,4 +98,5 @@ def test_the_script_says_how_the_house_stands():
         text=True,
         check=False,
     )
+    assert done.returncode == 0, done.stdout
     assert "imports past a face             0" in done.stdout
