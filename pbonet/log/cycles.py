@@ -1,4 +1,4 @@
-"""Every cycle of a run by task, whether it stands in a file or in memory."""
+"""Every cycle of a run by task, from a file or from memory."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Cycles(ABC):
         """
 
     def missed(self) -> dict[str, int]:
-        """Return how many releases each task has missed, where somebody counted."""
+        """Return how many releases each task has missed, where they were counted."""
         return {}
 
     def lost(self) -> dict[str, int]:
