@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 COLUMNS: Final = ("release_ns", "cycle", "start_ns", "end_ns", "cpu_ns", "flags")
-"""Columns of a cycle beside its values: instants of CLOCK_MONOTONIC, its number,
+"""Columns of a cycle besides its values: instants of CLOCK_MONOTONIC, its number,
 CPU time, and the flags of its copies."""
 STABLE: Final = 1 << 31
 """The flag of a cycle in which ``stable`` ran."""

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pbonet.svar import Table
 
 LATEST_NS = 250_000_000
-"""A call that was longer on its way is not made: somebody may have decided otherwise
-since, and nothing of that has come yet. Nor is one of which nobody can tell."""
+"""A call that was longer on its way is not made: a later decision may not have arrived
+yet. Nor is a call whose delay is unknown."""
 
 _decoder = msgspec.msgpack.Decoder(Call)
 

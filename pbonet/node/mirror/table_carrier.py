@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 GLANCE_NS = 20_000_000
-"""Nanoseconds between glances at a table that nobody is expected to change; a glance is
-made without Python."""
+"""Nanoseconds between quick checks of a table that is not expected to change; such a
+check runs without Python."""
 LAST_TIME = 1.0
 """Seconds that the last answers may take."""
 NEVER = 1e9
