@@ -119,6 +119,7 @@ class FakeAgent:
         self.tables: dict[str, str] = {}
         self.flags: list[str] = []
         self.silent = False
+        self.machine = "fake"
         self.fail: dict[tuple[str, str], PbonetError] = {}
         self.slow: dict[str, float] = {}
         self.held: dict[str, threading.Event] = {}
@@ -222,7 +223,7 @@ class FakeAgent:
             name=self.name,
             domain=self.world.domain,
             host="fakehost",
-            machine="fake",
+            machine=self.machine,
             core=0,
             cores=2,
             pid=0,
@@ -251,12 +252,21 @@ class FakeAgent:
                     got=holder,
                     remedy="end it, or take over",
                 )
+        if request.svar:
+            if error := self.fail.get(("open_table", "")):
+                raise error
+            self.do_open_table(request)
         self.claims[request.subsystem] = (epoch + 1, request.client)
         self.exclusive = request.subsystem if request.usage == "exclusive" else ""
+        status = self.do_status(m.Status())
+        load = self.world.library.load
         return m.Claimed(
             epoch=epoch + 1,
             tasks=list(self.tasks),
             rmods={task.name: task.text for task in self.tasks.values()},
+            modules={one.task: load(one.module).info for one in status.tasks},
+            status=status,
+            agent=self.do_hello(m.Hello()),
         )
 
     def do_release(self, request: m.Release) -> None:
@@ -266,8 +276,10 @@ class FakeAgent:
         self.exclusive = ""
         self.did("release")
 
-    def do_open_table(self, request: m.OpenTable) -> m.TableInfo:
+    def do_open_table(self, request: m.OpenTable | m.Claim) -> m.TableInfo:
         file = parse_svar(request.svar, request.svar_name)
+        if self.tables.get(request.subsystem) == request.svar:
+            return m.TableInfo(name=request.subsystem, layout="0", machine="fake")
         self.tables[request.subsystem] = request.svar
         if request.keep:
             self.world.values[request.subsystem] = {

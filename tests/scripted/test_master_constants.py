@@ -15,6 +15,7 @@ OLD, NEW = [0.0], [6.0]
 def robot(world, agents, puma):
     """An open subsystem; arm0 has the task that gives NDOF and DH."""
     agents("arm0", "arm1")
+    agents["arm1"].machine = "another"
     with Subsystem(puma, domain=world.domain, warned=lambda _: None) as subsystem:
         subsystem.spawn("puma_pidg", "arm0")
         yield subsystem

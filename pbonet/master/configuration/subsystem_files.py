@@ -27,6 +27,7 @@ from pbonet.config import (
 from pbonet.errors import (
     ConfigError,
     ConfigFileError,
+    NodeError,
     UnknownVariableError,
     did_you_mean,
 )
@@ -162,6 +163,24 @@ class Files:
     def jobs(self) -> list[str]:
         """Return the jobs that stand beside the ``.sbs``, sorted."""
         return sorted(path.stem for path in self.path.parent.glob("*.job"))
+
+    def likely_rtpu(self, task: str) -> str:
+        """Return the RTPU that a task is on if it was spawned as the files say.
+
+        They are the job, the jobs beside the ``.sbs`` file, and the task's RMOD.
+        """
+        beside = [self.path.with_name(f"{name}.job") for name in self.jobs()]
+        jobs = [self.job] if self.job is not None else []
+        for path in beside:
+            with contextlib.suppress(ConfigError):  # the file of another subsystem, too
+                job = read_job(path)
+                if (path.parent / job.sbs).resolve() == self.path.resolve():
+                    jobs.append(job)
+        named = [one.rtpu for job in jobs for one in job.tasks if one.rmod == task]
+        with contextlib.suppress(NodeError, ConfigError):
+            named.append(self.rmod(task).record.rtpu)
+        rtpus = [entry.name for entry in self.sbs.rtpus]
+        return next((rtpu for rtpu in named if rtpu in rtpus), rtpus[0])
 
     def _no_job(self) -> ConfigError:
         jobs = ", ".join(self.jobs())

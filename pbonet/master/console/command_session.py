@@ -52,6 +52,11 @@ class Call(Struct, frozen=True):
         return self.command.changes and not self.given.get("dry_run")
 
     @property
+    def task(self) -> str:
+        """The task whose RTPU alone need be asked; empty where others count, too."""
+        return self.given.get("task") or "" if self.command.alone else ""
+
+    @property
     def judged(self) -> bool:
         """Whether a judgement on all tasks decides, so that every RTPU must answer."""
         if self.command.name == "reconfig":

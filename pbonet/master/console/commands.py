@@ -107,6 +107,8 @@ class Command(Struct, frozen=True):
     """It needs a master that holds the claim."""
     judged: bool = False
     """It is verified against all tasks, and refused if it would be illegal."""
+    alone: bool = False
+    """Only the RTPU of its task need be asked."""
     scope: Scope = Scope.EVERYWHERE
     examples: tuple[tuple[str, str], ...] = ()
     """Lines of the prompt, each with what it does; verbs show them as their own."""
@@ -201,6 +203,7 @@ COMMANDS: Final = (
             ("freq puma_pidg", "Show it."),
             ("freq puma_pidg 500", "Run it at 500 Hz if deadlines can be met."),
         ),
+        alone=True,
     ),
     Command(
         "get",
@@ -211,6 +214,7 @@ COMMANDS: Final = (
             ("get puma_pidg", "Show all of them."),
             ("get puma_pidg kd", "Show one."),
         ),
+        alone=True,
     ),
     Command(
         "help",
@@ -322,6 +326,7 @@ COMMANDS: Final = (
             ("set puma_pidg kd", "Show one parameter."),
             ("set gain2 gain -1.5", "Change one between two cycles."),
         ),
+        alone=True,
     ),
     Command(
         "sigmask",

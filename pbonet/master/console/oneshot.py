@@ -83,7 +83,7 @@ def run(
         if reply is not None:
             return reply
     try:
-        subsystem.open(opened)
+        subsystem.open(opened, once=True, task=call.task)
         reply = Desk(subsystem).perform(call)
     except PbonetError as error:
         for warning in dict.fromkeys(opening):

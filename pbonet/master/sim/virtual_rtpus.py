@@ -156,7 +156,11 @@ class VirtualRtpus:
         if isinstance(request, HANDLED):
             rtpu.overview.refresh()
             return rtpu.overview.answer(request)
-        return self._until_done(rtpu.operations.handle(data))
+        answer = self._until_done(rtpu.operations.handle(data))
+        if isinstance(request, m.Claim):
+            rtpu.overview.refresh()
+            return rtpu.overview.with_status(request, answer, _info(rtpu))
+        return answer
 
     def _until_done(self, asked: Coroutine[Any, Any, bytes]) -> bytes:
         """Run a coroutine to its end, and let time pass while it waits."""

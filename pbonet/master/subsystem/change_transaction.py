@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import threading
+    from collections.abc import Sequence
 
     from pbonet.master.configuration import Clock, Files
 
@@ -21,22 +22,31 @@ class Changing:
         busy: Held meanwhile.
         strict: Whether every RTPU must say how its tasks stand.
         claimed: False for a command that only tells what it would do.
+        rtpus: Those that are asked how their tasks stand; None: all.
     """
 
     def __init__(
-        self, crew: Crew, busy: threading.RLock, *, strict: bool, claimed: bool = True
+        self,
+        crew: Crew,
+        busy: threading.RLock,
+        *,
+        strict: bool,
+        claimed: bool = True,
+        rtpus: Sequence[str] | None = None,
     ) -> None:
         self._crew = crew
         self._busy = busy
         self._strict = strict
         self._claimed = claimed
+        self._rtpus = rtpus
 
     def __enter__(self) -> Crew:
         if self._claimed:
             self._crew.fleet.must_be_claimed()
         self._busy.acquire()
         try:
-            self._crew.refresh(strict=self._strict)
+            if self._rtpus != []:
+                self._crew.refresh(strict=self._strict, rtpus=self._rtpus)
         except BaseException:
             self._busy.release()
             raise
@@ -72,6 +82,12 @@ class Opened(Protocol):
         """Tell a warning."""
         ...
 
-    def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
+    def _changing(
+        self,
+        *,
+        strict: bool = True,
+        claimed: bool = True,
+        rtpus: Sequence[str] | None = None,
+    ) -> Changing:
         """Return what a command that changes it stands in."""
         ...

@@ -179,9 +179,9 @@ def renew(
 
 
 def _arrived(crew: Crew, member: Member, given_at: Mapping[str, str]) -> None:
-    """Wait until constants stand in a task's table as in those of who gave them.
+    """Wait until constants stand in a task's table as in that of the task giving them.
 
-    Each machine has a table, and a value needs time from one to another.
+    Each machine has one table, and a value needs time from one to another.
 
     Args:
         crew: The tasks.
@@ -192,7 +192,8 @@ def _arrived(crew: Crew, member: Member, given_at: Mapping[str, str]) -> None:
         NoAnswerError: They did not come.
         PbonetError: The task's own RTPU does not say what it has.
     """
-    far = {name: rtpu for name, rtpu in given_at.items() if rtpu != member.rtpu}
+    near = crew.fleet.share_a_machine
+    far = {name: rtpu for name, rtpu in given_at.items() if not near(rtpu, member.rtpu)}
     end = time.monotonic() + ARRIVAL_TIME
     while far:
         try:

@@ -86,6 +86,14 @@ class Fleet:
             self._agents[rtpu] = self.call(rtpu, m.Hello(), m.AgentInfo)
         return self._agents[rtpu]
 
+    def share_a_machine(self, one: str, other: str) -> bool:
+        """Tell whether two RTPUs are known to be on one machine, with one table."""
+        if one == other:
+            return True
+        agents = [self._agents.get(rtpu) for rtpu in (one, other)]
+        machines = {agent.machine if agent is not None else None for agent in agents}
+        return None not in machines and len(machines) == 1
+
     def entry(self, rtpu: str) -> RtpuEntry:
         """Return what the file says about an RTPU.
 
@@ -102,11 +110,22 @@ class Fleet:
         return self.entries[rtpu]
 
     def claim(
-        self, *, take_over: bool = False, partly: bool = False
+        self,
+        rtpus: Iterable[str] | None = None,
+        *,
+        svar: str = "",
+        svar_name: str = "",
+        take_over: bool = False,
+        partly: bool = False,
     ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
-        """Reserve every RTPU; on failure none stays reserved by this call.
+        """Reserve RTPUs and open the table there, on its keeper before the others.
+
+        On failure none stays reserved by this call.
 
         Args:
+            rtpus: Which; None: every one.
+            svar: The text of the table's ``.svar`` file; empty: open no table.
+            svar_name: The name of that file, for messages.
             take_over: Replace a master that lives.
             partly: Be content with those that answer.
 
@@ -116,24 +135,40 @@ class Fleet:
         Raises:
             SeveralError: Several RTPUs cannot be had; of one, its own error.
             ClaimError: An RTPU belongs to another subsystem or another master.
+            SvarError: The table stands there with another layout.
             UnreachableError: An agent is not there.
             NoAnswerError: One is there, and does not answer.
         """
         self._declare()
+        wanted = self.entries if rtpus is None else list(rtpus)
         claims: dict[str, m.Request] = {
             name: m.Claim(
                 subsystem=self.sbs.subsystem,
-                usage=entry.usage,
-                scheduler=entry.scheduler,
-                errprint=entry.errprint,
-                minfreq=entry.minfreq,
-                maxfreq=entry.maxfreq,
+                usage=self.entries[name].usage,
+                scheduler=self.entries[name].scheduler,
+                errprint=self.entries[name].errprint,
+                minfreq=self.entries[name].minfreq,
+                maxfreq=self.entries[name].maxfreq,
                 take_over=take_over,
+                svar=svar,
+                svar_name=svar_name,
+                keep=name == self.sbs.keeper,
             )
-            for name, entry in self.entries.items()
+            for name in self.keeper_first
+            if name in wanted
         }
-        results, errors = self.client.call_all(claims, m.Claimed)
-        self.epochs = {name: claimed.epoch for name, claimed in results.items()}
+        first = [name for name in claims if name == self.sbs.keeper]
+        results: dict[str, m.Claimed] = {}
+        errors: list[PbonetError] = []
+        for names in (first, [name for name in claims if name not in first]):
+            group = {name: claims[name] for name in names}
+            got, failed = self.client.call_all(group, m.Claimed)
+            results |= got
+            errors += failed
+        self.epochs |= {name: claimed.epoch for name, claimed in results.items()}
+        self._agents |= {
+            name: claimed.agent for name, claimed in results.items() if claimed.agent
+        }
         unheard = [
             one for one in errors if isinstance(one, (UnreachableError, NoAnswerError))
         ]

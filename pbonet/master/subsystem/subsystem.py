@@ -189,11 +189,20 @@ class Subsystem(Switching, Calls, Signalled):
         """Its tasks as they stood at the last look."""
         return self.crew.picture
 
-    def open(self, opened: zenoh.Session | None = None) -> Self:
+    def open(
+        self,
+        opened: zenoh.Session | None = None,
+        *,
+        once: bool = False,
+        task: str = "",
+    ) -> Self:
         """Connect, claim the RTPUs, open the table, and learn what stands already.
 
         Args:
             opened: A session to go through, which is ours from now on; None opens one.
+            once: One command follows immediately, for which the status that is learned
+                here is new enough.
+            task: That command concerns this task alone: claim and ask only its RTPU.
 
         Raises:
             UnreachableError: No agent, or not every agent, can be reached.
@@ -205,7 +214,7 @@ class Subsystem(Switching, Calls, Signalled):
             rtpus = [entry.name for entry in self.files.sbs.rtpus]
             self._agents.start(self._agents.missing(rtpus))
         try:
-            self._crew = self._open(self._client(opened))
+            self._crew = self._open(self._client(opened), task, once=once)
         except BaseException:
             self._end_agents()
             raise
@@ -223,15 +232,20 @@ class Subsystem(Switching, Calls, Signalled):
         opened = opened or session.client(self.domain, connect=self._connect)
         return rpc.Client(opened, self.domain, name, warned=warned)
 
-    def _open(self, client: rpc.Client) -> Crew:
+    def _open(self, client: rpc.Client, task: str, *, once: bool) -> Crew:
         fleet = Fleet(client, self.files.sbs)
         crew = Crew(self.files, fleet, self._warn, self.logbook, self.inbox)
         try:
             if not self.watch:
-                crew.take(take_over=self._take_over, partly=self._partly)
+                crew.take(take_over=self._take_over, partly=self._partly, task=task)
             self.inbox.clear()
-            for rtpu in crew.refresh(strict=False):
+            statuses = crew.refresh(
+                strict=False, rtpus=list(fleet.epochs) if task else None
+            )
+            for rtpu in statuses:
                 self.inbox.begin(rtpu.tasks)
+            if once:
+                crew.reuse(statuses)
         except BaseException:
             fleet.drop()
             client.close()
@@ -344,7 +358,8 @@ class Subsystem(Switching, Calls, Signalled):
             PbonetError: A method of the module failed.
         """
         check_signal(signal)
-        with self._changing(strict=signal == "on") as crew:
+        rtpus = self.crew.concerned([task])
+        with self._changing(strict=signal == "on", rtpus=rtpus) as crew:
             crew.home(task, signal)
             if signal == "on":
                 crew.judge(legality.signal(task, signal))
@@ -364,9 +379,9 @@ class Subsystem(Switching, Calls, Signalled):
             VerificationError: The RTPU could not bear the new rate.
         """
         if hz is None:
-            return self.fleet.call(self.crew.locate(task), m.Freq(task=task), float)
+            return self.crew.ask(task, m.Freq(task=task), float)
         check_rate(task, hz)
-        with self._changing() as crew:
+        with self._changing(rtpus=[self.crew.locate(task)]) as crew:
             member = crew.picture.find(task)
             crew.judge(legality.frequency(structs.replace(member.task, freq=hz)))
             request = m.Freq(task=task, hz=hz)
@@ -374,7 +389,7 @@ class Subsystem(Switching, Calls, Signalled):
                 member.freq = self.fleet.call(member.rtpu, request, float)
                 return member.freq
             finally:
-                crew.settle()
+                crew.keep()
 
     def get(self, task: str, param: str | None = None) -> list[m.ParamValue]:
         """Return the parameters of a task's module, or the one named.
@@ -384,7 +399,7 @@ class Subsystem(Switching, Calls, Signalled):
             ParameterError: It has no such parameter.
         """
         request = m.Get(task=task, name=param)
-        return self.fleet.call(self.crew.locate(task), request, list[m.ParamValue])
+        return self.crew.ask(task, request, list[m.ParamValue])
 
     def set(
         self, task: str, param: str | None = None, value: object = None
@@ -403,12 +418,9 @@ class Subsystem(Switching, Calls, Signalled):
         """
         if param is None or value is None:
             return self.get(task, param)
-        with self._changing(strict=False) as crew:
-            rtpu = crew.picture.find(task).rtpu
-            request = m.Set(task=task, name=param, value=local_words(value))
-            return self.fleet.call(
-                rtpu, request, list[m.ParamValue], timeout=CONTROL_TIME
-            )
+        request = m.Set(task=task, name=param, value=local_words(value))
+        with self._changing(rtpus=[]) as crew:
+            return crew.ask(task, request, list[m.ParamValue], timeout=CONTROL_TIME)
 
     def write(self, variable: str, value: float | Iterable[float]) -> m.VarValue:
         """Set a variable that no task writes; who has it as in-const takes it in.
@@ -505,5 +517,13 @@ class Subsystem(Switching, Calls, Signalled):
         """Hand a warning to the command that gave it, else to whoever listens."""
         (collector() or self.warned)(text)
 
-    def _changing(self, *, strict: bool = True, claimed: bool = True) -> Changing:
-        return Changing(self.crew, self._busy, strict=strict, claimed=claimed)
+    def _changing(
+        self,
+        *,
+        strict: bool = True,
+        claimed: bool = True,
+        rtpus: Sequence[str] | None = None,
+    ) -> Changing:
+        return Changing(
+            self.crew, self._busy, strict=strict, claimed=claimed, rtpus=rtpus
+        )

@@ -9,12 +9,19 @@ from __future__ import annotations
 import logging
 from functools import cache, partial
 from types import NoneType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import msgspec
 
 from pbonet.analysis import legality
 from pbonet.analysis.schedule import PLANNED
 from pbonet.config import info_of, parse_rmod
-from pbonet.errors import PbonetError
+from pbonet.errors import (
+    NoAnswerError,
+    PbonetError,
+    UnknownTaskError,
+    UnreachableError,
+)
 from pbonet.master.configuration import Member, Picture, RmodSource, already
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m, rpc
@@ -49,6 +56,11 @@ SIGNALS = {
     "reinit": None,
 }
 """What may be sent to a task, and the state that it leads to; None: as before."""
+
+_BY_OTHERS: Final = {legality.Code.NO_WRITER, legality.Code.NO_CONSTANT}
+"""Problems that tasks on other RTPUs may solve."""
+
+T = TypeVar("T")
 
 log = logging.getLogger("pbonet.master")
 
@@ -85,57 +97,137 @@ class Crew:
             lambda flag: fleet.call(files.sbs.keeper, flag, list[str]), self.say
         )
         self._noted: set[str] = set()  # told already, of saved profiles
+        self._modules: dict[str, Any] = {}  # that tasks run, as claims describe them
+        self._fresh: dict[str, m.RtpuStatus] = {}  # for the next `refresh`
+        self._whole = False  # the tasks of every RTPU were asked for
+        self._priorities: dict[str, int] = {}  # as the RTPUs have them
 
     # -- the picture ------------------------------------------------------------------
 
-    def take(self, *, take_over: bool, partly: bool) -> None:
+    def take(self, *, take_over: bool, partly: bool, task: str = "") -> None:
         """Claim the RTPUs, open the table, and take in the tasks that stand there.
 
-        The table is opened on its keeper first; the others attach or mirror it.
-
         Args:
-            take_over: Replace a master that lives.
-            partly: Be content with the RTPUs that answer, and tell of the others.
+            take_over: Replace a master that lives; then every RTPU is claimed.
+            partly: Be content with the RTPUs that answer, and warn of the others.
+            task: Claim only the RTPU of this task, if the task is where its files say.
 
         Raises:
             ClaimError: An RTPU belongs to another subsystem or another master.
             SvarError: The table cannot be opened; the claims were given back.
             SeveralError: Several RTPUs cannot be had.
         """
-        claims, errors = self.fleet.claim(take_over=take_over, partly=partly)
+        if task and not take_over and self._take_home(task):
+            return
+        others = [name for name in self.fleet.names if name not in self.fleet.epochs]
+        claims, errors = self._claim(others, take_over=take_over, partly=partly)
         self.tell(map(str, errors))
+        self._take_in(claims)
+
+    def _take_home(self, task: str) -> bool:
+        """Claim the RTPU that a task should be on; return whether it is there."""
         try:
-            for rtpu in self.fleet.keeper_first:
-                if rtpu not in claims:
-                    continue
-                request = m.OpenTable(
-                    svar=self.files.table_text,
-                    svar_name=self.files.table.file,
-                    keep=rtpu == self.files.sbs.keeper,
-                )
-                self.fleet.call(rtpu, request, m.TableInfo)
-        except PbonetError:
-            self.fleet.give_back(claims)
-            raise
+            claims, _ = self._claim([self.files.likely_rtpu(task)])
+        except (UnreachableError, NoAnswerError):  # the task may be on another one
+            return False
+        self._take_in(claims)
+        return task in self.picture
+
+    def _claim(
+        self, rtpus: list[str], *, take_over: bool = False, partly: bool = False
+    ) -> tuple[dict[str, m.Claimed], list[PbonetError]]:
+        return self.fleet.claim(
+            rtpus,
+            svar=self.files.table_text,
+            svar_name=self.files.table.file,
+            take_over=take_over,
+            partly=partly or self.fleet.claimed,
+        )
+
+    def _take_in(self, claims: dict[str, m.Claimed]) -> None:
+        """Take in the tasks that stand on RTPUs that were claimed."""
         for rtpu, claimed in claims.items():
             for task in claimed.tasks:
                 source = self._source(task, claimed.rmods.get(task))
                 freq = source.record.freq or 0.0
                 self.picture.add(Member(source=source, rtpu=rtpu, freq=freq))
+            self._modules |= claimed.modules
+            if claimed.status is not None:
+                self._fresh[rtpu] = claimed.status
 
-    def refresh(self, *, strict: bool = True) -> list[m.RtpuStatus]:
+    def ask(
+        self,
+        task: str,
+        request: m.Request,
+        result: type[T],
+        *,
+        timeout: float = rpc.ANSWER_TIME,
+    ) -> T:
+        """Send a request about one task to its RTPU, and return the result.
+
+        Where the task is not known it is asked for where its files say. The other RTPUs
+        are asked only if it is not there.
+
+        Raises:
+            UnknownTaskError: There is no such task.
+            PbonetError: As `rpc.Client.call` and the agent say.
+        """
+        member = self.picture.get(task)
+        if member is None and self._whole:
+            return self.fleet.call(self.locate(task), request, result, timeout=timeout)
+        rtpu = member.rtpu if member else self.files.likely_rtpu(task)
+        try:
+            return self.fleet.call(rtpu, request, result, timeout=timeout)
+        except (UnknownTaskError, UnreachableError, NoAnswerError):
+            self.refresh(strict=False)
+            home = self.picture.find(task).rtpu
+            if home == rtpu:
+                raise
+        return self.fleet.call(home, request, result, timeout=timeout)
+
+    def concerned(self, tasks: Sequence[str]) -> list[str]:
+        """Return the RTPUs whose tasks a change of some tasks can make illegal.
+
+        They are those that the tasks are on, and those with tasks that share a variable
+        with them. If a task is not known or gives constants, all are.
+        """
+        members = [self.picture.get(task) for task in tasks]
+        known = [member for member in members if member is not None]
+        if len(known) < len(members) or any(one.task.gives for one in known):
+            return self.fleet.names
+        shared = {name for member in known for name in member.variables}
+        homes = {one.rtpu for one in self.picture if one.variables & shared}
+        homes |= {member.rtpu for member in known}
+        return [name for name in self.fleet.names if name in homes]
+
+    def reuse(self, statuses: Iterable[m.RtpuStatus]) -> None:
+        """Have the next `refresh` take these statuses, and ask for no newer ones."""
+        self._fresh |= {status.rtpu: status for status in statuses}
+
+    def refresh(
+        self, *, strict: bool = True, rtpus: Sequence[str] | None = None
+    ) -> list[m.RtpuStatus]:
         """Ask the RTPUs how the tasks stand now; return their status.
+
+        Those that were claimed just now have given it with the claim.
 
         Args:
             strict: Whether every RTPU must answer, because a judgement is to rest on
                 it. Else those that do not are told as warnings, and their tasks stay
                 as they were last seen.
+            rtpus: Which are asked; None: all.
 
         Raises:
             SeveralError: Several agents do not answer; of one, its own error.
         """
         known, dead = set(self.picture.names), self._inbox.dead()
-        results, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus)
+        wanted = self.fleet.names if rtpus is None else rtpus
+        results = {name: self._fresh[name] for name in wanted if name in self._fresh}
+        self._fresh.clear()
+        self._whole = self._whole or len(wanted) == len(self.fleet.names)
+        asked = [name for name in wanted if name not in results]
+        found, errors = self.fleet.each(lambda _: m.Status(), m.RtpuStatus, rtpus=asked)
+        results |= found
         if strict or not results:
             rpc.raise_all(f"{len(errors)} RTPUs do not give their status", errors)
         self.tell(map(str, errors))
@@ -149,12 +241,14 @@ class Crew:
             gone = member.rtpu in results and member.name not in names
             if gone and member.name in known:  # else it was spawned meanwhile
                 self.picture.remove(member.name)
-        self._unfed.seen(cause for rtpu in statuses for cause in rtpu.illegal)
+        if self.fleet.sbs.keeper in results:
+            self._unfed.seen(cause for rtpu in statuses for cause in rtpu.illegal)
         return statuses
 
     def note(self, status: m.TaskStatus) -> None:
         """Take a task's status into the picture, and its signals."""
         self._inbox.note(status)
+        self._priorities[status.task] = status.priority
         member = self.picture.get(status.task)
         if member is None:
             try:
@@ -217,7 +311,7 @@ class Crew:
         Raises:
             ModuleLoadError: The agent there has no such module, or it does not load.
         """
-        member.info = self.info(member.rtpu, member.rmod)
+        member.info = member.info or self.info(member.rtpu, member.rmod)
         store = self.files.profiles
         if store.hosts(member.name):
             host = self.fleet.agent(member.rtpu).host
@@ -283,7 +377,10 @@ class Crew:
 
     def _judged(self, change: legality.Change | None) -> Problems:
         now = self.configuration()
-        return legality.judge(now, change).problems if change else legality.check(now)
+        found = legality.judge(now, change).problems if change else legality.check(now)
+        if self._whole:
+            return found
+        return [one for one in found if one.code not in _BY_OTHERS]
 
     def report(
         self, change: legality.Change | None = None
@@ -312,6 +409,10 @@ class Crew:
         """Get the description of each task's module, where it is not known yet."""
         for member in members:
             if member.info is None:
+                if described := self._modules.pop(member.name, None):
+                    from pbonet.pbo import ModuleInfo  # it is loaded with numpy
+
+                    member.info = msgspec.convert(described, ModuleInfo)
                 self._describe(member)
 
     def say(self, problems: Problems) -> None:
@@ -354,6 +455,7 @@ class Crew:
         limit = SPAWN_TIME + 1.0
         status = self.fleet.call(member.rtpu, request, m.TaskStatus, timeout=limit)
         self.picture.spawned(member)
+        self._modules.pop(member.name, None)
         self.note(status)
         return status
 
@@ -436,21 +538,32 @@ class Crew:
         except PbonetError as error:
             self.warned(f"after the change: {error}")
 
+    def keep(self) -> None:
+        """After a change of times alone: forget warnings that do not hold any more."""
+        self._standing.keep(self._judged(None))
+
     @staticmethod
     def priorities(members: Iterable[Member]) -> dict[str, int]:
         """Return the user priorities that follow from the data flow (6.2.4)."""
         return legality.user_priorities([member.task for member in members])
 
     def rank(self) -> None:
-        """Tell the RTPUs the user priorities; criticalities are their own rule's."""
+        """Tell the RTPUs the user priorities that they do not have.
+
+        Criticalities are their own rule's.
+        """
         priorities = self.priorities(self.picture)
         ranks: dict[str, dict[str, tuple[int | None, int]]] = {}
         for member in self.picture:
-            rank = (member.rmod.crit, priorities[member.name])
-            ranks.setdefault(member.rtpu, {})[member.name] = rank
-        _, errors = self.fleet.each(
+            priority = priorities[member.name]
+            if self._priorities.get(member.name) != priority:
+                rank = (member.rmod.crit, priority)
+                ranks.setdefault(member.rtpu, {})[member.name] = rank
+        ranked, errors = self.fleet.each(
             lambda rtpu: m.Rank(tasks=ranks[rtpu]), NoneType, rtpus=ranks
         )
+        for rtpu in ranked:
+            self._priorities |= {task: rank[1] for task, rank in ranks[rtpu].items()}
         self.tell(map(str, errors))
 
     # -- ending -----------------------------------------------------------------------

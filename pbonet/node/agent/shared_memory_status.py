@@ -30,7 +30,7 @@ from pbonet.node.rtpu import (
 from pbonet.node.wire import Answers, Note, being_stopped, event_log
 from pbonet.svar import Table
 from pbonet.tbuf import places
-from pbonet.xm.net import messages as m
+from pbonet.xm.net import codec, messages as m
 
 from . import variable_values
 
@@ -206,6 +206,15 @@ class Overview:
             tbufs=tbuf.seen(self._domain, links),
             recorder=self._recorder(whose),
         )
+
+    def with_status(self, claim: m.Claim, answer: bytes, agent: m.AgentInfo) -> bytes:
+        """Return the answer to a claim; one that was granted has the status, too."""
+        packs = codec.Codec()
+        given = packs.answer(answer)
+        status = packs.answer(self.answer(m.Status(subsystem=claim.subsystem)))
+        if given.ok and status.ok:
+            given.result |= {"status": status.result, "agent": agent}
+        return packs.pack(given)
 
     def _profile(self, request: m.Profile) -> list[m.TaskProfile]:
         while True:

@@ -55,6 +55,7 @@ LOOKS = 4
 """Threads for requests that read much, or wait for the RTPU process."""
 
 CHANGES = (
+    m.Claim,
     m.OpenTable,
     m.CloseTable,
     m.Release,
@@ -205,15 +206,26 @@ class Server:
         """Give the answer to forwarded request `n`."""
         with self._guard:
             one = self._pending.pop(n, None)
-        if one is not None:
-            changes = isinstance(one.request, CHANGES)
-            subsystem = one.request.subsystem if changes else ""
-            self._tell(one.request, data, one.begun_ns)
-            self._node.spread(
-                subsystem,
-                partial(self._reply, one.query, data),
-                take=isinstance(one.request, m.OpenTable),
-            )
+        if one is None:
+            return
+        self._tell(one.request, data, one.begun_ns)
+        if isinstance(one.request, m.Claim):
+            self._looks.submit(self._claimed, one.query, one.request, data)
+        else:
+            self._spread(one.query, one.request, data)
+
+    def _claimed(self, query: zenoh.Query, request: m.Claim, data: bytes) -> None:
+        """Answer a claim with the status, which may have to be waited for."""
+        whole = self._overview.with_status(request, data, self._node.info())
+        self._spread(query, request, whole)
+
+    def _spread(self, query: zenoh.Query, request: m.AnyRequest, data: bytes) -> None:
+        """Send an answer, once other machines know a table that may have changed."""
+        self._node.spread(
+            request.subsystem if isinstance(request, CHANGES) else "",
+            partial(self._reply, query, data),
+            take=isinstance(request, m.OpenTable | m.Claim),
+        )
 
     def _tell(self, request: m.AnyRequest, answer: bytes, begun_ns: int) -> None:
         """Record a command once, however often it came."""

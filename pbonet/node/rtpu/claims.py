@@ -121,6 +121,12 @@ class Claims:
         """Forget the claim of `subsystem`."""
         self._entries.pop(subsystem, None)
 
+    def restore(self, subsystem: str, entry: Entry | None) -> None:
+        """Have the claim of `subsystem` as it was before; None: there was none."""
+        self.release(subsystem)
+        if entry is not None:
+            self._entries[subsystem] = entry
+
     def _check_settings(self, request: Claim) -> None:
         for what, got, known in (
             ("usage", request.usage, ("exclusive", "shared")),

@@ -161,6 +161,12 @@ class Operations:
         before = rtpu.claims.get(request.subsystem)
         entry = rtpu.claims.claim(request, masters=masters, busy=rtpu.busy())
         self._close_orphaned_tables()
+        if request.svar:
+            try:
+                rtpu.tables.open(request)
+            except BaseException:
+                rtpu.claims.restore(request.subsystem, before)
+                raise
         rtpu.rank()
         rtpu.tell_claims()
         if before is None or before.epoch != entry.epoch:
@@ -178,6 +184,7 @@ class Operations:
             epoch=entry.epoch,
             tasks=[task.name for task in tasks],
             rmods={task.name: task.facts.text for task in tasks},
+            modules={task.name: task.ready.info for task in tasks if task.ready},
         )
 
     def _close_orphaned_tables(self) -> None:

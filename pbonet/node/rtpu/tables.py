@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pbonet.config import SvarFile
-    from pbonet.xm.net import OpenTable
+    from pbonet.xm.net import Claim, OpenTable
 
 
 _LOCK = struct.Struct("hhqqi4x")
@@ -110,7 +110,7 @@ class Tables:
             )
         return opened
 
-    def open(self, request: OpenTable) -> TableInfo:
+    def open(self, request: OpenTable | Claim) -> TableInfo:
         """Create or attach the subsystem's table.
 
         Raises:

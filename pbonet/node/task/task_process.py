@@ -236,6 +236,7 @@ class Host:
             tells="timing_failure" in self.info.methods,
             notes=notes,
             signals=self.voice.own,
+            info=msgspec.to_builtins(self.info),
         )
         self._answer(0, ready)
 

@@ -68,6 +68,8 @@ class TaskReady(Struct, kw_only=True):
     notes: list[str] = []
     signals: dict[str, int] = {}
     """Names and bits of the module's own signals."""
+    info: dict[str, Any] = {}
+    """The description of the module, as a `ModuleInfo` is packed."""
 
 
 class Ready(Struct, kw_only=True):

@@ -66,6 +66,9 @@ class Claim(Request, tag="claim"):
 
     The same subsystem may claim again when the former master's token is gone, or with
     `take_over`; the epoch then rises and the former master's commands are refused.
+
+    With the text of a ``.svar`` file the table is opened, too, as by `OpenTable`; where
+    that fails, the claim is as it was before.
     """
 
     usage: str = "exclusive"
@@ -74,6 +77,12 @@ class Claim(Request, tag="claim"):
     minfreq: float = 1.0
     maxfreq: float = 1000.0
     take_over: bool = False
+    svar: str = ""
+    """Text of the ``.svar`` file; empty: the table is left as it is."""
+    svar_name: str = ""
+    """Its name, for messages."""
+    keep: bool = False
+    """True on the RTPU that creates and keeps the table."""
 
 
 class Release(Request, tag="release"):
@@ -398,6 +407,12 @@ class Claimed(Struct, kw_only=True):
     """Tasks of the subsystem that stand on the RTPU already."""
     rmods: dict[str, str] = {}
     """Text of the ``.rmod`` that each of them was spawned from."""
+    modules: dict[str, Any] = {}
+    """The module that each of them runs, described as by the request ``modules``."""
+    status: RtpuStatus | None = None
+    """As the request ``status`` gives it, so that a master need not ask again."""
+    agent: AgentInfo | None = None
+    """As the request ``hello`` gives it."""
 
 
 class TableInfo(Struct, kw_only=True):
