@@ -48,7 +48,7 @@ def read_agent(path: str | Path) -> AgentConfig:
 
 
 def told_agent(path: Path | None, told: Mapping[str, Any]) -> AgentConfig:
-    """Return what an agent goes by: an ``agent.toml``, and what it is told besides.
+    """Return an agent's settings: an ``agent.toml``, and what overrides it.
 
     Args:
         path: The file, read now; None for the defaults.

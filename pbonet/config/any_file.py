@@ -26,7 +26,7 @@ _READERS: dict[str, Callable[[str | Path], Record]] = {
 
 
 def read_any(path: str | Path) -> Record:
-    """Return what the file at `path` says; its ending tells the format.
+    """Return the content of the file at `path`; its ending gives the format.
 
     Raises:
         ConfigFileError: It cannot be read, or its ending is unknown.

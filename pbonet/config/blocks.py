@@ -60,7 +60,7 @@ class Grammar:
         return tuple(self.stage_of)
 
     def next_after(self, number: int, found: Block) -> list[str]:
-        """Return the keywords that may stand behind stage `number`."""
+        """Return the keywords that may follow stage `number`."""
         words: list[str] = []
         had = set(found.lines)
         for group in self.either:

@@ -75,7 +75,7 @@ def _ended(text: str) -> str:
 
 
 def _chunks(text: str) -> list[str]:
-    """Cut a text before each line PART that stands behind an EOF."""
+    """Cut a text before each line PART that follows an EOF."""
     chunks: list[str] = []
     begin = at = 0
     over = False

@@ -28,7 +28,7 @@ def info_of(rmod: Rmod, describe: Callable[[str], ModuleInfo]) -> ModuleInfo:
 
 
 def part_info(part: Rmod, info: ModuleInfo) -> PartInfo:
-    """Return a part of a combination, with the variables behind its ports."""
+    """Return a part of a combination, with the variables of its ports."""
     variables = {port.name: part.svar_name(port.name) for port in info.ports}
     return pbo.PartInfo(part.name, info, variables)
 

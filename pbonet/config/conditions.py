@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LONGEST = 500
 """Characters of a condition."""
 DEEPEST = 50
-"""How many of its parts may stand in one another."""
+"""How many of its parts may be nested."""
 FUNCTIONS = {
     "abs": "abs(X)",
     "max": "max(X) or max(X, Y, ...)",
@@ -159,7 +159,7 @@ def _plain(text: str) -> tuple[str, dict[int, str], dict[int, str]]:
 
 
 def _depth(tree: ast.AST) -> int:
-    """Return how many parts stand in one another."""
+    """Return how deeply parts are nested."""
     depth, level = 0, [tree]
     while level:
         depth += 1
@@ -184,7 +184,7 @@ def _wrong(
 
 
 def _check(condition: Parsed, node: ast.AST) -> None:
-    """Refuse what may not stand in a condition.
+    """Refuse what is not allowed in a condition.
 
     Raises:
         ConfigError: This may not.

@@ -153,7 +153,7 @@ class Constants:
 
 
 def _without_unit(text: str) -> str:
-    """Return what to write in place of a number with a unit behind it, if it is one."""
+    """Return what to write in place of a number followed by a unit, if it is one."""
     match = _WITH_UNIT.fullmatch(text)
     if match is None:
         return ""

@@ -206,7 +206,7 @@ def _record(line: Line) -> RecordLine:
 
 
 def last_seconds(text: str) -> float:
-    """Return what stands behind ``last``; 0 when it is no number of seconds."""
+    """Return what follows ``last``; 0 when it is no number of seconds."""
     try:
         seconds = float(text)
     except ValueError:

@@ -139,7 +139,7 @@ class Library:
         return parse_rmod(bundled(load(path), part), str(path))
 
     def _load_of(self, rmod: Rmod) -> LoadedModule:
-        """Return the module of an RMOD; one that is not there is told by its line."""
+        """Return the module of an RMOD; a missing one is reported with its line."""
         try:
             return self.load(rmod.module)
         except ModuleLoadError as error:
@@ -271,7 +271,7 @@ def absent(folders: Iterable[str | Path]) -> list[str]:
 
 
 def no_module(name: str) -> str:
-    """Return how it is told that a library lacks a module."""
+    """Return the message that a library lacks a module."""
     return f"the library has no module {name}"
 
 
@@ -417,7 +417,7 @@ def _beside(path: Path, error: BaseException) -> str:
 def _is_module(
     value: object, python: types.ModuleType
 ) -> TypeGuard[type[pbo.PortBasedObject[Any]]]:
-    """Tell whether `value` is a module class that `python` itself defines."""
+    """Return whether `value` is a module class that `python` itself defines."""
     return (
         isinstance(value, type)
         and issubclass(value, pbo.PortBasedObject)

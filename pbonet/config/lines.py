@@ -20,7 +20,7 @@ LONGEST_QUOTE = 40
 
 
 class Word(NamedTuple):
-    """One word of a line, its place, and the keyword it stands behind."""
+    """One word of a line, its place, and the keyword before it."""
 
     text: str
     place: Place
@@ -28,7 +28,7 @@ class Word(NamedTuple):
 
 
 class Line(NamedTuple):
-    """A keyword and what stands behind it, as written."""
+    """A keyword and what follows it, as written."""
 
     keyword: str
     rest: str

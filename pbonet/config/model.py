@@ -82,7 +82,7 @@ class TaskType(StrEnum):
 
 
 class LocalLine(Struct, frozen=True):
-    """One line of the LOCAL part: the words behind the key, not yet decoded."""
+    """One line of the LOCAL part: the words after the key, not yet decoded."""
 
     words: tuple[str, ...]
     place: Place | None = None

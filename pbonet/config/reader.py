@@ -156,13 +156,13 @@ class Reader:
         return self._ahead
 
     def take(self) -> Line:
-        """Return the next line and go on behind it."""
+        """Return the next line and move past it."""
         line = self.peek()
         self._ahead = None
         return line
 
     def finish(self) -> None:
-        """Take ``EOF`` and make sure that nothing stands behind it.
+        """Take ``EOF`` and make sure that nothing follows it.
 
         Raises:
             ConfigError: Another line stands here, or text behind ``EOF``.
@@ -226,7 +226,7 @@ class Reader:
                 yield line
 
     def _raw_lines(self, after: int) -> Iterator[Line]:
-        """Yield lines that are neither blank nor comments, behind line `after`."""
+        """Yield lines that are neither blank nor comments, after line `after`."""
         start, number = 0, 0
         while start <= len(self.text):
             end = self.text.find("\n", start)

@@ -65,7 +65,7 @@ def frequency(reader: Reader, word: Word) -> float:
 
 
 def criticality(reader: Reader, block: Block, keyword: str) -> int | None:
-    """Return the criticality behind CRIT or HANDLER, None when it is not given."""
+    """Return the criticality after CRIT or HANDLER, None when it is not given."""
     line = block.get(keyword)
     if line is None:
         return None
@@ -141,7 +141,7 @@ def _capacity(
 
 
 def _seconds(reader: Reader, block: Block, keyword: str) -> float | None:
-    """Return the execution time behind a keyword, None when it is not given."""
+    """Return the execution time after a keyword, None when it is not given."""
     line = block.get(keyword)
     if line is None:
         return None

@@ -38,7 +38,7 @@ Choice = TypeVar("Choice", bound=StrEnum)
 
 
 def single(line: Line, what: str) -> Word:
-    """Return the one word behind the keyword; `what` says what it is."""
+    """Return the one word after the keyword; `what` says what it is."""
     words = line.words
     if len(words) != 1:
         got = f"{len(words)} words" if words else "nothing"
@@ -53,7 +53,7 @@ def single(line: Line, what: str) -> Word:
 
 
 def path(line: Line, what: str) -> str:
-    """Return the file name behind the keyword; it may hold spaces."""
+    """Return the file name after the keyword; it may hold spaces."""
     if not line.rest:
         raise fault(
             f"{line.keyword} needs {what}",

@@ -1,4 +1,4 @@
-"""An arm that is simulated, behind the interface that a real one would have.
+"""A simulated arm with the interface of a real one.
 
 A robot-interface module sends torques and reads joint angles and velocities. Here they
 come from the equations of motion of the published arm, with its motors' inertia and

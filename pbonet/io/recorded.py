@@ -77,11 +77,11 @@ class RecordedBall:
         return self.motion
 
     def close(self) -> None:
-        """Rest, and begin anew at the next poll."""
+        """Rest, and start again at the next poll."""
         self.restart()
 
     def restart(self) -> None:
-        """Rest, and begin anew at the next poll."""
+        """Rest, and start again at the next poll."""
         self._begin_ns = None
         self._next = 0
         self.motion = AT_REST

@@ -1,7 +1,7 @@
 """One time for logs of several machines, by what their agents measured.
 
-Each agent asks the others every second who they are, and puts on record how far their
-clocks are from its own, and how sure that is. So times of one machine become times of
+Each agent asks the others every second for their identity, and records the offsets of
+their clocks from its own, with the uncertainty. So times of one machine become times of
 the first file's machine, by the surest chain of measurements.
 """
 
@@ -35,12 +35,12 @@ _MOST: Final = 500
 
 
 class Apart(NamedTuple):
-    """How far two clocks are apart."""
+    """The offset between two clocks."""
 
     moves: Moves
     """Offset from a time of the one to the other's."""
     within_ns: int
-    """How wrong that may be."""
+    """The uncertainty of the offset."""
 
 
 class Clock(NamedTuple):
@@ -56,7 +56,7 @@ class Clock(NamedTuple):
     own_ns: int
     """Offset that the file itself adds."""
     within_ns: int
-    """How wrong that may be; 0 where it is not known."""
+    """The uncertainty of the offset; 0 where it is not known."""
 
     @property
     def epoch_ns(self) -> int:
@@ -80,7 +80,7 @@ class Clock(NamedTuple):
         """Return what is added to the instants of a task.
 
         Args:
-            told: What its channel says of that, in a merged file.
+            told: The offset in its channel, in a merged file.
         """
         if told is None:
             return self.moves
@@ -122,7 +122,7 @@ class Clock(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether people should know: it is another machine's, or was set anew."""
+        """Whether users should be informed: it is another machine's, or was reset."""
         return self.how != SAME or abs(self.shift_ns) > _SET_ANEW
 
 
@@ -130,7 +130,7 @@ class _Seen(NamedTuple):
     """One measurement."""
 
     at_ns: int
-    """By the clock of whom the other one is ahead."""
+    """The machine whose clock the offset refers to."""
     offset_ns: int
     within_ns: int
 
@@ -196,13 +196,13 @@ def _over_time(each: Sequence[_Seen]) -> Apart:
 
 
 def _agree(each: Sequence[_Seen]) -> bool:
-    """Tell whether one value is within all measurements."""
+    """Return whether one value is within all measurements."""
     low = max(one.offset_ns - one.within_ns for one in each)
     return low <= min(one.offset_ns + one.within_ns for one in each)
 
 
 def _of_all(each: Sequence[_Seen]) -> tuple[int, int]:
-    """Return one value for some time, and how wrong it may be at most."""
+    """Return one value for some time, and its largest error."""
     low = min(one.offset_ns - one.within_ns for one in each)
     high = max(one.offset_ns + one.within_ns for one in each)
     return (low + high) // 2, (high - low + 1) // 2

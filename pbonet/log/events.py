@@ -34,7 +34,7 @@ def log_message(event: dict[str, Any], time_ns: int, subsystem: str) -> dict[str
     Args:
         event: Its fields.
         time_ns: When it was, since 1970.
-        subsystem: Of which one.
+        subsystem: The subsystem of the event.
     """
     severity = int(event["severity"])
     sec, nsec = divmod(time_ns, 10**9)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def pack(variables: Iterable[Variable], array: Callable[[str], NDArray[Any]]) -> bytes:
-    """Return the values of variables, one behind the other.
+    """Return the values of variables, one after the other.
 
     Args:
         variables: Which, in the order of the table.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class Moves(NamedTuple):
     """Nanoseconds to be added, at some times; between these in a straight line.
 
-    Before the first time and behind the last one nothing changes.
+    Before the first time and after the last one nothing changes.
     """
 
     at: tuple[int, ...]
@@ -73,7 +73,7 @@ class Moves(NamedTuple):
         return int(self.of(np.array([time_ns], np.int64))[0])
 
     def then(self, more: Callable[[int], int], at: Iterable[int] = ()) -> Moves:
-        """Return this and what is added to the times behind it.
+        """Return this, combined with what is added to its results.
 
         Args:
             more: What is added to a time that was moved by this.

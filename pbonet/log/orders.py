@@ -40,10 +40,10 @@ def chosen(
 
 
 def none_of(about: JsonObject, commands: Sequence[JsonObject]) -> str:
-    """Say why no command is shown.
+    """Return why no command is shown.
 
     Args:
-        about: Which run it was, as `Log.about` has it.
+        about: The run, as in `Log.about`.
         commands: All that the log has.
     """
     if commands:

@@ -1,7 +1,7 @@
 """One file of a run: where its messages stand, and those of some channels at a time.
 
-A file that was finished says at its end where everything is, so that opening it reads
-neither cycles nor events. In one that was cut, each chunk is looked at.
+A finished file has an index at its end, so that opening it reads neither cycles nor
+events. In a file that was cut, each chunk is read.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class _Chunk:
     """Messages that were packed together.
 
     Args:
-        at: Where the content of its record stands.
+        at: Where the content of its record begins.
         size: Of that.
         first_ns: The least time of a message.
         last_ns: The greatest.
@@ -141,7 +141,7 @@ class Part:
                 self._learn(file, chunk)
 
     def _add_indexed(self, content: memoryview, base: int) -> int:
-        """Take note of a chunk; return its size when unpacked."""
+        """Note a chunk; return its size when unpacked."""
         first, last, where, length, size = _CHUNK_INDEX.unpack_from(content)
         at = _CHUNK_INDEX.size
         chunk = _Chunk(where + scan.HEAD, length - scan.HEAD, first, last)
@@ -174,7 +174,7 @@ class Part:
             self._learn(file, chunk)
 
     def _learn(self, file: BinaryIO, chunk: _Chunk) -> None:
-        """Look for what the file does not list of a chunk: channels, messages."""
+        """Find what the file does not list of a chunk: channels, messages."""
         data = self._unpacked(file, chunk)
         if data is None:
             return
@@ -196,7 +196,7 @@ class Part:
                     self._define(opcode, content)
 
     def _define(self, opcode: int, content: memoryview) -> None:
-        """Take note of a schema or a channel."""
+        """Note a schema or a channel."""
         number = int.from_bytes(content[:2], "little")
         if opcode == scan.SCHEMA:
             (name, encoding), at = _texts(content, 2, 2)
@@ -224,7 +224,7 @@ class Part:
 
     @property
     def damaged(self) -> int:
-        """Chunks that cannot be unpacked; those that were not yet are looked at."""
+        """Chunks that cannot be unpacked; those not yet read are checked now."""
         with scan.open_log(self.path) as file:
             for chunk in self._chunks:
                 if chunk.at not in self._sound:
@@ -287,7 +287,7 @@ class Part:
 
 
 def _sources(metadata: dict[str, dict[str, str]], path: Path) -> Iterator[Source]:
-    """Yield what a file says of itself, and of others that it was made of.
+    """Yield a file's description of itself, and of the files it was made of.
 
     Raises:
         LogError: It was written by a newer pbonet.

@@ -77,7 +77,7 @@ class Life:
         """Of the task in this log; `SUBSYSTEM/TASK` where two subsystems have one."""
 
     def go_on(self, part: Part, keys: tuple[int, ...]) -> None:
-        """Add what stands of it in the file behind."""
+        """Add its messages from the next file."""
         self._pieces.append((part, keys))
 
     @cached_property

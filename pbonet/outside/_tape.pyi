@@ -26,13 +26,13 @@ LOST: int
 command broke off, a source's name, and that something found no room."""
 
 def use(tape: Tape | Player | None) -> Tape | Player | None:
-    """Have sources that are opened from now on use this; return what was in use."""
+    """Let sources that are opened from now on use this; return what was in use."""
 
 def active() -> bool:
-    """Tell whether answers are kept, or played."""
+    """Return whether answers are kept, or played."""
 
 def plays() -> bool:
-    """Tell whether a log is run again, so that nothing outside may be touched."""
+    """Return whether a log is run again, so that nothing outside may be touched."""
 
 class Tape:
     """Inputs since it was emptied; allocates nothing while it is filled."""

@@ -58,7 +58,7 @@ class Player:
         raise NotRecordedError(f"it opens {source.name}, recorded is {then}")
 
     def waits(self, source: Outside) -> bool:
-        """Tell whether the next call to a source is on record."""
+        """Return whether the next call to a source is on record."""
         return (source.number, source.calls + 1) in self._heard
 
     def go_on(self, calls: Sequence[int]) -> None:

@@ -32,7 +32,7 @@ class Memory(Struct, frozen=True):
     """Values that an instance is bound to."""
 
     arrays: Mapping[str, NDArray[Any]]
-    """The local copy behind each port, by attribute, writable."""
+    """The local copy of each port, by attribute, writable."""
     sizes: Mapping[str, int]
     """Value of each constant that is a size of a port, by attribute."""
     shapes: Mapping[str, tuple[int, ...]]

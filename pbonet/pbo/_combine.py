@@ -29,12 +29,12 @@ class Part(Struct, frozen=True):
     """The RMOD's name."""
     ports: tuple[Port, ...]
     variables: Mapping[str, str]
-    """The variable behind each port, by the port's name."""
+    """The variable of each port, by the port's name."""
     methods: tuple[str, ...] = ()
     signals: tuple[SignalInfo, ...] = ()
 
     def variable(self, port: Port) -> str:
-        """Return the variable behind a port."""
+        """Return the variable of a port."""
         return self.variables[port.name]
 
 

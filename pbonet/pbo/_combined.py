@@ -175,7 +175,7 @@ class Combined(PortBasedObject[Params], abstract=True):
             self._at = NOBODY
 
     def reinit(self) -> None:
-        """Have the parts take over new constants, their own ones included."""
+        """Let the parts take over new constants, including their own."""
         self._all(self._renew)
 
     def _renew(self, first: int) -> None:

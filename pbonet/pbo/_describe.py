@@ -79,7 +79,7 @@ class PartInfo(Struct, frozen=True):
     """The RMOD's name."""
     info: ModuleInfo
     variables: dict[str, str]
-    """The variable behind each port, by the port's name."""
+    """The variable of each port, by the port's name."""
 
     @property
     def part(self) -> Part:

@@ -21,7 +21,7 @@ class Handling(StrEnum):
     """It is not put right here: the next handler outside is asked, at last the
     module's `error`, whose default leaves the task in ERROR."""
     CONTINUE = "continue"
-    """Go on behind ``fail()``; after an exception, behind the scope."""
+    """Continue after ``fail()``; after an exception, after the scope."""
     JUMP = "jump"
     """Go on at the mark, which is the end of the scope; of a handler without one, the
     end of the method, whose outputs are discarded."""
@@ -58,7 +58,7 @@ class HasScopes(Protocol):
     scopes: list[ErrorScope]
 
     def handled(self, error: Exception, handler: Handler) -> Handling:
-        """Run a handler, and tell what it put right."""
+        """Run a handler, and return what it corrected."""
         ...
 
 
@@ -98,7 +98,7 @@ class ErrorScope:
         return self.ask(error) is not Handling.ABORT
 
     def covers(self, error: Exception) -> bool:
-        """Tell whether the handler is one for `error`."""
+        """Return whether the handler is one for `error`."""
         return covers(self._code, error)
 
     def ask(self, error: Exception) -> Handling:
@@ -116,7 +116,7 @@ def _jump(_: Exception) -> Handling:
 
 
 def covers(code: Code, error: Exception) -> bool:
-    """Tell whether an error is one of those that `code` means."""
+    """Return whether an error is one of those that `code` means."""
     if isinstance(code, int):
         return number_of(error) == code
     return code is None or isinstance(error, code)

@@ -221,7 +221,7 @@ class PortBasedObject(Generic[P]):
         """
 
     def set(self, name: str, value: object) -> None:
-        """Take note of a changed parameter: called between two cycles.
+        """Note a changed parameter: called between two cycles.
 
         ``self.params`` holds the new value already; it passed its bounds. Raising
         refuses it, and the old value comes back. Nothing is copied.

@@ -53,7 +53,7 @@ class Param(Struct, frozen=True):
         return f"{self.type_text}{unit}{f', {self.bounds}' if self.bounds else ''}"
 
     def within(self, value: float) -> bool:
-        """Tell whether one value keeps the bounds and is finite."""
+        """Return whether one value keeps the bounds and is finite."""
         return (
             math.isfinite(value)
             and (self.ge is None or value >= self.ge)

@@ -98,11 +98,11 @@ def make_params(kind: type[P], values: Mapping[str, object]) -> P:
 
 
 class Line(Protocol):
-    """A LOCAL line: the words behind its key, and where it stands."""
+    """A LOCAL line: the words after its key, and its place."""
 
     @property
     def words(self) -> tuple[str, ...]:
-        """The words behind the key."""
+        """The words after the key."""
         ...
 
     @property

@@ -95,7 +95,7 @@ class Outbox(Protocol):
 
 
 class BoundedOutbox:
-    """Keeps the last notices until somebody drains them.
+    """Keeps the last notices until they are drained.
 
     Args:
         size: How many are kept; older ones are dropped.
@@ -281,7 +281,7 @@ class TaskContext:
         return self.watch.timed(name)
 
     def stale(self, port: str) -> bool:
-        """Tell whether an in-var is older than the MAXAGE of its variable (5.5.2).
+        """Return whether an in-var is older than the MAXAGE of its variable (5.5.2).
 
         A variable that was never written is stale, one without MAXAGE never is.
 

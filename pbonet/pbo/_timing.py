@@ -221,7 +221,7 @@ def check_section(name: str, known: Collection[str], *, where: str) -> None:
 
 
 def _is(value: object, *kinds: type) -> bool:
-    """Tell whether a module, typed or not, gave one of `kinds`."""
+    """Return whether a module, typed or not, gave one of `kinds`."""
     return isinstance(value, kinds) and not isinstance(value, bool)
 
 

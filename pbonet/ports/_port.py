@@ -21,7 +21,7 @@ class Kind(StrEnum):
 
     @property
     def is_input(self) -> bool:
-        """True for a port that somebody else writes."""
+        """True for a port that another task writes."""
         return self in {Kind.INCONST, Kind.INVAR}
 
     @property

@@ -41,7 +41,7 @@ class Check(NamedTuple):
 
 
 def checks_of(variables: Sequence[Variable], group: Group) -> list[Check]:
-    """Return what is looked at before the group goes out.
+    """Return what is checked before the group is committed.
 
     First whether floats are finite, so that an infinity is an error even where a limit
     would clip it; neighbours of one type are looked at in one go.
@@ -90,7 +90,7 @@ def blame(variable: Variable, element: int, array: NDArray[Any]) -> Blamed:
     """Return what is to be told of an element that was not taken.
 
     Args:
-        variable: Whose.
+        variable: The variable.
         element: From 0.
         array: The values that were to be written.
     """

@@ -222,7 +222,7 @@ class LocalTable(shm.Closeable, NativeTable):
         self._judge(*self.ask(VARS))
 
     def release(self) -> None:
-        """Give the out-vars up; their values stand until another task takes over."""
+        """Give the out-vars up; their values remain until another task takes over."""
         self._check(self.give(VARS, False))  # noqa: FBT003
 
     def take_over_from(self, tasks: Iterable[str]) -> None:
@@ -264,7 +264,7 @@ class LocalTable(shm.Closeable, NativeTable):
             self.succeed(OUT_CONSTS, [])
 
     def stale(self, which: str | int) -> bool:
-        """Tell whether an in-var is older than its MAXAGE, as the last copy brought it.
+        """Return whether an in-var was older than its MAXAGE at the last copy.
 
         Raises:
             UnknownVariableError: The task has no such variable.

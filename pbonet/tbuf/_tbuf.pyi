@@ -68,9 +68,9 @@ class Buffer:
         """When the newest record was written; 0 before the first."""
     @property
     def destroyed(self) -> bool:
-        """Whether somebody destroyed it."""
+        """Whether it was destroyed."""
     def mark_destroyed(self) -> None:
-        """Tell everybody that it is destroyed."""
+        """Mark it as destroyed for all users."""
     def enter(self, role: int, who: str) -> None:
         """Note who has taken a role, for messages."""
     def who(self, role: int) -> str:
@@ -111,7 +111,7 @@ class Out(End):
     def begin(self) -> None:
         """Go on counting where the last writer stopped."""
     def write(self, now_ns: int = 0) -> None:
-        """Write `value` as the newest record; waits for nobody.
+        """Write `value` as the newest record; never waits.
 
         A remote reader costs one wake-up, after the cycle if a task is in one.
 
@@ -151,9 +151,9 @@ class In(End):
     lost: int
     """Records that were written and never read, since the link was opened."""
     restarts: int
-    """How often the counter began anew, because the writer's buffer was made again."""
+    """How often the counter restarted, because the writer's buffer was made again."""
     def read(self) -> bool:
-        """Copy the newest record into `value`; waits for nobody.
+        """Copy the newest record into `value`; never waits.
 
         Returns:
             Whether it is new; if not, nothing was copied. The first call counts as new

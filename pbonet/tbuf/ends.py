@@ -31,7 +31,7 @@ class _Attached(shm.Closeable, End):
         places.leave(self)
 
     def destroy(self) -> None:
-        """Remove the buffer; who else uses it is told (``tbufDestroy``)."""
+        """Remove the buffer; its other users are notified (``tbufDestroy``)."""
         if self.outside is not None and self.outside.plays:
             return
         shm.remove_same(Path(self.path), self.fileno)
@@ -54,7 +54,7 @@ class _Attached(shm.Closeable, End):
 
     @property
     def destroyed(self) -> bool:
-        """Whether somebody destroyed it."""
+        """Whether it was destroyed."""
         if self.outside is None:
             return super().destroyed
         return self.outside.ask(lambda: super(_Attached, self).destroyed, default=False)

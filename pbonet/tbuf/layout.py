@@ -75,7 +75,7 @@ def as_dtype(dtype: DTypeLike) -> np.dtype[Any]:
 
 
 def same_values(one: np.dtype[Any], other: np.dtype[Any]) -> bool:
-    """Tell whether two types differ in byte order at most."""
+    """Return whether two types differ in byte order at most."""
     return one.newbyteorder("=") == other.newbyteorder("=")
 
 

@@ -1,4 +1,4 @@
-"""The files behind links: made, found, and who has which part in them.
+"""The files of links: made, found, and which user has which role in them.
 
 A link has one writer and one reader on a machine, and at most one agent that looks
 after it; each holds a lock on one byte of the file, which the kernel drops when the
@@ -44,7 +44,7 @@ _ROLES = {WRITER: "writer", READER: "reader", CARER: "agent"}
 
 
 def name_to_read(text: str) -> Name:
-    """Return the name of a link that somebody else writes.
+    """Return the name of a link that another subsystem writes.
 
     Raises:
         XmNameError: It is no name.
@@ -158,7 +158,7 @@ def _take(name: Name, end: Buffer, role: int) -> None:
 
 
 def try_take(fd: int, role: int) -> bool:
-    """Take a role if nobody has it; return whether that worked."""
+    """Take a role if it is free; return whether that worked."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _byte(fcntl.F_WRLCK, role))
     except (BlockingIOError, PermissionError):
@@ -167,7 +167,7 @@ def try_take(fd: int, role: int) -> bool:
 
 
 def has(fd: int, role: int) -> bool:
-    """Tell whether anybody but this descriptor has the role."""
+    """Return whether another descriptor has the role."""
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _byte(fcntl.F_WRLCK, role))
     return int(_FLOCK.unpack(answer)[0]) != fcntl.F_UNLCK
 
@@ -185,7 +185,7 @@ def leave(end: Buffer) -> None:
 
 
 def standing(domain: str) -> list[str]:
-    """Return the names of the links of a domain that stand on this machine."""
+    """Return the names of the links of a domain that exist on this machine."""
     return names.standing(KIND, domain)
 
 
@@ -209,7 +209,7 @@ class Standing:
 
 
 def sweep(domain: str) -> list[str]:
-    """Remove the links of a domain that nobody uses; return their names."""
+    """Remove the unused links of a domain; return their names."""
     swept: list[str] = []
     for text in standing(domain):
         place, _, resource = text.partition(":")

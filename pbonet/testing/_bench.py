@@ -373,7 +373,7 @@ class Bench(Generic[M]):
                 )
 
     def _record_methods(self) -> None:
-        """Have every method of the module note its name in the log first."""
+        """Let every method of the module note its name in the log first."""
         for name in METHODS:
             vars(self.module)[name] = self._noting(name, getattr(self.module, name))
 

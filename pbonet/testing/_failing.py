@@ -1,4 +1,4 @@
-"""Timing failures as they came, told to a module that is run again.
+"""Timing failures as they came, reported to a module that is run again.
 
 A failure interrupts a module between two instructions; on record is the line. There the
 handler is called again, the first time that the line is reached: what the module had
@@ -84,7 +84,7 @@ class Failing:
         self.rest()
 
     def rest(self) -> None:
-        """Call the handler for what has come and was not told yet."""
+        """Call the handler for what has come and was not reported yet."""
         while self._next():
             self._tell()
 
@@ -99,7 +99,7 @@ class Failing:
             self._player.go_on(calls)
 
     def _next(self) -> bool:
-        """Take the next failure that is on record; tell whether there is one."""
+        """Take the next failure that is on record; return whether there is one."""
         timing = self._told.timing
         if self._came is None and self._player is not None:
             if not self._player.waits(timing):

@@ -60,14 +60,14 @@ def _sync(task: Task, info: ModuleInfo) -> Iterator[Problem]:
 
 
 def _uses(info: ModuleInfo) -> Iterator[tuple[PartInfo, Port, str]]:
-    """Yield every port of every part, and the variable behind it."""
+    """Yield every port of every part, with its variable."""
     for one in info.parts:
         for port in one.info.ports:
             yield one, port, one.variables[port.name]
 
 
 def _inner(task: Task, info: ModuleInfo) -> Iterator[Problem]:
-    """Compare the ports behind each inner variable with its writer's."""
+    """Compare the ports of each inner variable with its writer's."""
     inner = {port.name for port in info.inner}
     writers = {v: (p, q) for p, q, v in _uses(info) if not q.kind.is_input}
     for part, port, variable in _uses(info):

@@ -148,7 +148,7 @@ class _Walk:
     # -- yes or no --------------------------------------------------------------------
 
     def truth(self, node: ast.expr) -> bool:
-        """Return whether a part holds; all of it is looked at, whatever comes first.
+        """Return whether a part holds; all of it is evaluated, whatever comes first.
 
         Raises:
             _PartError: It is no question that has an answer.

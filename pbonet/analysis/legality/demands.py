@@ -34,7 +34,7 @@ class Source(StrEnum):
     RMOD = "rmod"
     MEASURED = "measured"
     ASSUMED = "assumed"
-    """Nobody said: 0 in place of MINC and MAXC, MAXC in place of E."""
+    """Not given: 0 in place of MINC and MAXC, MAXC in place of E."""
 
 
 class Figure(Struct, frozen=True):

@@ -23,7 +23,7 @@ CONNECTORS = ("join_average", "join_first", "join_max", "join_min")
 
 
 def remedy(configuration: Configuration, variable: str, tasks: Sequence[Task]) -> str:
-    """Return how to put join connectors behind the writers, with the lines to write.
+    """Return how to put join connectors after the writers, with the lines to write.
 
     A connector takes two inputs, so several writers need a chain of them.
     """
@@ -56,7 +56,7 @@ def _chain(names: Sequence[str], variable: str, links: int) -> list[str]:
 
 
 def check_ages(configuration: Configuration) -> Iterator[Problem]:
-    """Yield inputs that a connector takes for valid even when nobody writes them.
+    """Yield inputs that a connector takes for valid even without a writer.
 
     Only the last connector of a chain may go on with a value of any age, its Z2: there
     is nothing to fall back to behind it.

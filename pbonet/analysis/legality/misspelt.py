@@ -1,4 +1,4 @@
-"""Ports that an RMOD spells otherwise than its module: one cause, which is told once.
+"""Ports that an RMOD spells otherwise than its module: one cause, reported once.
 
 What follows from it is not told: that the right name is not listed, that the table does
 not have the wrong one, that nobody writes what others read.

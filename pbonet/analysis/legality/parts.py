@@ -134,7 +134,7 @@ def _surplus(
 def _variables(
     table: dict[str, Variable], task: Task, kind: Kind, keyword: str
 ) -> Iterator[Problem]:
-    """Check the variables behind one list of ports."""
+    """Check the variables of one list of ports."""
     ports = {} if task.info is None else {
         port.name: port for port in task.info.ports if port.kind is kind
     }  # fmt: skip

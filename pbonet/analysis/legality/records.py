@@ -44,7 +44,7 @@ class Code(StrEnum):
     SHAPE = "shape"
     UNIT = "unit"
     CONSTANT_SIZE = "constant-size"
-    """Two tasks see two sizes behind one constant."""
+    """Two tasks see two sizes of one constant."""
     NO_CONSTANT = "no-constant"
     TWO_CONSTANTS = "two-constants"
     INIT_CYCLE = "init-cycle"

@@ -120,7 +120,7 @@ def _compare(
 def _initial(
     configuration: Configuration, task: Task, info: ModuleInfo
 ) -> dict[str, int]:
-    """Return sizes of constants that nobody produces, from the table's INIT lines."""
+    """Return sizes of constants without a producer, from the table's INIT lines."""
     produced = {name for other in configuration.tasks for name in other.gives}
     table = configuration.table
     known: dict[str, int] = {}

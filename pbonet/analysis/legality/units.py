@@ -16,7 +16,7 @@ _LONGEST = 64
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Tell whether two units are the same.
+    """Return whether two units are the same.
 
     ``rad/s`` is ``radians/seconds`` and ``N*m`` is ``kg*m^2/s^2``; ``deg`` is not
     ``rad``, and an angle is not a pure number. Text that is no known unit, such as
@@ -43,7 +43,7 @@ def factor(one: str, other: str) -> float | None:
 
 
 def known_unit(unit: str) -> bool:
-    """Tell whether a unit is more than text, so that one can compute with it."""
+    """Return whether a unit is more than text, so that one can compute with it."""
     return _root(" ".join(unit.split())) is not None
 
 

@@ -97,7 +97,7 @@ class Verdict(Struct, frozen=True, kw_only=True):
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
-        """The problems that are only told."""
+        """The problems that are only reported."""
         return tuple(p for p in self.problems if p.severity is Severity.WARN)
 
     def check(self) -> None:

@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
 CHUNK = 1 << 16
-"""Deadlines that the demand test looks at in one go."""
+"""Deadlines that the demand test checks in one go."""
 MOST = 1 << 20
 """Deadlines after which it gives up; the set then counts as not proven."""
 
 
 STEP = 1000
-"""Nanoseconds between capacities that `largest_server` tells apart."""
+"""Nanoseconds between capacities that `largest_server` distinguishes."""
 
 
 class Demand(Struct, frozen=True, kw_only=True):
-    """A periodic task as the tests look at it."""
+    """A periodic task in the form the tests use."""
 
     name: str
     period_ns: int

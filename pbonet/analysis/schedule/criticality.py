@@ -65,7 +65,7 @@ class Assigned(Struct, frozen=True, kw_only=True):
 
     crit: int
     assumed: bool
-    """It rests on an execution time that nobody knows yet."""
+    """It rests on an execution time that is not known yet."""
     in_set: bool
     """The task belongs to the critical set."""
     utilization: float

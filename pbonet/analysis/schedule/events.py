@@ -24,7 +24,7 @@ class Event(IntEnum):
     7, priority in 8 to 23, `Kind` in 24 to 30; bit 31 says that the task is in another
     process now, which holds no level."""
     DEAD = 4
-    """Input: the task's process is gone, or an orphan, which nobody ranks."""
+    """Input: the task's process is gone, or an orphan, which is not ranked."""
     MODE = 5
     """Input: the task's mode word arg (`Mode`, arming count, return count); a is 1 when
     it is OFF because it is in ERROR."""
@@ -63,7 +63,7 @@ class Event(IntEnum):
     RESUME = 21
     """Decision: let a held task go on."""
     FAIL = 22
-    """Decision: a timing failure of kind arg & 3 at instant a; arg bit 8: tell it."""
+    """Decision: a timing failure of kind arg & 3 at instant a; arg bit 8: report it."""
     CRIT = 23
     """Decision: the task has criticality arg from here on."""
     SKIP = 24

@@ -149,7 +149,7 @@ class SlotStatus(Struct, frozen=True, kw_only=True):
     handlers: int
     """Calls of the module's failure handler."""
     stale_failures: int
-    """Failures that came too late for their cycle, and were not told."""
+    """Failures that came too late for their cycle, and were not reported."""
     delivery_last_ns: int
     """From the finding of a failure to the begin of its handler."""
     delivery_max_ns: int
@@ -163,9 +163,9 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
 
     core: int
     backend: str
-    """``fifo``, ``park``, or empty when nobody leads."""
+    """``fifo``, ``park``, or empty without a leader."""
     leader_pid: int
-    """The RTPU process whose dispatcher leads; 0 when nobody does."""
+    """The RTPU process whose dispatcher leads; 0 when none does."""
     leader_tid: int
     since_ns: int
     """When the leader began to lead."""
@@ -175,7 +175,7 @@ class CoreStatus(Struct, frozen=True, kw_only=True):
     """Calls of sched_setscheduler made for tasks."""
     errors: int
     late_max_ns: int
-    """Longest delay of a turn behind the event it was to serve."""
+    """Longest delay of a turn after the event it was to serve."""
     stalls: int
     """Turns that came more than 20 ms late: the core stood still, or was throttled."""
     stalled_ns: int

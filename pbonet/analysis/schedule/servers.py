@@ -26,17 +26,17 @@ class ServerKind(StrEnum):
     """How the capacity of a server comes back."""
 
     DEFERRABLE = "deferrable"
-    """Whole at the begin of every period; kept while nobody asks (6.5.2.1)."""
+    """Whole at the begin of every period; kept while no event waits (6.5.2.1)."""
     SPORADIC = "sporadic"
     """Each piece one period after its use began (6.5.2.2)."""
     POLLING = "polling"
-    """Whole at the begin of every period, lost when nobody waits for it."""
+    """Whole at the begin of every period, lost when no event waits for it."""
     BACKGROUND = "background"
     """There is none: whatever the others leave."""
 
 
 class Server(Struct, frozen=True, kw_only=True):
-    """A server as the schedulability tests look at it."""
+    """A server in the form the schedulability tests use."""
 
     name: str = ""
     kind: ServerKind

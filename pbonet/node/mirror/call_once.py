@@ -1,4 +1,4 @@
-"""Answers a request that waits for other machines once, whatever becomes of them."""
+"""Answers a request that waits for other machines exactly once, even if they fail."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Promises:
         self._over = False
 
     def make(self, done: Callable[[], None]) -> Callable[[], None] | None:
-        """Return what calls `done` unless that was done; None behind the end."""
+        """Return a function that calls `done` if that is due; None after the end."""
         with self._guard:
             if self._over:
                 return None

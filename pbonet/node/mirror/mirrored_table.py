@@ -1,6 +1,6 @@
-"""One table of this machine, and what others are told of it and tell.
+"""One table of this machine, and its exchange with other machines.
 
-Its work is done in the carrier's thread (`mirrors.py`); zenoh's threads only hand over.
+Its work is done in the carrier's thread; zenoh's threads only pass data on.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 SHORTEST, LONGEST = 0.00015, 0.025
-"""Seconds between looks at a table, by how often it changes. A look costs some tens of
+"""Seconds between reads of a table, by how often it changes. A read costs tens of
 microseconds, so commits that come closer to each other go together."""
 ALONE = 0.2
-"""Seconds between looks where no other machine listens."""
+"""Seconds between reads where no other machine listens."""
 BEAT = 0.5
-"""Seconds after which everything is told again, should something have been dropped."""
+"""Seconds after which everything is sent again, in case something was dropped."""
 SILENT = 1.6
-"""A machine that has told nothing for so many seconds, and a beat, is out of sight."""
+"""A machine that sent nothing for so many seconds, and a beat, is out of sight."""
 FLAG = 0.02
-"""Seconds between looks at the causes of the flag."""
+"""Seconds between checks of the causes of the flag."""
 ANSWER_TIME = 0.5
 """Seconds that another machine has to take a state."""
 TAKE = b"take"
-"""Asks the agent that carries a table to take the others' states, too."""
+"""Asks the agent that carries a table to take the other machines' states, too."""
 TOLD_NS = 10_000_000_000
-"""Nanoseconds between two words about packets that were lost."""
+"""Nanoseconds between two reports about packets that were lost."""
 
 
 class Owner(Protocol):
@@ -61,29 +61,29 @@ class Owner(Protocol):
     tell: Callable[[rtpu_messages.Note], None]
 
     def do(self, what: Callable[[], object]) -> None:
-        """Have the carrier's thread do something; may be called from anywhere."""
+        """Let the carrier's thread do something; may be called from anywhere."""
 
     def offer(self, what: Callable[[], object]) -> bool:
-        """Have something done unless too much waits; return whether it will be."""
+        """Let something be done unless too much waits; return whether it will be."""
         ...
 
     def end(self, done: Callable[[], None]) -> None:
-        """Have `done` called in a thread of its own; for zenoh's threads."""
+        """Let `done` be called in a separate thread; for zenoh's threads."""
 
     def late(self, machine: str, sent_ns: int) -> int | None:
-        """Return how many ns a packet was on its way; None: nobody can tell."""
+        """Return how many ns a packet was on its way; None: unknown."""
         ...
 
     def safely(self, what: Callable[[], object]) -> None:
-        """Do something, and go on whatever becomes of it."""
+        """Do something, and continue even if it fails."""
 
 
 class Carried:
     """One table of this machine, which this agent carries.
 
     Args:
-        owner: Whose thread does the work.
-        subsystem: Whose table.
+        owner: The owner of the thread that does the work.
+        subsystem: The subsystem of the table.
         keep: Whether operators set variables here.
     """
 
@@ -95,7 +95,7 @@ class Carried:
         self.mirror: Mirror | None = None
         self.next = 0.0
         self.changed = False
-        """Whether commands have changed it while nobody was there to be told."""
+        """Whether commands have changed it while no other machine was there."""
         self.incoming = Incoming(lambda: owner.do(self._take_waiting))
         self._beat = self._flag = 0.0
         self._lost, self._told_ns = 0, -TOLD_NS
@@ -114,7 +114,7 @@ class Carried:
         return not (self._there or mirror.others)
 
     def turn(self, now: float) -> None:
-        """Do what is due, and say when the next time is."""
+        """Do what is due, and return the time of the next turn."""
         if self.mirror is None and not self._begin():
             self.next = now + ALONE
             return
@@ -136,14 +136,14 @@ class Carried:
         self._pace(now)
 
     def watch(self, watch: Watch) -> None:
-        """Have the carrier's sleep end when there is something to tell others."""
+        """End the carrier's sleep when there is something to send to others."""
         if self.mirror is not None and self.mirror.others:
             self.mirror.watch(watch)
 
     def spread(self, done: Callable[[], None], *, take: bool) -> None:
-        """Have the others take the whole state, then call `done`.
+        """Let the other machines take the whole state, then call `done`.
 
-        With `take`, it is called behind all that the others have answered.
+        With `take`, it is called after all their answers.
         """
         if self.mirror is not None or self._begin():
             self._exchange(partial(self._owner.do, done) if take else done)
@@ -151,10 +151,10 @@ class Carried:
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
 
     def call(self, calls: Sequence[Call]) -> None:
-        """Have the others take the whole state, then call successors.
+        """Let the other machines take the whole state, then call successors.
 
-        Where another agent of this machine carries the table nobody does; see
-        `farcalls`.
+        Where another agent of this machine carries the table, no call is made; see
+        `remote_handover`.
         """
         if self.mirror is not None:
             self._exchange(calls=remote_handover.packed(calls))
@@ -228,11 +228,11 @@ class Carried:
                 self._publisher.put(packets.pack(packet))  # pyright: ignore[reportUnknownMemberType]
 
     def _pace(self, now: float) -> None:
-        """Look again just behind the next commit, as the writers' periods tell it."""
+        """Read again just after the next commit, by the writers' periods."""
         due = self.mirror.due() if self.mirror is not None else None
         if due is None:
             self.next = self._beat
-        else:  # what is overdue is looked for twice as late each time
+        else:  # what is overdue is checked twice as late each time
             self.next = now + min(max(abs(due), SHORTEST), LONGEST)
 
     # -- zenoh's threads ---------------------------------------------------------------
@@ -283,7 +283,7 @@ class Carried:
             self._lost, self._told_ns = lost, now
 
     def _take(self, data: bytes) -> str:
-        """Take in what another machine tells; return which one it is."""
+        """Process another machine's packet; return which machine it is."""
         packet = packets.unpack(data)
         if self.mirror is None or packet is None:
             return ""
@@ -304,7 +304,7 @@ class Carried:
             self.mirror.lose(machine)
 
     def _answer(self, query: zenoh.Query) -> None:
-        """Take the asker's state, and give this machine's."""
+        """Take the state of the asking machine, and return this machine's."""
         if self.mirror is None:
             query.drop()  # type: ignore[no-untyped-call]
             return
@@ -312,7 +312,7 @@ class Carried:
         if query.payload is not None:
             asker = self._take(query.payload.to_bytes())
         packet = self.mirror.tell(full=True, machine=asker)
-        self.next = 0.0  # the others may lack what the asker is told
+        self.next = 0.0  # the others may lack what the asker is sent
         key = key_expressions.svar(
             self._owner.domain, self.subsystem, "sync", self._owner.machine
         )
@@ -322,7 +322,7 @@ class Carried:
     def _exchange(
         self, done: Callable[[], None] | None = None, calls: Sequence[bytes] = ()
     ) -> None:
-        """Give every other machine this one's state, and take theirs."""
+        """Send this machine's state to every other one, and take theirs."""
         packet = self.mirror.tell(full=True) if self.mirror is not None else None
         if packet is not None:
             packet.calls = list(calls)

@@ -1,8 +1,8 @@
-"""Packets that wait to be taken: so many at the most, and what is lost is counted.
+"""A bounded queue of packets that wait to be taken; lost ones are counted.
 
-They come in zenoh's threads and are taken in the carrier's. When that comes too late
-for too many, the oldest go: each packet tells the newest values, and every half second
-a machine tells everything again.
+They come in zenoh's threads and are taken in the carrier's. If that falls behind, the
+oldest are dropped: each packet holds the newest values, and every half second a machine
+sends everything again.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ WAITING = 256
 
 
 class Incoming:
-    """The packets of one table that were heard and not yet taken.
+    """The packets of one table that were received and not yet taken.
 
     Args:
-        ring: Has the carrier's thread call `taken`; may be called from any thread.
+        ring: Lets the carrier's thread call `taken`; may be called from any thread.
         room: Packets that wait at the most.
     """
 

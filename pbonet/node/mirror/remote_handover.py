@@ -1,10 +1,10 @@
 """Calls of successors on other machines: the agent makes them, with the table's news.
 
-A task that leaves cannot call a successor whose core table is on another machine. What
-it wrote last, and that it has ended, comes there with the table. So the calls go along
+A task that leaves cannot call a successor whose core table is on another machine. Its
+last values, and the news of its end, arrive there with the table. So the calls travel
 in the same packet, and are made when that has been taken in: the successor finds the
-last values, and variables that nobody owns. A call that does not come, or too late, is
-made by the successor's own RTPU when the master sends the ``on``; see `successors`.
+last values, and variables without an owner. A call that is lost or late is made by the
+successor's own RTPU when the master sends the ``on``; see `successors`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
     from pbonet.svar import Table
 
 LATEST_NS = 250_000_000
-"""A call that was longer on its way is not made: somebody may have decided otherwise
-since, and nothing of that has come yet. Nor is one of which nobody can tell."""
+"""A call that was longer on its way is not made: a later decision may not have arrived
+yet. Nor is a call whose delay is unknown."""
 
 _decoder = msgspec.msgpack.Decoder(Call)
 
 
 def packed(calls: Sequence[Call]) -> list[bytes]:
-    """Return calls as they go along with the table."""
+    """Return calls in the form in which they travel with the table."""
     return [msgspec.msgpack.encode(call) for call in calls]
 
 
 def make(table: Table, data: bytes, late_ns: int | None) -> bool:
-    """Make a call, unless its time is over or somebody writes what was handed over.
+    """Make a call, unless it is too late or a task writes what was handed over.
 
     Args:
         table: This machine's, which knows already what went with the call.
@@ -61,7 +61,7 @@ def make(table: Table, data: bytes, late_ns: int | None) -> bool:
 
 
 def _free(table: Table, outputs: list[str]) -> bool:
-    """Tell whether nobody owns any of these variables."""
+    """Return whether all of these variables are without an owner."""
     return all(table.info(output).owner is None for output in outputs)
 
 

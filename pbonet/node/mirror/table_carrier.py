@@ -1,9 +1,9 @@
 """Carries tables between machines: an agent's thread, never a task's.
 
-Agents of one subsystem on several machines find each other by liveliness tokens, one a
-machine: of the agents that share a table, the one that holds a lock on its file does
-it. News go out as they come, all groups of a moment in one packet, newest first, and
-are dropped where a link is slow. Whole states are asked for and given as queries: when
+Agents of one subsystem on several machines find each other by liveliness tokens, one
+per machine: of the agents that share a table, the one that holds a lock on its file
+declares it. News is sent as it comes, all groups of a moment in one packet, newest
+first, and is dropped where a link is slow. Whole states are exchanged by queries: when
 machines meet, and before an agent answers a command that has changed its table.
 """
 
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 GLANCE_NS = 20_000_000
-"""Nanoseconds between glances at a table that nobody is expected to change; a glance is
-made without Python."""
+"""Nanoseconds between quick checks of a table that is not expected to change; such a
+check runs without Python."""
 LAST_TIME = 1.0
 """Seconds that the last answers may take."""
 NEVER = 1e9
@@ -49,11 +49,11 @@ class Mirrors:
     """The tables that an agent carries, and the thread that does it.
 
     Args:
-        session: The agent's.
+        session: The agent's session.
         domain: Its domain.
-        offset: Tells by how many nanoseconds another machine's clock is ahead; None
+        offset: Returns by how many nanoseconds another machine's clock is ahead; None
             while that is not known.
-        tell: Takes what is to be told to masters.
+        tell: Takes what is to be reported to masters.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Mirrors:
         self._todo: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
         self._watch = Watch()
         self._ends = ThreadPoolExecutor(1, thread_name_prefix="pbonet told")
-        """Answers who waits for other machines."""
+        """Answers requests that wait for other machines."""
         self._promises = Promises()
         self._over = False
         self._thread = threading.Thread(
@@ -85,7 +85,7 @@ class Mirrors:
         self._thread.start()
 
     def stop(self) -> None:
-        """Let go of everything; who waits for other machines waits no longer."""
+        """Let go of everything; requests that wait for other machines are answered."""
         self.carry({})
         self.do(self._end)
         if self._thread.is_alive():
@@ -97,12 +97,12 @@ class Mirrors:
         self._ends.shutdown(wait=False)
 
     def do(self, what: Callable[[], object]) -> None:
-        """Have the carrier's thread do something; may be called from anywhere."""
+        """Let the carrier's thread do something; may be called from anywhere."""
         self._todo.put(what)
         self._watch.ring()
 
     def end(self, done: Callable[[], None]) -> None:
-        """Have `done` called in a thread of its own; for zenoh's threads.
+        """Let `done` be called in a separate thread; for zenoh's threads.
 
         One that gives a link up ends what was asked over it while it holds the routes:
         an answer that was sent from there would wait for them for ever.
@@ -111,14 +111,14 @@ class Mirrors:
             self._ends.submit(self.safely, done)
 
     def offer(self, what: Callable[[], object]) -> bool:
-        """Have something done unless too much waits; return whether it will be."""
+        """Let something be done unless too much waits; return whether it will be."""
         room = self._todo.qsize() < ASKED
         if room:
             self.do(what)
         return room
 
     def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
-        """Carry exactly these tables, by subsystem; the value tells who keeps them."""
+        """Carry exactly these tables, by subsystem; the value tells the keeper."""
         done = threading.Event()
         self._tables = tables
         self.do(lambda: self._carry(tables))
@@ -136,24 +136,25 @@ class Mirrors:
     ) -> None:
         """Call `done` when the other machines know the subsystem's table.
 
-        Behind a table's end it is called when the carrier has let go of it: whoever is
-        the last removes the file, and who is answered may make another one at once.
-        It is called in a thread for that, in the carrier's, or at once; by `stop` at
-        the latest: what was done here stands, and the next agent tells the others.
+        After a table's end it is called when the carrier has let go of it: the last
+        user removes the file, and the client that is answered may make another one at
+        once. It is called in a thread for that, in the carrier's, or at once; by `stop`
+        at the latest: what was done here remains, and the next agent reports it to the
+        others.
 
         Args:
-            subsystem: Whose table.
+            subsystem: The subsystem of the table.
             done: Is called once.
-            take: Whether this machine must have taken what theirs say as well, as
-                behind the opening of a table that stands elsewhere.
-            value: Whether only a value was set: where nobody is there to be told, the
-                carrier is not woken, and looks in its next turn.
+            take: Whether this machine must have taken their states as well, as after
+                the opening of a table that exists elsewhere.
+            value: Whether only a value was set: where no other machine is there, the
+                carrier is not woken, and checks in its next turn.
         """
         carried = self._carried.get(subsystem) if subsystem in self._tables else None
         if carried is not None and carried.alone and not take:
             carried.changed = True
             done()
-            if not value:  # the mirror looks at once: machines that are lost count too
+            if not value:  # the mirror checks at once: lost machines count too
                 self.do(partial(setattr, carried, "next", 0.0))
             return
 
@@ -170,13 +171,13 @@ class Mirrors:
             try:
                 carried.spread(promised, take=take)
             except Exception:
-                promised()  # who waits for it goes on; what is wrong it finds itself
+                promised()  # the waiter continues, and finds the fault itself
                 raise
 
         self.do(spread)
 
     def call(self, call: rtpu_messages.Called) -> None:
-        """Have other machines take the table, then call successors there."""
+        """Let other machines take the table, then call successors there."""
 
         def spread() -> None:
             carried = self._carried.get(call.subsystem)
@@ -211,7 +212,7 @@ class Mirrors:
         return found if done.wait(limit) else []
 
     def late(self, machine: str, sent_ns: int) -> int | None:
-        """Return how many nanoseconds a packet was on its way, as clocks tell.
+        """Return how many nanoseconds a packet was on its way, by the clocks.
 
         None while that machine's clock is not known: it has just come into sight.
         """
@@ -259,7 +260,7 @@ class Mirrors:
 
     @staticmethod
     def safely(what: Callable[[], object]) -> None:
-        """Do something, and go on whatever becomes of it."""
+        """Do something, and continue even if it fails."""
         try:
             what()
         except Exception:  # one table's trouble is not that of the others

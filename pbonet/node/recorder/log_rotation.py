@@ -34,25 +34,25 @@ if TYPE_CHECKING:
 RETRY: Final = 2.0
 """Seconds until a new file is tried when one could not grow."""
 SWEEP: Final = 5.0
-"""Seconds between two looks at what all logs take."""
+"""Seconds between two checks of the size of all logs."""
 FRESH: Final = 60.0
-"""Seconds behind its last change in which a file may be another recorder's."""
+"""Seconds after its last change in which a file may be another recorder's."""
 AFTER: Final = 1.0
-"""Seconds that are written behind an error, where only the last seconds are."""
+"""Seconds that are written after an error, where only the last seconds are kept."""
 SHARE: Final = 4
 """Files that the limit of all logs has room for, at least, so that old ones can go."""
 _MB: Final = 1e6
 
 
 class Time(NamedTuple):
-    """The time that a recording goes by."""
+    """The time base of a recording."""
 
     clock: Callable[[], float]
     """Gives seconds."""
     epoch_ns: int
     """Offset from its nanoseconds to those since 1970."""
     machine: str
-    """Where it may be compared, by boot identity."""
+    """The boot within which it may be compared."""
     seconds: float = 0.0
     """As `RunAbout` has it."""
 
@@ -67,10 +67,10 @@ class LogFiles:
     """Where one recorder writes.
 
     Args:
-        wanted: What is recorded.
-        say: Takes what the agent should know.
-        enter: Says what is known so far in a file that begins.
-        by: The time that the recording goes by; None for this machine's.
+        wanted: The plan of the recording.
+        say: Takes messages to the agent.
+        enter: Writes what is known so far into a new file.
+        by: The time base of the recording; None for this machine's.
     """
 
     def __init__(
@@ -88,13 +88,13 @@ class LogFiles:
         self._goes_on = False
         """Whether nothing is missing between the last file and the next."""
         self.unwritten = 0
-        """Records that were lost for want of a file."""
+        """Records that were lost for lack of a file."""
         self.told = False
-        """Whether it was said that no file can be made."""
+        """Whether it was reported that no file can be made."""
         self._retry = self._sweep = 0.0
         self._begun = 0.0
         self._wrong = 0.0
-        """Until when everything is written, behind an error."""
+        """The time until which everything is written, after an error."""
         self._due = False
         """Whether an error waits for a file."""
         self._kept: deque[tuple[float, Do, bytes]] = deque()
@@ -173,7 +173,7 @@ class LogFiles:
         return full or bool(seconds and now >= self._begun + seconds)
 
     def _open(self) -> None:
-        """Begin a file, and say in it what is known so far."""
+        """Begin a file, and write into it what is known so far."""
         lost = self.unwritten
         try:
             self.writer = self._make()
@@ -226,7 +226,7 @@ class LogFiles:
         )
 
     def _full(self, error: OSError | LogError) -> None:
-        """Go on without a file; another one is tried from time to time."""
+        """Continue without a file; another one is tried from time to time."""
         writer, self.writer = self.writer, None
         self._retry = self.by.clock() + RETRY
         self._goes_on = False

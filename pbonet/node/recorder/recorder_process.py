@@ -1,4 +1,4 @@
-"""The recorder: a process of the agent that writes what tasks leave in their rings.
+"""The recorder: a process of the agent that writes the records in tasks' rings.
 
 Nothing of real time depends on it. It finds the rings of its subsystem and RTPU in
 shared memory, empties them every 50 ms, and writes a log; events come from the agent
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 PERIOD: Final = 0.05
-"""Seconds between two looks; a ring of 1 MiB holds seconds of a 1 kHz task."""
+"""Seconds between two passes; a ring of 1 MiB holds seconds of a 1 kHz task."""
 FLUSH: Final = 0.5
-"""Seconds of which at most a killed recorder's log lacks the end."""
+"""The most seconds that are missing at the end of a killed recorder's log."""
 STATUS: Final = 1.0
 HANDOVER: Final = 3.0
 """Seconds for which another recorder, whose agent is gone, may hold a ring."""
@@ -50,7 +50,7 @@ class Followed:
 
     Args:
         ring: Open.
-        about: Whose it is.
+        about: The task it belongs to.
     """
 
     def __init__(self, ring: Ring, about: TaskAbout) -> None:
@@ -66,9 +66,9 @@ class Recorder:
     """Records one subsystem on one RTPU.
 
     Args:
-        wanted: What.
-        tell: Takes what the agent should know.
-        by: The time that the recording goes by; None for this machine's.
+        wanted: The plan of the recording.
+        tell: Takes messages to the agent.
+        by: The time base of the recording; None for this machine's.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class Recorder:
         try:
             ring = Ring.attach(name)
         except (NodeError, OSError, ValueError):
-            return  # empty yet, not ready, or gone: the next look will see
+            return  # empty yet, not ready, or gone: the next pass will see
         try:
             about = msgspec.json.decode(ring.about, type=TaskAbout)
             mode = self._mode(about)
@@ -165,7 +165,7 @@ class Recorder:
                 self._begin(key, ring, about)
                 if orphaned_rings.is_left(
                     name
-                ):  # it is whole: the next look lets go of it
+                ):  # it is whole: the next pass lets go of it
                     Path(ring.path).unlink(missing_ok=True)
                 return
         except msgspec.MsgspecError:
@@ -179,7 +179,7 @@ class Recorder:
         ring.close()
 
     def _waits(self, key: tuple[str, int]) -> bool:
-        """Tell whether whoever drains a ring may be a recorder that is about to end."""
+        """Return whether a ring's reader may be a recorder that is about to end."""
         now = time.monotonic()
         return now < self._refused.setdefault(key, now) + HANDOVER
 
@@ -198,7 +198,7 @@ class Recorder:
         self._record(followed, first)
 
     def _enter_all(self, writer: LogWriter) -> None:
-        """Say in a file that begins what is known so far."""
+        """Write what is known so far into a new file."""
         for followed in self._rings.values():
             enter(writer, followed)
             followed.ring.want()
@@ -220,7 +220,7 @@ class Recorder:
     # -- what else is written ----------------------------------------------------------
 
     def take(self, message: rtpu_messages.ToRecorder) -> None:
-        """Take what the agent says."""
+        """Take the agent's messages."""
         match message:
             case rtpu_messages.Clocks():
                 now, clocks = time.monotonic_ns(), msgspec.to_builtins(message)
@@ -237,7 +237,7 @@ class Recorder:
         self.event(self._events.decode(data))
 
     def event(self, event: Event) -> None:
-        """Put an event on record; after an error, what was kept is written."""
+        """Record an event; after an error, what was kept is written."""
         if event.subsystem in {"", self._wanted.subsystem}:
             plain = msgspec.to_builtins(event)
             self._files.put(lambda writer: writer.add_event(plain))
@@ -277,7 +277,7 @@ class Recorder:
         }
 
     def _report(self) -> None:
-        """Tell the agent which file is written, when that has changed."""
+        """Report to the agent which file is written, when that has changed."""
         writer = self._files.writer
         path = str(writer.path) if writer else ""
         lost = self._files.unwritten + self._unfit
@@ -293,7 +293,7 @@ class Recorder:
 
 
 def hide(about: TaskAbout, names: Iterable[str]) -> None:
-    """Say of a task which of its variables are not recorded."""
+    """Report which variables of a task are not recorded."""
     each = (about.inconst, about.invar, about.outconst, about.outvar)
     own = {variable.name for variables in each for variable in variables}
     about.hidden = [name for name in names if name in own]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 HERE = ""
-"""Stands for this machine."""
+"""Denotes this machine."""
 
 
 class Claim(NamedTuple):
@@ -41,7 +41,7 @@ class Epochs:
         """By machine, the variables over which it sees a fight with itself."""
 
     def here(self, seen: Mapping[int, tuple[int, bool]]) -> None:
-        """Take in which groups stand on this machine: uid and live, by variable."""
+        """Take in which groups exist on this machine: uid and live, by variable."""
         for variable in self.own.keys() - seen.keys():
             self._end(variable, self.own.pop(variable))
         for variable, (uid, live) in seen.items():
@@ -63,7 +63,7 @@ class Epochs:
         ended: Iterable[tuple[int, int]] = (),
         fights: Iterable[int] = (),
     ) -> None:
-        """Take in what stands on another machine."""
+        """Take in the groups of another machine."""
         self.others[machine] = dict(claims)
         self.told[machine] = frozenset(fights)
         for variable, epoch in ended:

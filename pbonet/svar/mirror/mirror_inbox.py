@@ -57,7 +57,7 @@ class Theirs:
         return news.data[at : at + np.dtype(record.dtype).itemsize * record.nelem]
 
     def drop(self) -> None:
-        """Give the variables up; their values stand until somebody takes over."""
+        """Give the variables up; their values remain until a task takes over."""
         if self.local is not None:
             with contextlib.suppress(SvarError):
                 self.local.close()
@@ -157,7 +157,7 @@ class Machine:
 
     @staticmethod
     def kept(theirs: Theirs) -> bool:
-        """Tell whether an operator set it, and no task."""
+        """Return whether an operator set it, and no task."""
         return not theirs.group.task
 
     def _claim(self, theirs: Theirs) -> None:
@@ -174,7 +174,7 @@ class Machine:
             local.claim(theirs.time_ns, theirs.news.cycle)
             if not theirs.group.live:
                 local.release()
-        except SvarError:  # a task here owns one; the fight is told elsewhere
+        except SvarError:  # a task here owns one; the conflict is reported elsewhere
             self.counts.refused += 1
             theirs.drop()
 
@@ -220,7 +220,7 @@ def _places(table: Table, variables: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def _newer(one: News, other: News) -> bool:
-    """Tell whether a commit came after another; numbers wrap."""
+    """Return whether a commit came after another; numbers wrap."""
     return one.seq != other.seq and one.seq - other.seq & _NUMBERS < _NUMBERS >> 1
 
 

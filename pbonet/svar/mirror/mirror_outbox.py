@@ -23,7 +23,7 @@ TRIES = 64
 KEPT = 1 << 62
 """From here on, identities of variables that an operator set."""
 BEHIND = 80_000
-"""Nanoseconds behind a commit that is expected, in which it will have come."""
+"""Nanoseconds after an expected commit, in which it will have come."""
 TOGETHER = 8
 """Commits within this part of a period go together."""
 _IDLE, _BREAK, _MANY = 4, 20_000_000, 1000
@@ -45,7 +45,7 @@ class Own:
         self.next_ns = 0
         """Before it nothing newer is sent, whoever asks."""
         self.live = False
-        """Whether a task owns it, as it was told last."""
+        """Whether a task owns it, as last reported."""
         self._last: News | None = None
         """The state that was sent last, of a group that is not sent at each commit."""
         self.stamp_ns = 0
@@ -56,7 +56,7 @@ class Own:
         """Where its commits stand."""
 
     def sends(self, news: News, now: int) -> None:
-        """Take note of a commit that is being sent."""
+        """Note a commit that is being sent."""
         stamp = now - news.age_ns
         commits = news.seq - self.sent
         # Who carries may have stood still between two looks at the clock.
@@ -66,7 +66,7 @@ class Own:
             self.period_ns = (3 * known + period) // 4 if known else period
         self.sent, self.stamp_ns = news.seq, stamp
         if self.pause_ns:
-            # Counted from when it was due, so that a late look costs no turn.
+            # Counted from when it was due, so that a late check costs no turn.
             late = now - self.next_ns
             kept = late if 0 < late < self.pause_ns else 0
             self.next_ns = now + self.pause_ns - kept
@@ -134,7 +134,7 @@ class Outbox:
         """Take in who owns what now; return whether that has changed."""
         try:
             self._table.must_be_whole()
-        except SvarDamagedError:  # the RTPU process tells of it
+        except SvarDamagedError:  # the RTPU process reports it
             return False
         generation = self._table.generation
         if generation == self.generation and not self._keep_grown():
@@ -200,7 +200,7 @@ class Outbox:
     def due(self, now: int) -> int | None:
         """Return when to look for the next commit; in the past: it is overdue.
 
-        Those that are expected close to each other are looked for together.
+        Those that are expected close to each other are read together.
         """
         expected = [
             (due, group.period_ns)
@@ -225,7 +225,7 @@ class Outbox:
         return heads
 
     def told(self, epochs: Epochs) -> list[Group]:
-        """Return the groups as they are told to others."""
+        """Return the groups in the form sent to others."""
         return [
             Group(
                 own.uid,

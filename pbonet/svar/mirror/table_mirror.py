@@ -67,7 +67,7 @@ class Mirror:
         self._raised: dict[tuple[str, str, str], None] = {}
         self._causes: list[tuple[str, str]] = []
         self._glance = table.local(RAISER, os.getpid())
-        """Tells whether the flag is up by one load."""
+        """Returns whether the flag is up, by one load."""
         self._changes = 0
         """Of the flag, as it was looked at last."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
@@ -75,12 +75,12 @@ class Mirror:
     def tell(
         self, *, full: bool = False, look: bool = True, machine: str = ""
     ) -> Packet | None:
-        """Return what there is to tell the others; None when nothing is new.
+        """Return what there is to send to the others; None when nothing is new.
 
         Args:
             full: Everything, not only what is new.
             look: Whether to look at the causes of the flag too.
-            machine: Who alone is told; all if left out.
+            machine: The only receiver; all if left out.
         """
         changed = self._outbox.look(self._epochs)
         if changed:
@@ -88,7 +88,7 @@ class Mirror:
         if look and self._look_at_causes():
             changed = True
         changed, self._news = changed or self._news, False
-        self._news = changed and bool(machine)  # the others are to be told yet
+        self._news = changed and bool(machine)  # the others are still to be notified
         if changed:
             self._state += 1
         full = full or changed
@@ -112,7 +112,7 @@ class Mirror:
         )
 
     def take(self, packet: Packet) -> bool:
-        """Take in what another machine tells.
+        """Process another machine's packet.
 
         Returns:
             Whether it could be placed; else all of that machine must be asked for.
@@ -140,7 +140,7 @@ class Mirror:
         return placed
 
     def miss(self, seconds: float) -> None:
-        """Lose the machines that have told nothing for so long."""
+        """Drop the machines that have sent nothing for so long."""
         before = now_ns() - round(seconds * 1e9)
         silent = [m for m, other in self.others.items() if other.heard_ns < before]
         for machine in silent:
@@ -207,7 +207,7 @@ class Mirror:
         self._raise_exactly(self._wanted_causes(fought))
 
     def _wanted_causes(self, fought: set[int]) -> dict[tuple[str, str, str], None]:
-        """Return the causes that must stand here for others, and for their loss."""
+        """Return the causes to raise here for other machines, and for their loss."""
         wanted: dict[tuple[str, str, str], None] = {}
         for other in self.others.values():
             for cause, raiser in other.causes:

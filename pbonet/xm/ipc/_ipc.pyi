@@ -4,8 +4,8 @@ Times are absolute, in nanoseconds of CLOCK_MONOTONIC (`time.monotonic_ns`, or
 ``self.task.now`` in a module): None waits for ever, what is over does not wait. A wait
 runs the Python handlers of signals that arrive; one that raises ends the wait, and
 nothing is taken. `still` is asked every `PATROL_NS`, and ends the wait with `XmError`
-when it says False. Every wait looks for the dead each `PATROL_NS`, so what somebody who
-is killed leaves behind is found within that time.
+when it says False. Every wait checks for dead processes each `PATROL_NS`, so what a
+killed process leaves is found within that time.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from _typeshed import ReadableBuffer, WriteableBuffer
 from .names import Name
 
 PATROL_NS: int
-"""How often a sleeper looks around, nanoseconds."""
+"""How often a sleeper checks for dead processes, nanoseconds."""
 
 class Taken(IntEnum):
     """The result of a P; only a time-out is false."""
@@ -56,7 +56,7 @@ class Shared:
         """The file in shared memory; empty when it is another machine's."""
     @property
     def waiting(self) -> int:
-        """How many threads stand in its line."""
+        """How many threads wait in its line."""
     def close(self) -> None:
         """Detach; it stays for the others, and for who attaches later.
 
@@ -66,13 +66,13 @@ class Shared:
             XmError: A thread of this process waits in it.
         """
     def destroy(self) -> None:
-        """Remove it; whoever uses it or waits for it gets `XmDestroyedError`."""
+        """Remove it; its users and waiters get `XmDestroyedError`."""
 
 class Semaphore(Shared):
     """A semaphore, counting or binary (section 5.4.2).
 
-    While nobody waits, P and V are one atomic operation each and make no system call. V
-    never waits for anybody, so it may be called in a cycle.
+    While no thread waits, P and V are one atomic operation each and make no system
+    call. V never waits, so it may be called in a cycle.
     """
 
     @staticmethod
@@ -83,12 +83,12 @@ class Semaphore(Shared):
         maximum: int | None = None,
         binary: bool = False,
     ) -> Semaphore:
-        """Make a semaphore; one that nobody is attached to is replaced.
+        """Make a semaphore; one without users is replaced.
 
         Args:
             name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
             initial: Its value, at least 0.
-            maximum: Its highest value; 2**31 - 1 unless told otherwise.
+            maximum: Its highest value; 2**31 - 1 by default.
             binary: For a critical section: the value is 0 or 1 and the holder known.
 
         Raises:
@@ -99,7 +99,7 @@ class Semaphore(Shared):
         """
     @staticmethod
     def attach(name: str | Name) -> Semaphore:
-        """Use a semaphore that stands.
+        """Attach to an existing semaphore.
 
         Raises:
             XmMissingError: There is none of that name.
@@ -128,15 +128,15 @@ class Semaphore(Shared):
         Args:
             until_ns: When to give up.
             priority: Higher is served first, equals as they came; the task's
-                criticality unless told otherwise.
+                criticality by default.
             still: See above.
 
         Raises:
-            XmDestroyedError: Somebody destroyed it.
+            XmDestroyedError: It was destroyed.
             XmFullError: More than 128 threads wait, or processes are attached.
         """
     def try_p(self) -> Taken:
-        """Take one if there is one that nobody in the line is called for."""
+        """Take one if there is one that is not promised to a thread in the line."""
     def v(self) -> bool:
         """Give one back, or signal; False when the value stands at its maximum."""
     def __enter__(self) -> Taken: ...
@@ -167,7 +167,7 @@ class Queue(Shared):
         blocks: int | None = None,
         block: int = 64,
     ) -> Queue:
-        """Make a queue; one that nobody is attached to is replaced.
+        """Make a queue; one without users is replaced.
 
         Args:
             name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
@@ -184,7 +184,7 @@ class Queue(Shared):
         """
     @staticmethod
     def attach(name: str | Name) -> Queue:
-        """Use a queue that stands.
+        """Attach to an existing queue.
 
         Raises:
             XmMissingError: There is none of that name.
@@ -226,14 +226,14 @@ class Queue(Shared):
             data: Its bytes; they are copied.
             priority: Of the message, for HPF and for its receiver.
             full: What becomes of it when there is no room, at `until_ns` at the latest.
-            until_ns: How long to wait for room; not at all unless told so.
-            wait_priority: Of that wait; the task's criticality unless told otherwise.
+            until_ns: How long to wait for room; not at all by default.
+            wait_priority: Of that wait; the task's criticality by default.
             still: See above.
 
         Raises:
             XmQueueFullError: There is no room, and `full` says REFUSE.
             XmTooLongError: It is longer than the whole queue.
-            XmDestroyedError: Somebody destroyed the queue.
+            XmDestroyedError: The queue was destroyed.
         """
     def receive(
         self, until_ns: int | None = None, *, priority: int | None = None
@@ -242,11 +242,11 @@ class Queue(Shared):
 
         Args:
             until_ns: When to give up.
-            priority: Of this receiver among those who wait; the task's criticality
-                unless told otherwise.
+            priority: Of this receiver among those who wait; the task's criticality by
+                default.
 
         Raises:
-            XmDestroyedError: Somebody destroyed the queue.
+            XmDestroyedError: The queue was destroyed.
             XmFullError: Too many wait or are attached.
         """
     def letter(
@@ -267,7 +267,7 @@ class Queue(Shared):
 
         Raises:
             XmTooLongError: It is longer than `most`.
-            XmDestroyedError: Somebody destroyed the queue.
+            XmDestroyedError: The queue was destroyed.
         """
     def wait(
         self,
@@ -282,11 +282,11 @@ class Queue(Shared):
         with `try_receive`, which gives None if another receiver was quicker.
 
         Raises:
-            XmDestroyedError: Somebody destroyed the queue.
+            XmDestroyedError: The queue was destroyed.
             XmFullError: Too many wait or are attached.
         """
     def try_receive(self) -> bytes | None:
-        """Take the first message, if nobody in the line is called for it."""
+        """Take the first message, if it is not promised to a thread in the line."""
     def receive_into(
         self,
         buffer: WriteableBuffer,
@@ -298,5 +298,5 @@ class Queue(Shared):
 
         Raises:
             XmTooLongError: It is longer than the buffer; it stays in the queue.
-            XmDestroyedError: Somebody destroyed the queue.
+            XmDestroyedError: The queue was destroyed.
         """

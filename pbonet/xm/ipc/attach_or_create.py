@@ -1,4 +1,4 @@
-"""Attach to a resource, or make it: whoever comes first need not be known."""
+"""Attach to a resource, or make it: the order of its users does not matter."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def semaphore(
     Args:
         name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
         initial: Its value when it is made; a binary one is free (1) or taken (0).
-        maximum: Its highest value, 2**31 - 1 unless told otherwise.
+        maximum: Its highest value, 2**31 - 1 by default.
         binary: Whether it guards a critical section: its holder is known, and when that
             dies the next P is told.
 
@@ -62,8 +62,8 @@ def queue(
 
     Args:
         name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
-        policy: Which message is received first; FIFO unless told otherwise.
-        messages: How many it holds at most; 64 unless told otherwise.
+        policy: Which message is received first; FIFO by default.
+        messages: How many it holds at most; 64 by default.
         blocks: How many blocks the messages share; as many as messages.
         block: Bytes of a block; 64. A longer message takes several.
 

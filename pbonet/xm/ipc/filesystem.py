@@ -105,19 +105,19 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         return _entry(path, found)
 
     def exists(self, path: str, **_: object) -> bool:
-        """Tell whether something stands at a path.
+        """Return whether something exists at a path.
 
         Raises:
-            UnreachableError: Nobody can tell, as the RTPU cannot be reached.
+            UnreachableError: Unknown, because the RTPU cannot be reached.
         """
         return self._type(path) != ""
 
     def isdir(self, path: str) -> bool:
-        """Tell whether a folder stands at a path; raises as `exists`."""
+        """Return whether a folder exists at a path; raises as `exists`."""
         return self._type(path) == "directory"
 
     def isfile(self, path: str) -> bool:
-        """Tell whether a file stands at a path; raises as `exists`."""
+        """Return whether a file exists at a path; raises as `exists`."""
         return self._type(path) == "file"
 
     def _type(self, path: str) -> str:
@@ -178,7 +178,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
                     raise
 
     def _make_parent(self, path: str) -> None:
-        """Make the folder that a path stands in, if there is none."""
+        """Make the folder of a path, if there is none."""
         parent = str(self._parent(path))
         try:
             self.info(parent)
@@ -214,7 +214,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         self.rm_file(path)
 
     def _is_folder(self, path: str) -> bool:
-        """Tell whether a folder stands at a path, and no link to one."""
+        """Return whether a folder exists at a path, and no link to one."""
         with contextlib.suppress(XmError):
             found = self.info(path)
             return found["type"] == "directory" and not found.get("islink")
@@ -293,7 +293,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         self.rm(source, recursive=whole)
 
     def _is_listed(self, path: str) -> bool:
-        """Tell whether something stands at a path, be it a link that leads nowhere."""
+        """Return whether something exists at a path, even a dangling link."""
         with contextlib.suppress(XmMissingError):
             return path in self.ls(str(self._parent(path)), detail=False)
         return False

@@ -1,4 +1,4 @@
-"""Folders of shared memory, for who looks into them again and again."""
+"""Watches folders of shared memory that are listed again and again."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ TICK_NS = 20_000_000
 
 
 class Changes:
-    """Tells whether something was made or removed in a folder.
+    """Detects whether something was made or removed in a folder.
 
     After a change the folder is to be listed until its time stamp has stood for longer
     than a tick: it cannot tell what came directly behind a listing.
@@ -26,7 +26,7 @@ class Changes:
         self._settled = False
 
     def look(self) -> bool:
-        """Tell whether the folder is to be listed now."""
+        """Return whether the folder is to be listed now."""
         stamp = os.stat(self._path).st_mtime_ns  # noqa: PTH116 - three times as fast
         if stamp == self._stamp and self._settled:
             return False

@@ -1,9 +1,10 @@
 """Mailbox interrupts that users define, with a value (Stewart 1994, section 5.3.1).
 
-Somebody on an RTPU has a mailbox and a handler for what comes; anybody on any machine
-sends. Each interrupt is kept, in order, until it is handled, also while nobody is there
-to do so; when the mailbox is full the sender is told. Nothing happens in a cycle of its
-own accord: a task looks in, or waits in `sync`; a program may leave it to a thread.
+A task or program on an RTPU has a mailbox and a handler for what comes; any other on
+any machine sends. Each interrupt is kept, in order, until it is handled, even while no
+receiver is there; when the mailbox is full the sender is notified. Nothing happens in a
+cycle of its own accord: a task looks in, or waits in `sync`; a program may leave it to
+a thread.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.xm")
 
 PREFIX = "mbox."
-"""Begins the names of the queue and the semaphore behind a mailbox."""
+"""Prefix of the names of a mailbox's queue and semaphore."""
 DEPTH = 64
 KEPT = 32
 """Mailboxes that a process which sends to them stays attached to."""
@@ -48,7 +49,7 @@ _LOOK_NS = 100_000_000
 
 
 def _resource(text: str | int) -> Name:
-    """Return the name of what is behind a mailbox."""
+    """Return the name of a mailbox's queue and semaphore."""
     name = names.parse(str(text))
     return name._replace(resource=PREFIX + name.resource)
 
@@ -116,7 +117,7 @@ class Mailbox(shm.Closeable):
 
     @property
     def refused(self) -> int:
-        """Interrupts that found it full; their senders were told."""
+        """Interrupts that found it full; their senders were notified."""
         return self._queue.dropped
 
     def wait(self, until_ns: int | None = None) -> bool:
@@ -160,7 +161,7 @@ class Mailbox(shm.Closeable):
         return count
 
     def start(self) -> None:
-        """Have a thread call the handler, until `close`; for programs, not for tasks.
+        """Let a thread call the handler, until `close`; for programs, not for tasks.
 
         Raises:
             StateError: There is no handler, or this is a task.
@@ -210,7 +211,7 @@ class Mailbox(shm.Closeable):
         self._place.close()
 
     def destroy(self) -> None:
-        """Remove it, with what waits; who sends is told."""
+        """Remove it, with what waits; senders get an error."""
         self._over = True
         self._queue.destroy()
         self._place.destroy()
@@ -228,7 +229,7 @@ def interrupt(name: str | int, value: int = 1) -> None:
         value: A whole number of 64 bits that its handler is given.
 
     Raises:
-        XmMissingError: Nobody has installed it.
+        XmMissingError: It is not installed.
         XmQueueFullError: It is full: those before were not handled yet.
         UnreachableError: The RTPU cannot be reached.
         ValueError: The value is too large.
@@ -252,10 +253,10 @@ def _interrupt(box: Name, value: int) -> None:
 
 
 def interrupt_here(box: Name, value: int) -> None:
-    """Send to a mailbox of this machine; `box` names what is behind it.
+    """Send to a mailbox of this machine; `box` names its queue and semaphore.
 
     Raises:
-        XmMissingError: Nobody has installed it.
+        XmMissingError: It is not installed.
         XmQueueFullError: It is full.
     """
     with _guard:

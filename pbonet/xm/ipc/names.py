@@ -1,4 +1,4 @@
-"""Names of resources, ``RTPU:RESOURCE``, and the files that stand for them.
+"""Names of resources, ``RTPU:RESOURCE``, and their files.
 
 A name without a colon is a resource of the RTPU that the process belongs to, so that a
 module need not know where it runs. Nothing here imports zenoh: tasks use it.
@@ -111,7 +111,7 @@ def find(text: str | Name) -> tuple[Name, bool]:
 
 
 def is_here(name: Name) -> bool:
-    """Tell whether a name's RTPU is on this machine."""
+    """Return whether a name's RTPU is on this machine."""
     return name.rtpu in {_home.rtpu, NOWHERE} or name.rtpu in rtpus(name.domain)
 
 
@@ -174,7 +174,7 @@ def rtpus(domain: str) -> set[str]:
 
 
 def standing(kind: str, domain: str) -> list[str]:
-    """Return the names of the resources of a kind that stand on this machine."""
+    """Return the names of the resources of a kind that exist on this machine."""
     prefix, suffix = shm.own(f"{domain}:"), f".{kind}"
     return sorted(
         name.removeprefix(prefix).removesuffix(suffix)

@@ -2,7 +2,7 @@
 
 A task asks its agent, by a Unix socket, and has nothing of the network in its process.
 Every other process is a client of the agents of its own, as all tools are. Both show a
-liveliness token for as long as the process lives, so that what stands for it elsewhere
+liveliness token for as long as the process lives, so that what acts for it elsewhere
 ends with it.
 """
 
@@ -64,14 +64,14 @@ class Carrier(Protocol):
         ...
 
     def close(self) -> None:
-        """End; what stands for it elsewhere ends with it."""
+        """End; what acts for it elsewhere ends with it."""
 
 
 class Post:
     """Sends a task's requests to its RTPU's agent, and from there to the others.
 
     Every thread has a connection of its own, and the process one more, on which nothing
-    is asked: when the last one closes, the agent drops what stands for the process.
+    is asked: when the last one closes, the agent drops what acts for the process.
 
     Args:
         path: The agent's socket.
@@ -106,7 +106,7 @@ class Post:
         return read_names(self._exchange(Letter(self.name, "", 0.0, b"")))
 
     def close(self) -> None:
-        """End; what stands for the process elsewhere ends with it."""
+        """End; what acts for the process elsewhere ends with it."""
         self._forget()
         with self._guard:
             anchor, self._anchor = self._anchor, None
@@ -226,7 +226,7 @@ def _end(client: Client, token: Declared) -> None:
 
 
 def alive(rtpu: str) -> bool:
-    """Tell whether an RTPU's agent is there (``xmAlive``, section 5.3.1).
+    """Return whether an RTPU's agent is there (``xmAlive``, section 5.3.1).
 
     Of one on this machine that is known without the network.
 

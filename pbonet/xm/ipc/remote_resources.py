@@ -195,7 +195,7 @@ class FarSemaphore(_There, Semaphore):
 
     @classmethod
     def create_there(cls, name: Name, initial: int, maximum: int, binary: bool) -> Self:  # noqa: FBT001
-        """Make one; the settings have been looked at."""
+        """Make one; the settings have been checked."""
         create = {"initial": initial, "maximum": maximum, "binary": bool(binary)}
         return cls(Far(name, "sem", create))
 
@@ -261,7 +261,7 @@ class FarQueue(Receiving, _There, Queue):
     def create_there(
         cls, name: Name, policy: Policy, messages: int, blocks: int, block: int
     ) -> Self:
-        """Make one; the settings have been looked at."""
+        """Make one; the settings have been checked."""
         create = {
             "policy": int(policy),
             "messages": messages,

@@ -66,7 +66,7 @@ class Segment(shm.Closeable):
 
     @classmethod
     def create(cls, name: str, size: int) -> Self:
-        """Make a segment of zeros; one that nobody is attached to is replaced.
+        """Make a segment of zeros; one without users is replaced.
 
         Args:
             name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
@@ -132,7 +132,7 @@ class Segment(shm.Closeable):
         """The segment's bytes.
 
         Raises:
-            XmDestroyedError: Somebody destroyed it.
+            XmDestroyedError: It was destroyed.
         """
         whole = self._bytes()
         if struct.unpack_from("I", whole, _DESTROYED)[0]:
@@ -146,7 +146,7 @@ class Segment(shm.Closeable):
     def array(
         self, dtype: DTypeLike, shape: int | tuple[int, ...] = (), offset: int = 0
     ) -> NDArray[Any]:
-        """Return an array that stands in the segment.
+        """Return an array in the segment.
 
         Args:
             dtype: Of its elements.
@@ -172,7 +172,7 @@ class Segment(shm.Closeable):
         self._let_go()
 
     def destroy(self) -> None:
-        """Remove it (``shmDestroy``); others keep what they have and are told."""
+        """Remove it (``shmDestroy``); others keep what they have and are notified."""
         if self._map is not None:
             shm.remove_same(self._path, self._fd)
             struct.pack_into("I", self._bytes(), _DESTROYED, 1)
@@ -217,7 +217,7 @@ class Segment(shm.Closeable):
         )
 
     def _is_taken(self, member: int) -> bool:
-        """Tell whether another process has that place."""
+        """Return whether another process has that place."""
         answer = fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, _lock(fcntl.F_WRLCK, member))
         return int(_FLOCK.unpack(answer)[0]) != fcntl.F_UNLCK
 

@@ -1,4 +1,4 @@
-"""The files behind semaphores, queues, segments and links: found, and swept."""
+"""The files of semaphores, queues, segments and links: found, and swept."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def open_file(name: Name, kind: str) -> tuple[int, int]:
 
 
 def sweep(rtpu: str, domain: str = "default") -> list[str]:
-    """Remove what nobody uses any more of an RTPU; return the files' last parts.
+    """Remove an RTPU's unused files; return the last parts of their names.
 
     For when an RTPU ends, or begins where one was killed.
     """

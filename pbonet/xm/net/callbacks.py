@@ -20,7 +20,7 @@ T = TypeVar("T")
 def direct(
     what: Callable[[T], object], end: Callable[[], object] | None = None
 ) -> zenoh.handlers.Callback[T]:
-    """Have zenoh's own thread call a function, with no change of thread.
+    """Let zenoh's own thread call a function, with no change of thread.
 
     Args:
         what: Is called with each query, sample or reply.

@@ -21,7 +21,7 @@ prepare(messages, resource_messages, file_messages)
 
 
 class _Version(Struct):
-    """The two fields that are looked at before all others."""
+    """The two fields that are read before all others."""
 
     v: int = 0
     id: str = ""

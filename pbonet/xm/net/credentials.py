@@ -25,7 +25,7 @@ _RUN_OUT: Final = 10
 _NOT_YET: Final = 9
 """Numbers that OpenSSL gives to certificates out of their time."""
 SOON: Final = 30 * 86400.0
-"""Seconds before a certificate runs out in which that is told."""
+"""Seconds before a certificate expires in which that is reported."""
 
 
 class Role(StrEnum):
@@ -97,11 +97,11 @@ def prove(folder: Path, role: Role | None = None) -> float:
     """Make sure that others will take the keys of `folder` for good.
 
     Its certificate is shown to its own authority, as it will be to other machines.
-    A session with bad keys would only find that nobody answers.
+    A session with bad keys would only find that there is no answer.
 
     Args:
         folder: A key folder.
-        role: Whose it must be; anybody's if left out.
+        role: The role it must have; any if left out.
 
     Returns:
         Until when it is good, for `left`.
@@ -141,12 +141,12 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
 
     Args:
         folder: A key folder.
-        host: Where somebody listens for TLS.
+        host: The host of a TLS listener.
         port: The port there.
         limit: Seconds for each answer.
 
     Returns:
-        A sentence; empty if they do, or nobody answers.
+        A sentence; empty if they do, or if there is no answer.
     """
     import socket
     import ssl
@@ -160,7 +160,7 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
             socket.create_connection((host, port), limit) as plain,
             holder.wrap_socket(plain) as one,
         ):
-            one.recv(1)  # a certificate is refused behind the handshake
+            one.recv(1)  # a certificate is refused after the handshake
     except ssl.SSLCertVerificationError as error:
         how = {
             _RUN_OUT: "has run out",

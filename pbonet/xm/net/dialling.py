@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ASK_TIME = 0.5
-"""Seconds in which an agent behind an endpoint says whom it dials."""
+"""Seconds in which the agent at an endpoint answers which others it dials."""
 SETTLE_TIME = 3.0
 """Seconds in which an agent that is to give way is waited for; it may do so later."""
 LINK_TIME = 0.3
@@ -122,7 +122,7 @@ class Dialled:
     # -- who gives way -----------------------------------------------------------------
 
     def _vain(self, found: Mapping[str, Behind]) -> set[str]:
-        """Return the endpoints that are not to be dialled, by who is behind each."""
+        """Return the endpoints that are not to be dialled, by the agent at each."""
         back = _doubled(found)
         me = self._places.name, str(self.session.info.zid())
         for endpoint, behind in found.items():
@@ -136,10 +136,10 @@ class Dialled:
         return back
 
     def _open_question(self, found: Mapping[str, Behind], *, silent: bool) -> bool:
-        """Tell whether somebody is to be asked again.
+        """Return whether an agent is to be asked again.
 
         Args:
-            found: Who is behind each endpoint.
+            found: The agent at each endpoint.
             silent: Whether a router that says nothing may yet turn out an agent.
         """
         return any(
@@ -189,7 +189,7 @@ class Dialled:
             missing -= {str(zid) for zid in self.session.info.routers_zid()}
 
     def _look(self, endpoints: Sequence[str]) -> dict[str, Behind]:
-        """Return who is behind each endpoint now."""
+        """Return the agent at each endpoint now."""
         if not endpoints:
             return {}
         with ThreadPoolExecutor(len(endpoints)) as pool:
@@ -263,7 +263,7 @@ def _address(endpoint: str) -> str:
 
 
 def is_mine(endpoint: str, listens: Iterable[str]) -> bool:
-    """Tell whether an endpoint that another agent dials is one that is listened on."""
+    """Return whether an endpoint that another agent dials is listened on here."""
     plain = _address(endpoint)
     for own in map(_address, listens):
         if plain == own:
@@ -277,7 +277,7 @@ def is_mine(endpoint: str, listens: Iterable[str]) -> bool:
 
 
 def _is_here(host: str) -> bool:
-    """Tell whether an address belongs to this machine, by binding to it."""
+    """Return whether an address belongs to this machine, by binding to it."""
     try:
         found = socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM)
     except OSError:

@@ -36,7 +36,7 @@ def svar(domain: str, subsystem: str, leaf: str, machine: str = "*") -> str:
 
     Args:
         domain: The domain.
-        subsystem: Whose table.
+        subsystem: The subsystem of the table.
         leaf: ``here``, ``news``, ``sync`` or ``flush``.
         machine: As `machine` spells it.
     """
@@ -74,7 +74,7 @@ def customer(domain: str, client: str) -> str:
 
 
 def clock(domain: str, name: str) -> str:
-    """Return the key on which an agent tells its machine's time."""
+    """Return the key on which an agent publishes its machine's time."""
     return rtpu(domain, name, "clock")
 
 

@@ -1,4 +1,4 @@
-"""Why nobody answers at an endpoint, in words that say where to look."""
+"""Finds why an endpoint does not answer, in words that say what to check."""
 
 from __future__ import annotations
 

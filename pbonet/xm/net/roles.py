@@ -1,4 +1,4 @@
-"""Which requests only look, so that whoever may not steer can make them.
+"""Which requests only read, so that clients that may not command can make them.
 
 An RTPU answers on two keys: ``sbs`` takes every request, ``status`` those that change
 nothing. Access control goes by keys (see `access`), so an observer reaches the second.
@@ -18,7 +18,7 @@ _LOOKING = (
 
 
 def only_looks(request: m.Request) -> bool:
-    """Tell whether the request changes nothing."""
+    """Return whether the request changes nothing."""
     if isinstance(request, m.Sigmask | m.Job):
         return not request.changes
     return isinstance(request, _LOOKING) or (
@@ -32,7 +32,7 @@ def leaf(request: m.Request) -> str:
 
 
 def check(request: m.Request, key: str) -> None:
-    """Refuse a request that was made where only looking is allowed.
+    """Refuse a request that was made where only reading is allowed.
 
     Args:
         request: What is asked.

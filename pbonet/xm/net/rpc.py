@@ -248,7 +248,7 @@ class Client:
         return token
 
     def hear(self, key: str, told: Callable[[], None]) -> Declared:
-        """Have a function called, in zenoh's thread, with each sample under a key."""
+        """Let a function be called, in zenoh's thread, with each sample under a key."""
 
         def heard(_: zenoh.Sample) -> None:
             told()
@@ -299,7 +299,7 @@ class Client:
         raise _no_answer(rtpu, ANSWER_TIME)
 
     def _is_silent(self, rtpu: str) -> bool:
-        """Tell whether an agent gave no sign of life a moment ago."""
+        """Return whether an agent gave no sign of life a moment ago."""
         return time.monotonic() - self._silent.get(rtpu, -_SILENCE_TIME) < _SILENCE_TIME
 
     def _ask(
@@ -356,7 +356,7 @@ class Client:
         return waiter
 
     def _hello(self, rtpu: str, other: _Waiter | None = None) -> bool:
-        """Tell whether the agent answers the simplest request, or the other one."""
+        """Return whether the agent answers the simplest request, or the other one."""
         hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
         payload = self._codec.pack(hello)
         waiter = self._get(rtpu, roles.leaf(hello), payload, ANSWER_TIME)
@@ -370,7 +370,7 @@ class Client:
         """Tell whether links are being restored: to all, or to an agent that runs here.
 
         Args:
-            rtpu: Whose agent.
+            rtpu: The RTPU of the agent.
             names: Those that are seen; it is not among them.
         """
         pid = run_folder.agent_processes(self.domain).get(rtpu, 0)

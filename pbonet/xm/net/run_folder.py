@@ -33,7 +33,7 @@ _FLOCK = struct.Struct("hhqqi4x")
 
 
 def check_name(what: str, name: str) -> str:
-    """Return `name` if it may stand in a key and in a file's name.
+    """Return `name` if it is valid in a key and in a file's name.
 
     Raises:
         NodeError: It may not.
@@ -52,7 +52,7 @@ def folder() -> Path:
     """Return the runtime folder, made if need be.
 
     Raises:
-        NodeError: It cannot be made, or belongs to somebody else.
+        NodeError: It cannot be made, or belongs to another user.
     """
     path = _choose()
     try:
@@ -138,11 +138,11 @@ class NameLock:
 
     Args:
         path: The file.
-        text: Who holds it, for whoever comes second.
+        text: The holder, for the error of a second process.
         patience: Seconds to try.
 
     Raises:
-        DuplicateNameError: Somebody else holds it.
+        DuplicateNameError: Another process holds it.
     """
 
     def __init__(self, path: Path, text: str = "", *, patience: float = 0.0) -> None:
@@ -186,7 +186,7 @@ class NameLock:
 
 
 def is_held(path: Path) -> bool:
-    """Return whether somebody holds the lock on `path`; takes nothing."""
+    """Return whether the lock on `path` is held; takes nothing."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except OSError:

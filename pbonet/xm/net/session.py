@@ -44,9 +44,9 @@ whose link has healed meanwhile."""
 RETRY_MS = 200
 """Longest pause between attempts to reach an agent that is away."""
 SCOUTING_PORT = 17000
-"""The first of the thousand ports on which domains look for their agents."""
+"""The first of the thousand ports on which domains search for their agents."""
 OPEN_TIME = 1.1
-"""Seconds in which a client goes on trying when nobody answers."""
+"""Seconds in which a client keeps trying when there is no answer."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
     " Were both sides' keys made by one authority, and is the address among the agent's"
@@ -60,7 +60,7 @@ TOKENS = 100_000
 
 
 def _is_address(text: str) -> bool:
-    """Tell whether a text is a host and a port."""
+    """Return whether a text is a host and a port."""
     match = _HOST_PORT.fullmatch(text)
     return match is not None and int(match[2]) <= _LAST_PORT
 
@@ -260,7 +260,7 @@ def client(
                 continue
             got, remedy = _reason(error), ""
             if timeout:
-                from . import probe_endpoint  # only where nobody answers
+                from . import probe_endpoint  # only where there is no answer
 
                 got, remedy = probe_endpoint.reasons(endpoints)
             raise UnreachableError(
