@@ -13,31 +13,38 @@ NATIVE := $(shell find pbonet -name '*.pyx' -o -name '*.pxd' -o -name '*.pxi' -o
 help:  ## Show this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 14
 
-setup: $(VENV)/.native  ## Install what is needed into .venv
+setup: $(VENV)/.packages $(VENV)/.native  ## Install what is needed to work on pbonet into .venv
 
-$(VENV)/.packages: pyproject.toml
+# What the demo needs, and the native parts, built where they stand.
+$(VENV)/.demo: pyproject.toml
 	@$(PYTHON) scripts/preflight.py
-	@echo "installing what is needed into $(VENV); this takes some minutes, once"
+	@echo "installing what the demo needs into $(VENV); this takes a minute or two, once"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) "pip>=25.1"
 	$(PIP) "setuptools>=77" "Cython>=3.1" "numpy>=2.0"
-	$(PIP) --no-build-isolation \
-	  --group test --group dev --group typing --group docs --group deploy \
-	  --editable ".[robot,devices,plot,parquet,view,keys,files]"
+	$(PIP) --no-build-isolation --editable ".[robot,plot]"
 	@touch $@
 
-# The packages' step has just built the native parts; only what is newer is built again.
-$(VENV)/.native: $(VENV)/.packages $(NATIVE)
-	@test -z "$$(find $(NATIVE) -newer $(VENV)/.packages)" || \
+# Only what is newer than the last build is built again.
+$(VENV)/.native: $(VENV)/.demo $(NATIVE)
+	@test -z "$$(find $(NATIVE) -newer $(VENV)/.demo)" || \
 	  { set -x; $(PIP) --no-build-isolation --no-deps --editable .; }
+	@touch $@
+
+# What checks, tests and documentation need beside it.
+$(VENV)/.packages: $(VENV)/.demo
+	@echo "installing what checks and tests need into $(VENV)"
+	$(PIP) "pip>=25.1"
+	$(PIP) \
+	  --group test --group dev --group typing --group docs --group deploy \
+	  "pbonet[robot,devices,plot,parquet,view,keys,files]"
 	@touch $@
 
 native: $(VENV)/.native  ## Build the native parts again after a change
 
-demo: setup  ## Run the PUMA 560 example for 15 s and plot it
+demo: $(VENV)/.native  ## Run the PUMA 560 example for 15 s and plot it
 	$(BIN)/python examples/puma/demo.py
 
-hosts-demo: setup  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
+hosts-demo: $(VENV)/.native  ## Two subsystems on hosts of their own, and a cable that is pulled (root)
 	$(BIN)/python examples/two_hosts/demo.py
 
 check: setup  ## Lint, types, layers
@@ -75,4 +82,4 @@ docs: setup  ## Build the documentation
 clean:  ## Remove what was built
 	rm -rf build docs/_build pbonet.egg-info
 	find pbonet \( -name '*.so' -o -name '*.c' \) -delete
-	rm -f $(VENV)/.native $(VENV)/.packages
+	rm -f $(VENV)/.demo $(VENV)/.native $(VENV)/.packages

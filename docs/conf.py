@@ -1,5 +1,6 @@
 """Sphinx: MyST pages beside generated ones; warnings are errors (``make docs``)."""
 
+import ast as _ast
 import sys as _sys
 from importlib.metadata import version as _version
 from pathlib import Path as _Path
@@ -31,6 +32,42 @@ def _leave_out(_: _Sphinx, env: _Environment) -> list[str]:
     return []
 
 
+def _stubs() -> dict[str, str]:
+    """Return the docstrings of native classes, which stand in their stubs."""
+    found: dict[str, str] = {}
+    for name in ("xm/ipc/_ipc.pyi", "tbuf/_tbuf.pyi"):
+        path = _Path(__file__).parents[1] / "pbonet" / name
+        for cls in _ast.parse(path.read_text(encoding="utf-8")).body:
+            if not isinstance(cls, _ast.ClassDef):
+                continue
+            found.setdefault(cls.name, _ast.get_docstring(cls) or "")
+            for one in cls.body:
+                if isinstance(one, _ast.FunctionDef):
+                    text = _ast.get_docstring(one) or ""
+                    found[f"{cls.name}.{one.name}"] = text
+    return found
+
+
+_STUBS = _stubs()
+_BASES = {"Writer": "Out", "Reader": "In"}
+
+
+def _document(
+    _: _Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
+    """Give a native method the docstring of its stub."""
+    del what, obj, options
+    if any(lines) or not name.startswith(("pbonet.xm.", "pbonet.tbuf.")):
+        return
+    cls, _dot, member = name.rpartition(".")
+    owner = cls.rpartition(".")[2]
+    for key in (f"{owner}.{member}", f"{_BASES.get(owner)}.{member}", member):
+        if text := _STUBS.get(key):
+            lines[:] = [*text.splitlines(), ""]
+            return
+
+
 def setup(app: _Sphinx) -> None:
-    """Connect the function above to Sphinx."""
+    """Connect the functions above to Sphinx."""
     app.connect("env-updated", _leave_out)
+    app.connect("autodoc-process-docstring", _document, priority=1)

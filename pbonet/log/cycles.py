@@ -75,6 +75,10 @@ class Cycles(ABC):
     def series(self, variable: str) -> tuple[NDArray[np.float64], NDArray[Any]]:
         """Return a variable over time: seconds since the run began, and its values.
 
+        Returns:
+            The releases of the writer's cycles, shape ``(n,)``, in seconds; and the
+            values, shape ``(n, ...)`` with the variable's own shape last, in its unit.
+
         Raises:
             UnknownVariableError: No task of the run wrote it.
         """

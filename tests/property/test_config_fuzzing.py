@@ -65,7 +65,7 @@ def attempt(ending: str, data: str | bytes) -> None:
     except ConfigError as caught:
         error = caught
     if error is not None:
-        assert error.where.startswith("fuzz")
+        assert error.where.startswith("fuzz") or ending == ".rmod"  # it may be a part
         assert error.what
         assert error.remedy
         assert len(str(error)) < 2000

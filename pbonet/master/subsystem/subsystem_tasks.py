@@ -23,7 +23,7 @@ from pbonet.errors import (
     UnreachableError,
 )
 from pbonet.master.configuration import Member, Picture, RmodSource, already
-from pbonet.pbo import ModuleInfo, State
+from pbonet.pbo import State
 from pbonet.xm.net import messages as m, rpc
 
 from . import remote_modules, send_signal_list, warning_dedup
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from pbonet.config import Rmod
     from pbonet.master.configuration import Files
+    from pbonet.pbo import ModuleInfo
 
     from .recording_control import Logbook
     from .rtpu_clients import Fleet
@@ -409,6 +410,8 @@ class Crew:
         for member in members:
             if member.info is None:
                 if described := self._modules.pop(member.name, None):
+                    from pbonet.pbo import ModuleInfo  # it is loaded with numpy
+
                     member.info = msgspec.convert(described, ModuleInfo)
                 self._describe(member)
 

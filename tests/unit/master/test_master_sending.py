@@ -153,16 +153,6 @@ def test_one_refuses(picture):
     assert "done: off a; not sent: on both" in str(error)
 
 
-def test_one_is_on_another_machine_after_all(picture):
-    """Whatever its name: its part goes by message, as does the heir's."""
-    unseen = m.Reconfigured(done=0, rest=[("b", "off")], unseen=["both"])
-    fleet = Fleet(arm1=[unseen])
-    assert send(picture, fleet, ITEMS, 1.0) == {"a": "OFF", "b": "OFF", "both": "ON"}
-    again = [request for rtpu, request in fleet.sent if rtpu == "arm1"]
-    assert [one.items for one in again] == [[("b", "off")], [("b", "off")]]
-    assert [list(one.calls) for one in again] == [["b"], []]
-
-
 def called(picture, came):
     """Return the error of a list in which an item fails after both has been called."""
     text = rmod("counts", "Y2").replace("SVARALIAS Y=Y2\n", "")
