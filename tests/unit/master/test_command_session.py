@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import pytest
 
 from pbonet.errors import ClaimError, NodeError, StateError, UnknownTaskError
+from pbonet.master import Subsystem
 from pbonet.master.console import commands, render
 from pbonet.master.console.command_session import CommandSession, convert, split_name
 from pbonet.master.console.commands import COMMANDS, Command, Scope, find
 from pbonet.master.console.completion import complete
 from pbonet.master.subsystem import status_fields
 from pbonet.master.subsystem.argument_text import collector
-from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.pbo import State
 from pbonet.xm.net.messages import Stopped
 

@@ -36,4 +36,4 @@ def test_a_name_that_the_master_does_not_have_is_an_attribute_error() -> None:
     master = importlib.import_module("pbonet.master")
     with pytest.raises(AttributeError, match="no attribute 'Boss'"):
         _ = master.Boss
-    assert master.Subsystem.__module__ == "pbonet.master.subsystem.subsystem"
+    assert master.Subsystem.__module__ == "pbonet.master.console.program"
