@@ -37,7 +37,7 @@ class UsageError(Exception):
 
 
 class Argument(NamedTuple):
-    """What is given by its place."""
+    """Arguments that are given by position."""
 
     help: str
     metavar: str = ""
@@ -45,7 +45,7 @@ class Argument(NamedTuple):
 
 
 class Option(NamedTuple):
-    """What is given by its name."""
+    """Options, given by name."""
 
     help: str
     metavar: str = ""
@@ -75,7 +75,7 @@ class Parameter(NamedTuple):
     least: float | None = None
     most: float | None = None
     stands_for: str = ""
-    """What a word of it names, such as ``task``; completion offers what there is."""
+    """The kind of thing a word names, such as ``task``; completion offers these."""
 
     @property
     def is_switch(self) -> bool:
@@ -95,7 +95,7 @@ class Parameter(NamedTuple):
 
     @property
     def label(self) -> str:
-        """What messages and help call it."""
+        """The name in messages and help."""
         return self.names[0] if self.names else self.metavar
 
     def value(self, word: str) -> object:
@@ -132,7 +132,7 @@ class Verb(NamedTuple):
 
     name: str
     help: str
-    """What it does: one line, and more behind a blank one."""
+    """The help text: one line, and more after a blank one."""
     examples: tuple[tuple[str, str], ...]
     """Command lines, each with what it is for."""
     parameters: tuple[Parameter, ...]
@@ -143,17 +143,17 @@ class Verb(NamedTuple):
 
     @property
     def summary(self) -> str:
-        """What it does, in one line."""
+        """The help text, in one line."""
         return self.help.partition("\n")[0]
 
     @property
     def arguments(self) -> list[Parameter]:
-        """What is given by its place."""
+        """Arguments that are given by position."""
         return [one for one in self.parameters if not one.names]
 
     @property
     def options(self) -> list[Parameter]:
-        """What is given by its name."""
+        """Options, given by name."""
         return [one for one in (*self.parameters, *self.shared) if one.names]
 
     def call(self, given: dict[str, object]) -> int:

@@ -34,7 +34,7 @@ _LONGEST: Final = 1000
 
 
 class Reply(Struct, frozen=True, kw_only=True):
-    """What a command gave."""
+    """The result of a command."""
 
     command: str
     data: dict[str, Any]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Kind(StrEnum):
-    """What an argument stands for; completion offers what there is of it."""
+    """The kind of thing that an argument names; completion offers these."""
 
     TASK = "task"
     RMOD = "rmod"

@@ -1,4 +1,4 @@
-"""What the prompt offers while a command is typed; from the command table."""
+"""Completion at the prompt while a command is typed; from the command table."""
 
 from __future__ import annotations
 

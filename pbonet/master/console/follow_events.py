@@ -48,7 +48,7 @@ class Follower:
         self.left_out = 0
         """Events that an RTPU had forgotten before they could be asked for."""
         self.doubt: str | None = None
-        """What is odd about the choice, by the first events that were taken."""
+        """Warnings about the filter, judged by the first events that were taken."""
 
     def take(self) -> list[m.Event]:
         """Return what has happened since the last call, the oldest first."""

@@ -30,7 +30,7 @@ class Outcome(Struct, kw_only=True):
     reason: str
     """Why it ended."""
     faults: list[str] = []
-    """What went wrong at the end."""
+    """Faults at the end."""
     log: str = ""
     """The run's folder, with its log; empty when nothing was recorded here."""
     recording: Cycles | None = None

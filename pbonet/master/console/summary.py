@@ -1,4 +1,4 @@
-"""What a run came to: one line a task, from its last status and its recording."""
+"""Summary of a run: one line per task, from its last status and its recording."""
 
 from __future__ import annotations
 

@@ -189,7 +189,7 @@ def part(crew: Crew, pairs: Sequence[tuple[Member, str]]) -> None:
 
 
 class Done:
-    """What was done so far, and how it is undone."""
+    """Steps done so far, and how each is undone."""
 
     def __init__(self, crew: Crew) -> None:
         self._crew = crew

@@ -31,7 +31,7 @@ LOOK_TIME: Final = 0.02
 
 
 class Gate:
-    """What is asked before a job is entered.
+    """Conditions that are checked before a job is entered.
 
     Args:
         crew: The subsystem.

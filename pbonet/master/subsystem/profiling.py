@@ -1,4 +1,4 @@
-"""What `profile` shows: every figure of section 6.7.1, for tasks and for RTPUs.
+"""Data of `profile`: every figure of section 6.7.1, for tasks and for RTPUs.
 
 Stewart 1994, section 6.7.1, defines the figures; decision 0040 says where ours divide
 by something else. They run since the task was turned on, the execution profile Psi(t)
@@ -39,7 +39,7 @@ OF_RTPU: Final[dict[str, Callable[[list[float]], float]]] = {
 }
 """How figures of tasks make a figure of their RTPU; means are made from these."""
 FAILURES: Final = ("failures", "overruns", "aborted", "skipped", "delivery_max")
-"""What a status says about timing failures (section 6.3)."""
+"""Timing failures in a status (section 6.3)."""
 
 
 def ask(crew: Crew, tasks: Sequence[str]) -> list[TaskProfile]:

@@ -1,4 +1,4 @@
-"""What the agents' libraries hold: module descriptions, asked for over the network."""
+"""Modules in the agents' libraries: descriptions, asked for over the network."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `status` shows: the fields of Stewart 1994, sections 4.4.1 and 6.7.1.
+"""Fields of `status` (Stewart 1994, sections 4.4.1 and 6.7.1).
 
 An agent only ever adds up: its counters run from the moment the task was turned on and
 are never reset, because several interfaces look at one task. "Since the last status" is
@@ -85,7 +85,7 @@ DEFAULT: Final = (
     *("rmod", "rtpu", "S", "crit", "state", "cycle", "miss", "refF", "mezF"),
     *("avgC", "maxC", "avgU", "maxU", "warn"),
 )
-"""What is shown until `status set` says otherwise."""
+"""The fields that are shown by default."""
 
 _WINDOW: Final = 1.0
 """Seconds over which rates and shares are measured."""
@@ -102,8 +102,8 @@ class Profile(Struct, frozen=True, kw_only=True):
     """Shown as long as the task is in ERROR."""
     timing: str = ""
     standby: str = ""
-    """Whose fallback it is, and whether it stands by."""
-    """What failed in time since the last status."""
+    """The task that it is the fallback of, and whether it stands by."""
+    """Timing failures since the last status."""
 
     def only(self, names: Iterable[str]) -> Profile:
         """Return it with these fields alone."""
@@ -111,7 +111,7 @@ class Profile(Struct, frozen=True, kw_only=True):
 
 
 class Baselines:
-    """What one interface has seen, so that it can show what happened since."""
+    """Counters as one interface last showed them, to show the change since."""
 
     def __init__(self) -> None:
         self._seen: dict[str, TaskStatus] = {}

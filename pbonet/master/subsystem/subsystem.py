@@ -179,7 +179,7 @@ class Subsystem:
 
     @property
     def sbs(self) -> SbsFile:
-        """What its ``.sbs`` file says."""
+        """The record of its ``.sbs`` file."""
         return self.files.sbs
 
     @property

@@ -55,7 +55,7 @@ SIGNALS = {
     "clear": State.OFF,
     "reinit": None,
 }
-"""What may be sent to a task, and the state that it leads to; None: as before."""
+"""Signals to a task, and the state that each leads to; None: as before."""
 
 _BY_OTHERS: Final = {legality.Code.NO_WRITER, legality.Code.NO_CONSTANT}
 """Problems that tasks on other RTPUs may solve."""

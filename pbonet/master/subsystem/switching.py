@@ -35,7 +35,7 @@ _RATE = 1e-6
 
 
 class Transition(Struct, kw_only=True):
-    """What leads from one configuration to another, and what has come of it."""
+    """The steps from one configuration to another, and their results."""
 
     stays: list[str]
     """Tasks that stay ON, untouched."""
@@ -49,7 +49,7 @@ class Transition(Struct, kw_only=True):
     """Tasks that come, and those whose constants they give from then on; who uses them
     is re-initialized."""
     conditions: list[str] = []
-    """What was seen of the conditions under which jobs are left and entered."""
+    """Values seen for the conditions under which jobs are left and entered."""
     states: dict[str, str] = {}
     """Where the tasks concerned stand behind it; empty while nothing was done."""
 

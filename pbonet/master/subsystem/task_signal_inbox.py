@@ -1,4 +1,4 @@
-"""What tasks tell a program: signals, waited for by name, and events (section 4.4.4).
+"""Signals and events that tasks send to a program (section 4.4.4).
 
 Every task counts its signals; what a program has not taken yet is *pending*, however
 long ago it was sent and however often. So nothing is missed between two waits.
@@ -46,7 +46,7 @@ class Sent(Struct, frozen=True):
 
 
 class _Life(Struct):
-    """What was heard of one task, from its spawn on."""
+    """Signals and events of one task since its spawn."""
 
     tid: int
     since: int

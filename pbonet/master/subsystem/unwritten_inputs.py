@@ -1,4 +1,4 @@
-"""What a master says of inputs without a writer (equation 2): warnings, the flag."""
+"""A master's part in inputs without a writer (equation 2): warnings, the flag."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CAUSE = 100
 
 
 class Unfed:
-    """What has been said of a subsystem's inputs without a writer.
+    """Warnings given about a subsystem's inputs without a writer.
 
     Args:
         ask: Has the keeper of the table raise or withdraw an entry; returns the causes

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Standing:
-    """What was said already of the tasks of a subsystem.
+    """Warnings already given about the tasks of a subsystem.
 
     A change is judged with all that stands, and so finds again what was found before.
     Said again at each command, it would hide what is new.

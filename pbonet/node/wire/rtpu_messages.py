@@ -314,7 +314,7 @@ class Prepare(Struct, tag="prepare"):
     owners: list[str] = []
     """Tasks that own these variables before those do."""
     far: list[str] = []
-    """Those of them that are on other machines. They have given the variables up when
+    """Predecessors on other machines. They have given the variables up when
     the task is engaged, which takes them from nobody who owns them again."""
 
 

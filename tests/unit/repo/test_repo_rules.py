@@ -79,6 +79,19 @@ def test_nothing_that_keeps_time_looks_at_the_clock_on_the_wall() -> None:
     }
 
 
+def test_docstrings_begin_with_what_the_thing_is() -> None:
+    odd = re.compile(r'"""(Who|Whoever|Whose|Those|What)\b')
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in tracked()
+        if path.suffix in {".py", ".pyi"}
+        and path.relative_to(ROOT).parts[0] == "pbonet"
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if odd.search(line)
+    ]
+    assert found == []
+
+
 def test_no_merge_was_left_halfway() -> None:
     mark = re.compile(rf"^({'<' * 7}|{'>' * 7}) ", re.MULTILINE)
     found = [
