@@ -61,17 +61,11 @@ mypy: setup
 pyright: setup
 	$(BIN)/pyright
 
-# Two at a time where nothing is judged by how long it takes, those that wait long first;
-# the rest has the machine to itself.
-BESIDE := tests/deploy tests/agents tests/scripted tests/unit tests/property tests/typing tests/native
-ALONE := tests/integration tests/hosts
-
 # The tests start thousands of processes that import pbonet. What is compiled here they
 # need not compile, also where PYTHONDONTWRITEBYTECODE forbids them to keep it.
 test: setup  ## Run every test
 	-@$(BIN)/python -m compileall -q pbonet
-	@$(BIN)/python -m pytest -n 2 --dist worksteal $(BESIDE); beside=$$?; \
-	$(BIN)/python -m pytest $(ALONE) && exit $$beside
+	@$(BIN)/python scripts/run_tests.py
 
 bench: setup  ## Measure all that docs/benchmarks publishes (BENCH=--quick: as little as works)
 	$(BIN)/python -m benchmarks.run $(BENCH)
