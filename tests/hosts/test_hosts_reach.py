@@ -201,7 +201,8 @@ def test_an_old_version_is_told(lab):
     assert "run the same pbonet version on every machine" in text
 
 
-TELLS = "from types import SimpleNamespace as Namespace\nfrom pbonet.node.agent import agent"
+TELLS = """from types import SimpleNamespace as Namespace
+from pbonet.node.agent import agent"""
 
 
 def test_doctor_tells_agents_of_other_versions(lab):
