@@ -82,8 +82,8 @@ def call(capsys):
 @pytest.fixture
 def nodes(request, monkeypatch, tmp_path):
     """Real agents in a domain of their own; see `nodekit.Nodes`."""
+    from long_limits import be_patient
     from nodekit import Nodes
-    from patience import be_patient
 
     if request.node.get_closest_marker("own_limits") is None:
         be_patient(monkeypatch)

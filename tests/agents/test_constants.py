@@ -7,7 +7,7 @@ tool --MASS--> weigh --WEIGHT--> hold --F-->
 from __future__ import annotations
 
 import pytest
-import tools
+import tool_constants
 from watching import wait_for
 
 from pbonet.errors import MethodError, PbonetError, ReconfigError, VerificationError
@@ -38,7 +38,7 @@ SIZED = """
 def files(nodes, tmp_path):
     """The folder of the subsystem, its modules in the library of the agent."""
     folder = tmp_path / "tools"
-    tools.write(folder, nodes.library)
+    tool_constants.write(folder, nodes.library)
     return folder
 
 
@@ -208,7 +208,7 @@ def test_a_tool_that_somebody_cannot_take_is_put_back(held):
 def test_a_second_producer_that_is_not_verified_is_refused_by_its_value(nodes, files):
     nodes.agent("arm0")
     master = nodes.master("arm0", "tools", table=False)
-    master.open_table(tools.SVAR)
+    master.open_table(tool_constants.SVAR)
     text = (files / "grip.rmod").read_text()
     master.spawn("one", "", text=text)
     other = text.replace("MASS 2", "MASS 2.5")
@@ -221,13 +221,13 @@ def test_a_second_producer_that_is_not_verified_is_refused_by_its_value(nodes, f
 
 
 def test_constants_in_a_circle_are_refused_and_drawn(arm, nodes, files):
-    circle = tools.WEIGH.replace("MASS", "WEIGHT", 1).replace(
+    circle = tool_constants.WEIGH.replace("MASS", "WEIGHT", 1).replace(
         'OutConst("WEIGHT"', 'OutConst("MASS"'
     )
     nodes.write_module(
         "back", circle.replace("self.mass", "1.0").replace("class Weigh", "class Back")
     )
-    tools.rmod(files, "back", "back", INCONST="WEIGHT", OUTCONST="MASS")
+    tool_constants.rmod(files, "back", "back", INCONST="WEIGHT", OUTCONST="MASS")
     job = (files / "grip.job").read_text()
     (files / "grip.job").write_text(job.replace("TASK grip", "TASK back"))
     with pytest.raises(VerificationError) as caught:
@@ -245,9 +245,9 @@ def test_a_size_cannot_change_under_a_task(arm, nodes, files):
     use = SIZED.format(kind="InConst", name="Use", port=port, init="pass")
     nodes.write_module("give", give)
     nodes.write_module("use", use)
-    tools.rmod(files, "two", "give", OUTCONST="SIZE")
-    tools.rmod(files, "three", "give", OUTCONST="SIZE", local="SIZE 3")
-    tools.rmod(files, "use", "use", INCONST="SIZE", OUTVAR="P")
+    tool_constants.rmod(files, "two", "give", OUTCONST="SIZE")
+    tool_constants.rmod(files, "three", "give", OUTCONST="SIZE", local="SIZE 3")
+    tool_constants.rmod(files, "use", "use", INCONST="SIZE", OUTVAR="P")
     arm.spawn("two")
     arm.spawn("use")
     arm.control("use", "on")

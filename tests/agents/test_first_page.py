@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from desk import PATIENCE, ROOT, Desk, words_of
+from typed_terminal import PATIENCE, ROOT, Desk, words_of
 
 from pbonet.log import Log, last_run
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from adding import ADDS
-from logkit import TEXT, begin, end
+from adding_module import ADDS
+from log_of_real_tasks import TEXT, begin, end
 
 from pbonet.config import parse_agent
 from pbonet.errors import PbonetError

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 import pytest
-from adding import ADDS
-from logkit import begin, cycles_of, end, exercise, without_a_hole
+from adding_module import ADDS
+from log_of_real_tasks import begin, cycles_of, end, exercise, without_a_hole
 from watching import wait_for
 
 from pbonet.errors import LogError

@@ -10,8 +10,8 @@ import os
 import tty
 
 import pytest
-from adding import ADDS
-from logkit import begin, finish, record
+from adding_module import ADDS
+from log_of_real_tasks import begin, finish, record
 from nodekit import rmod
 from watching import wait_for
 

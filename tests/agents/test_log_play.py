@@ -9,11 +9,11 @@ import subprocess
 import sys
 import time
 
-import logkit
+import log_of_real_tasks
 import numpy as np
 import pytest
-from adding import ADDS
-from logkit import spawn
+from adding_module import ADDS
+from log_of_real_tasks import spawn
 from nodekit import svar
 from watching import wait_for
 
@@ -154,7 +154,7 @@ def test_what_comes_from_outside_stands_with_the_cycle(line, nodes, writer) -> N
     """What a player, or an agent for another machine, commits is in nobody's record."""
     line.off("b")
     line.kill("b")
-    path = logkit.record(line)
+    path = log_of_real_tasks.record(line)
     spawn(line, "b", "Y0", "Y1")
     line.on("b")
     with (
@@ -166,7 +166,7 @@ def test_what_comes_from_outside_stands_with_the_cycle(line, nodes, writer) -> N
             local.array("Y0")[:] = n, 1.0 / n
             assert local.commit(time.monotonic_ns(), n) == 0
             line.wait_cycles("b", 2)
-        log = logkit.end(line, path, ["b"])
+        log = log_of_real_tasks.end(line, path, ["b"])
     (life,) = log.lives("b")
     stored = [bool(life.schema.rest(one)[1]) for one in life.commits]
     assert 5 <= sum(stored) < len(stored), "only where there was something new"

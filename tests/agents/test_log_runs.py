@@ -11,8 +11,8 @@ import signal
 
 import mounting
 import pytest
-from adding import ADDS
-from logkit import (
+from adding_module import ADDS
+from log_of_real_tasks import (
     TEXT,
     begin,
     cycles_of,

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgpack
 import msgspec
 import pytest
+from long_limits import LIMIT
 from nodekit import CORE, Master, rmod, svar
-from patience import LIMIT
 from watching import free_port, wait_for
 
 from pbonet.errors import (

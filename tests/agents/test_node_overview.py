@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from patience import LIMIT
+from long_limits import LIMIT
 from watching import wait_for
 
 from pbonet.errors import ClaimError, SvarError, SvarOwnerError, UnknownTaskError

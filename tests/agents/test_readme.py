@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from desk import PATIENCE, Desk, words_of
+from typed_terminal import PATIENCE, Desk, words_of
 from watching import wait_for
 
 from pbonet.config.library import Library

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 
 import pytest
+from long_limits import LIMIT
 from nodekit import rmod, svar
-from patience import LIMIT
 from watching import causes, states, wait_for
 
 from pbonet.errors import (

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-import tools
+import tool_constants
 from watching import causes, states, wait_for
 
 from pbonet.master.subsystem.subsystem import Subsystem
@@ -44,8 +44,8 @@ STAY = {"grip": "ON", "weigh": "ON", "hold": "ON"}
 def files(nodes, tmp_path):
     """The folder of the tools; job `more` is `grip` with a task `lingers` beside it."""
     folder = tmp_path / "tools"
-    tools.write(folder, nodes.library)
-    tools.rmod(folder, "lingers", "lingers")
+    tool_constants.write(folder, nodes.library)
+    tool_constants.rmod(folder, "lingers", "lingers")
     job = (folder / "grip.job").read_text()
     more = job.replace("JOB grip", "JOB more").replace("EOF", "TASK lingers\nEOF")
     (folder / "more.job").write_text(more)
@@ -97,7 +97,7 @@ def killed(nodes, files, gate):
 
 def test_between_the_change_of_constants_and_the_exchange(nodes, gate, killed):
     begun, go_on = map(str, gate)
-    weigh = tools.WEIGH.replace(
+    weigh = tool_constants.WEIGH.replace(
         "self.weight = 10.0 * self.mass",
         "self.weight = 10.0 * self.mass\n"
         '            if self.task.state == "ON":\n'

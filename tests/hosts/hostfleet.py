@@ -7,8 +7,8 @@ import secrets
 
 import zenoh
 from hostkit import Asking
+from long_limits import LIMIT
 from nodekit import rmod, svar
-from patience import LIMIT
 
 from pbonet.errors import PbonetError
 from pbonet.xm.net import key_expressions, messages as m

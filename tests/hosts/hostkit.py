@@ -15,8 +15,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
+from long_limits import LIMIT
 from nodekit import AGENT, MISBEHAVING, alive
-from patience import LIMIT
 from tbuf_rig import Program
 from watching import processes_of, wait_for
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import patience
+import long_limits
 import pytest
 from watching import wait_for
 
@@ -22,7 +22,7 @@ from pbonet.master import Subsystem
 told = json.loads(sys.argv[1])
 sys.path.append(told["tests"])
 import patience, pytest
-patience.be_patient(pytest.MonkeyPatch())
+long_limits.be_patient(pytest.MonkeyPatch())
 arm = Subsystem(told["job"], domain=told["domain"], connect=told["way"]).open()
 arm.start()
 print("ready", flush=True)
@@ -49,8 +49,8 @@ TASKS = {"puma_pidg", "grav_comp", "qrdiff", "jttrace"}
 @pytest.fixture(scope="module", autouse=True)
 def lease():
     with pytest.MonkeyPatch.context() as patch:
-        patience.be_patient(patch)
-        yield patience.LEASE_MS
+        long_limits.be_patient(patch)
+        yield long_limits.LEASE_MS
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,10 @@ def arm(lab, way, tmp_path_factory):
     """The subsystem: a master has started it and was killed, and this one took over."""
     library = tmp_path_factory.mktemp("library")
     (library / "hold.rmod").write_text(HOLD)
-    told = {"job": str(PUMA / "puma.job"), "tests": str(Path(patience.__file__).parent)}
+    told = {
+        "job": str(PUMA / "puma.job"),
+        "tests": str(Path(long_limits.__file__).parent),
+    }
     first = lab.program("c", MASTER, way=way, **told)
     first.kill()
     found = Subsystem(

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from hostfleet import Desk
-from patience import LIMIT
+from long_limits import LIMIT
 from watching import wait_for
 
 from pbonet.errors import PbonetError, SvarOwnerError

@@ -6,7 +6,7 @@ import secrets
 import time
 
 import pytest
-from patience import LEASE_MS
+from long_limits import LEASE_MS
 
 from pbonet.master.subsystem.subsystem import Subsystem
 from pbonet.xm.net import session

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from unittest import mock
 
-from patience import LIMIT
+from long_limits import LIMIT
 from tbuf_rig import Machine, Pair
 from watching import wait_for
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from patience import LIMIT
+from long_limits import LIMIT
 from watching import END_TIME, clean_folder, processes_of, wait_for
 
 from pbonet.config.model import AgentConfig

@@ -2,11 +2,17 @@
 
 from collections.abc import Collection, Mapping
 
+from msgspec import structs
+
 from pbonet.analysis import legality
+from pbonet.analysis.schedule.soft import from_steps
 from pbonet.config.model import Rmod, RtpuEntry, Scheduler, SvarFile, TaskType, Variable
 from pbonet.pbo import ModuleInfo
 from pbonet.ports import Kind, Port, parse_shape
 
+MS = 1_000_000
+PROFILE = from_steps([(2 * MS, 0.5), (6 * MS, 0.9), (10 * MS, 1.0)])
+"""A soft task's execution times: seconds in nanoseconds, and their shares."""
 LISTS = {
     "inconst": Kind.INCONST,
     "outconst": Kind.OUTCONST,
@@ -102,3 +108,27 @@ def rtpu(name: str = "arm0", scheduler: str = "MUF", **rest) -> RtpuEntry:
 
 def texts(config: legality.Configuration) -> list[str]:
     return [legality.as_text(problem) for problem in legality.check(config)]
+
+
+def figure_6_1(scheduler: str, **fourth) -> legality.Configuration:
+    """The four tasks of Figure 6.1: 33, 40, 25 and 27 percent."""
+    rows = [("t1", 6, 2), ("t2", 10, 4), ("t3", 12, 3), ("t4", 15, 4)]
+    tasks = [
+        task(
+            name,
+            freq=1000 / period,
+            maxc=cost / 1000,
+            **(fourth if name == "t4" else {}),
+        )
+        for name, period, cost in rows
+    ]
+    return configuration(*tasks, rtpus=[rtpu(scheduler=scheduler, maxfreq=1000.0)])
+
+
+def with_server() -> legality.Configuration:
+    soft = structs.replace(task("soft", freq=1000 / 12, softness=0.1), profile=PROFILE)
+    server = task("srv", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
+    idle = task("idle", freq=None, tasktype=TaskType.BACKGROUND)
+    return configuration(
+        soft, task("a", freq=100, maxc=0.001, minc=0.0005), server, idle, rtpus=[rtpu()]
+    )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from logkit import finish, record
+from log_of_real_tasks import finish, record
 from nodekit import rmod
 from watching import wait_for
 

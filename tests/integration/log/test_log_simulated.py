@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from adding import ADDS
-from logshop import RMOD
+from adding_module import ADDS
+from log_of_python_tasks import RMOD
 
 from pbonet.log import Did, Log, Step, text
 from pbonet.log.groups import size

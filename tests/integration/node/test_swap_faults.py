@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
+from long_limits import LIMIT
 from nodekit import alive, rmod, svar, wait_gone
-from patience import LIMIT
 from watching import causes, states, wait_for
 
 from pbonet.errors import (

@@ -7,7 +7,7 @@ import signal
 import threading
 
 import pytest
-from patience import LIMIT
+from long_limits import LIMIT
 from watching import wait_for
 
 from pbonet.analysis.schedule.records import Mode

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 import pytest
-from oneslot import DEADLINE, MAXEXEC, MINEXEC, MS, TELL, US, failures, kinds, one_slot
+from one_task_rig import (
+    DEADLINE,
+    MAXEXEC,
+    MINEXEC,
+    MS,
+    TELL,
+    US,
+    failures,
+    kinds,
+    one_slot,
+)
 
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Kind, Mode

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from oneslot import DEADLINE, MS, failures, kinds, one_slot
+from one_task_rig import DEADLINE, MS, failures, kinds, one_slot
 
 from pbonet.analysis.schedule.events import Event
 from pbonet.analysis.schedule.records import Mode

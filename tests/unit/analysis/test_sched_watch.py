@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from oneslot import (
+from one_task_rig import (
     DEADLINE,
     MAXEXEC,
     MINEXEC,

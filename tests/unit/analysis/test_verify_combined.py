@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from combining import ONE, TWO, Folder
+from combined_modules import ONE, TWO, Folder
 
 from pbonet.analysis import legality
 from pbonet.config import parse_svar

@@ -4,30 +4,25 @@ import json
 
 import pytest
 from msgspec import structs
-from test_verify_timing import figure_6_1
-from verify_parts import configuration, rtpu, task, texts
+from verify_parts import (
+    MS,
+    PROFILE,
+    configuration,
+    figure_6_1,
+    rtpu,
+    task,
+    texts,
+    with_server,
+)
 
 from pbonet.analysis import legality
-from pbonet.analysis.schedule.soft import from_steps
 from pbonet.config.model import TaskType
 from pbonet.errors import VerificationError
-
-MS = 1_000_000
-PROFILE = from_steps([(2 * MS, 0.5), (6 * MS, 0.9), (10 * MS, 1.0)])
 
 
 def only(config: legality.Configuration) -> legality.RtpuReport:
     (found,) = legality.report(config)
     return found
-
-
-def with_server() -> legality.Configuration:
-    soft = structs.replace(task("soft", freq=1000 / 12, softness=0.1), profile=PROFILE)
-    server = task("srv", freq=100, capacity=0.002, tasktype=TaskType.DEFERRABLE)
-    idle = task("idle", freq=None, tasktype=TaskType.BACKGROUND)
-    return configuration(
-        soft, task("a", freq=100, maxc=0.001, minc=0.0005), server, idle, rtpus=[rtpu()]
-    )
 
 
 def test_figure_6_1_under_each_scheduler() -> None:

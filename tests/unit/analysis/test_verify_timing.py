@@ -2,28 +2,13 @@
 
 import pytest
 from msgspec import structs
-from verify_parts import configuration, rtpu, task, texts
+from verify_parts import configuration, figure_6_1, rtpu, task, texts
 
 from pbonet.analysis import legality
 from pbonet.analysis.legality import times
 from pbonet.analysis.schedule.soft import from_steps
 from pbonet.config.model import TaskType, Variable
 from pbonet.node.rt import _rt
-
-
-def figure_6_1(scheduler: str, **fourth) -> legality.Configuration:
-    """The four tasks of Figure 6.1: 33, 40, 25 and 27 percent."""
-    rows = [("t1", 6, 2), ("t2", 10, 4), ("t3", 12, 3), ("t4", 15, 4)]
-    tasks = [
-        task(
-            name,
-            freq=1000 / period,
-            maxc=cost / 1000,
-            **(fourth if name == "t4" else {}),
-        )
-        for name, period, cost in rows
-    ]
-    return configuration(*tasks, rtpus=[rtpu(scheduler=scheduler, maxfreq=1000.0)])
 
 
 def crits(config: legality.Configuration) -> dict[str, int]:

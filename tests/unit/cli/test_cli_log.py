@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from logparts import PLAIN, about, cycles, record, run
+from made_logs import PLAIN, about, cycles, record, run
 from pyarrow import parquet
 
 from pbonet.log import Log, LogWriter, is_complete

@@ -6,7 +6,7 @@ import random
 
 import numpy as np
 import pytest
-from logparts import PLAIN, about, group, record, run
+from made_logs import PLAIN, about, group, record, run
 from mcap.reader import make_reader
 
 from pbonet.log import Log, LogWriter, clocks, text

@@ -9,7 +9,7 @@ import random
 
 import numpy as np
 import pytest
-from logparts import (
+from made_logs import (
     PLAIN,
     VARIABLES,
     about,

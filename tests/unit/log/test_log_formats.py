@@ -7,8 +7,8 @@ import random
 
 import numpy as np
 import pytest
-from logparts import about, record, run
 from logviewers import by_mcap, by_rerun, must_agree, ours
+from made_logs import about, record, run
 from mcap.reader import make_reader
 
 from pbonet.config.model import Variable

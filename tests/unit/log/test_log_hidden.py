@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 import pytest
-from logshop import Shop, drive
+from log_of_python_tasks import Shop, drive
 
 from pbonet.log import Log
 from pbonet.testing import rerun, verify

@@ -6,7 +6,7 @@ import json
 import random
 
 import pytest
-from logparts import PLAIN, about, group, record, run
+from made_logs import PLAIN, about, group, record, run
 
 from pbonet.log import Log, LogWriter, text
 from pbonet.log.states import timelines

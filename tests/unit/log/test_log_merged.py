@@ -6,8 +6,8 @@ import contextlib
 
 import numpy as np
 import pytest
-from adding import ADDS
-from logshop import Shop, drive
+from adding_module import ADDS
+from log_of_python_tasks import Shop, drive
 
 from pbonet.log import Log, text
 from pbonet.log.rewrite import merge

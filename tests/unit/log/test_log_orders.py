@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from logparts import run
+from made_logs import run
 
 from pbonet.errors import StateError
 from pbonet.log import Log, LogWriter

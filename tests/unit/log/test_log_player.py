@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from logparts import about, record, run
+from made_logs import about, record, run
 
 from pbonet.config.model import Variable
 from pbonet.errors import LogError, SvarLayoutError

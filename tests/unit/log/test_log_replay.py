@@ -13,8 +13,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from adding import ADDS
-from logshop import RMOD, Shop, Task, drive
+from adding_module import ADDS
+from log_of_python_tasks import RMOD, Shop, Task, drive
 
 from pbonet.config.library import Library
 from pbonet.errors import LogError, UnknownTaskError

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from adding import ADDS
-from logshop import RMOD, Shop, drive
+from adding_module import ADDS
+from log_of_python_tasks import RMOD, Shop, drive
 
 from pbonet.testing import rerun, verify
 

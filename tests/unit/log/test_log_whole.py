@@ -6,11 +6,11 @@ import contextlib
 import shutil
 from pathlib import Path
 
-import logparts
+import made_logs
 import numpy as np
 import pytest
-from adding import ADDS
-from logshop import RMOD, Shop, drive
+from adding_module import ADDS, SVAR
+from log_of_python_tasks import RMOD, Shop, drive
 
 from pbonet.errors import LogError, ModuleLoadError
 from pbonet.log import Log, LogWriter, text
@@ -128,13 +128,6 @@ def test_a_log_without_its_attachments_is_run_all_the_same(record) -> None:
     assert "the library has no module adds" in str(rerun(path))
 
 
-SVAR = (
-    "NAME N\nTYPE int\nDESC size\nUNITS none\nNELEM 1\nINIT 2\n\n"
-    "NAME X\nTYPE double\nDESC input\nUNITS none\nNELEM 2\nINIT 1 2\n\n"
-    "NAME Y\nTYPE double\nDESC sum\nUNITS none\nNELEM 2\n\nEOF\n"
-)
-
-
 @pytest.fixture
 def simulation(tmp_path):
     """The log of 0.2 s of a simulated job, whose files are gone; and its library."""
@@ -191,9 +184,9 @@ def test_what_a_simulation_gives_now_is_written(simulation, tmp_path) -> None:
 
 @pytest.mark.parametrize("again", [verify, rerun])
 def test_a_log_without_cycles_proves_nothing(again, tmp_path) -> None:
-    writer = LogWriter(tmp_path / "run.mcap", logparts.run())
+    writer = LogWriter(tmp_path / "run.mcap", made_logs.run())
     for task in ("pid", "other"):
-        writer.add_task(logparts.about(task, logparts.PLAIN))
+        writer.add_task(made_logs.about(task, made_logs.PLAIN))
     writer.close()
     with pytest.raises(LogError, match="the log has no cycle of pid, other"):
         again(tmp_path / "run.mcap")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_puma_dynamics import newton_euler
+from newton_euler import newton_euler
 
 import pbonet.modules
 from pbonet import Params, State

@@ -8,7 +8,7 @@ import ssl
 import threading
 
 import pytest
-from patience import LIMIT
+from long_limits import LIMIT
 from watching import wait_for
 
 from pbonet.errors import Severity

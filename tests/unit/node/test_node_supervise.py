@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import msgspec
 import pytest
-from patience import LIMIT
+from long_limits import LIMIT
 
 import pbonet
 from pbonet.config.model import AgentConfig

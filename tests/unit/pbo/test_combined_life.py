@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from combining import ONE, TWO, Folder, calls
+from combined_modules import ONE, TWO, Folder, calls
 
 from pbonet import Recovery, State, TimingFailure
 from pbonet.errors import DeclarationError, MethodError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from combining import ONE, TWO, Folder, calls
+from combined_modules import ONE, TWO, Folder, calls
 
 from pbonet import Signal
 from pbonet.config.library import Library

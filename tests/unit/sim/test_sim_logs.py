@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from test_log_whole import SVAR
+from adding_module import SVAR
 
 from pbonet.errors import LogError
 from pbonet.log import Log, Step, text

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from adding import ADDS
-from logshop import RMOD
-from test_log_whole import SVAR
+from adding_module import ADDS, SVAR
+from log_of_python_tasks import RMOD
 
 from pbonet.log import Log
 from pbonet.master.configuration.environment import Place

@@ -7,7 +7,7 @@ from types import ModuleType
 from xml.etree import ElementTree
 
 import pytest
-from test_verify_report import with_server
+from verify_parts import with_server
 
 from pbonet.analysis import legality
 

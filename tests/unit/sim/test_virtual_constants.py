@@ -3,7 +3,7 @@
 import threading
 
 import pytest
-import tools
+import tool_constants
 
 from pbonet.errors import MethodError
 from pbonet.master import Subsystem
@@ -14,7 +14,7 @@ def held(tmp_path):
     """The grip is held: 20 N at 0.5 m."""
     library, folder = tmp_path / "library", tmp_path / "tools"
     library.mkdir()
-    tools.write(folder, library)
+    tool_constants.write(folder, library)
     with Subsystem(
         folder / "tools.sbs",
         libraries=[library],

@@ -33,3 +33,10 @@ class Adds(PortBasedObject[Gain]):
         self.y[0] = self.task.cyclecount
         self.y[1] += self.task.handover
 '''
+
+SVAR = (
+    "NAME N\nTYPE int\nDESC size\nUNITS none\nNELEM 1\nINIT 2\n\n"
+    "NAME X\nTYPE double\nDESC input\nUNITS none\nNELEM 2\nINIT 1 2\n\n"
+    "NAME Y\nTYPE double\nDESC sum\nUNITS none\nNELEM 2\n\nEOF\n"
+)
+"""An `.svar` file for two tasks of the module in a line."""

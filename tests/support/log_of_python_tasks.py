@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-from adding import ADDS
+from adding_module import ADDS
 
 from pbonet.config import parse_rmod
 from pbonet.config.library import Library
