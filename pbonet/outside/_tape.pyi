@@ -1,7 +1,7 @@
-"""A module's inputs from outside the table: kept for the log, or played from it.
+"""A module's inputs from outside the table: recorded for the log, or replayed from it.
 
-One tape is in use in a process at a time: the task's while it is recorded, a `Player`
-while a log is run again. Without one, everything is asked and nothing kept.
+A process uses one tape at a time: the task's while it is recorded, a `Player`
+while a log is replayed. Without one, sources are asked and nothing is kept.
 """
 
 from collections.abc import Callable
@@ -12,9 +12,9 @@ from .playing import Player
 _T = TypeVar("_T")
 
 ROOM: int
-"""Bytes of a tape, before anything asks for more."""
+"""Bytes of a tape, before more is reserved."""
 ALWAYS: Final[object]
-"""The default of who has none: every answer is kept."""
+"""The value of `default` for "none": every answer is recorded."""
 RAW: int
 PACKED: int
 TUPLE: int
@@ -22,35 +22,35 @@ RAISED: int
 BROKEN: int
 NAME: int
 LOST: int
-"""Kinds of entries: bytes, msgpack, msgpack of a tuple, an exception, a wait that a
-command broke off, a source's name, and that something found no room."""
+"""Kinds of entries: bytes, msgpack, msgpack of a tuple, an exception, a wait that was
+interrupted by a command, a source's name, and the mark of lost entries."""
 
 def use(tape: Tape | Player | None) -> Tape | Player | None:
-    """Let sources that are opened from now on use this; return what was in use."""
+    """Set the tape of sources opened from now on; return the previous one."""
 
 def active() -> bool:
-    """Return whether answers are kept, or played."""
+    """Return whether answers are recorded or replayed."""
 
 def plays() -> bool:
-    """Return whether a log is run again, so that nothing outside may be touched."""
+    """Return whether a log is replayed, so that nothing outside may be touched."""
 
 class Tape:
-    """Inputs since it was emptied; allocates nothing while it is filled."""
+    """Inputs since the tape was emptied; filling it allocates nothing."""
 
     opened: int
-    """Sources so far."""
+    """Number of sources opened so far."""
     def __init__(self, room: int = ...) -> None: ...
     def reserve(self, size: int) -> None:
-        """Have room for one answer of this size more, within 4 MiB; not in a cycle."""
+        """Add room for one answer of this size, up to 4 MiB; not in a cycle."""
     def take(self) -> bytes:
-        """Return all entries, and forget them."""
+        """Return all entries, and empty the tape."""
     def calls(self) -> list[int]:
-        """Return how often each source was asked, in the order of their opening."""
+        """Return how often each source was asked, in the order they were opened."""
 
 class Outside:
-    """Something outside that a module asks: its answers are recorded, and played again.
+    """Something outside that a module asks: its answers are recorded and replayed.
 
-    What a driver reads goes through here, and so the module's log can be verified::
+    A driver reads through this class, so that the module's log can be verified::
 
         class Scale:
             def __init__(self, path: str) -> None:
@@ -61,8 +61,8 @@ class Outside:
                 return self._outside.ask(self._read)
 
     Args:
-        name: Of what it is; the replay must open the same.
-        room: Bytes of its longest answer, where that may be more than some thousand.
+        name: Description of the source; the replay must open the same one.
+        room: Bytes of its longest answer, if that may exceed some thousand.
     """
 
     name: str
@@ -73,17 +73,17 @@ class Outside:
     def plays(self) -> bool:
         """Whether answers come from a log, and nothing outside is touched."""
     def ask(self, call: Callable[..., _T], *args: object, default: object = ...) -> _T:
-        """Return what `call` answers; in a replay, what it answered then.
+        """Return what `call` returns; in a replay, what it returned then.
 
         Exceptions are recorded and raised again.
 
         Args:
-            call: Does it. It is not called in a replay.
-            args: For it.
+            call: Reads the source. It is not called in a replay.
+            args: Its arguments.
             default: An answer that is not worth a record, such as ``b""`` of a line
                 where nothing has arrived.
 
         Raises:
-            DeviceError: The answer is nothing that can be recorded: None, numbers,
-                text, bytes, or a tuple, list or dictionary of these.
+            DeviceError: The answer is of a type that cannot be recorded; possible are
+                None, numbers, text, bytes, and tuples, lists or dictionaries of these.
         """

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O2 -std=c11
 # distutils: depends = tape.h
-"""Thin skin over tape.h; `_tape.pyi` says what everything does."""
+"""Thin wrapper of tape.h; documented in `_tape.pyi`."""
 
 from cpython.bytes cimport PyBytes_FromStringAndSize
 from libc.stdint cimport uint32_t, uint64_t, uint8_t
@@ -96,7 +96,7 @@ cdef class Outside:
         tape_put(&self.tape.t, e, first, n, second, m)
 
     cdef int failed(self, error) except -1:
-        """Count a call that was ended by an exception, and note that."""
+        """Count a call that ended with an exception, and record the exception."""
         cdef bytes text = b""
         if not isinstance(error, Exception):
             self.calls += 1
@@ -108,7 +108,7 @@ cdef class Outside:
         return 0
 
     def ask(self, call, *args, default=ALWAYS):
-        """Calls count as they end: within one, a handler may ask the same source."""
+        """Count calls when they end: a handler may ask the same source meanwhile."""
         cdef bytes text = None
         cdef uint8_t kind = 0
         if self.player is not None:

@@ -1,8 +1,9 @@
-/* What a module heard from outside since its last record: bytes of fixed room, one thread.
+/* What a module has read from outside since its last record: a buffer of fixed size,
+ * one thread.
  *
- * Each entry says which source it is of and which call to it was answered so; a call that
- * brought nothing leaves none. What finds no room is noted as lost, and nothing behind it
- * is kept until the tape is emptied.
+ * Each entry names its source and the number of the call that it answers; a call without
+ * new input leaves no entry. An entry that does not fit is marked as lost, and nothing is
+ * kept after it until the tape is emptied.
  */
 #ifndef PBONET_TAPE_H
 #define PBONET_TAPE_H
@@ -47,7 +48,7 @@ static inline void tape_put(struct tape *t, struct tape_entry e, const void *fir
     t->used += size;
 }
 
-/* What is to be recorded, with a last entry where something was lost. */
+/* Return the bytes to be recorded, with a final entry if something was lost. */
 static inline uint64_t tape_ready(struct tape *t)
 {
     struct tape_entry e = {.kind = TAPE_LOST};

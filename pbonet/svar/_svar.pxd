@@ -1,6 +1,6 @@
-"""What other native parts of pbonet call without Python.
+"""Functions that other native parts of pbonet call without Python.
 
-The structures behind these classes stay in the C headers of this folder, so whoever
+The structures of these classes stay in the C headers of this folder, so a module that
 cimports the classes needs no include path.
 """
 
@@ -14,22 +14,22 @@ cdef class Arena:
     cdef void *base
     cdef size_t bytes
     cdef int fd
-    cdef unsigned long long looked_at   # what `causes` saw last: a struct pb_seen
+    cdef unsigned long long looked_at   # the last result of `causes`: a struct pb_seen
     cdef bint seen_up
-    # Raise an entry of the illegal-configuration flag, clear all that a raiser raised: no
-    # lock, no waiting. Negative: no room, or another process that lives has raised them.
+    # Raise an entry of the illegal-configuration flag; clear all entries of a raiser. No
+    # lock, no waiting. Negative: no room, or another live process has raised them.
     cdef int c_raise_illegal(self, const char *cause, const char *raiser) noexcept nogil
     cdef int c_clear_illegal(self, const char *raiser) noexcept nogil
     cdef bint c_illegal(self) noexcept nogil
 
 
 cdef class LocalTable:
-    """One task's local table; flags are the bits of pbonet.svar.Flags, 0 is good."""
+    """One task's local table; flags are the bits of pbonet.svar.Flags, 0 means success."""
 
     cdef readonly Arena arena
     cdef list kept             # the buffers that core points into
-    cdef list predecessors     # of each group: names of those who hand over
-    cdef list ends             # of each group: what they had committed last
+    cdef list predecessors     # of each group: names of the tasks that hand over
+    cdef list ends             # of each group: the owners' last commits
     cdef void *core            # struct pb_local
     cdef readonly int flags    # of the last copy, commit or claim
     cdef readonly unsigned long long cycles  # cycle number of the last commit
@@ -40,12 +40,12 @@ cdef class LocalTable:
     cdef readonly unsigned long long out_uid     # register of the out-vars; 0: none
     cdef readonly unsigned long long out_number  # number of its last commit there
     cdef unsigned long long stored, stored_set  # generation and commits from outside, see below
-    cdef public bint held      # commits are judged, and sent by `publish`
+    cdef public bint held      # commits are checked, and sent by `publish`
     cdef long long held_ns
     cdef int c_copy_in(self) noexcept nogil
-    # Inputs as a log has them: bytes of the in-vars if they cannot be rebuilt from what
-    # other tasks committed since the last store, else 0; the variables one by one; and
-    # that they are stored now.
+    # Inputs for a log: c_due returns the bytes of the in-vars if they cannot be rebuilt from
+    # what other tasks committed since the last store, else 0; c_input returns them one by
+    # one; c_stored marks them as stored.
     cdef size_t c_due(self, bint whole) noexcept nogil
     cdef int c_inputs(self) noexcept nogil
     cdef const void *c_input(self, int i, size_t *n) noexcept nogil

@@ -115,10 +115,10 @@ class LocalTable:
     def counts(self) -> dict[str, int]: ...
 
 class Watch:
-    """The sleep of a thread that carries tables."""
+    """The sleep of a thread that mirrors tables."""
 
     def forget(self) -> None:
-        """Watch nothing."""
+        """Stop watching everything."""
     def add(
         self,
         arena: Arena,
@@ -126,19 +126,19 @@ class Watch:
         changes: int,
         heads: Iterable[tuple[int, int]],
     ) -> None:
-        """Watch a table: what was last heeded of it.
+        """Watch a table for changes after the given state.
 
         Args:
             arena: The table.
             generation: Of its directory.
             changes: Of its flag.
-            heads: Registers, and the number of the commit that was heeded in each.
+            heads: Registers, and the number of the last handled commit of each.
         """
     def ring(self) -> None:
-        """End the sleep, or the next one; from any thread."""
+        """End the current or next sleep; may be called from any thread."""
     def sleep(self, until_ns: int, pause_ns: int) -> bool:
-        """Sleep, and look at what is watched each `pause_ns`.
+        """Sleep, and check the watched words every `pause_ns`.
 
         Returns:
-            Whether something has moved; else somebody rang, or it is `until_ns`.
+            True if something has changed; False if the bell rang, or at `until_ns`.
         """

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O3 -std=c11
 # distutils: depends = register.h arena.h lock.h directory.h owner.h keeper.h cut.h look.h guard.h flag.h local.h survive.h watch.h
-"""Thin skin over the C headers: buffers in, numbers out; the errors are made in Python."""
+"""Thin wrapper of the C headers: buffers in, numbers out; Python raises the errors."""
 
 from cpython.bytearray cimport PyByteArray_AS_STRING
 from libc.stdint cimport int64_t, uint8_t, uint32_t, uint64_t
@@ -23,7 +23,7 @@ def now_ns() -> int:
 
 
 def survive_cuts() -> bool:
-    """Let this process live on when a table's file is cut short under it."""
+    """Let this process survive when a table's file is truncated."""
     return pb_survive() == 0
 
 
@@ -32,7 +32,7 @@ def process_start(unsigned long long pid) -> int:
 
 
 cdef class Blueprint:
-    """What a table will look like: its size, before there is any memory for it."""
+    """The layout of a table to be made: its size is known before it has memory."""
 
     cdef pb_static fixed
     cdef bytes text
@@ -66,7 +66,7 @@ cdef inline pb_table *table(Arena arena) noexcept nogil:
 
 
 cdef class Arena:
-    """A table's file, mapped whole and populated; unmapped when nobody uses it any more."""
+    """A table's file, mapped whole and populated; unmapped when it has no more users."""
 
     def __cinit__(self, int fd, size_t size, bytes machine):
         self.memory = bytearray(sizeof(pb_table))
@@ -79,7 +79,7 @@ cdef class Arena:
         self.base = base
         self.bytes = size
         pb_region_add(base, size)
-        self.fd = fd  # ours from here on: its lock says that somebody uses the file
+        self.fd = fd  # ours from here on: its lock marks the file as used
 
     def __dealloc__(self):
         if self.base != NULL:
@@ -95,7 +95,7 @@ cdef class Arena:
         return pb_format(self.base, &plan.fixed, plan.vars, <const char *>plan.text, first)
 
     def verify(self) -> int:
-        """Judge the file; only 0 lets anything else be called."""
+        """Verify the file; no other method may be called unless this returns 0."""
         cdef int verdict = pb_verify(self.base, self.bytes)
         if verdict == 0:
             table(self)[0] = pb_table_at(self.base)
@@ -128,11 +128,11 @@ cdef class Arena:
 
     @property
     def changes(self) -> int:
-        """Moves with every change of the flag."""
+        """A number that every change of the flag increments."""
         return pb_changes(table(self))
 
     def look(self, unsigned v, uint8_t[::1] to):
-        """Copy a variable; returns None, or where it comes from."""
+        """Copy a variable; returns its provenance, or None."""
         cdef pb_view view
         if v >= table(self).fixed.n_vars or <size_t>to.shape[0] < table(self).vars[v].bytes:
             raise ValueError("no room for the variable")
@@ -149,7 +149,7 @@ cdef class Arena:
     def registers(self):
         """Return (index, uid, owner, pid, task, bytes, commits, held) of those in use.
 
-        None when the lock was not had.
+        None when the lock could not be taken.
         """
         cdef bytearray memory = bytearray(table(self).fixed.n_regs * sizeof(pb_reg))
         cdef pb_reg *regs = <pb_reg *>PyByteArray_AS_STRING(memory)
@@ -189,9 +189,9 @@ cdef class Arena:
         return pb_clear(table(self), &c)
 
     def causes(self):
-        """Return (cause, raiser, machine, time_ns) of every entry that stands.
+        """Return (cause, raiser, machine, time_ns) of every entry.
 
-        None when they changed again and again.
+        None when they changed in every attempt.
         """
         cdef pb_seen seen
         seen.changes, seen.up = self.looked_at, self.seen_up
@@ -223,7 +223,7 @@ cdef inline int copy(LocalTable task, int which) noexcept nogil:
 
 
 cdef inline unsigned long long outside(const pb_plan *p) noexcept nogil:
-    """Return what rises with each commit from outside that a plan brings; 0: none does."""
+    """Return a number that increases with each commit from outside; 0: there is none."""
     cdef uint32_t i
     cdef uint64_t heads = 0
     for i in range(p.n_sources):
@@ -239,7 +239,7 @@ cdef void *room(list kept, size_t n, size_t size):
 
 
 cdef class LocalTable:
-    """Native half of a task's local table; pbonet.svar.local has the other half."""
+    """Native half of a task's local table; the other half is in pbonet.svar.local."""
 
     def __cinit__(self, Arena arena not None, uint8_t[::1] data not None, uint8_t[::1] staging,
                   size_t largest, *args, **kwargs):
@@ -253,7 +253,7 @@ cdef class LocalTable:
         local(self).consumed = <uint64_t *>self.consumed
 
     def set_plan(self, unsigned which, const uint32_t[::1] vars, const uint64_t[::1] to):
-        """Say which variables a copy brings, and to which places."""
+        """Set which variables a copy reads, and their places."""
         cdef pb_plan *plan = local(self).plans + which
         cdef size_t n = vars.shape[0]
         self.kept += [vars, to]
@@ -266,7 +266,7 @@ cdef class LocalTable:
 
     def set_group(self, unsigned which, const uint32_t[::1] vars, const uint64_t[::1] at,
                   size_t first, size_t size, list checks):
-        """Say what is written together, and what is looked at before it goes out."""
+        """Set which variables are written together, and their checks."""
         cdef pb_outputs *o = local(self).outputs + which
         cdef pb_check *c = <pb_check *>room(self.kept, len(checks), sizeof(pb_check))
         cdef const uint8_t[::1] low, high
@@ -299,7 +299,7 @@ cdef class LocalTable:
                         <uint8_t *>PyByteArray_AS_STRING(named))
 
     def ask(self, unsigned which) -> tuple:
-        """Return (code, variable): would a claim be refused?"""
+        """Return (code, variable): whether a claim would be refused."""
         cdef uint32_t rival = 0
         cdef pb_outputs *o = local(self).outputs + which
         cdef int code = pb_ask(table(self.arena), &o.group, local(self).data + o.first,
@@ -307,7 +307,7 @@ cdef class LocalTable:
         return code, rival
 
     def take(self, unsigned which, long long now, unsigned long long cycle) -> tuple:
-        """Judge, commit and claim a group; returns (code, variable), flags in `flags`."""
+        """Check, commit and claim a group; returns (code, variable), flags in `flags`."""
         cdef uint32_t rival = 0
         cdef pb_outputs *o = local(self).outputs + which
         cdef int code
@@ -322,19 +322,19 @@ cdef class LocalTable:
         return code, rival
 
     def succeed(self, unsigned which, list names) -> None:
-        """Let claims of a group take its variables from these tasks, though they live."""
+        """Let claims of a group take its variables from these tasks while they live."""
         cdef pb_group *g = &local(self).outputs[which].group
         cdef bytes joined
         joined = b"".join([name[:PB_NAME - 1].ljust(PB_NAME, b"\0") for name in names])
         if self.predecessors is None:
             self.predecessors = [b"", b""]
-        self.predecessors[which] = joined       # keeps them where they are
+        self.predecessors[which] = joined       # keeps the memory in place
         g.predecessors = <const char *>joined
         g.n_predecessors = len(names)
         g.ends = NULL
 
     def note_ends(self, unsigned which) -> int:
-        """Let only those hand over that commit nothing from here on; returns a code."""
+        """Accept hand-overs only from tasks that commit nothing from here on."""
         cdef pb_group *g = &local(self).outputs[which].group
         cdef list kept = []
         cdef pb_last *ends = <pb_last *>room(kept, g.n, sizeof(pb_last))
@@ -342,15 +342,15 @@ cdef class LocalTable:
             self.ends = [None, None]
         cdef int code = pb_note_ends(table(self.arena), g, ends)
         if code == 0:
-            self.ends[which] = kept     # keeps them where they are
+            self.ends[which] = kept     # keeps the memory in place
         return code
 
     def cede(self) -> None:
-        """Write no more, and leave the variables to the successor's claim."""
+        """Stop writing, and leave the variables to the successor's claim."""
         local(self).outputs[PB_GROUP_VARS].live = False
 
     def give(self, unsigned which, bint leave) -> int:
-        """Give a group's variables up; returns 0 or a negative code."""
+        """Release a group's variables; returns 0 or a negative code."""
         cdef pb_outputs *o = local(self).outputs + which
         o.live = False
         if o.group.reg == NULL:
@@ -403,28 +403,28 @@ cdef class LocalTable:
         return pb_illegal(&local(self).table, &local(self).flag)
 
     def is_stale(self, unsigned var) -> bool:
-        """Tell whether an in-var is older than its MAXAGE, as it was last copied in."""
+        """Return whether an in-var is older than its MAXAGE, by its last copy."""
         return pb_is_stale(local(self), var)
 
     def copy_in(self) -> int:
-        """Bring the in-vars as one consistent cut; returns flags."""
+        """Copy the in-vars as one consistent cut; returns flags."""
         return copy(self, PB_PLAN_IN)
 
     def copy_in_on(self) -> int:
-        """Bring in-vars and out-vars, as `on` wants them; returns flags."""
+        """Copy in-vars and out-vars, as `on` needs them; returns flags."""
         return copy(self, PB_PLAN_ON)
 
     def copy_in_consts(self) -> int:
-        """Bring the in-consts; returns flags."""
+        """Copy the in-consts; returns flags."""
         return copy(self, PB_PLAN_CONSTS)
 
     def commit(self, long long now_ns=0, unsigned long long cycle=0) -> int:
-        """Send the out-vars as one group; returns flags, and sends nothing if any is set."""
+        """Commit the out-vars as one group; returns flags, and nothing is sent if any is set."""
         self.publish()
         return self.c_commit(now_ns or pb_now(), cycle or self.cycles + 1)
 
     def publish(self) -> None:
-        """Send what a commit has judged while `held` was set; nothing when it has not."""
+        """Send a commit that was checked while `held` was set; nothing if there is none."""
         cdef long long now_ns = self.held_ns
         self.held_ns, self.held = 0, False
         if now_ns:
@@ -450,7 +450,7 @@ cdef class LocalTable:
 
     @property
     def pairs(self) -> list:
-        """(register uid, sequence) of everything that the last copy brought."""
+        """(register uid, sequence) of every register in the last copy."""
         return [(self.consumed[2 * i], self.consumed[2 * i + 1]) for i in range(self.n_consumed)]
 
     @property
@@ -463,10 +463,10 @@ cdef class LocalTable:
 
 
 cdef class Watch:
-    """Sleep of a thread that carries tables, until somebody rings or a table moves."""
+    """Sleep of a thread that mirrors tables, until a bell rings or a table changes."""
 
     cdef pb_watch core
-    cdef list arenas            # kept, for their words are watched
+    cdef list arenas            # kept alive, because their words are watched
 
     def __cinit__(self):
         memset(&self.core, 0, sizeof(self.core))

@@ -1,13 +1,13 @@
-/* The file of a table: what stands where.
+/* The file of a table: its layout.
  *
  *   static part   struct pb_static, struct pb_var[n_vars], text (the variables' records);
  *                 covered by a checksum, never changed after the table is made
- *   moving part   struct pb_live, struct pb_reg[n_regs], the directory's four slots,
+ *   mutable part  struct pb_live, struct pb_reg[n_regs], the directory's four slots,
  *                 and the arena, from which registers take their slots
  *
- * The directory is itself a register (register.h): one entry per variable says which
- * register holds its newest value, and whether a task owns it now. The number of its newest
- * commit is the table's generation.
+ * The directory is itself a register (register.h): one entry per variable names the
+ * register that holds its newest value, and says whether a task owns it now. The number of
+ * its newest commit is the table's generation.
  */
 #ifndef PBONET_ARENA_H
 #define PBONET_ARENA_H
@@ -30,7 +30,7 @@ struct pb_static {
     uint64_t size, checksum;
     uint8_t layout[16];
     uint64_t vars, text, text_bytes, live, regs, dir, dir_stride, arena;
-    uint64_t keep_bytes, keep_stamps; /* the keeper's group, and its stamps inside it */
+    uint64_t keep_bytes, keep_stamps; /* the keeper's group, and the place of its stamps */
 };
 
 /* One variable; the keeper's group holds all of them, in order of their index. */
@@ -40,7 +40,7 @@ struct pb_var {
     int64_t maxage_ns;
 };
 
-/* One reason for which the configuration is illegal now (thesis, section 3.10). */
+/* One reason why the configuration is illegal now (thesis, section 3.10). */
 struct pb_cause {
     int64_t time_ns;
     char cause[PB_TEXT], raiser[PB_NAME], machine[PB_NAME];
@@ -48,23 +48,23 @@ struct pb_cause {
 
 struct pb_live {
     _Alignas(PB_LINE) _Atomic uint64_t generation; /* head of the directory */
-    _Atomic uint64_t changes;  /* moves with every change of the flag (flag.h) */
-    _Atomic uint64_t unlisted; /* entries that found no room */
-    _Alignas(PB_LINE) pthread_mutex_t lock; /* between claimers only */
+    _Atomic uint64_t changes;  /* incremented by every change of the flag (flag.h) */
+    _Atomic uint64_t unlisted; /* number of entries that did not fit */
+    _Alignas(PB_LINE) pthread_mutex_t lock; /* taken by claimers only */
     uint64_t uids;
     _Atomic uint64_t words[PB_CAUSES]; /* of the flag's entries: phase and process */
     struct pb_cause causes[PB_CAUSES];
 };
 
-enum { PB_FREE, PB_HELD, PB_LEFT }; /* PB_LEFT: its holder has gone, its values may stand */
+enum { PB_FREE, PB_HELD, PB_LEFT }; /* PB_LEFT: no writer; its values may still be read */
 
-/* A register's description. `head` has a line of its own: every commit writes it. */
+/* A register's description. `head` has a cache line of its own: every commit writes it. */
 struct pb_reg {
     _Alignas(PB_LINE) _Atomic uint64_t head;
     _Alignas(PB_LINE) _Atomic uint64_t state;
     _Atomic uint64_t slots, stride, uid;
-    _Atomic uint64_t crowd; /* readers are slow: go round all slots up to this commit */
-    uint64_t bytes, owner, pid, start, space; /* space: the process id name space */
+    _Atomic uint64_t crowd; /* readers are slow: use all four slots up to this commit */
+    uint64_t bytes, owner, pid, start, space; /* space: the PID namespace */
     char task[PB_NAME];
 };
 
@@ -75,7 +75,7 @@ struct pb_entry {
     uint64_t at;   /* place in the register's group */
 };
 
-/* Differs between C libraries and machines whose locks look different. */
+/* Differs between C libraries, and between machines whose locks differ in size. */
 #define PB_ABI (uint32_t)(sizeof(struct pb_live) + sizeof(pthread_mutex_t))
 
 struct pb_table {
@@ -86,8 +86,8 @@ struct pb_table {
     struct pb_reg *regs;
 };
 
-/* Fill the places of a table with these variables; `keep` of each var is filled too.
- * `spare` is how many times the whole table fits into the arena beside the keeper. */
+/* Compute the layout of a table with these variables, including `keep` of each. `spare` is
+ * how many more copies of the whole table fit into the arena besides the keeper's. */
 static inline void pb_lay_out(struct pb_static *s, struct pb_var *vars, uint64_t spare) {
     uint64_t at = 0, least;
     for (uint32_t i = 0; i < s->n_vars; i++) {
@@ -116,13 +116,13 @@ static inline struct pb_table pb_table_at(void *base) {
                              (struct pb_live *)(b + s->live), (struct pb_reg *)(b + s->regs)};
 }
 
-/* The directory under a head of it. Who does not hold the lock must look again. */
+/* The directory of a given head. A caller without the lock must check the head again. */
 static inline struct pb_entry *pb_directory(const struct pb_table *t, uint64_t head) {
     return (struct pb_entry *)(pb_slot(t->base + t->fixed->dir, t->fixed->dir_stride, head) +
                                PB_LINE);
 }
 
-/* FNV-1a over the static part, its checksum field counted as zero. */
+/* FNV-1a over the static part, with the checksum field counted as zero. */
 static inline uint64_t pb_checksum(const uint8_t *base, uint64_t bytes) {
     uint64_t sum = 0xcbf29ce484222325u;
     const uint64_t at = offsetof(struct pb_static, checksum);

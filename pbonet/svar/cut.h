@@ -1,12 +1,12 @@
 /* A consistent cut: the newest values of many variables from several registers, such that
- * an instant exists at which all of them were current (thesis, section 5.5: data is always
- * transferred as a complete set).
+ * at some instant all of them were current (thesis, section 5.5: data is always transferred
+ * as a complete set).
  *
- * Note the generation and every register's head, copy, look again. All unchanged but the one
- * that was looked at last, and that one copied whole: every group was current at the instant
- * of the last first look. Else again, at most
- * PB_TRIES times; then whole groups are accepted, and the caller is told that the cut is
- * not proven. Nothing waits: no turn of this loop depends on another process's progress.
+ * Load the generation and every register's head, copy, then load them all again. If all are
+ * unchanged except possibly the register loaded last, and that one was copied whole, every
+ * group was current at the instant of the last first load. Otherwise repeat, at most
+ * PB_TRIES times; after that, whole groups are accepted, and the result says that the cut is
+ * not proven. Nothing waits: no iteration depends on another process's progress.
  */
 #ifndef PBONET_CUT_H
 #define PBONET_CUT_H
@@ -20,7 +20,7 @@ struct pb_source {
     struct pb_reg *reg;
     uint8_t *slots;
     uint64_t stride, uid, head;
-    bool outside; /* no task of this machine writes it: nobody has its commits on record */
+    bool outside; /* no task of this machine writes it, so no log holds its commits */
 };
 
 struct pb_piece {
@@ -35,17 +35,17 @@ struct pb_age {
     struct pb_stamp stamp;
 };
 
-/* Which bytes go where; made anew whenever the generation has changed. The caller provides
+/* Which bytes go where; rebuilt whenever the generation has changed. The caller provides
  * arrays for n_vars sources, pieces and ages. */
 struct pb_plan {
     uint32_t n_vars, n_sources, n_pieces, n_ages;
-    const uint32_t *vars; /* indices, in rising order */
+    const uint32_t *vars; /* indices, ascending */
     const uint64_t *to;   /* places in the local table */
     struct pb_source *sources;
     struct pb_piece *pieces;
     struct pb_age *ages;
     uint64_t generation; /* the directory's head; 0: none yet */
-    bool all_ages; /* note every variable's stamp, not only of those with MAXAGE */
+    bool all_ages; /* read every variable's stamp, not only of those with MAXAGE */
 };
 
 /* Whether a register is the keeper's, an agent's (TASK@HOST) or a player's (replay:TASK). */
@@ -67,8 +67,8 @@ static inline uint32_t pb_source_of(const struct pb_table *t, struct pb_plan *p,
     return i;
 }
 
-/* Whether the variable lies in a slot, and the slots in the file: a reader may be asked to
- * look at a table that was damaged, and finds nothing then instead of dying. */
+/* Whether the variable is inside a slot, and the slots inside the file: a reader of a
+ * damaged table must fail and not crash. */
 static inline bool pb_fits(const struct pb_table *t, const struct pb_source *s, uint64_t at,
                            uint64_t bytes) {
     const uint64_t from = (uint64_t)(s->slots - t->base), size = t->fixed->size;
@@ -86,7 +86,7 @@ static inline void pb_add_piece(struct pb_plan *p, struct pb_piece new) {
     }
 }
 
-/* Make the plan for `generation`; false when that is no longer the newest. */
+/* Build the plan for `generation`; false when that is no longer the newest. */
 static inline bool pb_replan(const struct pb_table *t, struct pb_plan *p,
                              uint64_t generation) {
     const struct pb_entry *dir = pb_directory(t, generation);
@@ -132,14 +132,14 @@ static inline void pb_copy_pieces(struct pb_plan *p, uint8_t *to) {
     }
 }
 
-/* Whether a group was copied whole; if not its writer is asked to keep more commits. */
+/* Whether a group was copied whole; if not, ask its writer to keep more commits. */
 static inline bool pb_whole_or_ask(struct pb_source *s, uint64_t again) {
     if (pb_whole(s->head, again)) return true;
     atomic_store_explicit(&s->reg->crowd, pb_number(again) + PB_CROWD, memory_order_relaxed);
     return false;
 }
 
-/* Read the plan's variables to `to`. `tries` is raised by the number of vain attempts. */
+/* Read the plan's variables to `to`; adds the number of failed attempts to `tries`. */
 static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p, uint8_t *to,
                                     uint64_t *tries) {
     for (uint32_t try = 0; try < PB_TRIES_WHOLE; try++, ++*tries) {
@@ -152,8 +152,8 @@ static inline enum pb_result pb_cut(const struct pb_table *t, struct pb_plan *p,
             PBONET_STEP(20);
         }
         pb_copy_pieces(p, to);
-        /* SYNC POINT C3, partner R1: all second looks come after all copies, and all first
-         * looks (acquire) came before them. */
+        /* SYNC POINT C3, partner R1: all second loads come after all copies, and all first
+         * loads (acquire) came before them. */
         pb_read_fence();
         for (uint32_t i = 0; i < p->n_sources; i++) {
             uint64_t again = pb_read_end(&p->sources[i].reg->head);

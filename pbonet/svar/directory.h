@@ -1,10 +1,10 @@
-/* The directory and the registers that it names: what every change of ownership is made of.
+/* The directory and the registers that it names: the basis of every change of ownership.
  *
- * The next directory is prepared beside the present one and published by one store
- * (pb_write_end on the generation): killed anywhere, a claimer leaves either the old
- * ownership of all its variables or the new one. Slots of a register are given to another
- * only when the directory of the present generation no longer names it, so a reader that
- * still copies from them finds another generation.
+ * The next directory is prepared beside the current one and published by one store
+ * (pb_write_end on the generation): killed at any point, a claimer leaves either the old
+ * ownership of all its variables or the new one. The slots of a register are reused only
+ * when the directory of the current generation no longer names it, so a reader that still
+ * copies from them finds another generation.
  */
 #ifndef PBONET_DIRECTORY_H
 #define PBONET_DIRECTORY_H
@@ -13,7 +13,7 @@
 
 enum { PB_RIVAL = -1, PB_FULL = -2, PB_STUCK = -3, PB_ALIVE = -4 };
 
-/* What a register had committed last. */
+/* The last commit of a register. */
 struct pb_last {
     uint64_t uid, number;
 };
@@ -24,20 +24,21 @@ struct pb_group {
     uint8_t *slots;
     uint64_t stride, bytes, uid;
     uint32_t n;
-    const uint32_t *vars; /* their indices, in rising order */
+    const uint32_t *vars; /* their indices, ascending */
     const uint64_t *at;   /* their places in the group */
-    const char *predecessors;  /* names of PB_NAME bytes: these tasks hand over to it */
+    const char *predecessors;  /* names of PB_NAME bytes: tasks that hand over to this one */
     uint32_t n_predecessors;
-    const struct pb_last *ends; /* NULL, or for each variable what its owner had committed
-                                   when those had ended; who goes on comes back */
+    const struct pb_last *ends; /* NULL, or for each variable its owner's last commit when
+                                   the predecessors had ended; a later commit means that
+                                   the owner was turned on again */
 };
 
-/* The directory's head, for who holds the lock. */
+/* The directory's head; the caller holds the lock. */
 static inline uint64_t pb_generation(const struct pb_table *t) {
     return pb_write_last(&t->live->generation);
 }
 
-/* Has a reader been too slow lately? Only a hint, so it needs no order. */
+/* Whether a reader was too slow lately. Only a hint, so it needs no ordering. */
 static inline bool pb_crowded(const struct pb_reg *reg, uint64_t next) {
     return pb_number(next) < atomic_load_explicit(&reg->crowd, memory_order_relaxed);
 }
@@ -56,7 +57,7 @@ static inline void pb_commit_group(struct pb_group *g, const void *data,
     pb_commit_raw(g->reg, g->slots, g->stride, data, g->bytes, stamp);
 }
 
-/* The generation, for who only wants to know whether something changed. */
+/* The generation, for a caller that only checks for changes. */
 static inline uint64_t pb_generation_seen(const struct pb_table *t) {
     return pb_number(pb_read_begin(&t->live->generation));
 }
@@ -64,12 +65,12 @@ static inline uint64_t pb_generation_seen(const struct pb_table *t) {
 /* Copy the descriptions of all registers; returns 0 or PB_STUCK. */
 static inline int pb_registers(const struct pb_table *t, struct pb_reg *copies) {
     if (pb_lock(t->live)) return PB_STUCK;
-    pb_copy(copies, t->regs, t->fixed->n_regs * sizeof *copies); /* heads go on meanwhile */
+    pb_copy(copies, t->regs, t->fixed->n_regs * sizeof *copies); /* heads may still change */
     pb_unlock(t->live);
     return 0;
 }
 
-/* Begin the next directory: a copy of the present one. */
+/* Begin the next directory: a copy of the current one. */
 static inline struct pb_entry *pb_next(const struct pb_table *t, uint64_t *head) {
     const struct pb_entry *now = pb_directory(t, pb_generation(t));
     struct pb_entry *next;
@@ -79,12 +80,12 @@ static inline struct pb_entry *pb_next(const struct pb_table *t, uint64_t *head)
     return next;
 }
 
-/* Publish it. */
+/* Publish the next directory. */
 static inline void pb_publish(const struct pb_table *t, uint64_t head) {
     pb_write_end(&t->live->generation, head, true);
 }
 
-/* Free the registers that no variable stands in and nobody will write to. */
+/* Free the registers that hold no variable and have no writer. */
 static inline void pb_sweep(const struct pb_table *t, uint8_t *named) {
     const struct pb_entry *now = pb_directory(t, pb_generation(t));
     memset(named, 0, t->fixed->n_regs);
@@ -101,7 +102,7 @@ static inline void pb_sweep(const struct pb_table *t, uint8_t *named) {
     }
 }
 
-/* The first place in the arena where `bytes` are free; 0 when there is none. */
+/* The first place in the arena with `bytes` free; 0 when there is none. */
 static inline uint64_t pb_room(const struct pb_table *t, uint64_t bytes) {
     uint64_t at = t->fixed->arena;
     for (uint32_t r = 0; r < t->fixed->n_regs; r++) {
@@ -110,14 +111,14 @@ static inline uint64_t pb_room(const struct pb_table *t, uint64_t bytes) {
         uint64_t to = from + PB_SLOTS * atomic_load_explicit(&reg->stride, memory_order_relaxed);
         if (atomic_load_explicit(&reg->state, memory_order_relaxed) == PB_FREE) continue;
         if (from >= at + bytes || to <= at) continue;
-        at = to; /* in the way: go behind it and look at all of them again */
+        at = to; /* occupied: continue after it and check all registers again */
         r = (uint32_t)-1;
     }
     return at + bytes <= t->fixed->size ? at : 0;
 }
 
-/* Find a free register for a group of so many bytes, under the lock, and room for its
- * slots. `named` is scratch of n_regs bytes. Returns its index or PB_FULL. */
+/* Find a free register and room for its slots, for a group of this size; the caller holds
+ * the lock. `named` is scratch of n_regs bytes. Returns its index or PB_FULL. */
 static inline int pb_find_register(const struct pb_table *t, uint64_t bytes, uint8_t *named,
                                    uint64_t *slots) {
     const struct pb_reg *reg = t->regs + 1;
@@ -128,16 +129,16 @@ static inline int pb_find_register(const struct pb_table *t, uint64_t bytes, uin
     return reg < t->regs + t->fixed->n_regs && *slots ? (int)(reg - t->regs) : PB_FULL;
 }
 
-/* Take a register for a group of g->bytes, under the lock; `who` names its writer. Returns
- * its index, or PB_FULL and leaves `g` alone. */
+/* Take a register for a group of g->bytes; the caller holds the lock, `who` describes the
+ * writer. Returns its index, or PB_FULL without changing `g`. */
 static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
                                    const struct pb_reg *who, uint8_t *named) {
     uint64_t stride = pb_stride(g->bytes), slots;
     const int found = pb_find_register(t, g->bytes, named, &slots);
     struct pb_reg *reg = t->regs + found;
     if (found < 0) return found;
-    /* SYNC POINT O1, partner R4: who reads a field set here also sees the generation that
-     * no longer names the register. */
+    /* SYNC POINT O1, partner R4: a reader of a field set below also sees the generation
+     * that no longer names the register. */
     atomic_thread_fence(memory_order_release);
     g->uid = ++t->live->uids;
     atomic_store_explicit(&reg->slots, slots, memory_order_relaxed);
@@ -158,7 +159,7 @@ static inline int pb_take_register(const struct pb_table *t, struct pb_group *g,
     return found;
 }
 
-/* The same for who does not hold the lock; also returns PB_STUCK. */
+/* The same with the lock taken here; may also return PB_STUCK. */
 static inline int pb_enter(const struct pb_table *t, struct pb_group *g,
                            const struct pb_reg *who, uint8_t *named) {
     int code;

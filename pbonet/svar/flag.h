@@ -1,13 +1,13 @@
 /* The illegal-configuration flag (thesis, section 3.10): a set of entries (cause, raiser,
- * machine), up while any of them stands. Raising and clearing never wait, not even for the
- * claimers' lock: a dispatcher does both amid its turn.
+ * machine); the flag is up while there is any entry. Raising and clearing never wait, not
+ * even for the claimers' lock: a dispatcher does both during its turn.
  *
- * An entry's word says what it is (idle, being filled, up) and by which process. A process
+ * An entry's word holds its phase (idle, being filled, up) and its process. A process
  * takes an idle entry by compare-and-swap, fills it, and publishes it by one store. Killed
- * anywhere it leaves the entry up or not there; one that it was filling is taken by the next
- * who needs it. An entry is cleared by the process that raised it, or by anybody once that
- * process is dead. `changes` moves with every change, so that looking is one load as long
- * as nothing has changed. */
+ * at any point it leaves the entry up or absent; an entry that it was filling is reused by
+ * the next process that needs one. An entry is cleared by the process that raised it, or by
+ * any process once that one is dead. `changes` is incremented by every change, so that
+ * a check is one load as long as nothing has changed. */
 #ifndef PBONET_FLAG_H
 #define PBONET_FLAG_H
 
@@ -16,13 +16,13 @@
 
 enum { PB_IDLE, PB_FILLING, PB_UP, PB_PHASE = 3 };
 
-/* What a look at the flag remembers. */
+/* The result of the last check of the flag. */
 struct pb_seen {
-    uint64_t changes; /* 0: never looked */
+    uint64_t changes; /* 0: never checked */
     bool up;
 };
 
-/* A process as an entry's word names it: when it started, its number, its name space. */
+/* A process as an entry's word names it: start time, process id, PID namespace. */
 static inline uint64_t pb_identity(uint64_t pid, uint64_t start, uint64_t space) {
     return start << 32 | (pid & 0x3fffff) << 10 | (space & 0xff) << 2;
 }
@@ -32,7 +32,7 @@ static inline uint64_t pb_own_identity(void) {
     return pb_identity(pid, pb_process_start(pid), pb_process_space());
 }
 
-/* Whether the process behind an entry's word lives; who cannot be judged does. */
+/* Whether the process of an entry's word is alive; true if that cannot be determined. */
 static inline bool pb_raiser_lives(uint64_t word) {
     const uint64_t pid = word >> 10 & 0x3fffff, then = word >> 32;
     uint64_t now;
@@ -42,23 +42,23 @@ static inline bool pb_raiser_lives(uint64_t word) {
 }
 
 static inline uint64_t pb_cause_word(const struct pb_table *t, uint32_t i) {
-    /* SYNC POINT F1, partner F2: who sees an entry up sees its texts. */
+    /* SYNC POINT F1, partner F2: a reader that sees an entry up sees its texts. */
     return atomic_load_explicit(t->live->words + i, memory_order_acquire);
 }
 
 static inline void pb_changed(const struct pb_table *t) {
-    /* SYNC POINT F3, partner F4: who sees the number sees the change before it. */
+    /* SYNC POINT F3, partner F4: a reader of the number sees the change before it. */
     atomic_fetch_add_explicit(&t->live->changes, 1, memory_order_release);
 }
 
-/* The number that moves with every change, for who looks at the entries behind it. */
+/* The number of changes, for callers that read the entries after it. */
 static inline uint64_t pb_changes(const struct pb_table *t) {
     return atomic_load_explicit(&t->live->changes, memory_order_acquire); /* SYNC POINT F4 */
 }
 
-/* Is the flag up? One load while nothing has changed since the last look. */
+/* Whether the flag is up; one load while nothing has changed since the last check. */
 static inline bool pb_illegal(const struct pb_table *t, struct pb_seen *seen) {
-    /* SYNC POINT F4, partner F3: a change behind this load moves the number once more. */
+    /* SYNC POINT F4, partner F3: a change after this load increments the number again. */
     const uint64_t changes = atomic_load_explicit(&t->live->changes, memory_order_acquire);
     if (changes == seen->changes) return seen->up;
     seen->changes = changes;
@@ -68,18 +68,18 @@ static inline bool pb_illegal(const struct pb_table *t, struct pb_seen *seen) {
     return seen->up;
 }
 
-/* Copy an entry that was seen up; false when it has gone meanwhile. */
+/* Copy an entry that was seen up; false when it has been removed meanwhile. */
 static inline bool pb_cause_at(const struct pb_table *t, uint32_t i, uint64_t word,
                                uint64_t changes, struct pb_cause *copy) {
     pb_copy(copy, t->live->causes + i, sizeof *copy);
-    /* SYNC POINT F5, partner F6: bytes of a later entry show that the number has moved. */
+    /* SYNC POINT F5, partner F6: bytes of a later entry imply a changed number. */
     pb_read_fence();
     return atomic_load_explicit(t->live->words + i, memory_order_relaxed) == word &&
            atomic_load_explicit(&t->live->changes, memory_order_relaxed) == changes;
 }
 
-/* Copy all entries that stand, in one piece; returns how many, or PB_STUCK when they
- * changed again and again. `copies` has room for PB_CAUSES. */
+/* Copy all entries as one consistent set; returns how many, or PB_STUCK when they changed
+ * in every attempt. `copies` has room for PB_CAUSES. */
 static inline int pb_causes(const struct pb_table *t, struct pb_cause *copies) {
     for (int tries = 0; tries < PB_TRIES_WHOLE; tries++) {
         const uint64_t changes =
@@ -100,7 +100,7 @@ static inline bool pb_text_is(const char *text, const char *wanted, size_t size)
     return !*wanted || !strncmp(text, wanted, size);
 }
 
-/* Whether entry `i` stands under `word` and is one of `which`; an empty text is any. */
+/* Whether entry `i` is up under `word` and matches `which`; an empty text matches any. */
 static inline bool pb_cause_is(const struct pb_table *t, uint32_t i, uint64_t word,
                                const struct pb_cause *which) {
     struct pb_cause c;
@@ -119,7 +119,7 @@ static inline bool pb_fill_cause(const struct pb_table *t, uint32_t i, uint64_t 
     if (!atomic_compare_exchange_strong(at, &word, filling)) return false;
     PBONET_STEP(30);
     pb_changed(t);
-    /* SYNC POINT F6, partner F5: whoever sees a byte below sees that the number moved. */
+    /* SYNC POINT F6, partner F5: a reader of a byte written below sees the new number. */
     atomic_thread_fence(memory_order_release);
     pb_copy_out(t->live->causes + i, cause, sizeof *cause);
     PBONET_STEP(31);
@@ -131,7 +131,7 @@ static inline bool pb_fill_cause(const struct pb_table *t, uint32_t i, uint64_t 
 }
 
 /* Add an entry; adding it again changes nothing. PB_FULL, counted, when there is no room or
- * this process has raised PB_CAUSES_EACH already: no process can use all of it up. */
+ * this process has raised PB_CAUSES_EACH already: no process can use up all entries. */
 static inline int pb_raise(const struct pb_table *t, const struct pb_cause *cause) {
     const uint64_t me = pb_own_identity();
     uint32_t mine = 0;
@@ -151,7 +151,7 @@ static inline int pb_raise(const struct pb_table *t, const struct pb_cause *caus
     return PB_FULL;
 }
 
-/* Take an entry away. */
+/* Remove an entry. */
 static inline bool pb_drop_cause(const struct pb_table *t, uint32_t i, uint64_t word) {
     bool gone;
     PBONET_STEP(34);
@@ -160,9 +160,9 @@ static inline bool pb_drop_cause(const struct pb_table *t, uint32_t i, uint64_t 
     return gone;
 }
 
-/* Take away what `raiser` raised on `machine`, all of it or only one cause; an empty text
- * is any. Returns how many entries went; PB_ALIVE when there are some, and all of them are
- * of other processes that live. */
+/* Remove what `raiser` raised on `machine`, all of it or only one cause; an empty text
+ * matches any. Returns how many entries were removed; PB_ALIVE when there are some, and all
+ * of them belong to other live processes. */
 static inline int pb_clear(const struct pb_table *t, const struct pb_cause *which) {
     const uint64_t me = pb_own_identity();
     int count = 0;
@@ -175,13 +175,13 @@ static inline int pb_clear(const struct pb_table *t, const struct pb_cause *whic
         else
             count += pb_drop_cause(t, i, word);
     }
-    pb_changed(t); /* also for who died between a change and this */
+    pb_changed(t); /* also for a process that died between its change and this call */
     PBONET_STEP(35);
     return !count && others ? PB_ALIVE : count;
 }
 
-/* Free what a dead process holds: the variables behind register `r`, and its entries in
- * the flag. Returns 0, PB_STUCK, or PB_ALIVE. */
+/* Free what a dead process holds: the variables of register `r`, and its entries of the
+ * flag. Returns 0, PB_STUCK, or PB_ALIVE. */
 static inline int pb_reap(const struct pb_table *t, uint32_t r, uint64_t uid) {
     struct pb_reg who;
     uint64_t dead;

@@ -1,5 +1,5 @@
-/* What is looked at before a group is committed: are floats finite, are values within the
- * limits of variables that say LIMIT clip or LIMIT error. Works on the private local copy.
+/* Checks before a group is committed: whether floats are finite, and values within the
+ * limits of variables with LIMIT clip or LIMIT error. Works on the private local copy.
  */
 #ifndef PBONET_GUARD_H
 #define PBONET_GUARD_H
@@ -12,14 +12,14 @@
 enum pb_type { PB_I1, PB_I2, PB_I4, PB_I8, PB_U1, PB_U2, PB_U4, PB_U8, PB_F4, PB_F8 };
 enum pb_rule { PB_FINITE, PB_CLIP, PB_LIMIT };
 
-/* One stretch of a group under one rule; min and max have n elements of the type. */
+/* A part of a group under one rule; min and max have n elements of the type. */
 struct pb_check {
     uint32_t type, rule, var;
     uint64_t at, n;
     const void *min, *max;
 };
 
-/* Built twice where the loader can choose by processor; it cannot under a sanitizer. */
+/* Compiled twice if the loader can choose by processor; it cannot under a sanitizer. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__OPTIMIZE__) && \
     !defined(__SANITIZE_THREAD__) && !defined(__SANITIZE_ADDRESS__) && !defined(__clang__)
 #define PB_VECTOR __attribute__((target_clones("avx2", "default")))
@@ -28,7 +28,7 @@ struct pb_check {
 #endif
 
 /* A float is not finite when all bits of its exponent are set: adding one to the lowest of
- * them then carries into the sign's place. Free of branches, so that it becomes vector code. */
+ * them then carries into the sign bit. No branches, so that the compiler vectorizes it. */
 PB_VECTOR static bool pb_finite_f8(const uint8_t *data, uint64_t n) {
     uint64_t carry = 0, bits;
     for (uint64_t i = 0; i < n; i++) {
@@ -51,8 +51,8 @@ static inline bool pb_finite(const uint8_t *data, uint32_t type, uint64_t n) {
     return type == PB_F8 ? pb_finite_f8(data, n) : pb_finite_f4(data, n);
 }
 
-/* The first of n elements outside its limits, n when there is none; with `clip` they are
- * brought inside and counted. NaN is outside of nothing: FINITE judges it. */
+/* The first of n elements outside its limits, n if there is none; with `clip` they are
+ * clipped and counted. NaN is not outside any limit: FINITE checks for it. */
 #define PB_DEFINE_LIMIT(name, kind)                                                     \
     static inline uint64_t pb_limit_##name(uint8_t *data, const kind *min, const kind *max, \
                                            uint64_t n, bool clip, uint64_t *clipped) {  \
@@ -92,8 +92,8 @@ static inline uint64_t pb_limit(const struct pb_check *c, uint8_t *data, uint64_
     }
 }
 
-/* The part of a check that falls upon `bytes` of the group from `from` on; false when no
- * part does. A variable begins at an element's boundary, so elements are never divided. */
+/* The part of a check that applies to `bytes` of the group starting at `from`; false if no
+ * part does. A variable begins at an element boundary, so elements are never divided. */
 static inline bool pb_narrow(const struct pb_check *c, uint64_t from, uint64_t bytes,
                              struct pb_check *part) {
     const uint64_t size = c->type < PB_F4 ? UINT64_C(1) << (c->type & 3) : c->type == PB_F4 ? 4 : 8;
@@ -103,10 +103,10 @@ static inline bool pb_narrow(const struct pb_check *c, uint64_t from, uint64_t b
     *part = *c;
     part->at += skip;
     part->n = ((end < stop ? end : stop) - part->at) / size;
-    return true; /* limits are one variable's: nothing of theirs is skipped */
+    return true; /* a LIMIT check covers one variable: none of its limits are skipped */
 }
 
-/* The first check that the group fails, with the element in `*element`; n when none. */
+/* The first check that the group fails, with the element in `*element`; n if none fails. */
 static inline uint32_t pb_guard(const struct pb_check *checks, uint32_t n, uint8_t *group,
                                 uint64_t *element, uint64_t *clipped) {
     for (uint32_t i = 0; i < n; i++) {

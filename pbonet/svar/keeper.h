@@ -1,13 +1,13 @@
-/* The keeper's register: initial values, and those that an operator sets. Also how a new
- * table is filled, and how a file is judged before anything in it is believed. */
+/* The keeper's register: initial values, and values set by an operator. Also the
+ * initialization of a new table, and the verification of a file before it is used. */
 #ifndef PBONET_KEEPER_H
 #define PBONET_KEEPER_H
 
 #include "owner.h"
 
-/* Set a variable that no task owns: the keeper's register gets all its values again with
- * this one changed, then the variable is moved there if it stood elsewhere. Without `wait`
- * a lock that somebody holds is not waited for. */
+/* Set a variable that no task owns: the keeper commits all its values with this one
+ * changed, then the variable is moved to the keeper if it was elsewhere. Without `wait`
+ * a lock that is held is not waited for. */
 static inline int pb_set(const struct pb_table *t, uint32_t v, const void *value,
                          int64_t now_ns, bool wait) {
     struct pb_reg *reg = t->regs + PB_KEEPER;
@@ -74,7 +74,7 @@ static inline int pb_format(void *base, const struct pb_static *s, const struct 
 
 enum pb_verdict { PB_SOUND, PB_NO_TABLE, PB_OTHER_VERSION, PB_CUT_SHORT, PB_DAMAGED };
 
-/* Judge `bytes` of a file before use; nothing beyond them is touched. */
+/* Verify `bytes` of a file before use; nothing beyond them is touched. */
 static inline enum pb_verdict pb_verify(const void *base, uint64_t bytes) {
     const struct pb_static *s = base;
     if (bytes < sizeof *s || memcmp(s->magic, PB_MAGIC, sizeof s->magic)) return PB_NO_TABLE;

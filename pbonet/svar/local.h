@@ -1,5 +1,5 @@
-/* A task's local state variable table (thesis, section 5.5): private memory, what is
- * copied into it before a cycle, and what is copied out of it behind one. */
+/* A task's local state variable table (thesis, section 5.5): private memory, copied in
+ * before a cycle and copied out after it. */
 #ifndef PBONET_LOCAL_H
 #define PBONET_LOCAL_H
 
@@ -10,10 +10,10 @@
 #include "look.h"
 
 enum pb_flags {
-    PB_COPY_TORN = 1,  /* retry bound met: groups whole, cut not proven */
+    PB_COPY_TORN = 1,  /* retry limit reached: groups whole, cut not proven */
     PB_COPY_STALE = 2, /* an input is older than its MAXAGE */
     PB_COPY_KEPT = 4,  /* with TORN: the inputs of the last copy were kept */
-    PB_COPY_LOST = 8,  /* with TORN: no whole copy was had, do not use the inputs */
+    PB_COPY_LOST = 8,  /* with TORN: no whole copy was possible, do not use the inputs */
     PB_COMMIT_NONFINITE = 16,
     PB_COMMIT_LIMIT = 32,
     PB_COMMIT_NOT_OWNER = 64,
@@ -36,11 +36,11 @@ struct pb_counts {
 
 struct pb_local {
     struct pb_table table;
-    uint8_t *data, *staging; /* staging: NULL, or as large as data: keep last in-vars */
+    uint8_t *data, *staging; /* staging: NULL, or as large as data: keeps the last in-vars */
     struct pb_plan plans[PB_PLANS];
     struct pb_outputs outputs[PB_GROUPS];
     struct pb_counts counts;
-    int64_t virtual_ns; /* the time, where it is virtual; else 0 */
+    int64_t virtual_ns; /* the current time if it is virtual; else 0 */
     uint64_t *consumed; /* pairs of register uid and sequence, room for the largest plan */
     uint32_t n_consumed;
     uint32_t fault_var; /* of the last refused commit, or the stale input */
@@ -57,7 +57,7 @@ static inline bool pb_too_old(const struct pb_age *age, int64_t now) {
            (!age->stamp.time_ns || now - age->stamp.time_ns > age->maxage_ns);
 }
 
-/* Whether an in-var is too old now, as the last copy brought it. */
+/* Whether an in-var is too old now, by the stamp of its last copy. */
 static inline bool pb_is_stale(const struct pb_local *l, uint32_t v) {
     const struct pb_plan *p = l->plans + PB_PLAN_IN;
     const int64_t now = pb_time(l);
@@ -78,7 +78,7 @@ static inline int pb_stale(struct pb_local *l, const struct pb_plan *p) {
     return 0;
 }
 
-/* Bring a plan's variables into the local table; returns flags. */
+/* Copy a plan's variables to the local table; returns flags. */
 static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
     uint8_t *staging = p == l->plans + PB_PLAN_IN ? l->staging : NULL;
     enum pb_result result;
@@ -104,7 +104,7 @@ static inline int pb_copy_in(struct pb_local *l, struct pb_plan *p) {
     return p->n_ages ? flags | pb_stale(l, p) : flags;
 }
 
-/* Judge what goes out by these checks; returns flags. */
+/* Check a group's outputs with these checks; returns flags. */
 static inline int pb_judge_by(struct pb_local *l, const struct pb_outputs *o,
                               const struct pb_check *checks, uint32_t n) {
     uint32_t failed = pb_guard(checks, n, l->data + o->first, &l->fault_element,
@@ -115,12 +115,12 @@ static inline int pb_judge_by(struct pb_local *l, const struct pb_outputs *o,
     return checks[failed].rule == PB_FINITE ? PB_COMMIT_NONFINITE : PB_COMMIT_LIMIT;
 }
 
-/* Judge a group before it goes out; returns flags. */
+/* Check a group before it is committed; returns flags. */
 static inline int pb_judge(struct pb_local *l, const struct pb_outputs *o) {
     return o->n_checks ? pb_judge_by(l, o, o->checks, o->n_checks) : 0;
 }
 
-/* Judge one variable of the group only: what stands in the others does not go out. */
+/* Check one variable of the group only: the others are not committed. */
 static inline int pb_judge_one(struct pb_local *l, const struct pb_outputs *o, uint32_t i) {
     const struct pb_group *g = &o->group;
     struct pb_check part;
@@ -138,7 +138,7 @@ static inline bool pb_is_mine(const struct pb_outputs *o) {
                           o->group.uid;
 }
 
-/* Bring in one variable, wherever it stands in the local table; returns flags. */
+/* Copy one variable to any place in the local table; returns flags. */
 static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     struct pb_view view;
     struct pb_age age = {.var = v, .maxage_ns = l->table.vars[v].maxage_ns};
@@ -149,8 +149,8 @@ static inline int pb_read_one(struct pb_local *l, uint32_t v, uint64_t at) {
     return pb_stale(l, &one);
 }
 
-/* Whether a variable of the group stands in its register: a constant that another task
- * gives the same value stands in that task's. */
+/* Whether a variable of the group is stored in the group's register: a constant to which
+ * another task gives the same value is stored in that task's register. */
 static inline bool pb_stands(const struct pb_local *l, const struct pb_group *g, uint32_t i) {
     for (int tries = 0; tries < PB_TRIES_WHOLE; tries++) {
         const uint64_t head = pb_read_begin(&l->table.live->generation);
@@ -168,7 +168,7 @@ static inline uint64_t pb_committed(const struct pb_outputs *o) {
     return o->group.reg ? pb_number(pb_write_last(&o->group.reg->head)) : 0;
 }
 
-/* Send a group out; returns flags, and leaves the table alone when any is set. */
+/* Commit a group; returns flags, and changes nothing in the table if any is set. */
 static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, int64_t now_ns,
                             uint64_t cycle) {
     int flags;
@@ -180,7 +180,7 @@ static inline int pb_commit(struct pb_local *l, struct pb_outputs *o, int64_t no
     return 0;
 }
 
-/* Send out one variable of the group; the others keep their last committed values. */
+/* Commit one variable of the group; the others keep their last committed values. */
 static inline int pb_commit_one(struct pb_local *l, struct pb_outputs *o, uint32_t i,
                                 int64_t now_ns, uint64_t cycle) {
     struct pb_group *g = &o->group;

@@ -1,9 +1,9 @@
-/* The lock between claimers, and whether a process still lives.
+/* The lock between claimers, and whether a process is alive.
  *
- * Only changes of ownership, operator-set values and causes take the lock; reading and
- * committing never do. It is robust (the kernel gives it on when its holder dies; as each
+ * Only changes of ownership and operator-set values take the lock; reading, committing and
+ * the flag never do. It is robust (the kernel passes it on when its holder dies; since each
  * change is published by one store there is nothing to repair), inherits priorities where
- * the kernel can, and is never waited for longer than PB_PATIENCE seconds.
+ * the kernel supports it, and is never waited for longer than PB_PATIENCE seconds.
  */
 #ifndef PBONET_LOCK_H
 #define PBONET_LOCK_H
@@ -20,7 +20,7 @@
 #include <unistd.h>
 
 enum { PB_PATIENCE = 2 };
-#define PB_UNKNOWN UINT64_MAX /* of a process: it runs, but when it started cannot be seen */
+#define PB_UNKNOWN UINT64_MAX /* of a process: it exists, but its start time is unreadable */
 
 static inline int64_t pb_now(void) {
     struct timespec now;
@@ -46,16 +46,16 @@ static inline int pb_lock_make(pthread_mutex_t *lock) {
     return error;
 }
 
-/* Wait for the lock by a clock that nobody sets, where C library and kernel can. */
+/* Wait for the lock by the monotonic clock, if C library and kernel support it. */
 static inline int pb_lock_wait(pthread_mutex_t *lock) {
     struct timespec until;
-#if defined(__GLIBC__) && defined(__GLIBC_PREREQ) && !defined(PB_TSAN) /* knows it not */
+#if defined(__GLIBC__) && defined(__GLIBC_PREREQ) && !defined(PB_TSAN) /* not in TSan */
 #if __GLIBC_PREREQ(2, 34)
     int error;
     clock_gettime(CLOCK_MONOTONIC, &until);
     until.tv_sec += PB_PATIENCE;
     error = pthread_mutex_clocklock(lock, CLOCK_MONOTONIC, &until);
-    if (error != EINVAL) return error; /* priorities are inherited so from Linux 5.14 on */
+    if (error != EINVAL) return error; /* with priority inheritance from Linux 5.14 on */
 #endif
 #endif
     clock_gettime(CLOCK_REALTIME, &until);
@@ -63,18 +63,18 @@ static inline int pb_lock_wait(pthread_mutex_t *lock) {
     return pthread_mutex_timedlock(lock, &until);
 }
 
-/* Returns 0, or an errno: ETIMEDOUT when somebody holds the lock and does not run. */
+/* Returns 0, or an errno: ETIMEDOUT when the holder of the lock does not run. */
 static inline int pb_lock(struct pb_live *live) {
     int error;
     /* SYNC POINT L1, partner L2 in pb_unlock: the new holder sees what the old one wrote,
-     * whether that one unlocked or died (the kernel's hand-over orders as well). */
+     * whether that one unlocked or died (the kernel's hand-over also orders memory). */
     error = pb_lock_wait(&live->lock);
     if (error == EOWNERDEAD) error = pthread_mutex_consistent(&live->lock);
     PBONET_STEP(5);
     return error;
 }
 
-/* As pb_lock, for who may not wait: EBUSY when somebody holds the lock. */
+/* As pb_lock for a caller that must not wait: EBUSY when the lock is held. */
 static inline int pb_lock_now(struct pb_live *live) {
     int error = pthread_mutex_trylock(&live->lock); /* SYNC POINT L1 */
     return error == EOWNERDEAD ? pthread_mutex_consistent(&live->lock) : error;
@@ -87,9 +87,9 @@ static inline void pb_unlock(struct pb_live *live) {
     PBONET_STEP(7);
 }
 
-/* When the process started, in ticks since boot; 0 when there is none or it is a zombie,
- * PB_UNKNOWN when there is one that cannot be looked at (no descriptor is left, /proc hides
- * it). Together with the number it names a process for good: numbers are used again. */
+/* When the process started, in ticks since boot; 0 if there is none or it is a zombie,
+ * PB_UNKNOWN if it exists but cannot be read (no descriptor is left, /proc hides it).
+ * Together with the process id it is unique: process ids are reused. */
 static inline uint64_t pb_process_start(uint64_t pid) {
     char path[40], text[512], *at;
     ssize_t bytes;
@@ -100,7 +100,7 @@ static inline uint64_t pb_process_start(uint64_t pid) {
     if (file >= 0) close(file);
     if (bytes <= 0) return !kill((pid_t)pid, 0) || errno != ESRCH ? PB_UNKNOWN : 0;
     text[bytes] = 0;
-    at = strrchr(text, ')'); /* the name before it may hold anything */
+    at = strrchr(text, ')'); /* the name before it may contain anything */
     if (!at || at[1] != ' ' || at[2] == 'Z' || at[2] == 'X') return 0;
     at += 2;
     for (int field = 3; field < 22; field++) {
@@ -111,13 +111,13 @@ static inline uint64_t pb_process_start(uint64_t pid) {
     return strtoull(at, NULL, 10);
 }
 
-/* The name space in which process numbers mean something. */
+/* The PID namespace in which process ids are valid. */
 static inline uint64_t pb_process_space(void) {
     struct stat st;
     return stat("/proc/self/ns/pid", &st) ? 0 : (uint64_t)st.st_ino;
 }
 
-/* Whether a process lives; who cannot be judged from here counts as alive. */
+/* Whether a process is alive; true if that cannot be determined from here. */
 static inline bool pb_process_lives(uint64_t pid, uint64_t start, uint64_t space) {
     uint64_t now;
     if (space != pb_process_space()) return true;
@@ -125,7 +125,7 @@ static inline bool pb_process_lives(uint64_t pid, uint64_t start, uint64_t space
     return now == start || now == PB_UNKNOWN || (now && start == PB_UNKNOWN);
 }
 
-/* Whether the holder of a register lives. */
+/* Whether the holder of a register is alive. */
 static inline bool pb_alive(const struct pb_reg *reg) {
     return pb_process_lives(reg->pid, reg->start, reg->space);
 }

@@ -8,10 +8,10 @@ struct pb_view {
     struct pb_stamp stamp;
     uint64_t uid, seq;
     uint32_t reg, live;
-    char task[PB_NAME]; /* who wrote it; empty for the keeper */
+    char task[PB_NAME]; /* the writer; empty for the keeper */
 };
 
-/* Copy variable `v` to `to` (its rounded size) and say where it comes from. */
+/* Copy variable `v` to `to` (its rounded size) with its provenance. */
 static inline enum pb_result pb_look(const struct pb_table *t, uint32_t v, void *to,
                                      struct pb_view *view) {
     const uint64_t at = 0;

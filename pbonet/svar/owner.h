@@ -1,12 +1,12 @@
-/* Who writes what: variables are claimed and given up, always under the lock, and always
- * as one event for readers (directory.h says why). */
+/* Ownership: variables are claimed and released, always under the lock, and always as one
+ * event for readers (directory.h explains why). */
 #ifndef PBONET_OWNER_H
 #define PBONET_OWNER_H
 
 #include "directory.h"
 
-/* The newest value of a variable, for who holds the lock; its owner may go on writing, so
- * the copy is made again until it is whole. False when it never was. */
+/* Whether the newest value of a variable equals `value`; the caller holds the lock. The
+ * owner may go on writing, so the copy is repeated until it is whole; false if it never is. */
 static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry *e,
                                  const uint8_t *value, uint64_t bytes) {
     const struct pb_reg *reg = t->regs + e->reg;
@@ -28,15 +28,15 @@ static inline bool pb_peek_equal(const struct pb_table *t, const struct pb_entry
 
 enum { PB_TAKE, PB_SHARE, PB_REFUSE };
 
-/* What a register had committed last; for who holds the lock. Its writer may go on. */
+/* The last commit of a register; the caller holds the lock. Its writer may go on. */
 static inline struct pb_last pb_last_of(const struct pb_reg *reg) {
     return (struct pb_last){atomic_load_explicit(&reg->uid, memory_order_relaxed),
                             pb_number(pb_read_begin(&reg->head))};
 }
 
-/* Note what the owners of the group's variables have committed, as those that hand over
- * have ended: who commits from here on has been turned on again, and hands over nothing.
- * `ends` has room for each variable, and stays where it is. Returns 0 or PB_STUCK. */
+/* Record the last commits of the owners of the group's variables, now that the predecessors
+ * have ended: an owner that commits later was turned on again and does not hand over.
+ * `ends` has room for each variable and must stay in place. Returns 0 or PB_STUCK. */
 static inline int pb_note_ends(const struct pb_table *t, struct pb_group *g,
                                struct pb_last *ends) {
     const struct pb_entry *now;
@@ -51,8 +51,8 @@ static inline int pb_note_ends(const struct pb_table *t, struct pb_group *g,
     return 0;
 }
 
-/* Whether the holder of a register hands over the group's variable `i`: it goes from the
- * one to the other in the group's own claim, so that somebody owns it at every instant. */
+/* Whether the holder of a register hands over the group's variable `i`: it is transferred
+ * by the group's own claim, so that it has an owner at every instant. */
 static inline bool pb_hands_over(const struct pb_group *g, uint32_t i,
                                  const struct pb_reg *holder) {
     struct pb_last last = pb_last_of(holder);
@@ -63,8 +63,8 @@ static inline bool pb_hands_over(const struct pb_group *g, uint32_t i,
     return false;
 }
 
-/* May the group take this variable? A constant that its owner gives the same value is
- * left to that owner (thesis, section 3.5: only a different value is a conflict). */
+/* Whether the group may take this variable. A constant to which its owner gives the same
+ * value stays with that owner (thesis, section 3.5: only a different value is a conflict). */
 static inline int pb_may(const struct pb_table *t, const struct pb_group *g, uint32_t i,
                          const uint8_t *data, bool constants) {
     const struct pb_entry *e = pb_directory(t, pb_generation(t)) + g->vars[i];
@@ -76,7 +76,7 @@ static inline int pb_may(const struct pb_table *t, const struct pb_group *g, uin
     return PB_REFUSE;
 }
 
-/* The variable that another live task owns, if any; for who holds the lock. */
+/* Find a variable that another live task owns, if any; the caller holds the lock. */
 static inline bool pb_refused(const struct pb_table *t, const struct pb_group *g,
                               const uint8_t *data, bool constants, uint32_t *rival) {
     for (uint32_t i = 0; i < g->n; i++) {
@@ -87,8 +87,8 @@ static inline bool pb_refused(const struct pb_table *t, const struct pb_group *g
     return false;
 }
 
-/* Whether some variables that a claim takes stand in the group's register and others do
- * not: a commit there would change the former at once, the latter with the generation. */
+/* Whether some variables of a claim are already in the group's register and others are not:
+ * a commit there would change the former at once, the latter with the generation. */
 static inline bool pb_divided(const struct pb_table *t, const struct pb_group *g,
                               const uint8_t *data, bool constants) {
     const struct pb_entry *now = pb_directory(t, pb_generation(t));
@@ -101,8 +101,8 @@ static inline bool pb_divided(const struct pb_table *t, const struct pb_group *g
     return here && here < taken;
 }
 
-/* Find a register for a divided group; with `take` the group moves there, where nobody
- * reads yet. Returns 0 or PB_FULL. */
+/* Find a register for a divided group; with `take` the group moves there, where it has no
+ * readers yet. Returns 0 or PB_FULL. */
 static inline int pb_renew(const struct pb_table *t, struct pb_group *g, bool take) {
     struct pb_reg who = {.owner = g->reg->owner, .pid = g->reg->pid,
                          .start = g->reg->start, .space = g->reg->space};
@@ -117,7 +117,7 @@ static inline int pb_renew(const struct pb_table *t, struct pb_group *g, bool ta
     return code < 0 ? code : 0;
 }
 
-/* Would a claim be refused now? Asked before a module is turned on, to no obligation. */
+/* Whether a claim would be refused now; asked before a module is turned on, not binding. */
 static inline int pb_ask(const struct pb_table *t, struct pb_group *g, const uint8_t *data,
                          bool constants, uint32_t *rival) {
     int code = 0;
@@ -142,7 +142,7 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
         pb_unlock(t->live);
         return PB_RIVAL;
     }
-    g->ends = NULL; /* judged once: what an owner commits meanwhile divides no claim */
+    g->ends = NULL; /* checked once: a later commit of an owner must not divide the claim */
     old = *g;
     if (pb_divided(t, g, data, constants) && pb_renew(t, g, true)) {
         pb_unlock(t->live);
@@ -162,9 +162,9 @@ static inline int pb_claim(const struct pb_table *t, struct pb_group *g, const u
     return 0;
 }
 
-/* Give up all variables that stand in register `r`; their values stand. With `leave` the
- * register is not written again; with `dead` it must belong to a process that has gone.
- * Nothing is left to do when the register has another uid: it is somebody else's by now. */
+/* Release all variables in register `r`; their values remain. With `leave` the register is
+ * not written again; with `dead` it must belong to a process that has ended. Does nothing
+ * if the register has another uid: it was reused meanwhile. */
 static inline int pb_let_go(const struct pb_table *t, uint32_t r, uint64_t uid, bool leave,
                             bool dead) {
     const struct pb_entry *now;

@@ -1,15 +1,15 @@
-/* A process that looks at tables of others lives on when one of their files is cut short.
+/* Lets a process that reads tables of others survive when one of their files is truncated.
  *
- * The kernel answers a look at a page that a file no longer has with SIGBUS. Here the page,
- * and all behind it, become zeros of the process's own, and the look goes on. What was read
- * is wrong then, which the size of the file says: whoever lives on must ask for that. Tasks
- * do not, they must not compute with zeros.
+ * The kernel answers an access to a page that a file no longer has with SIGBUS. Here that
+ * page, and all after it, are replaced by zero pages of the process, and the access is
+ * repeated. What was read is then wrong, which the size of the file shows: a process that
+ * uses this must check it. Tasks do not use it; they must not compute with zeros.
  */
 #ifndef PBONET_SURVIVE_H
 #define PBONET_SURVIVE_H
 
 #ifndef _GNU_SOURCE
-#define _GNU_SOURCE 1 /* anonymous mappings, and where a signal came from, under -std=c11 */
+#define _GNU_SOURCE 1 /* anonymous mappings, and the address of a fault, under -std=c11 */
 #endif
 
 #include <signal.h>
@@ -27,7 +27,7 @@ struct pb_region {
 static struct pb_region pb_regions[PB_REGIONS];
 static struct sigaction pb_before;
 
-/* Note a mapping; one too many is not guarded. Not for two threads at once. */
+/* Register a mapping; if there is no room it is not guarded. Not thread-safe. */
 static inline void pb_region_add(const void *base, size_t bytes) {
     for (int i = 0; i < PB_REGIONS; i++) {
         struct pb_region *r = pb_regions + i;
@@ -45,7 +45,7 @@ static inline void pb_region_remove(const void *base) {
     }
 }
 
-/* Any other bus error goes to whoever was there before, when the access is made again. */
+/* Any other bus error goes to the previous handler, when the access is repeated. */
 static inline void pb_on_bus_error(int signal, siginfo_t *info, void *context) {
     const uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE);
     const uintptr_t at = (uintptr_t)info->si_addr & ~(page - 1);
@@ -60,7 +60,7 @@ static inline void pb_on_bus_error(int signal, siginfo_t *info, void *context) {
     sigaction(signal, &pb_before, NULL);
 }
 
-/* From now on this process survives; returns 0. */
+/* Install the handler; returns 0. */
 static inline int pb_survive(void) {
     struct sigaction ours = {.sa_sigaction = pb_on_bus_error, .sa_flags = SA_SIGINFO};
     struct sigaction now;

@@ -1,6 +1,6 @@
-/* Sleeping until somebody rings, or until words of tables have moved: who carries a table
- * has nothing to do while nobody writes, and nobody who writes shall have to wake him. So
- * he looks now and then, which without Python costs some microseconds. */
+/* Sleeping until a bell rings, or until words of tables have changed. The thread that
+ * mirrors a table has nothing to do while no task writes, and a writing task should not
+ * have to wake it. So it polls, which without Python costs some microseconds. */
 #ifndef PBONET_WATCH_H
 #define PBONET_WATCH_H
 
@@ -15,7 +15,7 @@
 
 enum { PB_WATCHED = 128, PB_MOVED = 0, PB_RUNG, PB_OVER };
 
-/* A word, and what it was when it was last heeded; of a register's head the number alone. */
+/* A word and its last handled value; of a register's head the number alone. */
 struct pb_word {
     const _Atomic uint64_t *at;
     uint64_t known;
@@ -25,11 +25,11 @@ struct pb_word {
 struct pb_watch {
     _Atomic uint32_t bell; /* 1: rung */
     uint32_t n;
-    int64_t glance_ns; /* when to look at the words next */
+    int64_t glance_ns; /* when to read the words next */
     struct pb_word words[PB_WATCHED];
 };
 
-/* Add a word; one too many is not watched: whoever watches looks for himself at times. */
+/* Add a word; if there is no room it is not watched: the caller also checks at times. */
 static inline void pb_watch_add(struct pb_watch *w, const _Atomic uint64_t *at,
                                 uint64_t known, bool head) {
     if (w->n < PB_WATCHED) w->words[w->n++] = (struct pb_word){at, known, head};
@@ -37,7 +37,7 @@ static inline void pb_watch_add(struct pb_watch *w, const _Atomic uint64_t *at,
 
 /* May be called from any thread. */
 static inline void pb_watch_ring(struct pb_watch *w) {
-    /* SYNC POINT W1, partner W2: what was to be done before the ring is seen behind it. */
+    /* SYNC POINT W1, partner W2: what was written before the ring is seen after it. */
     if (!atomic_exchange(&w->bell, 1))
         syscall(SYS_futex, &w->bell, FUTEX_WAKE_PRIVATE, 1, NULL, NULL, 0);
 }
@@ -50,8 +50,8 @@ static inline bool pb_watch_moved(const struct pb_watch *w) {
     return false;
 }
 
-/* Sleep until `until_ns`, and look at the words each `pause_ns`, also where bells ring more
- * often than that. What has moved and is not heeded ends no more than one sleep a pause. */
+/* Sleep until `until_ns`, and read the words every `pause_ns`, even if bells ring more
+ * often. A changed word that is not handled ends at most one sleep per pause. */
 static inline int pb_watch_sleep(struct pb_watch *w, int64_t until_ns, int64_t pause_ns) {
     for (;;) {
         const int64_t now = pb_now();

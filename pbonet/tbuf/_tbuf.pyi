@@ -1,6 +1,6 @@
 """Triple buffers in shared memory: the native half of `pbonet.tbuf`.
 
-Times are nanoseconds of CLOCK_MONOTONIC; where one may be left out, 0 means now.
+Times are nanoseconds of CLOCK_MONOTONIC; as a default, 0 means now.
 """
 
 from typing import Any
@@ -12,22 +12,22 @@ from pbonet.outside import Outside
 WRITER: int
 READER: int
 CARER: int
-"""Users of a buffer: its writer, its reader, and the agent that cares for it."""
+"""Roles of a buffer: its writer, its reader, and the agent that supervises it."""
 LONGEST_TEXT: int
-"""Bytes for the description of a record."""
+"""Maximum size of a record's description, in bytes."""
 
 def size_for(record: int) -> int:
-    """Return the size of the file for records of so many bytes."""
+    """Return the size of the file for records of this size, both in bytes."""
 
 def parts(message: bytes) -> tuple[int, int, int, int, bytes, bytes]:
-    """Return what a message between machines carries.
+    """Return the parts of a message between machines.
 
     Returns:
-        Counter, whose it is, time and age at sending in nanoseconds, the description of
-        the record, and its bytes.
+        Counter, source of the counter, time and age at sending in nanoseconds, the
+        description of the record, and its bytes.
 
     Raises:
-        ProtocolError: It is malformed, or of another version.
+        ProtocolError: The message is malformed, or of another version.
     """
 
 class Buffer:
@@ -38,21 +38,21 @@ class Buffer:
     def map(self, fd: int, size: int, path: str) -> None:
         """Map an open file; the descriptor belongs to the object from here on."""
     def unmap(self) -> None:
-        """Unmap and close; harmless when done twice."""
+        """Unmap and close. Idempotent."""
     def make(self, record: int, source: int, text: bytes) -> None:
         """Fill fresh zeroed memory.
 
         Args:
             record: Bytes of a record.
-            source: A number that tells this buffer's counter from others.
-            text: What a record looks like.
+            source: A number that distinguishes this buffer's counter from others.
+            text: Description of a record's layout.
         """
     def verify(self) -> None:
-        """Judge the file; nothing else may be asked of one that does not pass.
+        """Check the file; other methods may be called only if it passes.
 
         Raises:
             XmLayoutError: It is of another version, or in another byte order.
-            XmDamagedError: It is no buffer, or was overwritten.
+            XmDamagedError: It is not a buffer, or was overwritten.
         """
     @property
     def text(self) -> bytes:
@@ -72,9 +72,9 @@ class Buffer:
     def mark_destroyed(self) -> None:
         """Mark it as destroyed for all users."""
     def enter(self, role: int, who: str) -> None:
-        """Note who has taken a role, for messages."""
+        """Record the user of a role, for error messages."""
     def who(self, role: int) -> str:
-        """Return who took a role last."""
+        """Return the last user of a role."""
 
 class End(Buffer):
     """One end of a link."""
@@ -82,7 +82,7 @@ class End(Buffer):
     value: NDArray[Any]
     """The process's own copy of a record, at one address for life."""
     outside: Outside | None
-    """Keeps what is read on record, or plays it; None: nothing does."""
+    """Records or replays what is read; None: neither."""
     def hold(
         self,
         raw: NDArray[Any],
@@ -90,13 +90,13 @@ class End(Buffer):
         value: NDArray[Any],
         outside: Outside | None = None,
     ) -> None:
-        """Say where records are copied from or to, and what the process has of it.
+        """Set the arrays that records are copied from or to.
 
         Args:
-            raw: A record as it stands in the buffer.
+            raw: A record as stored in the buffer.
             own: A record in the process's own byte order; `raw` if that is the same.
-            value: `own`, as the user shall see it.
-            outside: What the module that has this end is recorded by, if it is.
+            value: `own` as presented to the user.
+            outside: Recorder of the inputs of the module that owns this end, if any.
         """
     @property
     def number(self) -> int:
@@ -109,14 +109,14 @@ class Out(End):
     """Writes records."""
 
     def begin(self) -> None:
-        """Go on counting where the last writer stopped."""
+        """Continue the counter of the last writer."""
     def write(self, now_ns: int = 0) -> None:
         """Write `value` as the newest record; never waits.
 
-        A remote reader costs one wake-up, after the cycle if a task is in one.
+        With a remote reader it costs one wake-up, after the cycle if a task is in one.
 
         Args:
-            now_ns: The time to stamp it with.
+            now_ns: Time stamp of the record.
 
         Raises:
             XmError: The link is closed, or was destroyed.
@@ -129,19 +129,19 @@ class Out(End):
         *,
         turned: bool = False,
     ) -> bool:
-        """Write a record of another machine, under its own counter.
+        """Write a record received from another machine, with that machine's counter.
 
         Args:
-            message: What came from there.
-            now_ns: When it came, CLOCK_MONOTONIC.
+            message: The received message.
+            now_ns: When it arrived, CLOCK_MONOTONIC.
             offset_ns: From the other machine's clock to this one's; None: not known.
-            turned: Its values stand in the array that was held, turned round.
+            turned: Its values are in the held array, converted to this byte order.
 
         Returns:
-            Whether it was written; not if it describes records in other words.
+            Whether it was written; False if its layout is described differently.
 
         Raises:
-            ProtocolError: It is no message, or its record is cut short.
+            ProtocolError: It is not a message, or its record is truncated.
             XmError: The link is closed, or was destroyed.
         """
 
@@ -156,8 +156,8 @@ class In(End):
         """Copy the newest record into `value`; never waits.
 
         Returns:
-            Whether it is new; if not, nothing was copied. The first call counts as new
-            whatever stands there, also if a former reader has read it.
+            Whether it is new; if not, nothing was copied. The first call returns any
+            existing record as new, even if an earlier reader has read it.
 
         Raises:
             XmError: The link is closed, or was destroyed.
@@ -165,10 +165,10 @@ class In(End):
     def wait(self, until_ns: int | None = None) -> bool:
         """Wait for a record that was not read; return whether there is one.
 
-        Handlers of signals run; one that raises ends the wait.
+        Python signal handlers run; one that raises ends the wait.
 
         Args:
-            until_ns: When to give up; None waits for ever.
+            until_ns: Time-out; None waits without limit.
         """
     @property
     def stamp_ns(self) -> int:
@@ -176,12 +176,12 @@ class In(End):
     def age_ns(self, now_ns: int = 0) -> int | None:
         """Return the age of the last record read; None if none was."""
     def message(self, until_ns: int) -> bytes | None:
-        """Wait for a record and return it as it goes to another machine.
+        """Wait for a record and return it as a message for another machine.
 
-        Records that come regularly are awaited awake, for some 50 microseconds each.
+        Records that come regularly are expected awake, for some 50 microseconds each.
 
         Args:
-            until_ns: When to give up.
+            until_ns: Time-out.
 
         Returns:
             The newest record; None when none came.

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O2 -std=c11
 # distutils: depends = triple.h doze.h message.h ../outside/tape.h
-"""Thin skin over the C headers of this folder; `_tbuf.pyi` says what everything does."""
+"""Thin wrapper of the C headers in this folder; documented in `_tbuf.pyi`."""
 
 import os
 
@@ -22,7 +22,7 @@ from pbonet.tbuf._headers cimport *
 WRITER, READER, CARER = TB_WRITER, TB_READER, TB_CARER
 LONGEST_TEXT = TB_TEXT
 cdef int64_t LOOK_NS = 50_000_000, FOREVER = 0x7fffffffffffffff
-cdef tb_bells later         # of this process; tasks alone use it, in their one thread
+cdef tb_bells later         # of this process; only tasks use it, in their one thread
 
 
 cdef void c_defer_bells() noexcept nogil:
@@ -82,7 +82,7 @@ cdef class Buffer:
         if at == MAP_FAILED:
             raise MemoryError("the file cannot be mapped")
         self.b = <tb_buffer *>at
-        madvise(at, self.bytes, 23)     # MADV_POPULATE_WRITE: no cycle shall fault
+        madvise(at, self.bytes, 23)     # MADV_POPULATE_WRITE: no page faults in a cycle
 
     def __dealloc__(self):
         self.unmap()
@@ -157,7 +157,7 @@ cdef class Buffer:
 cdef class End(Buffer):
     """One end of a link: the process's own copy of a record."""
 
-    cdef object raw, own        # as it stands in the buffer, and as this process has it
+    cdef object raw, own        # as stored in the buffer, and in this process's byte order
     cdef void *copy
     cdef bint converts
     cdef readonly object value  # `own`, as the user sees it
@@ -194,7 +194,7 @@ cdef class End(Buffer):
 
 
 cdef int _send(Out self, int64_t now_ns) except -1:
-    # No method: a `Writer` has the table of C methods of `End`, which has no more.
+    # Not a C method: a `Writer` has the vtable of `End`, which lacks those of `Out`.
     cdef tb_buffer *b = self.ready()
     if self.converts:
         self.raw[...] = self.own
@@ -281,7 +281,7 @@ cdef class In(End):
         return True
 
     cdef bint fetch(self) except -1:
-        """Copy the newest record, or what a log says that it was; False: nothing new."""
+        """Copy the newest record, or replay it from a log; False: nothing new."""
         cdef bint new = False
         if self.outside is None:
             return tb_read(self.ready(), &self.stamp, self.copy, not self.met)

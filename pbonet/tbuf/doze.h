@@ -1,4 +1,4 @@
-/* Sleeping until a record comes, and waking the sleeper. */
+/* Sleeping until a record arrives, and waking the sleeper. */
 #ifndef PBONET_DOZE_H
 #define PBONET_DOZE_H
 
@@ -19,13 +19,13 @@ static inline int64_t tb_now(void) {
     return now.tv_sec * INT64_C(1000000000) + now.tv_nsec;
 }
 
-/* Wake the reader: one system call that waits for nobody. */
+/* Wake the reader: one system call that never waits. */
 static inline void tb_wake(_Atomic uint32_t *bell) {
     syscall(SYS_futex, bell, FUTEX_WAKE, 1, NULL, NULL, 0);
 }
 
-/* Wait for a record, until `until_ns` at the latest: 0, TB_TIMED_OUT or TB_SIGNAL. A writer
- * that dies before it rings is not noticed, so a caller that waits for long looks again. */
+/* Wait for a record, until `until_ns` at the latest: 0, TB_TIMED_OUT or TB_SIGNAL. If the
+ * writer dies before it rings, nothing wakes the reader, so a long wait must be split. */
 static inline int tb_doze(struct tb_buffer *b, int64_t until_ns) {
     struct timespec until = {until_ns / 1000000000, until_ns % 1000000000};
     for (;;) {
@@ -38,10 +38,10 @@ static inline int tb_doze(struct tb_buffer *b, int64_t until_ns) {
     }
 }
 
-/* When the next record is to be expected, for a reader that may spend a little processor time
- * to have it sooner: waking a process takes longer than all else on a record's way. A record
- * that is late moves the next one's time by a quarter of that, for who is late once is not
- * late by as much again. */
+/* Predicts the next record, for a reader that may spend a little processor time to get it
+ * sooner: waking a process takes longer than everything else on a record's way. A late
+ * record moves the next expected time by only a quarter of its delay, because a single
+ * delay does not mean that the next record will be as late. */
 struct tb_pace {
     int64_t last_ns, period_ns, due_ns;
     bool steady;
@@ -49,7 +49,7 @@ struct tb_pace {
 
 enum { TB_EARLY = 50000, TB_LATE = 30000, TB_NAP = 60000, TB_SHORTEST = 800000 };
 
-/* Take note of a record; `lost` were missed before it. */
+/* Account for a record; `lost` were missed before it. */
 static inline void tb_paced(struct tb_pace *pace, int64_t time_ns, uint64_t lost) {
     const int64_t since = (time_ns - pace->last_ns) / (int64_t)(lost + 1);
     int64_t off = 0;
@@ -71,17 +71,17 @@ static inline void tb_nap(int64_t ns) {
     clock_nanosleep(CLOCK_MONOTONIC, 0, &time, NULL);
 }
 
-/* As tb_doze. Awake a little before the next record is due, and for a little behind that;
- * then it looks now and then, for three periods or 5 ms, and is asleep behind that.
- * So a writer that is regular need wake nobody. */
+/* As tb_doze, but awake shortly before the next record is due and shortly after; then it
+ * polls, for three periods or 5 ms, and after that it sleeps. So a writer with a regular
+ * period needs no wake-ups. */
 static inline int tb_doze_paced(struct tb_buffer *b, struct tb_pace *pace, int64_t until_ns) {
     const int64_t more = 3 * pace->period_ns, most = 5000000;
     const int64_t gone = pace->due_ns + (more < most ? more : most);
     if (!pace->steady || pace->period_ns < TB_SHORTEST || pace->due_ns - TB_EARLY >= until_ns)
         return tb_doze(b, until_ns);
     int code = tb_doze(b, pace->due_ns - TB_EARLY);
-    if (code != TB_TIMED_OUT) return code; /* it came sooner */
-    atomic_store(&b->bell, 0);             /* who writes now need not ring */
+    if (code != TB_TIMED_OUT) return code; /* the record came earlier */
+    atomic_store(&b->bell, 0);             /* the writer need not ring now */
     for (int64_t now = 0; now < gone && now < until_ns; now = tb_now()) {
         if (tb_news(b) || atomic_load(&b->destroyed)) return 0;
         if (now > pace->due_ns + TB_LATE) tb_nap(TB_NAP);
@@ -90,7 +90,7 @@ static inline int tb_doze_paced(struct tb_buffer *b, struct tb_pace *pace, int64
     return tb_doze(b, until_ns);
 }
 
-/* Bells to be rung behind the present cycle of this process, by its one thread. */
+/* Bells to be rung after the current cycle of this process, by its only thread. */
 enum { TB_BELLS = 32 };
 struct tb_bells {
     int defer, count;

@@ -1,8 +1,8 @@
-/* A record of a link on its way from one machine to another.
+/* A record of a link in transit between machines.
  *
- * One message carries one record: who counts, the counter, the time and the age at sending,
- * what a record looks like, and its bytes as they stand in the writer's memory. The head is
- * little-endian whatever the machines are; the description names the byte order of the rest.
+ * One message carries one record: the source of its counter, the counter, the time and the
+ * age at sending, the layout of a record, and its bytes as stored in the writer's memory.
+ * The head is little-endian on all machines; the layout names the byte order of the rest.
  */
 #ifndef PBONET_MESSAGE_H
 #define PBONET_MESSAGE_H
@@ -23,7 +23,7 @@ struct tb_head {
     uint64_t number, source;
     int64_t stamp_ns, age_ns;
 };
-_Static_assert(sizeof(struct tb_head) == 40, "there is no room between the fields");
+_Static_assert(sizeof(struct tb_head) == 40, "the fields have no padding");
 
 static inline uint64_t tb_message_bytes(const struct tb_buffer *b) {
     return sizeof(struct tb_head) + b->text_bytes + b->bytes;
@@ -43,7 +43,7 @@ static inline void tb_pack(const struct tb_buffer *b, const struct tb_stamp *sta
     memcpy(to + sizeof head + b->text_bytes, data, b->bytes);
 }
 
-/* Judge a message and read its head: 0, or why it is none. */
+/* Check a message and read its head: 0, or why it is invalid. */
 static inline int tb_unpack(const uint8_t *from, uint64_t bytes, struct tb_head *head) {
     if (bytes < sizeof *head || memcmp(from, "pbTB", 4)) return TB_NO_MESSAGE;
     memcpy(head, from, sizeof *head);
@@ -58,9 +58,9 @@ static inline int tb_unpack(const uint8_t *from, uint64_t bytes, struct tb_head 
 }
 
 /* When a record that arrives now was written, by this machine's clock: 0 or TB_NO_TIME. The
- * age at sending is exact, and the way here is not in it. The measured offset of the clocks,
- * if `known`, has the way in it and an error; it cannot make a record younger than it was
- * when it was sent. */
+ * age at sending is exact but does not include the transmission. The measured offset of the
+ * clocks, if `known`, includes the transmission and an error; it cannot make a record
+ * younger than it was when it was sent. */
 static inline int tb_written(const struct tb_head *head, int64_t now_ns, bool known,
                              int64_t offset_ns, int64_t *time_ns) {
     int64_t there;
@@ -71,7 +71,7 @@ static inline int tb_written(const struct tb_head *head, int64_t now_ns, bool kn
     return 0;
 }
 
-/* Whether a message's record is one of this buffer's, in the same byte order. */
+/* Whether a message's record has this buffer's layout, in the same byte order. */
 static inline bool tb_fits(const struct tb_buffer *b, const uint8_t *from,
                            const struct tb_head *head) {
     return head->text_bytes == b->text_bytes &&

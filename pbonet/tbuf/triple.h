@@ -1,15 +1,15 @@
 /* A triple buffer: the newest whole record, from one writer to one reader (Stewart 1994,
  * section 5.6), in memory that processes share.
  *
- * All that the two sides must agree on stands in one word: how many records were written,
+ * Everything that the two sides must agree on is in one word: how many records were written,
  * which of three slots holds the newest one, whether the reader has taken that one, and, if
- * not, which slot it took before. So a process that is killed anywhere leaves a word that is
- * right, and whoever follows it goes on from there.
+ * not, which slot it took before. So a process that is killed at any point leaves a valid
+ * word, and its successor continues from there.
  *
- * The writer fills a slot that is neither the newest nor the reader's, and publishes it by a
- * compare-and-exchange: one, or two if the reader took the last record in between, for then
- * it can change the word no more. The reader takes the newest by one atomic or. Neither
- * waits for the other, ever; docs/tbuf.md has the argument.
+ * The writer fills a slot that is neither the newest nor the reader's, and publishes it by
+ * one compare-and-exchange, or by two if the reader took the last record in between; after
+ * that the reader cannot change the word again. The reader takes the newest by one atomic
+ * or. Neither ever waits for the other; docs/tbuf.md has the argument.
  */
 #ifndef PBONET_TRIPLE_H
 #define PBONET_TRIPLE_H
@@ -20,27 +20,27 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifndef PBONET_STEP /* a test build puts a hook between any two steps of a change */
+#ifndef PBONET_STEP /* a test build inserts a hook between any two steps of a change */
 #define PBONET_STEP(n) ((void)0)
 #endif
 
-#define TB_MAGIC UINT64_C(0x6662745f74656e62) /* reads otherwise in another byte order */
+#define TB_MAGIC UINT64_C(0x6662745f74656e62) /* differs in another byte order */
 enum { TB_VERSION = 1, TB_SLOTS = 3, TB_ALIGN = 64, TB_TEXT = 3072, TB_WHO = 64 };
 enum { TB_WRITER, TB_READER, TB_CARER, TB_ROLES };
 enum { TB_DAMAGED = -1, TB_BAD_VERSION = -2, TB_SWAPPED = -3, TB_TIMED_OUT = -4,
        TB_SIGNAL = -5 };
 #define TB_TAKEN UINT64_C(0x10)
 
-/* Stands in the line before a record's data. */
+/* The line before a record's data. */
 struct tb_stamp {
     uint64_t number;  /* counter: the first record of a source is 1 */
-    uint64_t source;  /* whose counter it is */
+    uint64_t source;  /* identifies the counter */
     int64_t time_ns;  /* when it was written, by CLOCK_MONOTONIC of this machine */
     int64_t stamp_ns; /* the same by the clock of the writer's machine */
 };
 
 struct tb_role {
-    _Atomic uint64_t pid; /* for messages: locks on the file say who is there */
+    _Atomic uint64_t pid; /* for error messages only: locks on the file show the users */
     char who[TB_WHO];
 };
 
@@ -48,11 +48,11 @@ struct tb_buffer {
     uint64_t magic;
     uint32_t version, text_bytes;
     uint64_t size, bytes, source; /* of the file, of a record, of its own counter */
-    char text[TB_TEXT];           /* what a record looks like */
+    char text[TB_TEXT];           /* layout of a record */
     struct tb_role roles[TB_ROLES];
     _Atomic uint32_t destroyed;
     _Alignas(TB_ALIGN) _Atomic uint64_t word; /* number << 8 | TAKEN | before << 2 | newest */
-    _Atomic int64_t last_ns;                  /* time of the newest record, for onlookers */
+    _Atomic int64_t last_ns;                  /* time of the newest record, for monitors */
     _Alignas(TB_ALIGN) _Atomic uint32_t bell; /* the reader sleeps on it */
     _Alignas(TB_ALIGN) uint8_t slots[];
 };
@@ -74,11 +74,11 @@ static inline void tb_make(struct tb_buffer *b, uint64_t bytes, uint64_t source,
     b->source = source;
     b->text_bytes = text_bytes;
     memcpy(b->text, text, text_bytes);
-    atomic_store(&b->word, TB_TAKEN | 1 << 2); /* nothing is there, so nothing is new */
+    atomic_store(&b->word, TB_TAKEN | 1 << 2); /* no record yet, so none is new */
     b->magic = TB_MAGIC;
 }
 
-/* Judge a file that was mapped; 0, or why it cannot be used. */
+/* Check a mapped file; 0, or why it cannot be used. */
 static inline int tb_verify(const struct tb_buffer *b, uint64_t bytes) {
     if (bytes < sizeof *b) return TB_DAMAGED;
     if (b->magic == __builtin_bswap64(TB_MAGIC)) return TB_SWAPPED;
@@ -109,11 +109,11 @@ static inline unsigned tb_spare(uint64_t word) {
     return newest == held ? (newest + 1) % TB_SLOTS : TB_SLOTS - newest - held;
 }
 
-/* Write a record; whether a sleeping reader is to be woken (tb_wake). */
+/* Write a record; returns whether a sleeping reader must be woken (tb_wake). */
 static inline bool tb_write(struct tb_buffer *b, const struct tb_stamp *stamp,
                             const void *data) {
-    /* SYNC POINT T1, partner T2: acquire, so that what a reader that has gone on copied from
-     * the slot is behind it. */
+    /* SYNC POINT T1, partner T2: acquire, so that the reader's copy from this slot, which it
+     * has left, comes before our writes to it. */
     uint64_t next, word = atomic_load_explicit(&b->word, memory_order_acquire);
     unsigned slot = tb_spare(word);
     struct tb_stamp *to = tb_slot(b, slot);
@@ -124,11 +124,11 @@ static inline bool tb_write(struct tb_buffer *b, const struct tb_stamp *stamp,
     PBONET_STEP(3);
     do {
         next = stamp->number << 8 | (uint64_t)tb_held(word) << 2 | slot;
-    /* SYNC POINT T2, partners T1 and T3: whoever sees this word sees the whole record; seq_cst
-     * also for T4. */
+    /* SYNC POINT T2, partners T1 and T3: a reader of this word sees the whole record; seq_cst
+     * is for T4. */
     } while (!atomic_compare_exchange_strong(&b->word, &word, next));
     PBONET_STEP(4);
-    /* SYNC POINT T5, none: onlookers only want to know about when. */
+    /* SYNC POINT T5, no partner: monitors need only an approximate time. */
     atomic_store_explicit(&b->last_ns, stamp->time_ns, memory_order_relaxed);
     /* SYNC POINT T4, partner in tb_doze: either we see the bell, or the reader our word. */
     return atomic_load(&b->bell) && atomic_exchange(&b->bell, 0);
@@ -140,8 +140,8 @@ static inline bool tb_news(const struct tb_buffer *b) {
     return !(atomic_load(&b->word) & TB_TAKEN);
 }
 
-/* Copy the newest record: 1, or 0 when it was taken before and not `again`, or when none was
- * ever written. What is copied is nobody's to change until the next call. */
+/* Copy the newest record: 1, or 0 if it was taken before and not `again`, or if none was
+ * ever written. The writer does not change the copied slot until the next call. */
 static inline int tb_read(struct tb_buffer *b, struct tb_stamp *stamp, void *data,
                           bool again) {
     /* SYNC POINT T3, partner T2. */
@@ -151,7 +151,7 @@ static inline int tb_read(struct tb_buffer *b, struct tb_stamp *stamp, void *dat
     } else {
         PBONET_STEP(5);
         /* SYNC POINT T3 again, and T2 towards the writer: our copy from the slot that we held
-         * is behind us. */
+         * before is complete. */
         word = atomic_fetch_or(&b->word, TB_TAKEN);
         PBONET_STEP(6);
     }

@@ -1,4 +1,4 @@
-"""What the task's slot calls without Python to append a record."""
+"""Functions that the task's slot calls without Python to append a record."""
 
 from libc.stdint cimport int64_t, uint32_t, uint64_t
 

@@ -1,16 +1,16 @@
 """A ring of cycle records in shared memory, one per task."""
 
 class Record:
-    """One record, out of a ring."""
+    """One record of a ring."""
 
     cycle: int
     release_ns: int
     start_ns: int
     """When ``cycle`` was called."""
     end_ns: int
-    """When the commit was done."""
+    """When the commit was complete."""
     dt_ns: int
-    """The time step that ``cycle`` was told."""
+    """The time step that was passed to ``cycle``."""
     cpu_ns: int
     uid: int
     """The register of the commit; 0: none."""
@@ -27,12 +27,12 @@ class Record:
     data: bytes
     """The out-group as committed."""
     inputs: bytes
-    """The in-vars as copied in, where they do not follow from `consumed`."""
+    """The in-vars as copied in; empty if they follow from `consumed`."""
     heard: bytes
     """The cycle's inputs from outside the table; see `pbonet.outside`."""
 
 def parse(text: bytes) -> list[Record]:
-    """Return the records in what `Ring.take` returned.
+    """Return the records in the result of `Ring.take`.
 
     Raises:
         NodeError: They are damaged.
@@ -48,15 +48,15 @@ class Ring:
     path: str
     lost: int
     about: bytes
-    """Its maker's description."""
+    """The description given by its creator."""
     @staticmethod
     def create(name: str, capacity: int = 1 << 20, about: bytes = b"") -> Ring:
-        """Make the file (replacing one that stands) and return its producer's end.
+        """Make the file (replacing an existing one) and return the producer's end.
 
         Args:
             name: At most 100 characters, for instance ``subsystem.task``.
             capacity: Bytes, rounded up to a power of two.
-            about: Whose it is, for whoever drains it.
+            about: A description for the process that drains the ring.
         """
     @staticmethod
     def attach(name: str) -> Ring:
@@ -73,19 +73,19 @@ class Ring:
     ) -> bool:
         """Append one record; False when the ring is full."""
     def drain(self, limit: int = 0) -> list[Record]:
-        """Take the records that stand in the ring, oldest first (0: all).
+        """Take the waiting records, oldest first (0: all).
 
         Raises:
             NodeError: Another process drains this ring.
         """
     def take(self) -> bytes:
-        """Take the same as bytes, for `parse` or for a log.
+        """Take the waiting records as bytes, for `parse` or for a log.
 
         Raises:
             NodeError: Another process drains this ring.
         """
     def want(self, *, always: bool = False) -> None:
-        """Have the next cycle store its inputs, or each cycle."""
+        """Ask for the inputs of the next cycle, or of every cycle."""
     def close(self) -> None: ...
     def destroy(self) -> None:
         """Close and remove the file."""

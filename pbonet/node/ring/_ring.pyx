@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O2 -std=c11
 # distutils: depends = ring.h
-"""The ring of cycle records, seen from Python; `_ring.pyi` says what everything does."""
+"""Python interface of the ring of cycle records; documented in `_ring.pyi`."""
 
 import contextlib
 import fcntl
@@ -15,7 +15,7 @@ from libc.string cimport memset
 from pbonet import shm
 from pbonet.errors import NodeError, RealTimeError
 
-MADV_POPULATE_WRITE = 23  # Linux 5.14; MAP_POPULATE makes pages present to read only
+MADV_POPULATE_WRITE = 23  # Linux 5.14; MAP_POPULATE makes pages present for reading only
 
 
 def _path(str name) -> str:
@@ -23,7 +23,7 @@ def _path(str name) -> str:
 
 
 class Record:
-    """One record, out of a ring; `_ring.pyi` says what the fields are."""
+    """One record of a ring; the fields are documented in `_ring.pyi`."""
 
     __slots__ = ("cycle", "release_ns", "start_ns", "end_ns", "dt_ns", "cpu_ns", "uid",
                  "number", "lost", "flags", "kind", "stable", "consumed", "data", "inputs", "heard")
@@ -160,7 +160,7 @@ cdef class Ring:
         return copy
 
     cdef bytes copy(self):
-        """Return what stands in the ring, and leave it there."""
+        """Return the waiting records, and leave them in the ring."""
         if not self.consumer:
             self.claim()
         cdef uint64_t n = ring_ready(self.open())
@@ -202,7 +202,7 @@ cdef Ring _map_ring(str name, str path, int fd):
     cdef unsigned char[::1] view
     self.name, self.path, self.fd = name, path, fd
     self.memory = mmap.mmap(fd, os.fstat(fd).st_size)
-    with contextlib.suppress(OSError):  # present from the start: no cycle shall fault
+    with contextlib.suppress(OSError):  # present from the start: no page faults in a cycle
         self.memory.madvise(MADV_POPULATE_WRITE)
     view = self.memory
     self.view = view

@@ -1,8 +1,8 @@
 /* A ring of records in shared memory: one producer, one consumer, neither ever waits.
  *
- * `head` and `tail` count bytes since the beginning and only rise. A full ring drops the
- * new record and counts it. A consumer or producer killed anywhere leaves a ring that
- * the next one goes on with: a record exists once `head` has passed it.
+ * `head` and `tail` count bytes since the beginning and only increase. A full ring drops
+ * the new record and counts it. A consumer or producer killed at any point leaves a ring
+ * that the next one can continue: a record exists once `head` has passed it.
  */
 #ifndef PBONET_RING_H
 #define PBONET_RING_H
@@ -17,7 +17,7 @@ enum { RING_WANT_NEW = 1, RING_WANT_ALL = 2 };  /* inputs: of the next record, o
 enum { RING_SYNC = 9 };                         /* a kind: pbonet.log.Step.SYNC */
 #define RING_STABLE (UINT32_C(1) << 31)
 
-/* The text `about` stands behind the data: whose ring this is, for whoever drains it. */
+/* The text `about` follows the data: it describes the ring to the process that drains it. */
 struct ring {
     uint64_t magic;
     uint32_t version, about;                /* about: bytes of that text */
@@ -25,13 +25,12 @@ struct ring {
     _Alignas(64) _Atomic uint64_t head;     /* producer */
     _Atomic uint64_t lost;
     _Alignas(64) _Atomic uint64_t tail;     /* consumer */
-    _Atomic uint32_t want;                  /* RING_WANT_*: what it wants stored */
+    _Atomic uint32_t want;                  /* RING_WANT_*: inputs requested by it */
     _Alignas(64) unsigned char data[];
 };
 
-/* What stands before the data, the consumed pairs, the inputs and what was heard from
- * outside, of one record. From `cycle` on it goes into a log as it is
- * (pbonet.log.schema). */
+/* The head of a record; the data, the consumed pairs, the inputs and the input from outside
+ * follow it. From `cycle` on it is written to a log unchanged (pbonet.log.schema). */
 struct ring_record {
     uint32_t size, n_consumed, bytes, in_bytes, heard_bytes, spare;
     uint64_t cycle;
@@ -47,7 +46,7 @@ static inline void ring_init(struct ring *r, uint64_t capacity, uint32_t about)
     r->version = RING_VERSION;
     r->about = about;
     r->capacity = capacity;
-    /* SYNC POINT: who maps the ring looks at `magic` first. */
+    /* SYNC POINT: a process that maps the ring reads `magic` first. */
     atomic_thread_fence(memory_order_release);
     r->magic = RING_MAGIC;
 }
@@ -80,11 +79,11 @@ static inline uint64_t ring_size(const struct ring_record *record)
             record->in_bytes + record->heard_bytes + 7) & ~UINT64_C(7);
 }
 
-/* Whether a record finds room; what it needs is known before it is filled. */
+/* Whether there is room for a record; its size is known before it is filled. */
 static inline int ring_fits(const struct ring *r, const struct ring_record *record)
 {
     uint64_t head = atomic_load_explicit(&r->head, memory_order_relaxed);
-    /* SYNC POINT: ring_done stores `tail` once what stood before it is copied. */
+    /* SYNC POINT: ring_done stores `tail` after the records before it have been copied. */
     uint64_t tail = atomic_load_explicit(&r->tail, memory_order_acquire);
     return ring_size(record) <= r->capacity - (head - tail);
 }
@@ -104,8 +103,8 @@ static inline void ring_wanted(struct ring *r)
     atomic_fetch_and_explicit(&r->want, ~(uint32_t)RING_WANT_NEW, memory_order_relaxed);
 }
 
-/* Put inputs where the next record will have them, `at` bytes into them. The caller has
- * seen that the record fits; nobody sees anything of it before ring_put. */
+/* Write inputs to their place in the next record, `at` bytes into its inputs. The caller
+ * has checked that the record fits; the consumer sees nothing of it before ring_put. */
 static inline void ring_stage(struct ring *r, const struct ring_record *record, uint64_t at,
                               const void *from, uint64_t n)
 {
@@ -114,7 +113,7 @@ static inline void ring_stage(struct ring *r, const struct ring_record *record, 
                  (uint64_t)record->n_consumed * 16 + at, from, n);
 }
 
-/* Append a record; 0 when the ring is full. Sets `size` and `lost`; the inputs were
+/* Append a record; 0 when the ring is full. Sets `size` and `lost`; the inputs have been
  * staged. */
 static inline int ring_put(struct ring *r, struct ring_record *record,
                            const uint64_t *consumed, const void *data,
@@ -135,12 +134,12 @@ static inline int ring_put(struct ring *r, struct ring_record *record,
     ring_copy_in(r, head + sizeof *record + record->bytes +
                  (uint64_t)record->n_consumed * 16 + record->in_bytes, heard,
                  record->heard_bytes);
-    /* SYNC POINT: ring_ready loads `head` before it looks at records. */
+    /* SYNC POINT: ring_ready loads `head` before it reads records. */
     atomic_store_explicit(&r->head, head + record->size, memory_order_release);
     return 1;
 }
 
-/* Bytes of whole records that wait; more than the capacity means a damaged ring. */
+/* Bytes of complete waiting records; more than the capacity means a damaged ring. */
 static inline uint64_t ring_ready(const struct ring *r)
 {
     return atomic_load_explicit(&r->head, memory_order_acquire) -
@@ -152,7 +151,7 @@ static inline uint64_t ring_lost(const struct ring *r)
     return atomic_load_explicit(&r->lost, memory_order_relaxed);
 }
 
-/* Copy `n` waiting bytes out; ring_done gives their place back. */
+/* Copy `n` waiting bytes out; ring_done frees their space. */
 static inline void ring_look(const struct ring *r, void *to, uint64_t n)
 {
     ring_copy_out(r, atomic_load_explicit(&r->tail, memory_order_relaxed), to, n);
@@ -161,7 +160,7 @@ static inline void ring_look(const struct ring *r, void *to, uint64_t n)
 static inline void ring_done(struct ring *r, uint64_t n)
 {
     uint64_t tail = atomic_load_explicit(&r->tail, memory_order_relaxed);
-    /* SYNC POINT: ring_put loads `tail` before it overwrites what stood there. */
+    /* SYNC POINT: ring_put loads `tail` before it overwrites these bytes. */
     atomic_store_explicit(&r->tail, tail + n, memory_order_release);
 }
 

@@ -1,4 +1,4 @@
-"""The real-time side of a task and of an RTPU: native, and imported whole."""
+"""The real-time side of a task and of an RTPU: native code, loaded as a whole."""
 
 from ._rt import (
     ABORT as ABORT,

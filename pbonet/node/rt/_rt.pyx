@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, freethreading_compatible=False
 # distutils: extra_compile_args = -O2 -std=c11
 # distutils: depends = ../../outside/tape.h layout.h state.h watch.h device.h muf.h standby.h call.h vigil.h dispatch.h sys.h table.h look.h looker.h loop.h slot.h failure.h signals.h view.h ../ring/ring.h guard.h ../../svar/flag.h ../../xm/ipc/steady.h _rt_process.pxi _rt_failures.pxi _rt_table.pxi _rt_standby.pxi
-"""Thin skin over the C headers of this folder; `_rt.pyi` says what everything does."""
+"""Thin wrapper of the C headers in this folder; documented in `_rt.pyi`."""
 
 import os
 
@@ -123,7 +123,7 @@ cdef class Slot:
                 rt_leave(&self.task, RT_COMMAND)
 
     cdef bint wait_outside(self, sync, Ring ring) except -1:
-        """Wait as the module says; whether its event came."""
+        """Wait as the module's `sync` does; return whether its event came."""
         cdef bint called = False
         try:
             if rt_enter(RT_IN_SYNC):
@@ -142,9 +142,9 @@ cdef class Slot:
         return True
 
     cdef int put_sync(self, Ring ring) except -1:
-        """Record what the module heard while it waited: a replay waits so again.
+        """Record what the module read from outside during a wait, for the replay.
 
-        A wait that heard nothing new is recorded, too: what it asked counts as calls.
+        A wait without new input is recorded, too: its requests count as calls.
         """
         cdef ring_record *r = &self.record
         if ring is None or self.tape is None:
@@ -153,7 +153,7 @@ cdef class Slot:
         memset(r, 0, sizeof(ring_record))
         r.kind = RING_SYNC
         r.cycle = rt_cycles(self.task.slot)
-        r.release_ns = self.task.rel_ns     # the time that the module was told
+        r.release_ns = self.task.rel_ns     # the time that the module was given
         r.start_ns = r.end_ns = rt_time(self.task.table)
         r.bytes = self.tape.t.used
         ring_put(ring.r, r, NULL, self.tape.t.bytes, NULL)
@@ -161,14 +161,14 @@ cdef class Slot:
         return 0
 
     cdef int raise_error(self) except -1:
-        """Raise what the module's failure handler failed with."""
+        """Raise the exception of the module's failure handler, if any."""
         error = self.failures.error
         if error is not None:
             raise error
         return 0
 
     cdef int leave_out(self) except -1:
-        """Let a release go by; its handler may want to know."""
+        """Skip a release; the failure handler is called for it."""
         cdef uint64_t cpu
         self.failures.skip = False
         self.flags = 0
@@ -185,7 +185,7 @@ cdef class Slot:
         return 0
 
     cdef int once(self, cycle, LocalTable local, stable, Ring ring, int leave) except -1:
-        """Run one cycle; the module's exception comes through, the cycle then failed."""
+        """Run one cycle; an exception of the module propagates and marks it failed."""
         cdef rt_cost *cost = &self.cost
         cdef int flags = 0
         memset(cost, 0, sizeof(rt_cost))
@@ -230,7 +230,7 @@ cdef class Slot:
         return 0
 
     cdef int tell_age(self, bint stale) except -1:
-        """Inputs have become stale, or fresh again; it is rare, so Python may know."""
+        """Call `aged` because inputs became stale or fresh; rare, so it may be Python."""
         self.is_aged = stale
         if self.aged is not None:
             self.aged(stale)
@@ -245,7 +245,7 @@ cdef class Slot:
         return 0
 
     cdef void close(self, LocalTable local, Ring ring) noexcept:
-        """Record and account; then the cycle is over."""
+        """Record and account the cycle, and end it."""
         cdef rt_cost *cost = &self.cost
         cdef uint64_t cpu
         cost.end_ns = rt_time(self.task.table)
@@ -261,7 +261,7 @@ cdef class Slot:
         c_ring_bells()      # readers on other machines, which this cycle wrote to
 
     cdef void begin_record(self, LocalTable local, Ring ring) noexcept:
-        """Say how large the record will be; store the inputs, which `cycle` may change."""
+        """Compute the record's size; store the inputs, which `cycle` may change."""
         cdef ring_record *r = &self.record
         cdef size_t n, at = 0
         cdef const void *value
@@ -291,7 +291,7 @@ cdef class Slot:
         if self.tape is not None and tape_ready(&self.tape.t):
             t = &self.tape.t
             heard, r.heard_bytes = t.bytes, t.used
-            if not ring_fits(ring.r, r):    # the cycle stays, what it heard is lost
+            if not ring_fits(ring.r, r):    # keep the record, drop the outside inputs
                 t.used, t.lost = 0, 1
                 r.heard_bytes = tape_ready(t)
             tape_empty(t)
@@ -351,8 +351,8 @@ cdef class Slot:
         rt_arm(&self.task)
 
     def disarm(self, calls=()) -> list:
-        # Called first: if the task is killed in here, either it is seen to die while it
-        # is ON, or its successors come. Its own core's dispatcher wakes up once.
+        # Call first: a task killed here is either seen to die while it is ON, or its
+        # successors are engaged. The dispatcher of its own core wakes up once.
         self.live()
         cdef CoreTable table
         cdef list heard = []

@@ -1,4 +1,4 @@
-# Part of _rt.pyx: timing failures as Python sees them; failure.h has the argument.
+# Part of _rt.pyx: timing failures as Python sees them; failure.h explains them.
 
 import signal as _signals
 
@@ -12,7 +12,7 @@ from pbonet.pbo import CycleAborted as Aborted
 
 
 cdef class Critical:
-    """Holds timing failures off; one object for all sections of a task."""
+    """Defers timing failures; one object for all sections of a task."""
 
     cdef Failures failures
 
@@ -25,7 +25,7 @@ cdef class Critical:
 
 
 cdef class Timed:
-    """Times one section of the cycle in CPU time."""
+    """Measures one section of the cycle in CPU time."""
 
     cdef rt_slot *slot
     cdef CoreTable table        # keeps the memory

@@ -1,4 +1,4 @@
-"""The C headers as Cython sees them; what is atomic is reached through functions only."""
+"""The C headers as Cython sees them; atomic fields are accessed by functions only."""
 
 from libc.stdint cimport int32_t, int64_t, uint16_t, uint32_t, uint64_t
 

@@ -1,4 +1,4 @@
-# Part of _rt.pyx: what a process sets up for itself; `_rt.pyi` says what each does.
+# Part of _rt.pyx: what a process sets up for itself; documented in `_rt.pyi`.
 
 def probe():
     return rights.probe(rt_try_fifo())

@@ -1,9 +1,9 @@
-# Part of _rt.pyx: the watch over tasks' lives; `_rt.pyi` says what it does.
+# Part of _rt.pyx: detection of tasks' deaths; documented in `_rt.pyi`.
 
 cdef class Vigil:
     cdef rt_vigil *vigil
     cdef CoreTable table        # keeps the memory
-    cdef dict arenas            # keeps the tables of what is watched
+    cdef dict arenas            # keeps the tables of the watched tasks alive
     cdef int pid
 
     def __init__(self, Dispatcher beside not None):

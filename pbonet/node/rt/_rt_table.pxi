@@ -1,7 +1,7 @@
-# Part of _rt.pyx: the core's table and its dispatcher; `_rt.pyi` says what each does.
+# Part of _rt.pyx: the core's table and its dispatcher; documented in `_rt.pyi`.
 
 cdef _refuse(int error, str path):
-    """Raise what an answer of rt_attach means."""
+    """Raise the error for a result of rt_attach."""
     if error == RT_NO_TABLE:
         raise NodeError("the core has no table", where=path,
                         remedy="start an agent for this core first")
@@ -36,7 +36,7 @@ cdef class CoreTable:
     cdef readonly bint member
     cdef int busy           # dispatchers of this process that run on it
     cdef rt_meter[2] meters  # of the leader's threads
-    cdef uint32_t heard     # news that the last turn in virtual time has taken in
+    cdef uint32_t heard     # mailbox value that the last turn in virtual time has seen
 
     def __cinit__(self, int core, *, bint member=True, int64_t virtual_ns=0):
         self.core = core
@@ -51,7 +51,7 @@ cdef class CoreTable:
             _refuse(error, self.path)
         self.t = self.map.table
         if virtual_ns:
-            os.unlink(self.path)        # nobody else is to find it
+            os.unlink(self.path)        # no other process may find it
             self.turn(virtual_ns)
 
     def close(self) -> None:
@@ -167,7 +167,7 @@ cdef class CoreTable:
         return rt_life(self.t, i)
 
     cdef rt_config *awaiting(self, int i, int caller) except? NULL:
-        """Return where slot `i` waits for callers; NULL for what no call can name."""
+        """Return the configuration of slot `i`; NULL if the arguments are invalid."""
         self.open()
         if 0 <= i < RT_SLOTS and 0 <= caller < 32:
             return &self.t.slots[i].config

@@ -1,14 +1,14 @@
-/* Tasks that a device times: sporadic ones, as the schedulability tests see them.
+/* Tasks timed by a device: sporadic tasks, as the schedulability tests treat them.
  *
- * A cycle belongs to an event, and its deadline lies one period behind that. A device may
- * come early: the deadline is then what it would be had the event come in its time, so
- * that in no stretch the task asks for more than a periodic one of its period would. An
- * event more than half a period early is none that was reckoned with. Its cycle has the
- * criticality of one that has used up its reserve.
+ * A cycle belongs to an event, and its deadline is one period later. A device may be
+ * early: the deadline is then computed as if the event had come on time, so that in no
+ * interval does the task demand more than a periodic one of its period. An event more than
+ * half a period early was not accounted for in the analysis: its cycle gets the criticality
+ * of a task that has used up its reserve.
  *
- * While the task waits it keeps the deadline that is over by the time at which the next
- * event is expected, so it goes first among its equals when it wakes up. Who has been
- * silent goes last. `tests/oracles/plain_dispatcher/watch.py` is the twin.
+ * While the task waits it keeps its last deadline, which has passed when the next event is
+ * expected, so it goes first among its equals when it wakes up. A task whose device has
+ * been silent goes last. `tests/oracles/plain_dispatcher/watch.py` has the same rules.
  */
 #ifndef PBONET_DEVICE_H
 #define PBONET_DEVICE_H
@@ -22,7 +22,7 @@ static inline void rt_attend(struct rt_table *t, int i, struct rt_state *s, int6
     s->event_ns = event;
     s->late = s->sure = s->handling = s->owed = 0;
     atomic_store(&t->slots[i].grant.owed, 0);
-    s->mark = -1;               /* where its clock stands is not known yet */
+    s->mark = -1;               /* its CPU clock at this point is not known yet */
     s->spent = expected - event > s->period / 2;
     if (s->spent)
         s->overruns++;
@@ -34,7 +34,7 @@ static inline void rt_attend(struct rt_table *t, int i, struct rt_state *s, int6
     rt_set_rank(t, i, s, rt_contained(s));
 }
 
-/* The cycle has ended; the device may be silent from now on if it took too long. */
+/* End the cycle; if it was late, the limit for the device's silence starts again now. */
 static inline void rt_attended(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     if (s->late && s->deadline)
@@ -44,7 +44,7 @@ static inline void rt_attended(struct rt_table *t, int i, struct rt_state *s, in
     rt_set_rank(t, i, s, s->crit);
 }
 
-/* Take in that a cycle has begun or ended. */
+/* Read whether a cycle has begun or ended. */
 static inline void rt_latch_device(struct rt_table *t, int i, struct rt_state *s,
                                    int64_t now)
 {
@@ -64,7 +64,7 @@ static inline void rt_latch_device(struct rt_table *t, int i, struct rt_state *s
     s->fresh = 1;
 }
 
-/* The cycle is past its deadline, and goes on with the next one. */
+/* The cycle is past its deadline and continues with the next one. */
 static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     s->dl_ns += ((now - s->dl_ns) / s->period + 1) * s->period;
@@ -72,8 +72,8 @@ static inline void rt_overtake(struct rt_table *t, int i, struct rt_state *s, in
     rt_fail(t, i, s, RT_DEADLINE, now, 1);
 }
 
-/* Look after the task; a device that should have been heard of is a failure, too, once in
- * each limit. */
+/* Check the task. A device that has been silent for too long is also a failure, once per
+ * limit. */
 static inline void rt_listen(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                              int locked)
 {

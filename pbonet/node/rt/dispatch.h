@@ -1,11 +1,12 @@
 /* The dispatcher's turn: a pure function over the core table.
  *
- * tests/oracles/plain_dispatcher/dispatch.py says the rules in Python, and docs/realtime.md
- * gives the reasons. A turn takes in what tasks and RTPU processes wrote since the last one, decides, and leaves both in the
- * trace, inputs first. It makes no call into the kernel: `loop.h` acts on the decisions.
+ * tests/oracles/plain_dispatcher/dispatch.py states the rules in Python, and
+ * docs/realtime.md gives the reasons. A turn reads what tasks and RTPU processes wrote
+ * since the last one, decides, and writes both to the trace, inputs first. It makes no
+ * system call: `loop.h` acts on the decisions.
  *
- * A leader may be killed at any instruction. So each slot's state is replaced whole,
- * through a journal: a standby that finds it valid finishes the replacement.
+ * A leader may be killed at any instruction. So each slot's state is replaced as a whole,
+ * through a journal: a standby that finds it valid completes the replacement.
  */
 #ifndef PBONET_DISPATCH_H
 #define PBONET_DISPATCH_H
@@ -14,8 +15,8 @@
 #include "muf.h"
 #include "standby.h"
 
-/* Take over a changed configuration; one half written is left for its writer's kick.
- * Returns what there is: 0 nothing, 1 settings, 2 another process too, without a level. */
+/* Read a changed configuration; one that is half written waits for its writer's kick.
+ * Returns 0: no change, 1: new settings, 2: a new process as well, without a priority. */
 static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c,
                                   struct rt_state *s)
 {
@@ -39,7 +40,7 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     for (int k = 0; k < RT_MASKS; k++)
         after[k] = atomic_load_explicit(&c->after[k], memory_order_relaxed);
     uint64_t callers = atomic_load_explicit(&c->callers, memory_order_relaxed);
-    /* SYNC POINT, continued: the second look at `gen` comes behind all of these. */
+    /* SYNC POINT, continued: the second load of `gen` comes after all of these. */
     atomic_thread_fence(memory_order_acquire);
     if (atomic_load_explicit(&c->gen, memory_order_relaxed) != gen)
         return 0;
@@ -65,17 +66,17 @@ static inline int rt_latch_config(struct rt_table *t, int i, struct rt_config *c
     return news;
 }
 
-/* The first release of a task that arms now: a fallback's at once, for a cycle was lost;
- * everybody else begins on the grid. */
+/* The first release of a task that arms now: at once for a fallback, since a cycle was
+ * lost; on the grid for all others. */
 static inline int64_t rt_first(const struct rt_state *s, int64_t now, int replaces)
 {
     int64_t grid = (now + RT_LEAD_NS + s->period - 1) / s->period * s->period;
     return replaces ? now : grid;
 }
 
-/* The release behind another one: the next point of the grid that is more than half a
- * period away. So a first release in the second half of a period stands for the point
- * that it comes before, and nobody has two cycles in little more than none. */
+/* The release after `release`: the next point of the grid that is more than half a
+ * period away. So a first release in the second half of a period replaces the point that
+ * follows it, and no task has two cycles in much less than a period. */
 static inline int64_t rt_following(const struct rt_state *s, int64_t release)
 {
     return ((release + s->period / 2) / s->period + 1) * s->period;
@@ -88,7 +89,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     uint32_t changed = word ^ s->word;
     uint32_t mode = word & 3;
     int armed_anew = (changed >> 2 & 0x7fff) != 0;
-    /* A dead one's last word says what it did when it died: nobody came to say more. */
+    /* The last word of a dead task shows what it did when it died. */
     uint8_t fell = mode == RT_ON || mode == RT_COMMAND ? s->dead
                    : armed_anew && rt_has_recovered(&t->slots[i], s, mode) ? 0
                    : s->fell || rt_has_fallen(&t->slots[i], mode);
@@ -107,7 +108,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
         s->next_ns = rt_first(s, now, replaces);
         return;
     }
-    s->ready = 1;               /* timed from outside: ready for good */
+    s->ready = 1;               /* timed by events: stays ready */
     s->rel_ns = s->event_ns = now;
     s->dl_ns = RT_NEVER;
     s->left = s->maxc;
@@ -121,7 +122,7 @@ static inline void rt_latch_mode(struct rt_table *t, int i, struct rt_state *s,
     rt_emit(t, RT_RELEASE, i, 0, now, s->dl_ns);
 }
 
-/* Take in what the task says of itself amid a cycle. */
+/* Read what the task reports about itself during a cycle. */
 static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     struct rt_post *post = &t->slots[i].post;
@@ -134,7 +135,7 @@ static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s,
             rt_set_rank(t, i, s, rt_contained(s));
         }
     }
-    /* SYNC POINT: rt_wish stores the two wishes before it counts. */
+    /* SYNC POINT: rt_post_wish stores the two wishes before it counts. */
     uint32_t wish = atomic_load_explicit(&post->wish, memory_order_acquire);
     if (wish != s->wish) {
         int32_t crit = atomic_load_explicit(&post->wish_crit, memory_order_relaxed);
@@ -146,17 +147,17 @@ static inline void rt_latch_watch(struct rt_table *t, int i, struct rt_state *s,
     if (s->owed && !atomic_load(&post->locked)) {
         rt_emit(t, RT_UNLOCKED, i, 0, 0, 0);
         if (rt_is_server(s))
-            s->fresh = 1;       /* what it used meanwhile is charged first */
+            s->fresh = 1;       /* first charge what it used meanwhile */
         else
             rt_settle_debt(t, i, s);
     }
 }
 
-/* Take in that a server has begun or ended an event. */
+/* Read whether a server has begun or ended an event. */
 static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
 {
     struct rt_post *post = &t->slots[i].post;
-    /* SYNC POINT: pairs with rt_begin_event, which stores the instant first. */
+    /* SYNC POINT: pairs with rt_begin_event, which stores the time first. */
     uint8_t active = atomic_load_explicit(&post->events, memory_order_acquire) & 1;
     int64_t event = atomic_load_explicit(&post->event_ns, memory_order_relaxed);
     if (active == s->active && (!active || event == s->event_ns))
@@ -169,14 +170,14 @@ static inline void rt_latch_event(struct rt_table *t, int i, struct rt_state *s)
         s->dl_ns = event + s->period;
 }
 
-/* Whether all have called that a task waits for, which was not taken in yet. */
+/* Whether all callers of a task have called and no turn has seen it yet. */
 static inline int rt_is_called(const struct rt_slot *slot)
 {
     const struct rt_state *s = &slot->state;
     return s->after_kind == RT_ALONE && rt_all_have_called(&slot->config, s->ticket);
 }
 
-/* Whether slot i has anything to take in; most have not, most of the time. */
+/* Whether slot i has anything to read; most have not, most of the time. */
 static inline int rt_news(const struct rt_slot *slot)
 {
     const struct rt_state *s = &slot->state;
@@ -188,15 +189,15 @@ static inline int rt_news(const struct rt_slot *slot)
            atomic_load_explicit(&c->dead, memory_order_relaxed) == s->life;
 }
 
-/* Take in what happened to slot i; emits inputs. */
+/* Read what happened to slot i; emits inputs. */
 static inline void rt_latch(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     struct rt_slot *slot = &t->slots[i];
-    /* SYNC POINT: rt_alloc sets a slot back before it gives it a life. */
+    /* SYNC POINT: rt_alloc resets a slot before it starts a new life. */
     uint32_t life = atomic_load_explicit(&slot->config.life, memory_order_acquire);
     if (life != s->life) {
-        /* Freed while it was armed: its task has died, and nobody came to say so. If
-         * that was while no turn was taken, its arming was not seen either. */
+        /* Freed while armed: its task has died before it could go OFF. If no turn was
+         * taken meanwhile, its arming was not seen either. */
         uint8_t said = !(life & 1) && rt_fell_in(slot, life - 1);
         uint8_t fell = !(life & 1) && (s->armed || s->fell || said);
         memset(s, 0, sizeof *s);
@@ -261,7 +262,7 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
     s->dl_ns = in_time && s->begun ? s->rel_ns + length : release + length;
     if (!s->begun) {
         s->rel_ns = release;
-        if (s->granted) {       /* told, but not begun: it runs as the new one */
+        if (s->granted) {       /* granted, but not begun: it runs as the new one */
             atomic_store_explicit(&t->slots[i].grant.rel_ns, s->rel_ns,
                                   memory_order_relaxed);
             atomic_store_explicit(&t->slots[i].grant.dl_ns, s->dl_ns,
@@ -279,7 +280,7 @@ static inline void rt_release(struct rt_table *t, int i, struct rt_state *s, int
         rt_fail(t, i, s, RT_DEADLINE, now, s->begun);
 }
 
-/* Do what is due for an armed slot, or has become so by news. */
+/* Do what is due for an armed slot, or what its news requires. */
 static inline void rt_watch(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                             rt_cpu_fn cpu)
 {
@@ -302,7 +303,7 @@ static inline void rt_watch(struct rt_table *t, int i, struct rt_state *s, int64
     s->fresh = 0;
 }
 
-/* Tell the task of its release; whoever acts on the trace wakes it. */
+/* Write the task's release to its slot; rt_act wakes the task. */
 static inline void rt_publish(struct rt_slot *slot)
 {
     struct rt_grant *g = &slot->grant;
@@ -310,7 +311,7 @@ static inline void rt_publish(struct rt_slot *slot)
     atomic_store_explicit(&g->dl_ns, slot->state.dl_ns, memory_order_relaxed);
     atomic_store_explicit(&g->parked, slot->state.parked, memory_order_relaxed);
     rt_show(g, &slot->state);
-    /* SYNC POINT: rt_slot_wait loads `seq` with acquire before it reads the times. */
+    /* SYNC POINT: rt_wait loads `seq` with acquire before it reads the times. */
     atomic_store_explicit(&g->seq, slot->state.seq, memory_order_release);
     atomic_fetch_add(&g->bell, 1);
 }
@@ -343,7 +344,7 @@ static inline void rt_hold(struct rt_table *t, int i)
     }
 }
 
-/* Rank the ready tasks: levels first, then wake-ups, both in order of urgency. */
+/* Rank the ready tasks: priorities first, then wake-ups, both in order of urgency. */
 static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, int park)
 {
     muf_sort(ready, n);
@@ -373,16 +374,16 @@ static inline void rt_rank(struct rt_table *t, struct muf_item *ready, int n, in
     atomic_store(&t->waiting, waiting);
 }
 
-/* Take one turn; returns the next event's instant, 0 for none.
+/* Take one turn; returns the time of the next event, 0 for none.
  *
- * `lead` marks the first turn of a new leader, which knows no task's level. The records
- * of the turn are trace[trace_end .. trace_next) until rt_turn_end.
+ * `lead` marks the first turn of a new leader, which does not know the tasks' priorities.
+ * The records of the turn are trace[trace_end .. trace_next) until rt_turn_end.
  */
 static inline int64_t rt_turn(struct rt_table *t, int64_t now, int park, int lead,
                               rt_cpu_fn cpu)
 {
     struct muf_item ready[RT_SLOTS];
-    /* SYNC POINT: rt_alloc raises `high` behind setting the slot back. */
+    /* SYNC POINT: rt_alloc raises `high` after resetting the slot. */
     int n = 0, high = (int)atomic_load_explicit(&t->high, memory_order_acquire);
     int64_t due = 0, sure = 0;
     uint64_t head = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
@@ -433,7 +434,7 @@ static inline void rt_turn_end(struct rt_table *t)
     atomic_store_explicit(&t->trace_end, t->trace_next, memory_order_release);
 }
 
-/* Finish what a dead leader had begun; the first turn with `lead` follows. */
+/* Complete what a dead leader had begun; the first turn with `lead` follows. */
 static inline void rt_recover(struct rt_table *t)
 {
     uint32_t i = t->journal_slot;

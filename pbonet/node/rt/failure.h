@@ -1,11 +1,11 @@
-/* Timing failures in the failing task's own context: signal, lock-out, bounds.
+/* Timing failures in the failing task's own context: signal, critical sections, bounds.
  *
  * The dispatcher contains a failure and sends a signal. The C handler below decides
  * whether it may be delivered now: within a cycle (or within `sync`), outside critical
  * sections, and not while the module's handler runs. Then the interpreter calls
- * Python code in the main thread, between two instructions. A timer of the task's own
- * sends the signal again until an abort has been obeyed, and bounds the handler. One
- * process is one task: its state is static.
+ * Python code in the main thread, between two instructions. A timer of the task
+ * repeats the signal until an abort has taken effect, and bounds the handler. One
+ * process is one task, so the state is static.
  */
 #ifndef PBONET_FAILURE_H
 #define PBONET_FAILURE_H
@@ -13,27 +13,27 @@
 #include "slot.h"
 
 enum { RT_OUTSIDE = 0, RT_IN_CYCLE = 1, RT_IN_SYNC = 2 };
-#define RT_AGAIN_NS INT64_C(500000)     /* an abort is repeated this often */
+#define RT_AGAIN_NS INT64_C(500000)     /* repetition interval of an abort */
 
 struct rt_failing {
     struct rt_task *task;
-    int (*interrupt)(int);      /* has the interpreter call the signal's Python code */
+    int (*interrupt)(int);      /* makes the interpreter call the signal's Python code */
     timer_t timer;
     int has_timer;
-    int64_t bound_ns;           /* a handler may take so long; then it is aborted ... */
+    int64_t bound_ns;           /* longest time of a handler before it is aborted */
     volatile sig_atomic_t where;        /* RT_OUTSIDE ... */
     volatile sig_atomic_t locked;       /* depth of critical sections */
-    volatile sig_atomic_t pending;      /* something came while locked or handling */
+    volatile sig_atomic_t pending;      /* a signal came while locked or handling */
     volatile sig_atomic_t handling;     /* the module's handler runs */
-    volatile sig_atomic_t aborting;     /* on the way to the mark */
-    volatile sig_atomic_t overdue;      /* ticks of the timer since the bound */
-    int wish_crit;              /* what the handler that runs has wished; -1 and 0: nothing */
+    volatile sig_atomic_t aborting;     /* the cycle is being unwound */
+    volatile sig_atomic_t overdue;      /* timer ticks since the bound */
+    int wish_crit;              /* requests of the running handler; -1 and 0: none */
     int64_t wish_dl_ns;
 };
 
 static struct rt_failing rt_failing = {.wish_crit = -1};
 
-/* Set the timer to the first instant and its repetition; 0, 0 stops it. */
+/* Set the timer's first expiry and its interval; 0, 0 stops it. */
 static inline void rt_set_timer(int64_t first_ns, int64_t every_ns)
 {
     struct itimerspec at = {.it_value = rt_timespec(first_ns),
@@ -42,7 +42,7 @@ static inline void rt_set_timer(int64_t first_ns, int64_t every_ns)
         timer_settime(rt_failing.timer, 0, &at, NULL);
 }
 
-/* The handler did not return: it was asked to for as long again, so end the process. */
+/* The handler exceeded its bound; end the process if it is overdue by the bound again. */
 static inline void rt_overdue(struct rt_failing *f)
 {
     f->overdue++;
@@ -75,7 +75,7 @@ static inline void rt_on_failure(int signal, siginfo_t *info, void *context)
     errno = saved;
 }
 
-/* Take the signal for `task`; an errno value when the kernel refuses. */
+/* Install the signal handler for `task`; an errno value when the kernel refuses. */
 static inline int rt_guard_failures(struct rt_task *task, int64_t bound_ns,
                                     int (*interrupt)(int))
 {
@@ -101,9 +101,9 @@ static inline void rt_unguard_failures(const struct rt_task *task)
     rt_failing.task = NULL;
 }
 
-/* Say where the task is; what comes from here on belongs there. Returns whether something
- * came since the grant began (in a copy, or while the task was held), whose signal was
- * dropped: it is to be delivered now. */
+/* Set where the task is; later signals are delivered there. Returns whether a failure came
+ * since the grant began (during a copy, or while the task was held) whose signal was
+ * dropped: it must be delivered now. */
 static inline int rt_enter(int where)
 {
     rt_failing.pending = 0;
@@ -113,7 +113,7 @@ static inline int rt_enter(int where)
     return task && (atomic_load(&task->slot->grant.failed) & 7);
 }
 
-/* Back at the mark: nothing is delivered from here on. */
+/* The cycle has returned or was unwound: nothing is delivered from here on. */
 static inline void rt_exit(void)
 {
     rt_failing.where = RT_OUTSIDE;
@@ -127,7 +127,7 @@ static inline void rt_exit(void)
     }
 }
 
-/* The kinds of failure of the grant that runs, as bits; older ones are counted. */
+/* The kinds of failure of the current grant, as bits; stale ones are counted. */
 static inline unsigned rt_take_failures(struct rt_task *task)
 {
     struct rt_grant *g = &task->slot->grant;
@@ -142,7 +142,7 @@ static inline unsigned rt_take_failures(struct rt_task *task)
     return word & 7;
 }
 
-/* Before the module's handler is called: bound it, account how long it took to come. */
+/* Before the module's handler is called: set its bound, record the delivery time. */
 static inline uint32_t rt_begin_handler(struct rt_task *task)
 {
     struct rt_stats *s = &task->slot->stats;
@@ -159,7 +159,7 @@ static inline uint32_t rt_begin_handler(struct rt_task *task)
     return atomic_load(&task->slot->grant.told);
 }
 
-/* After it, however it ended; the dispatcher takes its priority back. */
+/* After the handler, however it ended; the dispatcher takes its priority back. */
 static inline void rt_end_handler(struct rt_task *task, uint32_t told)
 {
     rt_failing.handling = rt_failing.overdue = 0;
@@ -169,14 +169,14 @@ static inline void rt_end_handler(struct rt_task *task, uint32_t told)
         rt_kick(task->table);
 }
 
-/* From here on the cycle is left; said again until the mark is reached. */
+/* Begin to abort the cycle; the signal is repeated until the cycle is unwound. */
 static inline void rt_begin_abort(void)
 {
     rt_failing.aborting = 1;
     rt_set_timer(RT_AGAIN_NS, RT_AGAIN_NS);
 }
 
-/* A critical section: signals and the loss of criticality wait for its end. */
+/* Enter a critical section: signals and the drop in criticality wait for its end. */
 static inline void rt_lock(void)
 {
     if (rt_failing.locked++ == 0 && rt_failing.task)
@@ -184,7 +184,7 @@ static inline void rt_lock(void)
                               memory_order_relaxed);
 }
 
-/* Whether something came meanwhile that is to be delivered now. */
+/* Leave it; returns whether a failure came meanwhile that must be delivered now. */
 static inline int rt_unlock(void)
 {
     struct rt_task *task = rt_failing.task;
@@ -196,7 +196,7 @@ static inline int rt_unlock(void)
     return rt_failing.pending && !rt_failing.handling;
 }
 
-/* Post a wish for the time until the next release; -1 and 0 wish nothing. */
+/* Post a wish that holds until the next release; -1 and 0 mean no wish. */
 static inline void rt_post_wish(struct rt_task *task, int crit, int64_t dl_ns)
 {
     struct rt_post *post = &task->slot->post;
@@ -207,8 +207,8 @@ static inline void rt_post_wish(struct rt_task *task, int crit, int64_t dl_ns)
     rt_kick(task->table);
 }
 
-/* A handler wishes something more. All that one call of it has wished is said each time:
- * there may be no turn between two wishes. */
+/* Add a wish of the running handler. Each post repeats all wishes of this call, because
+ * there may be no turn between two of them. */
 static inline void rt_wish(struct rt_task *task, int crit, int64_t dl_ns)
 {
     struct rt_failing *f = &rt_failing;
@@ -219,7 +219,7 @@ static inline void rt_wish(struct rt_task *task, int crit, int64_t dl_ns)
     rt_post_wish(task, f->wish_crit, f->wish_dl_ns);
 }
 
-/* A release was left out; what that took belongs to no cycle. */
+/* Count a skipped release; its CPU time belongs to no cycle. */
 static inline void rt_skipped(struct rt_task *task, uint64_t cpu_ns)
 {
     struct rt_stats *s = &task->slot->stats;
@@ -251,7 +251,7 @@ static inline int rt_is_outside(void)
 
 /* -- timed sections -- */
 
-/* The section of that name, a new one where there is room; -1: none. */
+/* The index of the section of that name, added if there is room; -1: no room. */
 static inline int rt_section(struct rt_slot *slot, const char *name)
 {
     uint32_t n = atomic_load(&slot->n_sections);

@@ -1,7 +1,7 @@
-/* Signals that a task's process takes in native code: held by the dispatcher, orphaned.
+/* Signals that a task's process handles in native code: held by the dispatcher, orphaned.
  *
- * Both must work whatever the interpreter is doing, so both are C handlers that touch
- * only atomics, futexes and write(). One process is one task: its state is static.
+ * Both must work whatever the interpreter is doing, so both are C handlers that use
+ * only atomics, futexes and write(). One process is one task, so the state is static.
  */
 #ifndef PBONET_GUARD_H
 #define PBONET_GUARD_H
@@ -24,8 +24,8 @@ static struct xm_steady *_Atomic rt_steady; /* sections in which it must not be 
 static _Atomic int rt_orphan_flag;
 static _Atomic int rt_orphan_fd = -1;
 
-/* The dispatcher holds this task: stand still here, if a cycle is under way; behind the
- * section, if it is one in which others would have to wait as well. */
+/* The dispatcher holds this task: stop here, if a cycle is under way. In a section that
+ * other tasks would have to wait for, stop after its end. */
 static inline void rt_on_park(int signal)
 {
     int saved = errno;
@@ -37,8 +37,8 @@ static inline void rt_on_park(int signal)
     errno = saved;
 }
 
-/* Tell task and dispatcher. A dispatcher that still leads, of this RTPU process or of
- * another one on the core, must give an orphan no level any more. */
+/* Report the orphan to the task and the dispatcher. A dispatcher that still leads, of this
+ * RTPU process or of another one on the core, must not give an orphan a priority. */
 static inline void rt_disown(struct rt_slot *slot)
 {
     atomic_store(&slot->config.dead, atomic_load(&rt_guarded_life));
@@ -47,9 +47,9 @@ static inline void rt_disown(struct rt_slot *slot)
     rt_request(slot, RT_ASK_ORPHAN);
 }
 
-/* The parent is gone: tell whoever looks, and let SIGALRM end us if nobody does. Nobody
- * ranks from here on, so all orphans share one level: one that hangs in a cycle would
- * otherwise keep those below it from turning themselves off. */
+/* The parent is gone: notify the task, and let SIGALRM end the process if it does not
+ * react. No dispatcher ranks the tasks from here on, so all orphans share one priority:
+ * otherwise one that hangs in a cycle would keep those below it from turning OFF. */
 static inline void rt_on_orphan(int signal)
 {
     int saved = errno;
@@ -68,7 +68,7 @@ static inline void rt_on_orphan(int signal)
         rt_disown(slot);
     rt_share_level(RT_COMMAND_LEVEL);
     if (rt_orphan_fd >= 0 && write(rt_orphan_fd, &one, sizeof one) < 0)
-        errno = saved;          /* the counter is full: it is readable all the same */
+        errno = saved;          /* the counter is full: it is readable anyway */
     errno = saved;
 }
 
@@ -80,9 +80,9 @@ static inline int rt_handle(int signal, void (*handler)(int))
     return sigaction(signal, &action, NULL) ? errno : 0;
 }
 
-/* Whichever thread takes this signal leaves it to the main thread, which has blocked it:
- * what is pending for the thread that calls execve() outlives that call, what is pending
- * for the process may be taken by a thread that the call ends. */
+/* Any thread that receives this signal redirects it to the main thread, which has blocked
+ * it: a signal pending for the thread that calls execve() survives that call; one that is
+ * pending for the process may be taken by a thread that execve() ends. */
 static inline void rt_on_leaving(int signal)
 {
     int saved = errno;
@@ -95,9 +95,9 @@ static inline int rt_leave_to_next(int signal)
     return rt_handle(signal, rt_on_leaving);
 }
 
-/* Make the task's slot the one that signals speak of; `steady` is the main thread's, which
- * takes them. The park handler must let the orphan signal through, or a held orphan would
- * never learn of it. */
+/* Set the slot that the signal handlers use; `steady` belongs to the main thread, which
+ * receives the signals. The park handler must not block the orphan signal, or a held
+ * orphan would never receive it. */
 static inline int rt_guard_slot(const struct rt_task *task, struct xm_steady *steady)
 {
     struct rt_slot *slot = task->slot;
@@ -112,13 +112,13 @@ static inline int rt_guard_slot(const struct rt_task *task, struct xm_steady *st
     return sigaction(RT_PARK_SIGNAL, &action, NULL) ? errno : 0;
 }
 
-/* The slot's memory is about to go. */
+/* Forget the slot before its memory is unmapped. */
 static inline void rt_unguard_slot(struct rt_slot *slot)
 {
     atomic_compare_exchange_strong(&rt_guarded, &slot, NULL);
 }
 
-/* Ask the kernel for `signal` at the parent's end; a descriptor, or -errno. */
+/* Ask the kernel for `signal` when the parent ends; a descriptor, or -errno. */
 static inline int rt_guard_orphan(int signal, pid_t parent)
 {
     if (rt_orphan_fd < 0) {
@@ -133,7 +133,7 @@ static inline int rt_guard_orphan(int signal, pid_t parent)
     if (prctl(PR_SET_PDEATHSIG, (unsigned long)signal, 0UL, 0UL, 0UL))
         return -errno;
     if (parent && getppid() != parent)
-        raise(signal);          /* it ended before we could ask */
+        raise(signal);          /* it ended before the request */
     return rt_orphan_fd;
 }
 
@@ -147,7 +147,7 @@ static inline void rt_timer_slack(unsigned long ns)
     prctl(PR_SET_TIMERSLACK, ns);
 }
 
-/* Make a range present for writing; not every kernel and mapping can. */
+/* Make pages present for writing; not every kernel and mapping supports it. */
 static inline int rt_populate(size_t at, size_t size)
 {
     return madvise((void *)at, size, 23 /* MADV_POPULATE_WRITE, Linux 5.14 */);
@@ -170,7 +170,7 @@ static inline int rt_lock_memory(void)
     struct rlimit limit;
     if (!getrlimit(RLIMIT_MEMLOCK, &limit) && limit.rlim_cur != RLIM_INFINITY) {
         /* Without CAP_IPC_LOCK a limit counts, and MCL_FUTURE would turn every later
-         * mmap beyond it into a MemoryError. Only a probe tells whether we have it. */
+         * mmap beyond it into a MemoryError. Only a probe shows whether we have it. */
         size_t probe = (size_t)limit.rlim_cur + 4096;
         void *at = mmap(NULL, probe, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
         if (at == MAP_FAILED)

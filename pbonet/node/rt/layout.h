@@ -1,13 +1,13 @@
-/* The core table: all that a dispatcher knows, in memory shared per user and core.
+/* The core table: the whole state of a dispatcher, in memory shared per user and core.
  *
- * Who writes what (each field has one writer at a time):
- *   config  the RTPU process that owns the slot, under the edit lock, fenced by `gen`
+ * Writers (each field has one writer at a time):
+ *   config  the RTPU process that owns the slot, under the edit lock, versioned by `gen`
  *   post    the task
- *   grant   the leading dispatcher; `bell` and `ask` by anybody, atomically
+ *   grant   the leading dispatcher; any process may write `bell` and `ask`, atomically
  *   state   the leading dispatcher alone; a standby reads it when it takes over
- *   stats   the task, fenced by `seq` for readers
- *   signals the task counts, the RTPU process masks; each number is whole
- * Nobody waits for another one here, except for the edit lock among RTPU processes.
+ *   stats   the task; `seq` lets readers detect a concurrent write
+ *   signals the task increments counts, the RTPU process sets the mask; all atomic
+ * No process waits for another one here, except for the edit lock among RTPU processes.
  */
 #ifndef PBONET_LAYOUT_H
 #define PBONET_LAYOUT_H
@@ -29,17 +29,17 @@ enum {
     RT_TURN_MAX = 16 * RT_SLOTS + 2,
     RT_BINS = 416,           /* 16 below 1 us, then 16 an octave up to 2^25 us */
     RT_VERSION = 9,
-    RT_SIGNALS = 32,         /* what a module may tell its master */
+    RT_SIGNALS = 32,         /* signals that a module may send to its master */
     RT_SECTIONS = 16,        /* timed sections of a task's cycle */
     RT_SECTION_NAME = 24,
-    RT_PIECES = 8,           /* of capacity on their way back to a sporadic server */
+    RT_PIECES = 8,           /* pending replenishments of a sporadic server */
     RT_COMMAND_LEVEL = 3,
     RT_DISPATCHER_LEVEL = 95,
 };
 #define RT_MAGIC UINT64_C(0x31656e6f63626f70)
 #define RT_MIN_PERIOD_NS INT64_C(100000)
 #define RT_LEAD_NS INT64_C(100000)
-#define RT_MARGIN_NS INT64_C(20000)      /* a timer is set no nearer than this */
+#define RT_MARGIN_NS INT64_C(20000)      /* minimum time ahead of a timer */
 #define RT_HOLD_OFF_NS INT64_C(1000000)  /* how long a critical section defers a drop */
 #define RT_HANDLER_NS INT64_C(1000000)   /* CPU time of a handler at its own priority */
 #define RT_STALL_NS INT64_C(20000000)
@@ -51,11 +51,11 @@ enum rt_kind { RT_PERIODIC = 0, RT_SYNCHRONOUS = 1, RT_DEFERRABLE = 2, RT_SPORAD
                RT_BACKGROUND = 4 };
 enum rt_backend { RT_NONE = 0, RT_FIFO = 1, RT_PARK = 2 };
 enum rt_failure { RT_DEADLINE = 0, RT_MAXEXEC = 1, RT_MINEXEC = 2, RT_FAILURES = 3 };
-enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task ended itself */
-enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was it armed before? */
+enum { RT_HANDLER_HANGS = 2 };         /* in post.locked: why the task killed itself */
+enum { RT_FELL = 1, RT_FELL_ARMED = 2 };  /* in post.fell: was the task armed before? */
 enum rt_ask { RT_ASK_COMMAND = 1, RT_ASK_ORPHAN = 2, RT_ASK_LAST = 4 };
 
-/* One record of the trace; pbonet/analysis/schedule/events.py says what the kinds mean. */
+/* One record of the trace; pbonet/analysis/schedule/events.py describes the kinds. */
 struct rt_event {
     int64_t a, b;
     uint32_t arg;
@@ -71,7 +71,7 @@ enum rt_event_kind {
 
 struct rt_config {
     _Atomic uint32_t gen;    /* odd while being written */
-    _Atomic uint32_t life;   /* odd while allocated; rises with every alloc and free */
+    _Atomic uint32_t life;   /* odd while allocated; incremented by every alloc and free */
     _Atomic uint32_t dead;   /* the life whose task has died or is an orphan */
     _Atomic int32_t pid;
     _Atomic int32_t kind, crit, priority;
@@ -81,9 +81,9 @@ struct rt_config {
     _Atomic int32_t drop;               /* criticality once maxc is used up */
     _Atomic int32_t handler;            /* of the failure handler; 0: the task's own */
     _Atomic int32_t tells;              /* the module has a failure handler */
-    _Atomic int32_t after_kind;         /* rt_after: when it is engaged ... */
-    _Atomic uint64_t after[RT_MASKS];  /* ... and by whose end, by slot */
-    _Atomic uint64_t callers;           /* who have not called yet; see call.h */
+    _Atomic int32_t after_kind;         /* rt_after: what engages the task ... */
+    _Atomic uint64_t after[RT_MASKS];   /* ... and which slots it depends on */
+    _Atomic uint64_t callers;           /* callers that have not called yet; see call.h */
     char rtpu[RT_NAME], task[RT_NAME];
 };
 
@@ -91,10 +91,10 @@ struct rt_post {
     _Alignas(64) _Atomic uint32_t word; /* mode | arming count << 2 | returns << 17 */
     _Atomic uint32_t begun;             /* number of the last grant begun ... */
     _Atomic uint32_t done;              /* ... and ended */
-    _Atomic uint32_t events;            /* begun and ended: odd while one is served */
-    _Atomic uint32_t handled;           /* failures whose handler has ended */
+    _Atomic uint32_t events;            /* begins plus ends: odd while one is served */
+    _Atomic uint32_t handled;           /* failures whose handler has returned */
     _Atomic uint32_t locked;            /* in a critical section */
-    _Atomic uint32_t fell;              /* not 0: it is in ERROR; which: above */
+    _Atomic uint32_t fell;              /* not 0: the task is in ERROR; values: above */
     _Atomic uint32_t wish;              /* changes with the two below */
     _Atomic int32_t wish_crit;          /* -1: none */
     _Atomic int64_t wish_dl_ns;         /* absolute; 0: none */
@@ -103,29 +103,29 @@ struct rt_post {
 };
 
 struct rt_grant {
-    _Alignas(64) _Atomic uint32_t bell; /* futex: changes whenever the task must look */
+    _Alignas(64) _Atomic uint32_t bell; /* futex: changes when the task must wake up */
     _Atomic uint32_t seq;               /* number of the last grant */
     _Atomic uint32_t ask;               /* rt_ask bits */
     _Atomic uint32_t parked;            /* futex: not 0 while the task is held */
-    _Atomic uint32_t skip;              /* number of a grant that is not to be begun */
-    _Atomic uint32_t failed;            /* kinds of failure | grant << 3, to be told */
-    _Atomic uint32_t told;              /* how often a handler was sent for */
-    _Atomic uint32_t forced;            /* the grant whose critical section is over */
+    _Atomic uint32_t skip;              /* number of a grant that must not begin */
+    _Atomic uint32_t failed;            /* kinds of failure to deliver | grant << 3 */
+    _Atomic uint32_t told;              /* number of failures sent to the handler */
+    _Atomic uint32_t forced;            /* the grant whose critical section is cut short */
     _Atomic uint32_t owed;              /* a drop waits for the section's end */
-    _Atomic uint32_t look;              /* number of the look that counts on its end */
+    _Atomic uint32_t look;              /* number of the check that its end cancels */
     _Atomic int64_t failed_ns;          /* when the last failure was found */
     _Atomic int64_t rel_ns, dl_ns;      /* of the last grant */
-    _Atomic int32_t crit;               /* that it has now */
+    _Atomic int32_t crit;               /* current criticality */
     _Atomic uint64_t failures[RT_FAILURES];
     _Atomic uint64_t overruns, held_off; /* maxc used up; sections that took too long */
-    _Atomic uint64_t missed;            /* as in `state`, for whoever reads ... */
-    _Atomic int32_t level;              /* ... the status; and ... */
-    _Atomic uint32_t life;              /* ... which life the dispatcher serves */
-    _Atomic uint32_t fell;              /* who stands by for it is engaged at once */
+    _Atomic uint64_t missed;            /* copy of `state`, for readers of the status */
+    _Atomic int32_t level;              /* likewise */
+    _Atomic uint32_t life;              /* the life that the dispatcher serves */
+    _Atomic uint32_t fell;              /* a standby of this task is engaged at once */
 };
 
 struct rt_piece {
-    int64_t at_ns, ns;                  /* capacity that comes back, and when */
+    int64_t at_ns, ns;                  /* when capacity is replenished, and how much */
 };
 
 struct rt_state {
@@ -134,15 +134,15 @@ struct rt_state {
     uint32_t gen, life, word, seq;
     int32_t pid, crit, priority, kind, level;
     uint8_t dead, armed, ready, granted, begun, parked;
-    /* what failures and reserves need; see watch.h */
+    /* for failures and reserves; see watch.h */
     uint8_t tells, spent, late, sure, skip, handling, owed, fresh, active, n_pieces;
     uint8_t engaged, fell;              /* see standby.h */
-    int32_t rank, drop, handler;        /* rank: the criticality that it has now */
+    int32_t rank, drop, handler;        /* rank: the current criticality */
     uint32_t told, handled, wish;
-    uint32_t heard;                     /* `post.events` of a device, taken in */
+    uint32_t heard;                     /* `post.events` of a device, as last read */
     int64_t minc, maxc;
-    int64_t clock, mark;                /* CPU clock: last read; where a reserve began */
-    int64_t check_ns;                   /* when to look at it next; 0: not */
+    int64_t clock, mark;                /* CPU clock: last read; start of the reserve */
+    int64_t check_ns;                   /* time of the next check; 0: none */
     int64_t locked_ns;                  /* when a critical section is forced to end */
     int64_t handler_mark;
     int64_t left;                       /* of a server's capacity */
@@ -150,11 +150,11 @@ struct rt_state {
     uint64_t failures[RT_FAILURES], overruns, held_off;
     struct rt_piece pieces[RT_PIECES];
     int32_t after_kind;
-    uint32_t ticket;                    /* of the calls that it waits for; 0: for none */
+    uint32_t ticket;                    /* of the calls that it waits for; 0: none */
     uint64_t after[RT_MASKS];
 };
 
-struct rt_section {                     /* a timed part of the cycle, by the task */
+struct rt_section {                     /* a timed part of the cycle, written by the task */
     char name[RT_SECTION_NAME];
     _Atomic uint64_t count, total_ns, min_ns, max_ns;
 };
@@ -166,16 +166,16 @@ struct rt_stats {
     _Atomic uint64_t on_cycles, on_missed, on_cpu_ns, on_faults;
     _Atomic uint64_t cpu_total_ns, cpu_last_ns, cpu_min_ns, cpu_max_ns;
     _Atomic uint64_t cpu_first_ns;       /* of the first cycle after `on` */
-    _Atomic uint64_t cpu_mark_ns;        /* the thread's clock where this cycle counts from */
+    _Atomic uint64_t cpu_mark_ns;        /* the thread's CPU clock at this cycle's start */
     _Atomic uint64_t copy_in_ns, copy_out_ns, jitter_max_ns;
     _Atomic uint64_t aborted, skipped, handlers, stale_failures;
-    _Atomic uint64_t delivery_last_ns, delivery_max_ns; /* failure to handler's begin */
+    _Atomic uint64_t delivery_last_ns, delivery_max_ns; /* failure to handler's start */
     _Atomic uint64_t jitter[RT_BINS], cpu[RT_BINS];
 };
 
 struct rt_signals {
-    _Alignas(64) _Atomic uint32_t mask; /* bits that nobody wants */
-    _Atomic uint64_t counts[RT_SIGNALS]; /* sent and not masked; never go down */
+    _Alignas(64) _Atomic uint32_t mask; /* bits that no program listens to */
+    _Atomic uint64_t counts[RT_SIGNALS]; /* sent and not masked; never decrease */
 };
 
 struct rt_slot {
@@ -184,7 +184,7 @@ struct rt_slot {
     struct rt_post post;
     struct rt_grant grant;
     struct rt_state state;
-    _Atomic uint64_t errors;            /* dispatcher: calls that the kernel refused */
+    _Atomic uint64_t errors;            /* kernel calls of the dispatcher that failed */
     struct rt_stats stats;
     struct rt_signals signals;
     _Atomic uint32_t n_sections;
@@ -193,7 +193,7 @@ struct rt_slot {
 
 struct rt_member {
     _Atomic int32_t pid;                /* 0: free */
-    uint64_t start;                     /* start time of the process, tells reuse */
+    uint64_t start;                     /* start time of the process; detects reuse */
 };
 
 struct rt_table {
@@ -201,35 +201,35 @@ struct rt_table {
     uint32_t version, size;
     int32_t core;
     uint32_t trace_size;
-    struct rt_member members[RT_MEMBERS];   /* up to here the same in every version */
-    pthread_mutex_t leader;             /* robust; held for life by who leads */
+    struct rt_member members[RT_MEMBERS];   /* the fields so far are fixed in all versions */
+    pthread_mutex_t leader;             /* robust; the leader holds it for life */
     pthread_mutex_t edit;               /* robust; members, lives and configs */
 
     _Alignas(64) _Atomic uint32_t mailbox;  /* futex: changes when there is news */
     _Atomic uint32_t fallen;            /* futex: changes when a task goes to ERROR */
-    _Atomic uint32_t waiting;           /* park: somebody waits for a cycle to end */
+    _Atomic uint32_t waiting;           /* park: tasks that wait for a cycle to end */
     _Atomic uint32_t high;              /* slots ever used: the bound of every scan */
     _Atomic int32_t backend;            /* rt_backend of the leader */
     _Atomic int32_t leader_pid, leader_tid;
     _Atomic int32_t look_tid, look_fd;  /* the leader's; see look.h */
-    _Atomic uint32_t look_life;         /* changes with every leader's timer */
+    _Atomic uint32_t look_life;         /* incremented for each new leader's timer */
     _Atomic int64_t since_ns;
     _Atomic uint64_t turns, releases, level_changes, errors, takeovers;
-    _Atomic int64_t late_max_ns;        /* a turn behind the event it was to serve */
-    _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stood */
-    _Atomic int64_t virtual_ns;         /* the time, where it is virtual; else 0 */
-    int64_t due_ns;                     /* what the last turn sleeps for ... */
+    _Atomic int64_t late_max_ns;        /* longest delay of a turn after its event */
+    _Atomic uint64_t stalls, stalled_ns; /* turns later than RT_STALL_NS: the core stalled */
+    _Atomic int64_t virtual_ns;         /* the time, if it is virtual; else 0 */
+    int64_t due_ns;                     /* when the next turn is due ... */
     _Atomic int64_t sure_ns;            /* ... even if every cycle ends before */
-    _Atomic int64_t look_ns;            /* what the timer of a look is set for; 0: not */
-    _Atomic uint64_t look;              /* number << 32 | cycles that it is for */
-    _Atomic uint64_t spared;            /* looks that were taken back in time */
+    _Atomic int64_t look_ns;            /* when the timer of a check expires; 0: stopped */
+    _Atomic uint64_t look;              /* number << 32 | cycles still under way */
+    _Atomic uint64_t spared;            /* checks that were cancelled in time */
 
-    uint32_t journal_slot;              /* a state that is being replaced ... */
+    uint32_t journal_slot;              /* the slot whose state is being replaced ... */
     _Atomic uint32_t journal_valid;
-    struct rt_state journal;            /* ... and by what */
+    struct rt_state journal;            /* ... and its new state */
 
-    _Alignas(64) _Atomic uint64_t trace_end;  /* records of complete turns */
-    uint64_t trace_next;                /* ... and of the one under way */
+    _Alignas(64) _Atomic uint64_t trace_end;  /* number of records of complete turns */
+    uint64_t trace_next;                /* ... including the turn under way */
     struct rt_event trace[RT_TRACE];
     struct rt_slot slots[RT_SLOTS];
 };

@@ -1,19 +1,19 @@
-/* A look at a cycle costs a turn only where the cycle still runs.
+/* Cancellable checks ("looks"): a check costs a turn only if the cycle still runs.
  *
- * Deadlines and reserves are looked at when they could be missed or used up; mostly the
- * cycle has ended by then, and being woken for that is the dearest thing that the
- * dispatcher does. So under `fifo` it sleeps until the next release, and a timer in a
- * file descriptor stands for the look. Whoever ends the last cycle that the look is for
- * stops that timer, one call into the kernel, and the dispatcher never wakes up for it.
- * When the timer does run out, a second thread of the leader's rings the mailbox.
+ * Deadlines and reserves are checked when they could be missed or used up. Mostly the
+ * cycle has ended by then, and a wake-up is the most expensive thing that the dispatcher
+ * does. So under `fifo` it sleeps until the next release, and a timerfd represents the
+ * check. The task that ends the last cycle covered by the check stops that timer with one
+ * system call, and the dispatcher is not woken. If the timer does expire, a second thread
+ * of the leader rings the mailbox.
  *
- * `look` in the table holds a number and a count of cycles that are looked at. The
- * dispatcher writes it anew, with the next number, in every turn that wants a look; a
- * task takes one off only while the number is that of its own grant. Tasks of a core run
- * below the dispatcher on the same core, so a turn is atomic to them, and a turn that
- * comes between a task's steps changes the number. A task that was killed amid these
- * steps, or that could not get at the descriptor, leaves the timer as it is: then it runs
- * out, and the look finds nothing to do.
+ * `look` in the table holds a number and a count of checked cycles. The dispatcher writes
+ * it with the next number in every turn that needs a check; a task decrements the count
+ * only while the number is that of its own grant. The tasks of a core run below the
+ * dispatcher on the same core, so a turn is atomic to them, and a turn that comes between
+ * two steps of a task changes the number. A task that is killed between these steps, or
+ * that cannot get the descriptor, leaves the timer running: it expires, and the check
+ * finds nothing to do.
  */
 #ifndef PBONET_LOOK_H
 #define PBONET_LOOK_H
@@ -23,12 +23,12 @@
 #include <sys/timerfd.h>
 
 struct rt_look {
-    uint32_t life;              /* of the leader's timer that `fd` is; 0: not asked yet */
+    uint32_t life;              /* the leader's timer that `fd` refers to; 0: none yet */
     int fd;
 };
 
-/* The leader's timer as a descriptor of this process; -1: not to be had, and not tried
- * again before there is another leader. */
+/* The leader's timer as a descriptor of this process; -1: not available, and not tried
+ * again until there is another leader. */
 static inline int rt_look_fd(struct rt_look *look, struct rt_table *t)
 {
     uint32_t life = atomic_load(&t->look_life);
@@ -46,8 +46,8 @@ static inline int rt_look_fd(struct rt_look *look, struct rt_table *t)
     return look->fd;
 }
 
-/* The caller's cycle has ended; if it was the last one looked at, nothing is left to look
- * at. Behind the store that says that it has ended. */
+/* Count the caller's cycle off; if it was the last one to check, stop the timer. To be
+ * called after the store that marks the cycle as ended. */
 static inline void rt_spare(struct rt_table *t, struct rt_slot *slot, struct rt_look *look)
 {
     static const struct itimerspec off;
@@ -64,7 +64,7 @@ static inline void rt_spare(struct rt_table *t, struct rt_slot *slot, struct rt_
         return;
     atomic_store(&t->look_ns, 0);
     if (atomic_load(&t->look) >> 32 != mine)
-        rt_kick(t);             /* a turn came between: what it set may be gone */
+        rt_kick(t);             /* a turn came between: its timer may be stopped */
     else
         atomic_fetch_add_explicit(&t->spared, 1, memory_order_relaxed);
 }

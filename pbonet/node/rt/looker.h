@@ -1,4 +1,4 @@
-/* The leader's side of look.h: the timer, and the thread that it wakes. */
+/* The leader's side of look.h: the timer, and the thread that waits for it. */
 #ifndef PBONET_LOOKER_H
 #define PBONET_LOOKER_H
 
@@ -12,7 +12,7 @@ struct rt_looker {
     _Atomic int stop;
 };
 
-/* Whether the slot has something under way whose end takes a look off. */
+/* Whether the slot has a cycle or event under way whose end counts against a check. */
 static inline int rt_busy(struct rt_slot *slot)
 {
     const struct rt_state *s = &slot->state;
@@ -23,12 +23,12 @@ static inline int rt_busy(struct rt_slot *slot)
     return s->ready && !(s->granted && atomic_load(&slot->post.done) == s->seq);
 }
 
-/* Number the look, and count who must end before it is needless. */
+/* Number the check, and count the cycles that must end to make it unnecessary. */
 static inline void rt_count_looked(struct rt_table *t)
 {
     uint32_t number = (uint32_t)(atomic_load(&t->look) >> 32) + 1;
     uint64_t count = 0;
-    number += !number;          /* 0 is nobody's */
+    number += !number;          /* 0 means none */
     for (uint32_t i = 0; i < atomic_load(&t->high); i++)
         if (rt_busy(&t->slots[i])) {
             atomic_store_explicit(&t->slots[i].grant.look, number, memory_order_relaxed);
@@ -44,7 +44,7 @@ static inline void rt_set_look(struct rt_looker *looker, int64_t at)
     timerfd_settime(looker->fd, TFD_TIMER_ABSTIME, &when, NULL);
 }
 
-/* Sleep until there is mail, or `due`; a look before the next sure event is the timer's. */
+/* Sleep until mail or `due`; the timer handles a check before the next certain event. */
 static inline void rt_sleep(struct rt_looker *looker, uint32_t mail, int64_t due)
 {
     struct rt_table *t = looker->table;
@@ -75,7 +75,8 @@ static inline void *rt_looker_thread(void *arg)
     return NULL;
 }
 
-/* Set it up beside a dispatcher under `fifo`; without it a look is slept for. */
+/* Start the timer's thread beside a dispatcher under `fifo`; without it the dispatcher
+ * itself wakes up for checks. */
 static inline void rt_looker_start(struct rt_looker *looker, struct rt_table *t)
 {
     pthread_attr_t attr;

@@ -1,9 +1,9 @@
 /* The dispatcher's thread: lead or stand by, sleep, take a turn, act on it.
  *
  * The thread belongs to no interpreter. Leadership is a robust mutex held for life: when
- * the leader's process dies, the kernel hands it to a standby, which finds everything it
- * needs in the table. Under `fifo` the thread stands above its tasks on their own core,
- * so whatever it does is atomic to them; under `park` it stands beside them.
+ * the leader's process dies, the kernel gives the mutex to a standby, which finds all it
+ * needs in the table. Under `fifo` the thread has a higher priority than its tasks on their
+ * own core, so what it does is atomic to them; under `park` it runs on another core.
  */
 #ifndef PBONET_LOOP_H
 #define PBONET_LOOP_H
@@ -27,7 +27,7 @@ static inline void rt_refused(struct rt_table *t, int i, int error)
     struct rt_slot *slot = &t->slots[i];
     atomic_fetch_add(&slot->errors, 1);
     atomic_fetch_add(&t->errors, 1);
-    if (error == ESRCH)         /* gone before its parent told us */
+    if (error == ESRCH)         /* gone before its parent reported it */
         atomic_store(&slot->config.dead, slot->state.life);
 }
 
@@ -38,7 +38,7 @@ static inline void rt_signal(struct rt_table *t, int i, int signal)
         rt_refused(t, i, errno);
 }
 
-/* Tell the task of a failure: what and of which grant first, then the signal. */
+/* Notify the task of a failure: first its kind and grant, then the signal. */
 static inline void rt_tell(struct rt_table *t, int i, const struct rt_event *e)
 {
     struct rt_grant *g = &t->slots[i].grant;
@@ -57,7 +57,7 @@ static inline int64_t rt_task_cpu(const struct rt_slot *slot)
     return slot->state.pid > 0 ? rt_process_cpu(slot->state.pid) : 0;
 }
 
-/* Do what one record says. */
+/* Carry out one record. */
 static inline void rt_act(struct rt_table *t, const struct rt_event *e, int backend)
 {
     struct rt_slot *slot = &t->slots[e->slot];
@@ -94,7 +94,7 @@ static inline void rt_act(struct rt_table *t, const struct rt_event *e, int back
     }
 }
 
-/* Whether the task that holds others up ended its cycle while the turn was taken. */
+/* Whether the task that delays others ended its cycle while the turn was taken. */
 static inline int rt_top_done(struct rt_table *t)
 {
     if (!atomic_load(&t->waiting))
@@ -107,12 +107,12 @@ static inline int rt_top_done(struct rt_table *t)
     return 0;
 }
 
-/* One turn with its acts; returns when to wake up (0: on news only). */
+/* Take one turn and act on it; returns when to wake up (0: on news only). */
 static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
 {
     int64_t now = rt_now(), due = t->due_ns;
     if (backend == RT_FIFO && due && !atomic_load(&t->look_ns))
-        due = atomic_load(&t->sure_ns);     /* no look, or it was taken back */
+        due = atomic_load(&t->sure_ns);     /* no check, or it was cancelled */
     if (due && now - due > atomic_load_explicit(&t->late_max_ns, memory_order_relaxed))
         atomic_store_explicit(&t->late_max_ns, now - due, memory_order_relaxed);
     if (due && now - due > RT_STALL_NS) {
@@ -129,7 +129,7 @@ static inline int64_t rt_once(struct rt_table *t, int backend, int lead)
     return due;
 }
 
-/* Wake every task: what a dead leader had decided may not have been acted on. */
+/* Wake every task: a dead leader may not have acted on its last decisions. */
 static inline void rt_wake_all(struct rt_table *t)
 {
     for (uint32_t i = 0; i < atomic_load(&t->high); i++) {
@@ -154,7 +154,7 @@ static inline void rt_lead(struct rt_loop *loop)
     if (loop->backend == RT_FIFO)
         rt_looker_start(&loop->looker, t);
     while (!atomic_load(&loop->stop)) {
-        /* SYNC POINT: rt_kick adds to the mailbox after its news; whatever comes after
+        /* SYNC POINT: rt_kick adds to the mailbox after its news; anything that comes after
          * this load changes the word that the sleep compares. */
         uint32_t mail = atomic_load(&t->mailbox);
         int64_t due = rt_once(t, loop->backend, lead);
@@ -163,14 +163,14 @@ static inline void rt_lead(struct rt_loop *loop)
             rt_sleep(&loop->looker, mail, due);
     }
     rt_looker_stop(&loop->looker);
-    for (uint32_t i = 0; i < RT_SLOTS; i++) {   /* nobody stays held without us */
+    for (uint32_t i = 0; i < RT_SLOTS; i++) {   /* no task stays held without a leader */
         t->slots[i].state.parked = 0;
         atomic_store(&t->slots[i].grant.parked, 0);
         rt_futex_wake(&t->slots[i].grant.parked);
     }
 }
 
-/* Become the leader; 0 when told to stop instead. Looks up ten times a second. */
+/* Become the leader; 0 when asked to stop instead. Checks ten times a second. */
 static inline int rt_stand_by(struct rt_loop *loop, int *died)
 {
     struct rt_table *t = loop->table;
@@ -211,7 +211,7 @@ static inline void *rt_thread(void *arg)
     return NULL;
 }
 
-/* The core for the thread: its tasks' own under `fifo`, else any other one. */
+/* The core for the thread: its tasks' own under `fifo`, otherwise any other one. */
 static inline void rt_choose_core(int backend, int core, cpu_set_t *set)
 {
     cpu_set_t own;
@@ -224,7 +224,7 @@ static inline void rt_choose_core(int backend, int core, cpu_set_t *set)
         *set = own;
 }
 
-/* Start a thread at a level that holds under `fifo`; an errno value when refused. */
+/* Start a thread, under `fifo` at priority `level`; an errno value when refused. */
 static inline int rt_spawn_thread(pthread_t *thread, int backend, int core, int level,
                                   void *(*run)(void *), void *arg)
 {
@@ -240,7 +240,7 @@ static inline int rt_spawn_thread(pthread_t *thread, int backend, int core, int 
     pthread_attr_setschedparam(&attr, &param);
     pthread_attr_setaffinity_np(&attr, sizeof set, &set);
     sigfillset(&all);           /* signals are for the interpreter's threads, */
-    sigdelset(&all, SIGBUS);    /* but for a table cut short: survive.h */
+    sigdelset(&all, SIGBUS);    /* except for a truncated table: survive.h */
     pthread_sigmask(SIG_SETMASK, &all, &old);
     int error = pthread_create(thread, &attr, run, arg);
     pthread_sigmask(SIG_SETMASK, &old, NULL);
@@ -278,7 +278,7 @@ static inline void *rt_nothing(void *arg)
     return arg;
 }
 
-/* Whether the kernel gives a thread the dispatcher's level: 0, or why not. */
+/* Whether the kernel grants a thread the dispatcher's priority: 0, or an errno value. */
 static inline int rt_try_fifo(void)
 {
     pthread_attr_t attr;

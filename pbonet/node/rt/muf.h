@@ -1,7 +1,7 @@
-/* Maximum urgency first: rank the ready tasks and hand out FIFO levels.
+/* Maximum urgency first: rank the ready tasks and assign FIFO priorities.
  *
- * A property test drives it in step with tests/oracles/plain_dispatcher/levels.py. No
- * memory is allocated, and nothing outside the arguments is touched.
+ * A property test runs it in step with tests/oracles/plain_dispatcher/levels.py. It
+ * allocates no memory and changes nothing but its arguments.
  */
 #ifndef PBONET_MUF_H
 #define PBONET_MUF_H
@@ -13,7 +13,7 @@ enum { MUF_MAX = 128, MUF_LOW = 4, MUF_HIGH = 84 };
 struct muf_item {
     int64_t deadline, since;    /* absolute; since: first come, first served */
     int32_t crit, priority;
-    int32_t level;              /* held; 0: none */
+    int32_t level;              /* current one; 0: none */
     int32_t slot;
 };
 
@@ -31,7 +31,7 @@ static inline int muf_before(const struct muf_item *a, const struct muf_item *b)
     return a->slot < b->slot;
 }
 
-/* Order items, most urgent first. Insertion: few are ready at a time. */
+/* Sort items, most urgent first. Insertion sort: few are ready at a time. */
 static inline void muf_sort(struct muf_item *items, int n)
 {
     for (int i = 1; i < n; i++) {
@@ -43,10 +43,10 @@ static inline void muf_sort(struct muf_item *items, int n)
     }
 }
 
-/* The places whose levels can stay so that the others fit between them.
+/* Choose the places whose levels can stay so that the others fit between them.
  *
- * Level plus place must not rise from an upper to a lower kept task; the longest such
- * choice is found by the usual chains, whose best ends fall with their length.
+ * Level plus place must strictly decrease from each kept task to the next; the longest
+ * such choice is a longest decreasing subsequence, found with the usual array of ends.
  */
 static inline int muf_keep(const struct muf_item *items, int n, int floor, int ceiling,
                            int *kept)
@@ -74,7 +74,7 @@ static inline int muf_keep(const struct muf_item *items, int n, int floor, int c
     return chains;
 }
 
-/* Give ranked items the levels `low` to `high`, strictly falling, few changes. */
+/* Give ranked items strictly decreasing levels, `high` to `low`, with few changes. */
 static inline void muf_assign(struct muf_item *items, int n, int low, int high)
 {
     int kept[MUF_MAX], room = high - low + 1;

@@ -1,4 +1,4 @@
-"""Which real-time rights a process has, and a sentence for each one that it lacks."""
+"""Determine a process's real-time rights, with a sentence for each one it lacks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def probe(errno: int) -> Probe:
     """Return the rights of this process.
 
     Args:
-        errno: What the kernel answered when a thread asked for SCHED_FIFO; 0: yes.
+        errno: The kernel's answer to a request for SCHED_FIFO; 0: granted.
     """
     rtprio = _limit(resource.RLIMIT_RTPRIO)
     memlock = _limit(resource.RLIMIT_MEMLOCK)
@@ -83,7 +83,7 @@ def _why_no_fifo(errno: int, rtprio: int, budget: int | None, *, nice: bool) -> 
 
 
 def _throttling(runtime: int, period: int) -> list[str]:
-    """Say when the kernel gives real-time tasks less than verification plans with."""
+    """Report when the kernel gives real-time tasks less than verification assumes."""
     wanted = round(PLANNED * period)
     if runtime < 0 or runtime >= wanted:
         return []
@@ -114,7 +114,7 @@ def _capable(bit: int) -> bool:
 
 
 def _cgroup_budget() -> int | None:
-    """Return cpu.rt_runtime_us of our v1 cpu group; None where there is none."""
+    """Return cpu.rt_runtime_us of our cgroup-v1 cpu group; None if there is none."""
     place = mount = None
     for line in Path("/proc/self/cgroup").read_text("utf-8").splitlines():
         _, controllers, path = line.split(":", 2)

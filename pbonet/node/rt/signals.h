@@ -1,14 +1,14 @@
-/* Signals from a task to its master, counted where nothing can be dropped.
+/* Signals from a task to its master, counted so that none is lost.
  *
- * The task adds, the RTPU process reads and masks; nobody waits. A counter is bumped
- * with one atomic addition, for a module may have threads of its own.
+ * The task adds, the RTPU process reads and masks; neither waits. A counter is incremented
+ * with one atomic addition, because a module may have threads of its own.
  */
 #ifndef PBONET_SIGNALS_H
 #define PBONET_SIGNALS_H
 
 #include "layout.h"
 
-/* Count what is not masked, and return it. */
+/* Count the signals that are not masked, and return them. */
 static inline uint32_t rt_send_signal(struct rt_slot *slot, uint32_t bits)
 {
     struct rt_signals *s = &slot->signals;

@@ -1,7 +1,7 @@
-/* The task's end of its slot: arm, wait for a release, hold still when told, account.
+/* The task's side of its slot: arm, wait for a release, stop when held, account.
  *
  * Nothing here allocates, logs or takes a lock. The task writes `post` and `stats`, the
- * dispatcher `grant`; see layout.h.
+ * dispatcher writes `grant`; see layout.h.
  */
 #ifndef PBONET_SLOT_H
 #define PBONET_SLOT_H
@@ -19,8 +19,8 @@ enum rt_wait { RT_RELEASED = 0, RT_WAIT_COMMAND = 1, RT_WAIT_ORPHAN = 2, RT_WAIT
 struct rt_task {
     struct rt_table *table;
     struct rt_slot *slot;
-    int kind;                   /* but for periodic ones, a grant lasts until OFF */
-    uint32_t seq;               /* of the release that is being run */
+    int kind;                   /* unless periodic, a grant lasts until OFF */
+    uint32_t seq;               /* of the current release */
     int64_t rel_ns, dl_ns;
     struct rt_look look;
 };
@@ -60,7 +60,7 @@ static inline uint64_t rt_faults(void)
     return getrusage(RUSAGE_THREAD, &use) ? 0 : (uint64_t)use.ru_minflt;
 }
 
-/* SYNC POINT: readers of the stats look at `seq` before and after, in rt_snapshot. */
+/* SYNC POINT: readers of the stats (rt_snapshot) read `seq` before and after. */
 static inline void rt_stats_begin(struct rt_stats *s)
 {
     atomic_store_explicit(&s->seq, s->seq + 1, memory_order_relaxed);
@@ -72,14 +72,14 @@ static inline void rt_stats_end(struct rt_stats *s)
     atomic_store_explicit(&s->seq, s->seq + 1, memory_order_release);
 }
 
-/* The number of the cycle that runs, as failures name it. */
+/* The number of the current cycle, by which failures refer to it. */
 static inline uint32_t rt_number_of(const struct rt_task *task)
 {
     return task->kind == RT_SYNCHRONOUS ? atomic_load(&task->slot->post.events)
                                         : task->seq;
 }
 
-/* Nothing is served any more; whether something was. */
+/* End the event that is served; returns whether there was one. */
 static inline int rt_end_event(struct rt_task *task)
 {
     uint32_t odd = atomic_load(&task->slot->post.events) & 1;
@@ -88,7 +88,7 @@ static inline int rt_end_event(struct rt_task *task)
     return (int)odd;
 }
 
-/* The word of a new arming: what was granted before is stale. */
+/* Return the word of a new arming, and mark all earlier grants as done. */
 static inline uint32_t rt_anew(struct rt_task *task, uint32_t word)
 {
     struct rt_slot *slot = task->slot;
@@ -106,7 +106,7 @@ static inline void rt_stand_by_for(struct rt_task *task)
     rt_kick(task->table);
 }
 
-/* Ask for releases: a new arming after OFF, else on with the old one. */
+/* Ask for releases: with a new arming after OFF, otherwise with the old one. */
 static inline void rt_arm(struct rt_task *task)
 {
     struct rt_slot *slot = task->slot;
@@ -139,9 +139,9 @@ static inline void rt_arm(struct rt_task *task)
     rt_kick(task->table);
 }
 
-/* Go to the level of commands, below every cycle; an errno value when refused. Where no
- * dispatcher leads any more, a level that one gave is given back all the same. An orphan
- * shares that level with others already. */
+/* Go to the priority of commands, below every cycle; an errno value if refused. A
+ * real-time priority from an earlier dispatcher is lowered even if none leads any more. An
+ * orphan already shares that priority with others. */
 static inline int rt_command_level(const struct rt_task *task)
 {
     int policy = sched_getscheduler(0) & ~SCHED_RESET_ON_FORK;
@@ -152,7 +152,7 @@ static inline int rt_command_level(const struct rt_task *task)
     return rt_set_level(0, RT_COMMAND_LEVEL);
 }
 
-/* Leave the cycles for a command, or for good; the level goes first to nobody. */
+/* Leave the cycles for a command, or for good; the priority is lowered first. */
 static inline int rt_leave(struct rt_task *task, int mode)
 {
     struct rt_slot *slot = task->slot;
@@ -166,9 +166,9 @@ static inline int rt_leave(struct rt_task *task, int mode)
     return error;
 }
 
-/* The task is in ERROR: whoever stands by for it is engaged, and the flag goes up. It says
- * itself whether it was armed, for the dispatcher may not have seen that. Once more in
- * ERROR it has not been armed since. */
+/* Put the task in ERROR: its standby is engaged, and the flag is raised. The task itself
+ * records whether it was armed, because the dispatcher may not have seen that. A second
+ * ERROR in a row keeps the first record: the task has not been armed since. */
 static inline int rt_fall(struct rt_task *task)
 {
     struct rt_post *post = &task->slot->post;
@@ -183,8 +183,8 @@ static inline int rt_fall(struct rt_task *task)
     return error;
 }
 
-/* Leave in order. One that is in ERROR no more has fallen no more: who stands by for it
- * from now on is not engaged by what was. */
+/* Go OFF in order. A task that leaves ERROR no longer counts as fallen: a standby that is
+ * assigned from now on is not engaged by the earlier failure. */
 static inline int rt_rest(struct rt_task *task)
 {
     struct rt_post *post = &task->slot->post;
@@ -197,7 +197,7 @@ static inline int rt_rest(struct rt_task *task)
     return 0;
 }
 
-/* Whether the cycle that has just ended was to be the last one; asked once. */
+/* Whether the cycle that has just ended was to be the last one; true only once. */
 static inline int rt_was_last(struct rt_task *task)
 {
     _Atomic uint32_t *ask = &task->slot->grant.ask;
@@ -207,13 +207,13 @@ static inline int rt_was_last(struct rt_task *task)
 }
 
 /* Wait for a release, a command, or the parent's end. `served`: a cycle has run since
- * the last command, so a waiting command goes first now. Comes back on signals too, and
- * in virtual time at once: it passes elsewhere. */
+ * the last command, so a waiting command goes first now. Also returns on signals, and at
+ * once in virtual time, which the caller does not advance. */
 static inline int rt_wait(struct rt_task *task, int served)
 {
     struct rt_grant *g = &task->slot->grant;
     for (;;) {
-        /* SYNC POINT: everybody rings the bell after changing what is looked at here. */
+        /* SYNC POINT: every writer rings the bell after changing what is read here. */
         uint32_t bell = atomic_load(&g->bell);
         uint32_t ask = atomic_load(&g->ask);
         if (ask & RT_ASK_ORPHAN)
@@ -235,15 +235,15 @@ static inline int rt_wait(struct rt_task *task, int served)
     }
 }
 
-/* Stand still while the dispatcher holds the task; async-signal-safe. */
+/* Wait while the dispatcher holds the task; async-signal-safe. */
 static inline void rt_hold_still(struct rt_slot *slot)
 {
     while (atomic_load(&slot->grant.parked))
         rt_futex_wait(&slot->grant.parked, 1, 0);
 }
 
-/* Begin serving an event that came from outside: a server's capacity and the deadline of
- * a task with a device count from here. */
+/* Begin to serve an external event: a server's capacity and the deadline of a task with a
+ * device count from here. */
 static inline void rt_begin_event(struct rt_task *task)
 {
     struct rt_post *post = &task->slot->post;
@@ -259,7 +259,7 @@ static inline void rt_begin_event(struct rt_task *task)
     }
 }
 
-/* Begin the cycle that was granted; 0 when it must not be begun any more. */
+/* Begin the granted cycle; 0 when it must not begin any more. */
 static inline int rt_begin(struct rt_task *task)
 {
     struct rt_slot *slot = task->slot;
@@ -274,8 +274,8 @@ static inline int rt_begin(struct rt_task *task)
     return atomic_load(&slot->grant.skip) != task->seq;
 }
 
-/* Whether the dispatcher wants to know at once that an event has been served: what a
- * sporadic server has used, and that a lowered task may wait for its device as before. */
+/* Whether the dispatcher must be woken when an event has been served: to charge a
+ * sporadic server, or to restore the criticality of a synchronous task. */
 static inline int rt_awaited(const struct rt_task *task)
 {
     const struct rt_slot *slot = task->slot;
@@ -284,7 +284,7 @@ static inline int rt_awaited(const struct rt_task *task)
             atomic_load(&slot->grant.crit) != atomic_load(&slot->config.crit));
 }
 
-/* End it; under `park` the dispatcher wants to know at once when others wait. */
+/* End the cycle; under `park` the dispatcher is woken if other tasks wait. */
 static inline void rt_end(struct rt_task *task)
 {
     if (task->kind != RT_PERIODIC) {
@@ -301,7 +301,7 @@ static inline void rt_end(struct rt_task *task)
     rt_spare(task->table, task->slot, &task->look);
 }
 
-/* Tell the task that a command waits for it. */
+/* Tell the task that a command or another request waits for it. */
 static inline void rt_request(struct rt_slot *slot, uint32_t ask)
 {
     atomic_fetch_or(&slot->grant.ask, ask);
@@ -309,7 +309,7 @@ static inline void rt_request(struct rt_slot *slot, uint32_t ask)
     rt_futex_wake(&slot->grant.bell);
 }
 
-/* Nanoseconds that the cycle advances by: since the release of the last executed one. */
+/* Nanoseconds since the release of the last executed cycle: the `dt` of this one. */
 static inline int64_t rt_step(const struct rt_task *task)
 {
     const struct rt_slot *slot = task->slot;
@@ -321,7 +321,7 @@ static inline int64_t rt_step(const struct rt_task *task)
     return atomic_load(&slot->config.period_ns);
 }
 
-/* What one cycle cost; times of CLOCK_MONOTONIC, cpu of the thread. */
+/* The cost of one cycle; times of CLOCK_MONOTONIC, cpu of the thread. */
 struct rt_cost {
     int64_t start_ns, called_ns, returned_ns, end_ns;
     uint64_t cpu_ns;
@@ -344,7 +344,7 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     rt_add(&s->ring_lost, (uint64_t)cost->lost);
     rt_add(&s->cpu_total_ns, cost->cpu_ns);
     rt_put(&s->cpu_last_ns, cost->cpu_ns);
-    if (first) {                /* kept apart from the others: 6.7.1 */
+    if (first) {                /* counted apart from the others: Stewart 1994, 6.7.1 */
         rt_put(&s->cpu_first_ns, cost->cpu_ns);
     } else {
         if (cost->cpu_ns > rt_get(&s->cpu_max_ns))
@@ -363,8 +363,8 @@ static inline void rt_account(struct rt_task *task, const struct rt_cost *cost)
     rt_stats_end(s);
 }
 
-/* From here on the thread's CPU time is that of the next cycle; returns the clock, which
- * stands still in virtual time. */
+/* Count the thread's CPU time for the next cycle from here on; returns the clock, which
+ * is 0 in virtual time. */
 static inline uint64_t rt_mark_cpu(struct rt_task *task)
 {
     uint64_t cpu = rt_is_virtual(task->table) ? 0 : rt_thread_cpu();

@@ -1,4 +1,4 @@
-/* A slot's state and how it changes: records of the trace, whole replacements. */
+/* A slot's state and how it changes: trace records and whole replacements. */
 #ifndef PBONET_STATE_H
 #define PBONET_STATE_H
 
@@ -13,7 +13,7 @@ static inline void rt_emit(struct rt_table *t, int kind, int slot, uint32_t arg,
         .a = a, .b = b, .arg = arg, .slot = (uint16_t)slot, .kind = (uint16_t)kind};
 }
 
-/* Put what others read of a slot's state where they read it. */
+/* Copy the parts of a slot's state that others read to where they read them. */
 static inline void rt_show(struct rt_grant *g, const struct rt_state *s)
 {
     atomic_store_explicit(&g->missed, s->missed, memory_order_relaxed);
@@ -32,7 +32,7 @@ static inline void rt_commit(struct rt_table *t, int i, const struct rt_state *n
 {
     t->journal = *next;
     t->journal_slot = (uint32_t)i;
-    /* SYNC POINT: rt_recover looks at the journal only where this is 1. */
+    /* SYNC POINT: rt_recover reads the journal only if this is 1. */
     atomic_store_explicit(&t->journal_valid, 1, memory_order_release);
     atomic_signal_fence(memory_order_seq_cst);
     t->slots[i].state = *next;
@@ -40,7 +40,7 @@ static inline void rt_commit(struct rt_table *t, int i, const struct rt_state *n
     rt_show(&t->slots[i].grant, next);
 }
 
-/* The criticality that the task has but for its handler. */
+/* The criticality of the task when its handler is not counted. */
 static inline int32_t rt_contained(const struct rt_state *s)
 {
     return s->spent && !s->owed && s->drop < s->crit ? s->drop : s->crit;
@@ -56,7 +56,7 @@ static inline void rt_disarm(struct rt_state *s)
     s->next_ns = s->check_ns = 0;
 }
 
-/* The cycle is over, and what was watched about it. */
+/* End the cycle, and with it what was watched about it. */
 static inline void rt_over(struct rt_state *s)
 {
     s->ready = s->granted = s->begun = s->parked = 0;

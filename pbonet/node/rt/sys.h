@@ -1,4 +1,4 @@
-/* The few kernel calls that the real-time side makes: futexes, clocks, levels. */
+/* The few kernel calls of the real-time side: futexes, clocks, priorities. */
 #ifndef PBONET_SYS_H
 #define PBONET_SYS_H
 
@@ -39,8 +39,8 @@ static inline uint64_t rt_thread_cpu(void)
     return (uint64_t)rt_clock(CLOCK_THREAD_CPUTIME_ID);
 }
 
-/* The CPU time of another process; 0 when it is gone. Exact for one that does not run at
- * this moment, as on the dispatcher's own core; else up to a tick old. */
+/* The CPU time of another process; 0 when it is gone. Exact if the process does not run at
+ * this moment, as on the dispatcher's own core; otherwise up to a tick old. */
 static inline int64_t rt_process_cpu(pid_t pid)
 {
     struct timespec at = {0, 0};
@@ -50,11 +50,11 @@ static inline int64_t rt_process_cpu(pid_t pid)
     return (int64_t)at.tv_sec * 1000000000 + at.tv_nsec;
 }
 
-/* A look at the CPU time of a thread, which is made again and again: its file is kept open.
- * To be zero before the first look. */
+/* Reads a thread's CPU time repeatedly, through a file that stays open. Initialize it with
+ * zero before the first read. */
 struct rt_meter {
     int file;                   /* 0: none */
-    pid_t pid, tid;             /* whose it is */
+    pid_t pid, tid;             /* the thread */
 };
 
 static inline void rt_meter_close(struct rt_meter *meter)
@@ -80,7 +80,7 @@ static inline int64_t rt_meter_read(struct rt_meter *meter, pid_t pid, pid_t tid
     ssize_t bytes = -1;
     if (meter->file && meter->pid == pid && meter->tid == tid)
         bytes = pread(meter->file, text, sizeof text - 1, 0);
-    if (bytes <= 0) {           /* another thread's, or it is gone */
+    if (bytes <= 0) {           /* another thread, or the old one is gone */
         rt_meter_close(meter);
         rt_meter_open(meter, pid, tid);
         bytes = meter->file ? pread(meter->file, text, sizeof text - 1, 0) : 0;
@@ -89,7 +89,7 @@ static inline int64_t rt_meter_read(struct rt_meter *meter, pid_t pid, pid_t tid
     return strtoll(text, NULL, 10);
 }
 
-/* The same for who looks once. */
+/* The same for a single read. */
 static inline int64_t rt_cpu_of(pid_t pid, pid_t tid)
 {
     struct rt_meter once = {0};
@@ -103,7 +103,7 @@ static inline struct timespec rt_timespec(int64_t ns)
     return (struct timespec){.tv_sec = ns / 1000000000, .tv_nsec = ns % 1000000000};
 }
 
-/* Sleep while *word == value, until CLOCK_MONOTONIC `until` (0: for ever). */
+/* Sleep while *word == value, until CLOCK_MONOTONIC `until` (0: no time-out). */
 static inline int rt_futex_wait(_Atomic uint32_t *word, uint32_t value, int64_t until)
 {
     struct timespec at = rt_timespec(until);
@@ -118,7 +118,7 @@ static inline void rt_futex_wake(_Atomic uint32_t *word)
     syscall(SYS_futex, (uint32_t *)word, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
 }
 
-/* Give a process's main thread (0: the caller) a SCHED_FIFO level; its children and
+/* Give a process's main thread (0: the caller) a SCHED_FIFO priority; its children and
  * later threads start without one. */
 static inline int rt_set_level(pid_t pid, int level)
 {
@@ -126,16 +126,16 @@ static inline int rt_set_level(pid_t pid, int level)
     return sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &param) ? errno : 0;
 }
 
-/* Take the level of a process away that is ending: the kernel gives its memory back, for
- * some milliseconds, at the level that it had. */
+/* Remove the real-time priority of an ending process: the kernel frees its memory, for
+ * some milliseconds, at the priority that it had. */
 static inline void rt_take_level(pid_t pid)
 {
     struct sched_param param = {0};
     sched_setscheduler(pid, SCHED_OTHER | SCHED_RESET_ON_FORK, &param);
 }
 
-/* Let the caller's main thread share `level` with others in slices of time, if it has a
- * real-time level at all; async-signal-safe. */
+/* Let the caller's main thread share `level` with others by time slices, if it has a
+ * real-time priority at all; async-signal-safe. */
 static inline void rt_share_level(int level)
 {
     struct sched_param param = {.sched_priority = level};

@@ -1,10 +1,10 @@
-/* The core table's file: making, finding, and leaving it; slots and their configuration.
+/* The core table's file: creating, opening and leaving it; slots and their configuration.
  *
- * The file lives as long as an RTPU process is attached. Attaching and leaving happen
- * under flock, which the kernel drops with its holder. A member is a process id together
- * with its start time, so that a killed member is known as gone: a table whose members
- * are all gone is stale; its file is unlinked and a new one made, and tasks that still
- * have the old one mapped disturb nobody.
+ * The file exists as long as an RTPU process is attached. Attaching and leaving happen
+ * under flock, which the kernel releases when its holder ends. A member is a process id
+ * together with its start time, so that a killed member is recognized: a table whose
+ * members are all gone is stale; its file is unlinked and a new one made. Tasks that still
+ * have the old one mapped do not interfere.
  */
 #ifndef PBONET_TABLE_H
 #define PBONET_TABLE_H
@@ -21,13 +21,13 @@
 #include <sys/mman.h>
 #include <sys/stat.h>
 
-/* What rt_attach answers beside errno values. */
+/* Results of rt_attach besides errno values. */
 enum { RT_NO_TABLE = -1, RT_FOREIGN = -2, RT_BAD_VERSION = -3, RT_DAMAGED = -4,
        RT_MEMBERS_FULL = -5 };
 
 struct rt_map {
     struct rt_table *table;
-    int fd, member;             /* member: index, -1 for a mere user */
+    int fd, member;             /* member: index, -1 for one that only uses the table */
     pid_t pid;
 };
 
@@ -61,7 +61,7 @@ static inline int rt_member_lives(const struct rt_member *m)
     return now && (now == m->start || now == RT_UNKNOWN || m->start == RT_UNKNOWN);
 }
 
-/* The time in which the table's tasks live. */
+/* The current time of the table's tasks. */
 static inline int64_t rt_time(const struct rt_table *t)
 {
     int64_t at = atomic_load_explicit(&t->virtual_ns, memory_order_relaxed);
@@ -90,7 +90,7 @@ static inline int rt_init_mutex(pthread_mutex_t *mutex)
     return error;
 }
 
-/* All that the edit lock guards is valid at every step, so a dead holder is no harm. */
+/* What the edit lock protects is valid at every step, so a dead holder does no harm. */
 static inline void rt_edit_lock(struct rt_table *t)
 {
     if (pthread_mutex_lock(&t->edit) == EOWNERDEAD)
@@ -105,7 +105,7 @@ static inline int rt_any_member(const struct rt_table *t)
     return 0;
 }
 
-/* Whether any slot still names the member. */
+/* Whether any slot still refers to the member. */
 static inline int rt_member_used(const struct rt_table *t, int member)
 {
     for (int i = 0; i < RT_SLOTS; i++)
@@ -144,9 +144,9 @@ static inline int rt_reap(struct rt_table *t)
     return freed;
 }
 
-/* Free what is left of other RTPUs of the core that ended together with their tasks:
- * nobody saw that end, and a dead task that is owed its turn may keep others from theirs.
- * Now and then; who holds the edit lock meanwhile will not be waited for. */
+/* Free the remains of other RTPUs of the core that ended together with their tasks: their
+ * end was not detected, and a dead task with a granted cycle may block others. Called now
+ * and then; does not wait for the edit lock. */
 static inline void rt_reap_others(struct rt_table *t, int me)
 {
     int others = 0;
@@ -191,13 +191,13 @@ static inline int rt_init(struct rt_table *t, int core)
     t->size = sizeof *t;
     t->core = core;
     t->trace_size = RT_TRACE;
-    /* SYNC POINT: who maps the table looks at `magic` first. */
+    /* SYNC POINT: a process that maps the table reads `magic` first. */
     atomic_thread_fence(memory_order_release);
     t->magic = RT_MAGIC;
     return error;
 }
 
-/* Whether an open file is ours alone: regular, our user's, nobody else's to touch. */
+/* Whether an open file is private to us: regular, our user's, no access for others. */
 static inline int rt_is_ours(const struct stat *s)
 {
     return S_ISREG(s->st_mode) && s->st_uid == geteuid() && !(s->st_mode & 077);
@@ -221,7 +221,7 @@ static inline int rt_map_file(struct rt_map *map)
 }
 
 /* Make the pages present for writing, so that no turn and no cycle faults; MAP_POPULATE
- * would do so for reading only. Kernels before 5.14 refuse, and fault once a page. */
+ * would do so for reading only. Kernels before 5.14 refuse, and each page faults once. */
 static inline void rt_prefault(struct rt_map *map)
 {
     madvise(map->table, sizeof(struct rt_table), 23 /* MADV_POPULATE_WRITE */);
@@ -236,7 +236,7 @@ static inline int rt_check(const struct rt_table *t, const struct stat *s)
     return (uint64_t)s->st_size < sizeof *t ? RT_DAMAGED : 0;
 }
 
-/* With the lock held: map the file, or make it if it is new. EAGAIN: unlinked as stale. */
+/* With the lock held: map the file, or create it. EAGAIN: unlinked as stale. */
 static inline int rt_open_locked(struct rt_map *map, const char *path, int core)
 {
     struct stat s;
@@ -322,7 +322,7 @@ static inline int rt_attach_user(struct rt_map *map, const char *path)
     return error;
 }
 
-/* Attach; 0, an errno value, or one of the negative answers above. */
+/* Attach; 0, an errno value, or one of the negative results above. */
 static inline int rt_attach(struct rt_map *map, const char *path, int core, int member)
 {
     *map = (struct rt_map){.fd = -1, .member = -1, .pid = getpid()};
@@ -342,10 +342,10 @@ static inline void rt_detach(struct rt_map *map, const char *path)
     rt_unmap(map);
 }
 
-/* Change a configuration: everything between the two is taken over in one turn.
+/* Change a configuration: all changes between begin and end take effect in one turn.
  *
  * SYNC POINT: pairs with rt_latch_config. A writer killed in between leaves `gen` odd;
- * the slot then keeps what the dispatcher knows until somebody configures it again. */
+ * the dispatcher then keeps its old copy until the slot is configured again. */
 static inline uint32_t rt_config_begin(struct rt_config *c)
 {
     uint32_t gen = atomic_load_explicit(&c->gen, memory_order_relaxed) | 1;
@@ -422,7 +422,7 @@ static inline void rt_reset(struct rt_slot *slot, int member, const char *rtpu,
     rt_config_end(c, gen);
 }
 
-/* Take a free slot, best one that the dispatcher has let go of; -1: none. */
+/* Take a free slot, preferably one that the dispatcher has released; -1: none. */
 static inline int rt_alloc(struct rt_table *t, int member, const char *rtpu,
                            const char *task)
 {
@@ -483,8 +483,8 @@ static inline void rt_configure(struct rt_table *t, int i, const struct rt_setti
     pthread_mutex_unlock(&t->edit);
 }
 
-/* Say what engages a task that stands by: the fall of one of these slots, or the last of
- * these callers (call.h); RT_ALONE: nothing. */
+/* Set what engages a standby: the fall of one of these slots, or the last of these callers
+ * (call.h); RT_ALONE: nothing. */
 static inline void rt_follow(struct rt_table *t, int i, int kind, const uint64_t *after,
                              uint64_t callers)
 {

@@ -1,4 +1,4 @@
-/* Reading a slot from outside, without touching its task: plain copies of what it says. */
+/* Reading a slot from outside, without disturbing its task: plain copies. */
 #ifndef PBONET_VIEW_H
 #define PBONET_VIEW_H
 
@@ -62,7 +62,7 @@ static inline void rt_read_stats(const struct rt_stats *s, struct rt_view *v)
     }
 }
 
-/* What concerns failures and reserves; each number is whole. */
+/* Copy what concerns failures and reserves; each number is consistent by itself. */
 static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
 {
     const struct rt_config *c = &slot->config;
@@ -89,8 +89,8 @@ static inline void rt_read_watch(const struct rt_slot *slot, struct rt_view *v)
     }
 }
 
-/* Copy a slot. The stats are one consistent set unless the task stands still amid its
- * bookkeeping (preempted by others, or killed there); then each number is whole. */
+/* Copy a slot. The stats are one consistent set unless the task was stopped in the middle
+ * of its accounting (preempted, or killed); then each number is consistent by itself. */
 static inline void rt_snapshot(const struct rt_slot *slot, struct rt_view *v)
 {
     const struct rt_config *c = &slot->config;
@@ -147,14 +147,15 @@ static inline void rt_core_snapshot(const struct rt_table *t, struct rt_core_vie
     v->stalled_ns = atomic_load(&t->stalled_ns);
 }
 
-/* The process of member `i`, 0 if there is none, and whether it lives. */
+/* The process of member `i` (0: none); sets whether it is alive. */
 static inline int rt_member_at(const struct rt_table *t, int i, int *lives)
 {
     *lives = rt_member_lives(&t->members[i]);
     return atomic_load(&t->members[i].pid);
 }
 
-/* Copy the trace's records from number `since` on; `*first` is the first one had. */
+/* Copy the trace's records from number `since` on; `*first` is the number of the first
+ * one copied. */
 static inline uint64_t rt_copy_trace(const struct rt_table *t, uint64_t since,
                                      struct rt_event *to, uint64_t *first, uint64_t *end)
 {
@@ -166,8 +167,8 @@ static inline uint64_t rt_copy_trace(const struct rt_table *t, uint64_t since,
         from = *end - bound;
     for (uint64_t k = from; k < *end; k++)
         to[k - from] = t->trace[k & (RT_TRACE - 1)];
-    /* What the dispatcher may have overwritten meanwhile is dropped; it is at most a
-     * turn ahead of what it has published. */
+    /* Records that the dispatcher may have overwritten meanwhile are dropped; it is at
+     * most a turn ahead of what it has published. */
     atomic_thread_fence(memory_order_acquire);
     uint64_t now = atomic_load_explicit(&t->trace_end, memory_order_relaxed);
     uint64_t safe = now > bound ? now - bound : 0;
@@ -242,7 +243,7 @@ static inline int64_t rt_posted_cpu(const struct rt_slot *slot)
     return (int64_t)rt_get(&slot->post.cpu_ns);
 }
 
-/* What a task does in virtual time; mode and locked: -1 leaves them. */
+/* What a task does in virtual time; mode and locked: -1 means unchanged. */
 struct rt_part {
     int mode, begun, done, event, locked, handled, fell;
     int64_t now_ns, cpu_ns;
@@ -278,7 +279,7 @@ static inline void rt_play(struct rt_table *t, struct rt_slot *slot,
         rt_leave(&task, part->mode);
 }
 
-/* Take a turn in virtual time; return the slot that is let run, -1 for none. */
+/* Take a turn in virtual time; returns the slot that may run, -1 for none. */
 static inline int rt_play_turn(struct rt_table *t, int64_t now_ns)
 {
     atomic_store(&t->virtual_ns, now_ns);
@@ -292,8 +293,8 @@ static inline int rt_play_turn(struct rt_table *t, int64_t now_ns)
     return -1;
 }
 
-/* Grant a cycle without a turn, in virtual time; if the task has no period, its first
- * cycle makes no step. */
+/* Grant a cycle without a turn, in virtual time; if the task has no period, the `dt` of its
+ * first cycle is 0. */
 static inline void rt_play_grant(struct rt_table *t, struct rt_slot *slot, int64_t now_ns,
                                  int periodic)
 {

@@ -1,15 +1,15 @@
-/* The watch over tasks' lives: a death is known at once, and not by looking for it.
+/* The death watch: detects at once, without polling, that a task has died.
  *
- * Every task holds a robust lock in its slot for life. When it dies, however, the kernel
- * writes so into the lock's word and wakes who waits for it, long before the process is
- * gone and its parent told. One thread of the RTPU process, just below the dispatcher,
- * waits for all of these words at once. It tells the dispatcher, which engages a fallback
+ * Every task holds a robust lock in its slot for life. When it dies, whatever the cause,
+ * the kernel marks the lock's word and wakes its waiters, long before the process is
+ * gone and its parent notified. One thread of the RTPU process, just below the dispatcher,
+ * waits for all of these words at once. It notifies the dispatcher, which engages a fallback
  * in its next turn, and raises the illegal-configuration flag in the task's table, so that
- * critical tasks are stable from the next cycle on. A task that goes to ERROR rings the
- * same thread. The RTPU process's interpreter hears of both later and does the rest.
+ * critical tasks run `stable` from the next cycle on. A task that goes to ERROR wakes the
+ * same thread. The RTPU process's interpreter learns of both later and does the rest.
  *
- * Kernels before 5.16 cannot wait for several words; then the interpreter is the first to
- * know, some milliseconds later.
+ * Kernels before 5.16 cannot wait for several words; then the interpreter learns first,
+ * some milliseconds later.
  */
 #ifndef PBONET_VIGIL_H
 #define PBONET_VIGIL_H
@@ -29,11 +29,11 @@ struct rt_futex_word {                  /* as the kernel's struct futex_waitv */
     uint32_t flags, reserved;
 };
 
-/* One task that is watched. The fields below `life` do not change while it is not 0. */
+/* One watched task. The fields after `busy` do not change while `life` is not 0. */
 struct rt_watched {
-    _Atomic uint32_t life;              /* 0: nobody is */
+    _Atomic uint32_t life;              /* 0: no task */
     _Atomic uint32_t busy;              /* the thread uses the fields */
-    const struct pb_table *table;       /* NULL: others do not depend on the task */
+    const struct pb_table *table;       /* NULL: no task depends on this one */
     char died[RT_CAUSE], fell[RT_CAUSE], raiser[RT_RAISER], machine[RT_RAISER];
 };
 
@@ -41,10 +41,10 @@ struct rt_vigil {
     struct rt_table *table;
     pthread_t thread;
     int running, backend;
-    _Atomic uint32_t news;              /* futex: changes with what is watched */
+    _Atomic uint32_t news;              /* futex: changes when the watched set changes */
     _Atomic int stop;
     _Atomic uint64_t deaths, falls;
-    uint32_t told[RT_SLOTS];            /* the life whose fall was told */
+    uint32_t told[RT_SLOTS];            /* the life whose fall was reported */
     struct rt_watched watched[RT_SLOTS];
 };
 
@@ -53,14 +53,14 @@ static inline _Atomic uint32_t *rt_life_word(struct rt_slot *slot)
     return (_Atomic uint32_t *)(void *)&slot->alive;    /* as in every Linux C library */
 }
 
-/* Hold the lock for life; an errno value when it cannot be had. */
+/* Lock it for life; an errno value when that fails. */
 static inline int rt_vow(struct rt_slot *slot)
 {
     int error = pthread_mutex_trylock(&slot->alive);
     return error == EOWNERDEAD ? pthread_mutex_consistent(&slot->alive) : error;
 }
 
-/* Let it go: the task leaves in order. */
+/* Unlock it: the task leaves in order. */
 static inline void rt_release_vow(struct rt_slot *slot)
 {
     pthread_mutex_unlock(&slot->alive);
@@ -81,10 +81,10 @@ static inline void rt_raise(const struct rt_watched *w, const char *cause)
     if (!w->table)
         return;
     struct pb_cause c = pb_cause_of(cause, w->raiser, w->machine);
-    pb_raise(w->table, &c);             /* no room: other causes hold it up */
+    pb_raise(w->table, &c);             /* no room: other causes keep the flag up */
 }
 
-/* Raise the flag for a death if others count on the task; whether they do. */
+/* Raise the flag for a death if other tasks depend on it; returns whether they do. */
 static inline int rt_alarm(struct rt_vigil *v, int i, const struct rt_watched *w)
 {
     const struct rt_slot *slot = &v->table->slots[i];
@@ -96,23 +96,23 @@ static inline int rt_alarm(struct rt_vigil *v, int i, const struct rt_watched *w
     return 1;
 }
 
-/* Tell of a death; the flag goes up first, so that whoever is released next sees it. */
+/* Report a death; the flag is raised first, so that the next released task sees it. */
 static inline void rt_mourn(struct rt_vigil *v, int i, struct rt_watched *w)
 {
     struct rt_slot *slot = &v->table->slots[i];
     int32_t pid = atomic_load(&slot->config.pid);
     if (v->backend == RT_FIFO && pid > 0)
-        rt_take_level(pid);     /* first: else who is released waits for its end */
+        rt_take_level(pid);     /* first: otherwise released tasks wait for its exit */
     int raised = rt_alarm(v, i, w);
     atomic_store(&slot->config.dead, atomic_load(&w->life));
-    /* SYNC POINT: rt_call marks its call first and looks for a death then. */
+    /* SYNC POINT: rt_call marks its call first and then checks for a death. */
     if (!raised)
         rt_alarm(v, i, w);
     atomic_store(&w->life, 0);
     rt_kick(v->table);
 }
 
-/* Look at one task; its lock's word is to be waited for if it lives: 1. */
+/* Check one task; returns 1 with its lock's word in `to` if it is alive. */
 static inline int rt_look_after(struct rt_vigil *v, int i, struct rt_watched *w,
                                 struct rt_futex_word *to)
 {
@@ -153,7 +153,7 @@ static inline void *rt_keep_vigil(void *arg)
                                           RT_WORD_32, 0};
         for (int i = 0; i < RT_SLOTS && n < RT_VIGIL_WORDS; i++) {
             struct rt_watched *w = &v->watched[i];
-            /* SYNC POINT: rt_unwatch clears `life` first and waits for `busy` then. */
+            /* SYNC POINT: rt_unwatch clears `life` first and then waits for `busy`. */
             atomic_store(&w->busy, 1);
             if (atomic_load(&w->life))
                 n += (unsigned)rt_look_after(v, i, w, &words[n]);
@@ -163,7 +163,7 @@ static inline void *rt_keep_vigil(void *arg)
             break;
         if (syscall(SYS_futex_waitv, words, n, 0, NULL, CLOCK_MONOTONIC) < 0 &&
             errno != EAGAIN && errno != EINTR)
-            break;              /* this kernel cannot */
+            break;              /* not supported by this kernel */
     }
     return NULL;
 }
@@ -174,7 +174,7 @@ static inline void rt_ring_vigil(struct rt_vigil *v)
     rt_futex_wake(&v->news);
 }
 
-/* Watch no longer; when it returns, the entry's table is not used any more. */
+/* Stop watching; on return the thread no longer uses the entry's table. */
 static inline void rt_unwatch(struct rt_vigil *v, int i)
 {
     struct rt_watched *w = &v->watched[i];
@@ -184,7 +184,7 @@ static inline void rt_unwatch(struct rt_vigil *v, int i)
     rt_ring_vigil(v);
 }
 
-/* Watch the task that holds slot `i` now; its entry was made ready. */
+/* Watch the task that holds slot `i` now; its entry has been filled in. */
 static inline void rt_watch_life(struct rt_vigil *v, int i)
 {
     atomic_store(&v->watched[i].life, atomic_load(&v->table->slots[i].config.life));

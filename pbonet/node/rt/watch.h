@@ -1,10 +1,11 @@
-/* What a task cannot notice about itself: deadlines, reserves of CPU time, silence.
+/* What a task cannot detect about itself: missed deadlines, used reserves, silence.
  *
  * The timing failures of Stewart 1994, section 6.3, and the reserves of soft tasks and
- * servers (6.4, 6.5), which are built on them. A failure is contained first, by another
- * criticality in the same turn, and told afterwards. CPU time is read lazily: it passes
- * no faster than time itself, so a reserve is looked at when it could be used up at the
- * earliest, and then again. `tests/oracles/plain_dispatcher/watch.py` is the twin.
+ * servers (6.4, 6.5), which are built on them. A failure is first contained, by a change of
+ * criticality in the same turn, and then reported. CPU time is read lazily: it passes
+ * no faster than time itself, so a reserve is checked at the earliest time at which it
+ * could be used up, and then again. `tests/oracles/plain_dispatcher/watch.py` has the same
+ * rules.
  */
 #ifndef PBONET_WATCH_H
 #define PBONET_WATCH_H
@@ -29,25 +30,25 @@ static inline int rt_is_server(const struct rt_state *s)
     return s->kind == RT_DEFERRABLE || s->kind == RT_SPORADIC;
 }
 
-/* Whether there is a cycle that failures can be told to. */
+/* Whether a cycle is under way to which failures can be delivered. */
 static inline int rt_runs(const struct rt_state *s)
 {
     return s->kind == RT_SYNCHRONOUS ? s->active : s->begun;
 }
 
-/* The number of that cycle: of its grant, or of what came from its device. */
+/* The number of that cycle: of its grant, or of its device's event. */
 static inline uint32_t rt_number(const struct rt_state *s)
 {
     return s->kind == RT_SYNCHRONOUS ? s->heard : s->seq;
 }
 
-/* Whether anything of the task depends on its CPU time. */
+/* Whether anything about the task depends on its CPU time. */
 static inline int rt_limited(const struct rt_state *s)
 {
     return s->maxc || s->minc || s->handler;
 }
 
-/* When to look at an armed slot next; 0: not before there is news. */
+/* The time of the next check of an armed slot; 0: none before there is news. */
 static inline int64_t rt_due(const struct rt_state *s)
 {
     int64_t due = rt_sooner(s->next_ns, s->check_ns);
@@ -56,8 +57,8 @@ static inline int64_t rt_due(const struct rt_state *s)
     return due;
 }
 
-/* The part of it that comes whether cycles end before or not. An instant that is not
- * listed here is slept for only while a cycle or an event is under way: see looker.h. */
+/* The part of rt_due that does not depend on whether cycles end earlier. The dispatcher
+ * sleeps for other times only while a cycle or an event is under way: see looker.h. */
 static inline int64_t rt_sure(const struct rt_state *s)
 {
     return s->next_ns;
@@ -71,7 +72,7 @@ static inline void rt_set_rank(struct rt_table *t, int i, struct rt_state *s, in
     rt_emit(t, RT_CRIT, i, (uint32_t)rank, 0, 0);
 }
 
-/* Count a failure; send for the module's handler if a cycle is there for it. */
+/* Count a failure; send it to the module's handler if a cycle is under way. */
 static inline void rt_fail(struct rt_table *t, int i, struct rt_state *s, int kind,
                            int64_t now, int reachable)
 {
@@ -114,13 +115,13 @@ static inline void rt_settle_debt(struct rt_table *t, int i, struct rt_state *s)
         rt_set_rank(t, i, s, rt_contained(s));
 }
 
-/* The least CPU time cannot be had before the deadline any more. */
+/* The guaranteed CPU time can no longer be provided before the deadline. */
 static inline void rt_give_up(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     s->sure = 1;
     if (rt_runs(s)) {
         rt_fail(t, i, s, RT_MINEXEC, now, 1);
-    } else if (s->granted) {    /* told of its release: it must not begin */
+    } else if (s->granted) {    /* it has its release: it must not begin */
         s->skip = 1;
         atomic_store(&t->slots[i].grant.skip, s->seq);
         rt_emit(t, RT_SKIP, i, s->seq, 0, 0);
@@ -133,7 +134,7 @@ static inline void rt_give_up(struct rt_table *t, int i, struct rt_state *s, int
     }
 }
 
-/* A handler keeps its priority for its share of CPU time; returns when to look again. */
+/* Bound the CPU time of a handler at its own priority; returns the next check's time. */
 static inline int64_t rt_bound_handler(struct rt_table *t, int i, struct rt_state *s,
                                        int64_t now)
 {
@@ -145,7 +146,7 @@ static inline int64_t rt_bound_handler(struct rt_table *t, int i, struct rt_stat
     return 0;
 }
 
-/* Look at the reserves of a cycle; returns when to look again. */
+/* Check the reserves of a cycle; returns the next check's time. */
 static inline int64_t rt_look(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                               int locked)
 {
@@ -180,8 +181,8 @@ static inline int64_t rt_look(struct rt_table *t, int i, struct rt_state *s, int
     return s->ready ? next : 0;
 }
 
-/* What a handler asks for until the next release: no more than it is entitled to. A
- * deadline that has passed already is not told again. */
+/* Grant a handler's wish until the next release, limited to what it is entitled to. A
+ * deadline that has already passed is not reported again. */
 static inline void rt_grant_wish(struct rt_table *t, int i, struct rt_state *s,
                                  int32_t crit, int64_t dl_ns, int64_t now)
 {
@@ -196,7 +197,7 @@ static inline void rt_grant_wish(struct rt_table *t, int i, struct rt_state *s,
     }
 }
 
-/* A release has come, whether the last cycle has ended or not: reserves are whole. */
+/* A release has come, whether the last cycle has ended or not: reserves are full again. */
 static inline void rt_renew(struct rt_table *t, int i, struct rt_state *s)
 {
     s->mark = s->clock;
@@ -211,7 +212,7 @@ static inline void rt_renew(struct rt_table *t, int i, struct rt_state *s)
         rt_set_rank(t, i, s, s->crit);
 }
 
-/* Take what a server has used off its capacity; a sporadic one gets it back later. */
+/* Charge a server for what it has used; a sporadic one gets it back later. */
 static inline void rt_charge(struct rt_state *s, int64_t now)
 {
     int64_t used = s->clock - s->mark, at = now - used + s->period;
@@ -224,7 +225,7 @@ static inline void rt_charge(struct rt_state *s, int64_t now)
         return;
     struct rt_piece *last = s->n_pieces ? &s->pieces[s->n_pieces - 1] : NULL;
     if (last && (s->n_pieces == RT_PIECES || at - last->at_ns <= 10 * RT_MARGIN_NS)) {
-        last->ns += used;       /* both come back at the later of the two instants */
+        last->ns += used;       /* both are replenished at the later of the two times */
         last->at_ns = at > last->at_ns ? at : last->at_ns;
     } else {
         s->pieces[s->n_pieces++] = (struct rt_piece){.at_ns = at, .ns = used};
@@ -232,7 +233,7 @@ static inline void rt_charge(struct rt_state *s, int64_t now)
     s->next_ns = s->pieces[0].at_ns;
 }
 
-/* Give capacity back that is due. */
+/* Replenish the capacity that is due. */
 static inline void rt_refill(struct rt_table *t, int i, struct rt_state *s, int64_t now)
 {
     int64_t before = s->left;
@@ -258,8 +259,8 @@ static inline void rt_refill(struct rt_table *t, int i, struct rt_state *s, int6
     rt_set_rank(t, i, s, s->crit);
 }
 
-/* Look after a server. In a critical section it keeps its criticality, and what it uses
- * there beyond its capacity it lacks later. */
+/* Check a server. In a critical section it keeps its criticality, and what it uses there
+ * beyond its capacity is deducted later. */
 static inline void rt_serve(struct rt_table *t, int i, struct rt_state *s, int64_t now,
                             int locked)
 {

@@ -1,4 +1,4 @@
-"""What other native parts of pbonet call without Python."""
+"""Functions that other native parts of pbonet call without Python."""
 
-# Where this thread counts sections in which it must not be held: struct xm_steady.
+# Address of this thread's struct xm_steady, which counts its uninterruptible sections.
 cdef void *c_steady() noexcept nogil

@@ -1,11 +1,11 @@
 """Semaphores and message queues in shared memory (Stewart 1994, section 5.4).
 
 Times are absolute, in nanoseconds of CLOCK_MONOTONIC (`time.monotonic_ns`, or
-``self.task.now`` in a module): None waits for ever, what is over does not wait. A wait
-runs the Python handlers of signals that arrive; one that raises ends the wait, and
-nothing is taken. `still` is asked every `PATROL_NS`, and ends the wait with `XmError`
-when it says False. Every wait checks for dead processes each `PATROL_NS`, so what a
-killed process leaves is found within that time.
+``self.task.now`` in a module): None waits without limit, a time in the past does not
+wait. A wait runs the Python handlers of signals that arrive; one that raises ends the
+wait, and nothing is taken. `still` is called every `PATROL_NS`, and ends the wait with
+`XmError` when it returns False. Every wait also checks for dead processes at that
+interval, so what a killed process leaves behind is found within it.
 """
 
 from collections.abc import Callable
@@ -25,15 +25,15 @@ class Taken(IntEnum):
     TIMED_OUT = 0
     TAKEN = 1
     HOLDER_DIED = 2
-    """Taken; but the last holder died with it: what it guards may be half changed."""
+    """Taken; but the last holder died with it: what it protects may be inconsistent."""
 
 class Policy(IntEnum):
-    """Which message is received first."""
+    """Order in which messages are received."""
 
     FIFO = 0
     LIFO = 1
     HPF = 2
-    """Of the highest priority; first in, first out among equals."""
+    """Highest priority first; first in, first out among equals."""
 
 class Full(IntEnum):
     """The policy for a message when the queue is full."""
@@ -41,9 +41,9 @@ class Full(IntEnum):
     REFUSE = 0
     """`XmQueueFullError`."""
     DROP = 1
-    """It is dropped and counted; `Queue.send` returns False."""
+    """The message is dropped and counted; `Queue.send` returns False."""
     DROP_OLDEST = 2
-    """Room is made: the oldest go, of HPF the oldest of the lowest priority."""
+    """Makes room: drops the oldest; with HPF the oldest of the lowest priority."""
 
 class Shared:
     """Base of semaphores and queues."""
@@ -53,17 +53,17 @@ class Shared:
         """``RTPU:RESOURCE``."""
     @property
     def path(self) -> str:
-        """The file in shared memory; empty when it is another machine's."""
+        """The file in shared memory; empty if it is on another machine."""
     @property
     def waiting(self) -> int:
-        """How many threads wait in its line."""
+        """Number of threads that wait for it."""
     def close(self) -> None:
-        """Detach; it stays for the others, and for who attaches later.
+        """Detach; the object remains for other and later users.
 
-        A binary semaphore that this process holds counts as one whose holder died.
+        If this process holds a binary semaphore, it counts as a holder that died.
 
         Raises:
-            XmError: A thread of this process waits in it.
+            XmError: A thread of this process waits for it.
         """
     def destroy(self) -> None:
         """Remove it; its users and waiters get `XmDestroyedError`."""
@@ -83,18 +83,18 @@ class Semaphore(Shared):
         maximum: int | None = None,
         binary: bool = False,
     ) -> Semaphore:
-        """Make a semaphore; one without users is replaced.
+        """Make a semaphore; an existing one without users is replaced.
 
         Args:
             name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
-            initial: Its value, at least 0.
+            initial: Its initial value, at least 0.
             maximum: Its highest value; 2**31 - 1 by default.
-            binary: For a critical section: the value is 0 or 1 and the holder known.
+            binary: For a critical section: the value is 0 or 1, the holder is known.
 
         Raises:
-            XmExistsError: One of that name is in use.
-            UnreachableError: The RTPU is on no machine that can be reached.
-            XmError: Its file cannot be made.
+            XmExistsError: A semaphore of that name is in use.
+            UnreachableError: No reachable machine has the RTPU.
+            XmError: The file cannot be made.
             ValueError: `initial` or `maximum` is out of bounds.
         """
     @staticmethod
@@ -102,20 +102,20 @@ class Semaphore(Shared):
         """Attach to an existing semaphore.
 
         Raises:
-            XmMissingError: There is none of that name.
-            UnreachableError: The RTPU is on no machine that can be reached.
-            XmError: Its file is not ours, damaged, or of another version.
+            XmMissingError: There is no semaphore of that name.
+            UnreachableError: No reachable machine has the RTPU.
+            XmError: The file is another user's, damaged, or of another version.
         """
     @property
     def value(self) -> int:
-        """How many could be taken now."""
+        """How often it could be taken now."""
     @property
     def maximum(self) -> int: ...
     @property
     def binary(self) -> bool: ...
     @property
     def holder(self) -> int | None:
-        """The process that holds a binary semaphore; it may have died with it."""
+        """The process that holds a binary semaphore; it may have died."""
     def p(
         self,
         until_ns: int | None = None,
@@ -123,22 +123,22 @@ class Semaphore(Shared):
         priority: int | None = None,
         still: Callable[[], bool] | None = None,
     ) -> Taken:
-        """Take one, in the line of those who wait if there is none.
+        """Take one; wait in line if there is none.
 
         Args:
-            until_ns: When to give up.
-            priority: Higher is served first, equals as they came; the task's
-                criticality by default.
-            still: See above.
+            until_ns: Time-out.
+            priority: Higher priorities are served first, equal ones in order of
+                arrival; the task's criticality by default.
+            still: See the module's description.
 
         Raises:
             XmDestroyedError: It was destroyed.
-            XmFullError: More than 128 threads wait, or processes are attached.
+            XmFullError: More than 128 threads wait, or 128 processes are attached.
         """
     def try_p(self) -> Taken:
-        """Take one if there is one that is not promised to a thread in the line."""
+        """Take one unless none is left or it is reserved for a waiting thread."""
     def v(self) -> bool:
-        """Give one back, or signal; False when the value stands at its maximum."""
+        """Give one back, or signal; False if the value is at its maximum."""
     def __enter__(self) -> Taken: ...
     def __exit__(
         self,
@@ -150,9 +150,9 @@ class Semaphore(Shared):
 class Queue(Shared):
     """A message queue (section 5.4.3): bounded, allocated when it is made.
 
-    A message takes a header and as many blocks as it needs, so long ones stand beside
-    short ones without waste. What a process that dies had in hand is lost, nothing
-    else.
+    A message takes a header and as many blocks as it needs, so long and short ones
+    share the memory without waste. If a process dies, only the messages that it was
+    copying are lost.
     """
 
     @property
@@ -167,19 +167,19 @@ class Queue(Shared):
         blocks: int | None = None,
         block: int = 64,
     ) -> Queue:
-        """Make a queue; one without users is replaced.
+        """Make a queue; an existing one without users is replaced.
 
         Args:
             name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
-            policy: Which message is received first.
-            messages: How many it holds at most.
-            blocks: How many blocks they share; as many as messages.
-            block: Bytes of a block, at least 8; best an average message's size.
+            policy: Order in which messages are received.
+            messages: Maximum number of messages.
+            blocks: Number of blocks that they share; `messages` by default.
+            block: Bytes of a block, at least 8; best the size of an average message.
 
         Raises:
-            XmExistsError: One of that name is in use.
-            UnreachableError: The RTPU is on no machine that can be reached.
-            XmError: Its file cannot be made.
+            XmExistsError: A queue of that name is in use.
+            UnreachableError: No reachable machine has the RTPU.
+            XmError: The file cannot be made.
             ValueError: A size is out of bounds.
         """
     @staticmethod
@@ -187,9 +187,9 @@ class Queue(Shared):
         """Attach to an existing queue.
 
         Raises:
-            XmMissingError: There is none of that name.
-            UnreachableError: The RTPU is on no machine that can be reached.
-            XmError: Its file is not ours, damaged, or of another version.
+            XmMissingError: There is no queue of that name.
+            UnreachableError: No reachable machine has the RTPU.
+            XmError: The file is another user's, damaged, or of another version.
         """
     def __len__(self) -> int:
         """Return how many messages wait to be received."""
@@ -203,13 +203,13 @@ class Queue(Shared):
     def block(self) -> int: ...
     @property
     def free(self) -> tuple[int, int]:
-        """Free headers and blocks."""
+        """Number of free headers and of free blocks."""
     @property
     def sent(self) -> int:
-        """Messages that were put in since it was made."""
+        """Number of messages sent since it was made."""
     @property
     def dropped(self) -> int:
-        """Messages dropped since it was made, because there was no room."""
+        """Number of messages dropped for lack of room since it was made."""
     def send(
         self,
         data: ReadableBuffer,
@@ -220,34 +220,34 @@ class Queue(Shared):
         wait_priority: int | None = None,
         still: Callable[[], bool] | None = None,
     ) -> bool:
-        """Put a message in; True when it is in.
+        """Put a message in the queue; return whether it was put.
 
         Args:
             data: Its bytes; they are copied.
             priority: Of the message, for HPF and for its receiver.
-            full: What becomes of it when there is no room, at `until_ns` at the latest.
-            until_ns: How long to wait for room; not at all by default.
-            wait_priority: Of that wait; the task's criticality by default.
-            still: See above.
+            full: What to do if there is still no room at `until_ns`.
+            until_ns: Time-out of the wait for room; no wait by default.
+            wait_priority: Priority of that wait; the task's criticality by default.
+            still: See the module's description.
 
         Raises:
-            XmQueueFullError: There is no room, and `full` says REFUSE.
+            XmQueueFullError: There is no room, and `full` is REFUSE.
             XmTooLongError: It is longer than the whole queue.
             XmDestroyedError: The queue was destroyed.
         """
     def receive(
         self, until_ns: int | None = None, *, priority: int | None = None
     ) -> bytes | None:
-        """Take the first message; None when the time is over and there is none.
+        """Take the first message; None if there is none until the time-out.
 
         Args:
-            until_ns: When to give up.
-            priority: Of this receiver among those who wait; the task's criticality by
+            until_ns: Time-out.
+            priority: Of this receiver among the waiters; the task's criticality by
                 default.
 
         Raises:
             XmDestroyedError: The queue was destroyed.
-            XmFullError: Too many wait or are attached.
+            XmFullError: Too many threads wait, or too many processes are attached.
         """
     def letter(
         self,
@@ -257,13 +257,13 @@ class Queue(Shared):
         most: int = ...,
         still: Callable[[], bool] | None = None,
     ) -> tuple[bytes, int] | None:
-        """Take the first message with its priority; else as `receive`.
+        """Take the first message with its priority; otherwise as `receive`.
 
         Args:
-            until_ns: When to give up.
+            until_ns: Time-out.
             priority: As for `receive`.
-            most: Bytes at most; a longer message stays in the queue.
-            still: See above.
+            most: Maximum size in bytes; a longer message stays in the queue.
+            still: See the module's description.
 
         Raises:
             XmTooLongError: It is longer than `most`.
@@ -276,17 +276,17 @@ class Queue(Shared):
         priority: int | None = None,
         still: Callable[[], bool] | None = None,
     ) -> bool:
-        """Wait for a message and leave it in the queue; False when the time is over.
+        """Wait for a message and leave it in the queue; False at the time-out.
 
-        For a module's `sync`: whatever ends it, no message is lost. `cycle` takes it
-        with `try_receive`, which gives None if another receiver was quicker.
+        For a module's `sync`: no message is lost however the wait ends. `cycle` takes
+        it with `try_receive`, which returns None if another receiver was quicker.
 
         Raises:
             XmDestroyedError: The queue was destroyed.
-            XmFullError: Too many wait or are attached.
+            XmFullError: Too many threads wait, or too many processes are attached.
         """
     def try_receive(self) -> bytes | None:
-        """Take the first message, if it is not promised to a thread in the line."""
+        """Take the first message unless it is reserved for a waiting thread."""
     def receive_into(
         self,
         buffer: WriteableBuffer,
@@ -294,7 +294,7 @@ class Queue(Shared):
         *,
         priority: int | None = None,
     ) -> int | None:
-        """Copy the first message straight to `buffer`; return how many bytes it has.
+        """Copy the first message directly to `buffer`; return its size in bytes.
 
         Raises:
             XmTooLongError: It is longer than the buffer; it stays in the queue.

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
 # distutils: extra_compile_args = -O2 -std=c11
 # distutils: depends = _queue.pxi steady.h object.h line.h sem.h queue.h mail.h ../svar/lock.h ../svar/arena.h ../svar/register.h
-"""Thin skin over the C headers of this folder; `_ipc.pyi` says what everything does."""
+"""Thin wrapper of the C headers in this folder; documented in `_ipc.pyi`."""
 
 import contextlib
 import os
@@ -28,7 +28,7 @@ from pbonet.xm.ipc._headers cimport *
 PATROL_NS = XM_PATROL_NS
 LONGEST = 0xfffffffe
 MOST = 1 << 20
-cdef long _forks = 0       # a child is a member of its own
+cdef long _forks = 0       # after a fork the child becomes a member of its own
 
 cdef void *c_steady() noexcept nogil:
     return xm_steady_here()
@@ -56,7 +56,7 @@ cdef object _TAKEN = Taken.TAKEN, _DIED = Taken.HOLDER_DIED, _TIMED_OUT = Taken.
 
 
 def _heard(make, name, **settings):
-    """Return it for a module whose log says what it was answered."""
+    """Return the object for a module whose inputs are recorded or replayed."""
     from pbonet.xm.ipc import recorded_ipc as heard
     return heard.opened(make, name, settings)
 
@@ -70,14 +70,14 @@ os.register_at_fork(after_in_child=_forked)
 
 
 cdef class Shared:
-    """What semaphores and queues have in common: the file, the member, the waiting."""
+    """Common part of semaphores and queues: the file, the member, the waiting."""
 
     cdef void *at
     cdef size_t bytes
     cdef int fd
-    cdef int waits              # threads in it without the interpreter's lock
+    cdef int waits              # threads that use it without the GIL
     cdef uint32_t me
-    cdef long forks             # at which `me` became a member; -1: never
+    cdef long forks             # value of `_forks` when `me` became a member; -1: never
     cdef readonly str name, path
 
     def __cinit__(self):
@@ -90,7 +90,7 @@ cdef class Shared:
         if at == MAP_FAILED:
             raise MemoryError("the file cannot be mapped")
         self.at = at
-        madvise(at, size, 23)   # MADV_POPULATE_WRITE, Linux 5.14: no cycle shall fault
+        madvise(at, size, 23)   # MADV_POPULATE_WRITE, Linux 5.14: no page faults in a cycle
 
     cdef judge(self, int verdict):
         if verdict == XM_BAD_VERSION:
@@ -110,7 +110,7 @@ cdef class Shared:
         raise NotImplementedError  # abstract: each kind of object has its own
 
     cdef xm_object *open(self) except NULL:
-        """Return the object, fit for use."""
+        """Return the object, ready for use."""
         if self.at is NULL:
             raise XmError("it is closed", where=self.name)
         if xm_destroyed(<xm_object *>self.at):
@@ -121,7 +121,7 @@ cdef class Shared:
         return <xm_object *>self.at
 
     cdef int joined(self, int code) except -1:
-        """Note which member this process is."""
+        """Store this process's member index."""
         if code < 0:
             self.fail(code)
         self.me, self.forks = code, _forks
@@ -142,7 +142,7 @@ cdef class Shared:
         pass
 
     cdef int sleep(self, int slot, int64_t until, object still) except -1:
-        """Wait until called (1) or until the time is over (0); signals are handled."""
+        """Wait until called (1) or until the time-out (0); signals are handled."""
         cdef xm_object *o = <xm_object *>self.at
         cdef int code
         while True:
@@ -150,7 +150,7 @@ cdef class Shared:
                 code = xm_sleep(&o.slots[slot], until)
                 if code == XM_AGAIN or code == XM_TIMED_OUT:
                     self.look_around()
-                    if code == XM_TIMED_OUT:    # it may have been called by that
+                    if code == XM_TIMED_OUT:    # the patrol may have called it
                         code = xm_sleep(&o.slots[slot], until)
             if xm_destroyed(o):
                 self.open()
@@ -203,7 +203,7 @@ cdef class Shared:
 
 
 cdef inline int64_t _limit(object until_ns) except? -1:
-    """Return a limit as C takes it; what is not after 0 is over."""
+    """Return a time-out as C expects it; times up to 0 are in the past."""
     if until_ns is None:
         return XM_FOREVER
     cdef int64_t until = until_ns
@@ -314,7 +314,7 @@ cdef class Semaphore(Shared):
         return xm_sem_give(self.s) == 0
 
     cdef int wait(self, int64_t until, int32_t priority, object still) except? -100:
-        """Take through the line; 0, XM_DIED or XM_EMPTY."""
+        """Take one by waiting in line; 0, XM_DIED or XM_EMPTY."""
         cdef int slot, code = xm_sem_begin(self.s, self.me, priority, True, &slot)
         if code == XM_STUCK or code == XM_CROWDED:
             self.fail(code)

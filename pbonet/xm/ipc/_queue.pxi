@@ -135,7 +135,7 @@ cdef class Queue(Shared):
 
     cdef int put(self, Py_buffer *view, int32_t priority, int mode, int64_t until,
                  object wait_priority, object still) except? -100:
-        """Send, and wait for room if there is time; then what `mode` says."""
+        """Send, and wait for room until the time-out; then apply `mode`."""
         cdef int how = XM_WAIT if until != 1 else mode
         cdef int slot, code = self.post(-1, view, priority, how)
         if code != XM_NO_ROOM or until == 1:
@@ -161,7 +161,7 @@ cdef class Queue(Shared):
         cdef int code
         if view.len <= XM_SHORT:
             return xm_send(self.q, self.me, slot, <uint8_t *>view.buf, view.len, priority, mode)
-        self.waits += 1         # nobody may unmap it meanwhile
+        self.waits += 1         # no other thread may unmap it meanwhile
         with nogil:
             code = xm_send(self.q, self.me, slot, <uint8_t *>view.buf, view.len, priority, mode)
         self.waits -= 1
@@ -232,7 +232,7 @@ cdef class Queue(Shared):
             PyBuffer_Release(&view)
 
     cdef bytes fetch(self, xm_letter *letter):
-        """Return a long letter that is in hand."""
+        """Return a long message that is in progress."""
         cdef bytes copy
         cdef char *to
         cdef int code
@@ -253,7 +253,7 @@ cdef class Queue(Shared):
 
     cdef bint take(self, uint8_t *to, uint32_t room, uint32_t most, int64_t until,
                    object priority, object still, xm_letter *letter) except -1:
-        """Receive one letter; False when the time was over before there was one."""
+        """Receive one message; False if there was none until the time-out."""
         cdef int code = xm_receive(self.q, self.me, -1, to, room, most, letter)
         if code == XM_EMPTY:
             if until == 1:
@@ -271,7 +271,7 @@ cdef class Queue(Shared):
 
     cdef int take_called(self, uint8_t *to, uint32_t room, uint32_t most, int64_t until,
                          int32_t priority, object still, xm_letter *letter) except? -100:
-        """Receive through the line; a code of xm_receive."""
+        """Receive by waiting in line; a result of xm_receive."""
         cdef int slot = self.stand(XM_RECEIVER, priority, 0), code = XM_EMPTY
         self.waits += 1
         try:

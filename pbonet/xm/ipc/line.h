@@ -1,9 +1,10 @@
-/* The line of those who wait for an object: highest priority first, then first come.
+/* The line of waiters for an object: highest priority first, then first come.
  *
- * Nothing is ever handed to a waiter. It is called, and then takes for itself; what it was
- * called for stays where it is until then, promised to as many as are called. So whoever
- * dies, called or not, takes nothing along: the next look at the line counts again. That
- * look is made by who leaves, who comes, and by every sleeper once in XM_PATROL_NS.
+ * Nothing is ever handed to a waiter. It is called, and then takes for itself; until then
+ * the object keeps what the waiter was called for, reserved for as many as are called. So a
+ * waiter that dies, called or not, takes nothing with it: the next check of the line counts
+ * again. Every thread that leaves or joins makes that check, and every sleeper once in
+ * XM_PATROL_NS.
  */
 #ifndef PBONET_XM_LINE_H
 #define PBONET_XM_LINE_H
@@ -31,7 +32,7 @@ static inline bool xm_before(const struct xm_slot *a, const struct xm_slot *b)
     return a->priority != b->priority ? a->priority > b->priority : a->ticket < b->ticket;
 }
 
-/* Count who waits in one role and find who comes first; under the lock. */
+/* Count the waiters of one role and find the first; the caller holds the lock. */
 static inline struct xm_tally xm_tally(struct xm_object *o, uint32_t role)
 {
     struct xm_tally t = {0, 0, NULL};
@@ -48,7 +49,7 @@ static inline struct xm_tally xm_tally(struct xm_object *o, uint32_t role)
     return t;
 }
 
-/* How many stand in the line, of all roles; needs no lock. */
+/* The number of waiters in the line, of all roles; needs no lock. */
 static inline uint32_t xm_waiting(const struct xm_object *o)
 {
     uint32_t n = 0;
@@ -57,7 +58,7 @@ static inline uint32_t xm_waiting(const struct xm_object *o)
     return n;
 }
 
-/* Free the slots of those who left; returns whether any is in use. Under the lock. */
+/* Free the slots of waiters that left; returns whether any is in use. Under the lock. */
 static inline bool xm_sweep(struct xm_object *o)
 {
     uint32_t high = 0;
@@ -72,7 +73,7 @@ static inline bool xm_sweep(struct xm_object *o)
     return high;
 }
 
-/* SYNC POINT X3, partner X4 in xm_sleep: the caller's changes are seen by the called. */
+/* SYNC POINT X3, partner X4 in xm_sleep: the called thread sees the caller's changes. */
 static inline void xm_call(struct xm_slot *slot)
 {
     uint32_t state = XM_WAITING;
@@ -83,7 +84,7 @@ static inline void xm_call(struct xm_slot *slot)
     syscall(SYS_futex, (uint32_t *)&slot->state, FUTEX_WAKE, INT_MAX, NULL, NULL, 0);
 }
 
-/* From now on everybody is refused; who sleeps is woken to hear it.
+/* Refuse all operations from now on; sleepers are woken to find out.
  * SYNC POINT X2, partner X1 in xm_destroyed. */
 static inline void xm_destroy(struct xm_object *o)
 {
@@ -116,8 +117,8 @@ static inline int xm_queue_up(struct xm_object *o, uint32_t me, uint32_t role,
     return i;
 }
 
-/* Sleep until called, for one patrol's time at most. Returns 0 (called), XM_SIGNAL,
- * XM_TIMED_OUT (CLOCK_MONOTONIC `until` is over) or XM_AGAIN (look around, and go on). */
+/* Sleep until called, for at most one patrol interval. Returns 0 (called), XM_SIGNAL,
+ * XM_TIMED_OUT (CLOCK_MONOTONIC `until` has passed) or XM_AGAIN (patrol, and go on). */
 static inline int xm_sleep(struct xm_slot *slot, int64_t until)
 {
     int64_t slice = pb_now() + XM_PATROL_NS;
@@ -129,7 +130,7 @@ static inline int xm_sleep(struct xm_slot *slot, int64_t until)
         slept = syscall(SYS_futex, (uint32_t *)&slot->state, FUTEX_WAIT_BITSET, XM_WAITING,
                         &at, NULL, FUTEX_BITSET_MATCH_ANY);
     int error = slept ? errno : 0;
-    /* SYNC POINT X4, partner X3: what was done before the call is seen. */
+    /* SYNC POINT X4, partner X3: what was done before the call is visible. */
     if (atomic_load_explicit(&slot->state, memory_order_acquire) != XM_WAITING)
         return 0;
     if (error == EINTR)
@@ -145,7 +146,7 @@ static inline void xm_forget(struct xm_object *o, uint32_t m)
             atomic_store(&o->slots[i].state, XM_FREE);
 }
 
-/* A member that has ended and still stands in the line, or XM_NONE; needs no lock. */
+/* A member that has ended and is still in the line, or XM_NONE; needs no lock. */
 static inline int xm_dead_in_line(const struct xm_object *o, uint32_t me)
 {
     for (uint32_t i = 0; i < atomic_load(&o->high) && i < XM_SLOTS; i++) {

@@ -1,8 +1,8 @@
 /* Sending to a queue and receiving from it (Stewart 1994, section 5.4.3).
  *
- * A short message is copied under the lock. For a long one the lock is given back while it
- * is copied; its header says whose hand it is in, and what a process that ended had in hand
- * is given back to the free lists by the next who looks.
+ * A short message is copied under the lock. For a long one the lock is released while it
+ * is copied; its header names the process that copies it, and what a process had in progress
+ * when it ended is returned to the free lists by the next patrol.
  */
 #ifndef PBONET_XM_MAIL_H
 #define PBONET_XM_MAIL_H
@@ -10,10 +10,10 @@
 #include "queue.h"
 
 enum { XM_SHORT = 1024 };                       /* bytes that are copied under the lock */
-enum { XM_REFUSE, XM_DROP, XM_DROP_OLDEST, XM_WAIT };   /* when there is no room */
+enum { XM_REFUSE, XM_DROP, XM_DROP_OLDEST, XM_WAIT };   /* if there is no room */
 
 struct xm_letter {
-    uint32_t head, size;        /* head: XM_END when it is copied and done with */
+    uint32_t head, size;        /* head: XM_END when it is copied and freed */
     int32_t priority;
 };
 
@@ -22,8 +22,8 @@ static inline bool xm_fits(const struct xm_queue *q, uint32_t size)
     return q->n_heads && q->n_blocks >= xm_need(q, size);
 }
 
-/* Call whom there is something for: receivers as there are messages, and the first of the
- * senders when there is room for its message. Under the lock. */
+/* Call the waiters that can go on: as many receivers as there are messages, and the first
+ * of the senders if there is room for its message. Under the lock. */
 static inline void xm_queue_serve(struct xm_queue *q)
 {
     if (!xm_sweep(&q->o))
@@ -42,7 +42,7 @@ static inline void xm_queue_unlock(struct xm_queue *q)
     xm_unlock(&q->o);
 }
 
-/* Whether a newcomer, or who was called, may go on; the others in the line come first. */
+/* Whether a newcomer, or a called waiter, may go on; others in the line come first. */
 static inline bool xm_may(struct xm_queue *q, uint32_t role, int slot, uint32_t size)
 {
     struct xm_tally t = {0, 0, NULL};
@@ -53,7 +53,7 @@ static inline bool xm_may(struct xm_queue *q, uint32_t role, int slot, uint32_t 
     return q->queued > t.waiting + t.called;
 }
 
-/* Take the place in the line back; under the lock. */
+/* Free the waiter's slot in the line; under the lock. */
 static inline void xm_step_out(struct xm_queue *q, int slot)
 {
     PBONET_STEP(80);
@@ -93,7 +93,7 @@ static inline int xm_copy_out(const struct xm_queue *q, uint32_t i, uint8_t *to)
     return 0;
 }
 
-/* Drop the least: of the lowest priority (if that is the policy), what is oldest. */
+/* Drop one message: the oldest, with HPF the oldest of the lowest priority. */
 static inline int xm_drop(struct xm_queue *q)
 {
     const struct xm_head *heads = xm_heads(q);
@@ -117,7 +117,7 @@ static inline int xm_make_room(struct xm_queue *q, uint32_t size)
     return code ? code : xm_fits(q, size) ? 0 : XM_NO_ROOM;
 }
 
-/* Copy a letter in and let it be served; the lock is held, and given back. */
+/* Copy a message in and queue it; called with the lock, which is released. */
 static inline int xm_post(struct xm_queue *q, uint32_t i, const uint8_t *data)
 {
     struct xm_head *h = xm_heads(q) + i;
@@ -126,7 +126,7 @@ static inline int xm_post(struct xm_queue *q, uint32_t i, const uint8_t *data)
         xm_unlock(&q->o);
     int code = xm_put_in(q, i, data);
     if (is_long && xm_queue_lock(q))
-        return XM_STUCK;        /* in hand until the sender has ended */
+        return XM_STUCK;        /* stays in progress until the sender has ended */
     if (!code) {
         h->seq = ++q->seq;
         PBONET_STEP(83);
@@ -138,9 +138,9 @@ static inline int xm_post(struct xm_queue *q, uint32_t i, const uint8_t *data)
     return code;
 }
 
-/* Receive: the first letter is copied to `to` if it has at most `room` bytes, else it stays
- * in hand until xm_received. XM_TOO_LONG, with its size, leaves one above `most` bytes where
- * it is; XM_EMPTY keeps the line's slot. */
+/* Receive: the first message is copied to `to` if it has at most `room` bytes; otherwise it
+ * stays in progress until xm_received. XM_TOO_LONG, with its size, leaves a message longer
+ * than `most` bytes in the queue; XM_EMPTY keeps the slot in the line. */
 static inline int xm_receive(struct xm_queue *q, uint32_t me, int slot, uint8_t *to,
                              uint32_t room, uint32_t most, struct xm_letter *letter)
 {
@@ -173,7 +173,7 @@ static inline int xm_receive(struct xm_queue *q, uint32_t me, int slot, uint8_t 
     return code;
 }
 
-/* Give back what a long letter in hand took. */
+/* Free a long message after it has been copied. */
 static inline int xm_received(struct xm_queue *q, uint32_t i)
 {
     int code = xm_queue_lock(q);
@@ -184,7 +184,7 @@ static inline int xm_received(struct xm_queue *q, uint32_t i)
     return code;
 }
 
-/* A member that has ended and is still somebody here, or XM_NONE; needs no lock. */
+/* A member that has ended and still has a slot or a message, or XM_NONE; needs no lock. */
 static inline int xm_queue_dead(const struct xm_queue *q, uint32_t me)
 {
     const struct xm_head *heads = xm_heads(q);
@@ -197,7 +197,7 @@ static inline int xm_queue_dead(const struct xm_queue *q, uint32_t me)
     return m;
 }
 
-/* Put in order what a member that has ended left: its slots, and what it had in hand. */
+/* Clean up after a member that has ended: its slots, and its messages in progress. */
 static inline int xm_queue_settle(struct xm_queue *q, uint32_t m)
 {
     const struct xm_head *heads = xm_heads(q);
@@ -213,7 +213,7 @@ static inline int xm_queue_settle(struct xm_queue *q, uint32_t m)
     return code;
 }
 
-/* Look for the dead, also for one that died with the lock. */
+/* Check for dead members, also for one that died with the lock. */
 static inline void xm_queue_patrol(struct xm_queue *q, uint32_t me)
 {
     int m;
@@ -249,8 +249,8 @@ static inline int xm_try_send(struct xm_queue *q, uint32_t me, int slot, const u
     return xm_post(q, i, data);
 }
 
-/* Send: 0, XM_NO_ROOM (the line's slot is kept), XM_TOO_LONG, XM_STUCK or XM_DAMAGED. A
- * full queue is looked over for what the dead had in hand before `full` says what to do. */
+/* Send: 0, XM_NO_ROOM (the slot in the line is kept), XM_TOO_LONG, XM_STUCK or XM_DAMAGED.
+ * If the queue is full, dead members' messages are freed before `full` applies. */
 static inline int xm_send(struct xm_queue *q, uint32_t me, int slot, const uint8_t *data,
                           uint32_t size, int32_t priority, int full)
 {
@@ -263,7 +263,7 @@ static inline int xm_send(struct xm_queue *q, uint32_t me, int slot, const uint8
     return xm_try_send(q, me, slot, data, size, priority, full);
 }
 
-/* Stand in the line as receiver or sender; the slot, XM_CROWDED, XM_STUCK, XM_DAMAGED. */
+/* Join the line as receiver or sender; the slot, XM_CROWDED, XM_STUCK, XM_DAMAGED. */
 static inline int xm_queue_wait(struct xm_queue *q, uint32_t me, uint32_t role,
                                 int32_t priority, uint32_t size)
 {
@@ -275,7 +275,7 @@ static inline int xm_queue_wait(struct xm_queue *q, uint32_t me, uint32_t role,
     return code;
 }
 
-/* Called in vain: wait on in the same place. */
+/* The call was in vain: keep waiting in the same place. */
 static inline void xm_queue_again(struct xm_queue *q, int slot)
 {
     uint32_t state = XM_CALLED;
@@ -293,7 +293,7 @@ static inline void xm_queue_leave(struct xm_queue *q, int slot)
         xm_queue_unlock(q);
 }
 
-/* Become a member, behind settling those that have ended; the member, or what it is not. */
+/* Become a member, after cleaning up those that have ended; the member, or an error. */
 static inline int xm_queue_enter(struct xm_queue *q)
 {
     int code = xm_queue_lock(q);

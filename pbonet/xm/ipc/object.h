@@ -1,10 +1,10 @@
-/* What every shared object of express mail begins with: who uses it, who waits, one lock.
+/* The common head of every shared object of express mail: users, waiters, one lock.
  *
- * A member is a process that is attached: its number and its start time, so that a killed
- * one is known as gone. All that the lock guards can be brought in order again by the next
- * holder, so it is robust: a holder that dies gives it on. It inherits priorities where the
- * kernel can, every section under it is bounded, and none makes a call that blocks. Nor is
- * a task held by its dispatcher in one (steady.h).
+ * A member is an attached process: its id and its start time, so that a killed one is
+ * recognized. Everything that the lock protects can be repaired by the next holder, so the
+ * lock is robust: when a holder dies the kernel passes it on. It inherits priorities where
+ * the kernel supports it, every section under it is bounded, and none makes a blocking call.
+ * Nor does a dispatcher hold a task in one (steady.h).
  */
 #ifndef PBONET_XM_OBJECT_H
 #define PBONET_XM_OBJECT_H
@@ -19,7 +19,7 @@ enum { XM_VERSION = 1, XM_SEM = 1, XM_QUEUE = 2 };
 enum { XM_MEMBERS = 128, XM_SLOTS = 128, XM_NONE = -1 };
 enum { XM_FREE, XM_WAITING, XM_CALLED, XM_LEFT };       /* of a slot */
 
-/* What operations answer beside 0. */
+/* Results of operations besides 0. */
 enum { XM_DIED = -1,        /* taken, and its last holder died with it */
        XM_EMPTY = -2, XM_STUCK = -3, XM_CROWDED = -4, XM_NO_ROOM = -5,
        XM_TOO_LONG = -6, XM_DAMAGED = -7, XM_TIMED_OUT = -8, XM_SIGNAL = -9,
@@ -45,8 +45,8 @@ struct xm_object {
     uint32_t mutex_size;        /* of this machine's C library */
     _Atomic uint32_t destroyed;
     _Alignas(PB_LINE) pthread_mutex_t lock;
-    uint32_t hurt;              /* somebody died under the lock; under the lock */
-    _Atomic uint32_t high;      /* slots at and above it are free */
+    uint32_t hurt;              /* a holder died under the lock; under the lock */
+    _Atomic uint32_t high;      /* slots from this index on are free */
     uint64_t tickets;
     struct xm_member members[XM_MEMBERS];
     struct xm_slot slots[XM_SLOTS];
@@ -63,7 +63,7 @@ static inline int xm_make(struct xm_object *o, uint32_t kind, uint64_t size)
     return error;
 }
 
-/* Judge a file that was mapped; 0, XM_DAMAGED or XM_BAD_VERSION. */
+/* Check a mapped file; 0, XM_DAMAGED or XM_BAD_VERSION. */
 static inline int xm_verify(const struct xm_object *o, uint32_t kind, uint64_t bytes)
 {
     if (bytes < sizeof *o || o->magic != XM_MAGIC || o->kind != kind)
@@ -73,7 +73,7 @@ static inline int xm_verify(const struct xm_object *o, uint32_t kind, uint64_t b
     return o->size == bytes ? 0 : XM_DAMAGED;
 }
 
-/* Note that a holder died, if one did; 0 when the lock is held now. */
+/* Record that a holder died, if one did; 0 if the lock is held now. */
 static inline int xm_held(struct xm_object *o, int error)
 {
     if (error == EOWNERDEAD) {
@@ -83,7 +83,7 @@ static inline int xm_held(struct xm_object *o, int error)
     return error ? XM_STUCK : 0;
 }
 
-/* Returns 0, or XM_STUCK when somebody holds the lock for seconds and does not run. */
+/* Returns 0, or XM_STUCK when the holder of the lock does not run for seconds. */
 static inline int xm_lock(struct xm_object *o)
 {
     PBONET_STEP(30);
@@ -97,7 +97,7 @@ static inline int xm_lock(struct xm_object *o)
     return XM_STUCK;
 }
 
-/* As xm_lock, for who does not wait for another holder. */
+/* As xm_lock, for a caller that does not wait for another holder. */
 static inline int xm_try_lock(struct xm_object *o)
 {
     xm_steady_begin();
@@ -115,13 +115,13 @@ static inline void xm_unlock(struct xm_object *o)
     xm_steady_end();
 }
 
-/* SYNC POINT X1, partner X2: a destroyed object is seen as such by who was woken for it. */
+/* SYNC POINT X1, partner X2: a thread woken by the destruction sees the mark. */
 static inline bool xm_destroyed(const struct xm_object *o)
 {
     return atomic_load_explicit(&o->destroyed, memory_order_acquire);
 }
 
-/* Whether member `m` is recorded and has ended; who cannot be judged counts as alive. */
+/* Whether member `m` is recorded and has ended; false if that cannot be determined. */
 static inline bool xm_dead(const struct xm_object *o, uint32_t m)
 {
     const struct xm_member *who = o->members + m;
@@ -130,8 +130,8 @@ static inline bool xm_dead(const struct xm_object *o, uint32_t m)
            pb_process_start(pid) != atomic_load(&who->start);
 }
 
-/* Take a place among the members, under the lock; XM_CROWDED when there is none. The dead
- * have been settled before (patrol.h). */
+/* Take a place among the members, under the lock; XM_CROWDED if there is none. The caller
+ * has cleaned up after dead members before. */
 static inline int xm_enter(struct xm_object *o)
 {
     for (int m = 0; m < XM_MEMBERS; m++) {

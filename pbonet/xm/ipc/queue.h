@@ -1,9 +1,9 @@
 /* A message queue's memory (Stewart 1994, section 5.4.3.1): headers and blocks in lists.
  *
  * A message is a header and as many blocks as it needs, linked. The headers' states and
- * their chains of blocks are the truth; the lists (free headers, free blocks, the order of
- * the messages) can be made again from them, and are, when somebody died under the lock.
- * A header becomes anything but free only when its chain is complete.
+ * their chains of blocks are authoritative; the lists (free headers, free blocks, the order
+ * of the messages) can be rebuilt from them, and are after a process died under the lock.
+ * A header leaves the state "free" only when its chain is complete.
  */
 #ifndef PBONET_XM_QUEUE_H
 #define PBONET_XM_QUEUE_H
@@ -27,7 +27,7 @@ struct xm_queue {
     struct xm_object o;
     uint32_t policy, heads, blocks, block;      /* block: bytes in one */
     uint64_t heads_at, links_at, marks_at, data_at;
-    /* under the lock: */
+    /* protected by the lock: */
     uint32_t first, last, free_head, free_block, n_heads, n_blocks, queued;
     uint64_t seq, dropped;
 };
@@ -47,13 +47,13 @@ static inline uint8_t *xm_block(const struct xm_queue *q, uint32_t i)
     return (uint8_t *)q + q->data_at + (uint64_t)i * q->block;
 }
 
-/* Blocks that `size` bytes need; an empty message needs none. */
+/* Number of blocks for `size` bytes; an empty message needs none. */
 static inline uint32_t xm_need(const struct xm_queue *q, uint64_t size)
 {
     return (uint32_t)((size + q->block - 1) / q->block);
 }
 
-/* Fill in where everything stands; returns the size of the whole. */
+/* Compute the places of all parts; returns the total size. */
 static inline uint64_t xm_lay_out(struct xm_queue *q, uint32_t heads, uint32_t blocks,
                                   uint32_t block)
 {
@@ -78,7 +78,7 @@ static inline bool xm_precedes(const struct xm_queue *q, const struct xm_head *a
     return a->seq < b->seq;
 }
 
-/* Put a header where the policy wants it: at the front, or looked for from the end. */
+/* Insert a header in the policy's order: at the front, or searched from the end. */
 static inline void xm_insert(struct xm_queue *q, uint32_t i)
 {
     struct xm_head *heads = xm_heads(q), *h = heads + i;
@@ -105,7 +105,7 @@ static inline void xm_remove(struct xm_queue *q, uint32_t i)
     q->queued--;
 }
 
-/* The last block of a chain of `n`, or XM_END when a link leads nowhere. */
+/* The last block of a chain of `n`, or XM_END if a link is invalid. */
 static inline uint32_t xm_chain_end(const struct xm_queue *q, uint32_t first, uint32_t n)
 {
     const uint32_t *links = xm_links(q);
@@ -114,8 +114,8 @@ static inline uint32_t xm_chain_end(const struct xm_queue *q, uint32_t first, ui
     return first < q->blocks ? first : XM_END;
 }
 
-/* Take a header and blocks for a message of `size` bytes, which there must be; the
- * header's index, or XM_END in a damaged queue. */
+/* Take a header and blocks for a message of `size` bytes; the caller has checked that they
+ * are free. Returns the header's index, or XM_END in a damaged queue. */
 static inline uint32_t xm_alloc(struct xm_queue *q, uint32_t me, uint32_t size,
                                 int32_t priority)
 {
@@ -162,7 +162,7 @@ static inline int xm_free(struct xm_queue *q, uint32_t i)
     return 0;
 }
 
-/* Mark the blocks of a header as used; false when its chain cannot be true. */
+/* Mark the blocks of a header as used; false if its chain is invalid. */
 static inline bool xm_mark(const struct xm_queue *q, const struct xm_head *h, uint8_t *marks)
 {
     uint32_t at = h->first, n = xm_need(q, h->size);
@@ -176,7 +176,7 @@ static inline bool xm_mark(const struct xm_queue *q, const struct xm_head *h, ui
     return true;
 }
 
-/* Make all lists again from the headers' states, without those whose member has ended. */
+/* Rebuild all lists from the headers' states, without those whose member has ended. */
 static inline int xm_rebuild(struct xm_queue *q)
 {
     struct xm_head *heads = xm_heads(q);
@@ -212,7 +212,7 @@ static inline int xm_rebuild(struct xm_queue *q)
     return 0;
 }
 
-/* Walk the order of service, marking blocks; how many messages, or XM_END if it is broken. */
+/* Walk the order of service and mark blocks; the number of messages, or XM_END if broken. */
 static inline uint32_t xm_check_order(const struct xm_queue *q, uint8_t *marks)
 {
     const struct xm_head *heads = xm_heads(q);
@@ -235,7 +235,7 @@ static inline uint32_t xm_check_free(const struct xm_queue *q)
     return n;
 }
 
-/* Whether lists, states and chains fit together; under the lock, for who attaches. */
+/* Whether lists, states and chains are consistent; under the lock, when attaching. */
 static inline bool xm_check(struct xm_queue *q)
 {
     const struct xm_head *heads = xm_heads(q);
@@ -282,7 +282,7 @@ static inline int xm_queue_verify(const struct xm_queue *q, uint64_t bytes)
            plan.marks_at == q->marks_at && plan.data_at == q->data_at ? 0 : XM_DAMAGED;
 }
 
-/* The lock, with the lists in order: 0, XM_STUCK or XM_DAMAGED. */
+/* Lock, with the lists in order: 0, XM_STUCK or XM_DAMAGED. */
 static inline int xm_queue_lock(struct xm_queue *q)
 {
     if (xm_lock(&q->o))

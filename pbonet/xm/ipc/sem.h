@@ -1,10 +1,10 @@
 /* A semaphore, counting or binary (Stewart 1994, section 5.4.2).
  *
- * Its value stands in one word, together with whether anybody waits. While nobody does, P
- * and V are one compare-and-exchange each. V never waits for the lock: who cannot have it
- * leaves a mark in the word, and the holder, which looks at the mark behind its unlocking,
- * does what is to be done. A binary semaphore's word also names its holder, so that one who
- * dies with it is known; the next P takes it and is told.
+ * Its value and whether any thread waits are in one word. While none waits, P and V are one
+ * compare-and-exchange each. V never waits for the lock: if it cannot get it, it leaves a
+ * mark in the word, and the holder, which checks the mark after unlocking, does the work. A
+ * binary semaphore's word also names its holder, so that the death of a holder is detected;
+ * the next P takes the semaphore and returns XM_DIED.
  */
 #ifndef PBONET_XM_SEM_H
 #define PBONET_XM_SEM_H
@@ -13,7 +13,7 @@
 
 #define XM_VALUE UINT64_C(0xffffffff)
 #define XM_BUSY (UINT64_C(1) << 32)     /* slots are in use: P goes through the line */
-#define XM_KICK (UINT64_C(1) << 33)     /* somebody is to be called */
+#define XM_KICK (UINT64_C(1) << 33)     /* a waiter must be called */
 #define XM_ORPHAN (UINT64_C(1) << 34)   /* the last holder died with it */
 enum { XM_HOLDER = 48 };                /* from this bit: holder's member + 1 */
 
@@ -59,7 +59,7 @@ static inline uint64_t xm_sem_holder_pid(const struct xm_sem *s)
     return m < 0 ? 0 : atomic_load(&s->o.members[m % XM_MEMBERS].pid);
 }
 
-/* Take one: 0, XM_DIED or XM_EMPTY. Who was called passes those who still wait. */
+/* Take one: 0, XM_DIED or XM_EMPTY. A called waiter passes those that still wait. */
 static inline int xm_sem_take(struct xm_sem *s, uint32_t me, bool called)
 {
     uint64_t next, word = atomic_load(&s->word);
@@ -70,13 +70,13 @@ static inline int xm_sem_take(struct xm_sem *s, uint32_t me, bool called)
         if (s->binary)
             next |= (uint64_t)(me + 1) << XM_HOLDER;
         PBONET_STEP(50);
-    /* SYNC POINT S1, partner S2 in xm_sem_give: what a holder wrote is seen by the next. */
+    /* SYNC POINT S1, partner S2 in xm_sem_give: the next holder sees this one's writes. */
     } while (!atomic_compare_exchange_weak(&s->word, &word, next));
     PBONET_STEP(51);
     return word & XM_ORPHAN ? XM_DIED : 0;
 }
 
-/* Bring word and line together and call whom there is something for; under the lock. */
+/* Bring word and line in agreement and call the waiters that can go on; under the lock. */
 static inline void xm_sem_serve(struct xm_sem *s)
 {
     uint64_t next, word = atomic_load(&s->word);
@@ -84,8 +84,8 @@ static inline void xm_sem_serve(struct xm_sem *s)
     do {
         next = (word & ~(XM_BUSY | XM_KICK)) | (busy ? XM_BUSY : 0);
         PBONET_STEP(52);
-    /* SYNC POINT S3, partner S2: who gives behind this sees BUSY, who gave before it is
-     * seen here. */
+    /* SYNC POINT S3, partner S2: a V after this sees BUSY, and a V before it is seen
+     * here. */
     } while (!atomic_compare_exchange_weak(&s->word, &word, next));
     struct xm_tally t = xm_tally(&s->o, 0);
     for (uint64_t value = next & XM_VALUE; t.best && value > t.called;) {
@@ -95,11 +95,11 @@ static inline void xm_sem_serve(struct xm_sem *s)
     s->o.hurt = 0;
 }
 
-/* Do what somebody left a mark for, unless another one holds the lock and will. */
+/* Serve a mark that a V has left, unless another thread holds the lock and will. */
 static inline void xm_sem_answer(struct xm_sem *s)
 {
-    /* SYNC POINT S4, with itself: either the trying below fails before the holder unlocks,
-     * and the holder's look at the mark comes behind that, or the trying succeeds. */
+    /* SYNC POINT S4, with itself: either the try-lock below fails before the holder unlocks,
+     * and the holder's check of the mark comes after that, or the try-lock succeeds. */
     atomic_thread_fence(memory_order_seq_cst);
     while (atomic_load(&s->word) & XM_KICK) {
         if (xm_try_lock(&s->o))
@@ -119,8 +119,8 @@ static inline void xm_sem_unlock(struct xm_sem *s)
     xm_steady_end();
 }
 
-/* V: 0, or XM_NO_ROOM when the value stands at its maximum. Never waits, and is not held
- * between its mark and the call of who waits. */
+/* V: 0, or XM_NO_ROOM if the value is at its maximum. Never waits; the dispatcher does not
+ * hold the task between its mark and the call of the waiter. */
 static inline int xm_sem_give(struct xm_sem *s)
 {
     uint64_t next, word = atomic_load(&s->word);
@@ -141,7 +141,7 @@ static inline int xm_sem_give(struct xm_sem *s)
     return 0;
 }
 
-/* Put in order what a member that has ended left: its slots, and what it held. */
+/* Clean up after a member that has ended: its slots, and the semaphore if it held it. */
 static inline void xm_sem_settle(struct xm_sem *s, uint32_t m)
 {
     uint64_t word = atomic_load(&s->word);
@@ -156,7 +156,7 @@ static inline void xm_sem_settle(struct xm_sem *s, uint32_t m)
     atomic_store(&s->o.members[m].pid, 0);
 }
 
-/* A member that has ended and is still somebody here, or XM_NONE; needs no lock. */
+/* A member that has ended and still waits or holds, or XM_NONE; needs no lock. */
 static inline int xm_sem_dead(const struct xm_sem *s, uint32_t me)
 {
     int holder = xm_sem_holder(s), m = xm_dead_in_line(&s->o, me);
@@ -165,7 +165,7 @@ static inline int xm_sem_dead(const struct xm_sem *s, uint32_t me)
     return m;
 }
 
-/* Look for the dead: in the line, the holder, and whoever died with the lock. */
+/* Check for dead members: in the line, the holder, and one that died with the lock. */
 static inline void xm_sem_patrol(struct xm_sem *s, uint32_t me)
 {
     int m;
@@ -191,7 +191,7 @@ static inline int xm_sem_begin(struct xm_sem *s, uint32_t me, int32_t priority, 
     if (!wait && !atomic_load(&s->word))
         return code;
     if (!wait)
-        xm_sem_patrol(s, me);   /* who waits looks around later: it reads /proc */
+        xm_sem_patrol(s, me);   /* a waiter patrols later: the patrol reads /proc */
     if (xm_lock(&s->o))
         return XM_STUCK;
     struct xm_tally t = xm_tally(&s->o, 0);
@@ -205,7 +205,7 @@ static inline int xm_sem_begin(struct xm_sem *s, uint32_t me, int32_t priority, 
     return code;
 }
 
-/* Take what the slot was called for: 0 or XM_DIED, or XM_AGAIN to wait on in the line. */
+/* Take what the slot was called for: 0 or XM_DIED, or XM_AGAIN to keep waiting. */
 static inline int xm_sem_called(struct xm_sem *s, uint32_t me, int slot)
 {
     if (xm_lock(&s->o))
@@ -226,7 +226,7 @@ static inline void xm_sem_leave(struct xm_sem *s, int slot)
         xm_sem_unlock(s);
 }
 
-/* Become a member, behind settling those that have ended; the member, or what it is not. */
+/* Become a member, after cleaning up those that have ended; the member, or an error. */
 static inline int xm_sem_enter(struct xm_sem *s)
 {
     if (xm_lock(&s->o))
@@ -239,7 +239,7 @@ static inline int xm_sem_enter(struct xm_sem *s)
     return me;
 }
 
-/* Leave; a binary semaphore that is held on leaving counts as one whose holder died. */
+/* Leave; a binary semaphore that the member still holds counts as one whose holder died. */
 static inline int xm_sem_exit(struct xm_sem *s, uint32_t me)
 {
     if (xm_lock(&s->o))

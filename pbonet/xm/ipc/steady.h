@@ -1,10 +1,9 @@
 /* Sections in which a task must not be held.
  *
- * Without real-time rights a dispatcher holds a task by a signal, wherever that meets it.
- * Within a shared object's lock it would keep from it whoever is more urgent and wants the
- * lock, too. So each section is counted, by its own thread in memory of its own; a signal
- * that comes within one is noted, and raised again at the section's end. Sections are
- * bounded, and may contain others.
+ * Without real-time rights a dispatcher holds a task by a signal, at any instruction. A task
+ * held inside a shared object's lock would keep the lock from more urgent tasks. So each
+ * thread counts its sections in thread-local memory; a signal that arrives within one is
+ * noted, and raised again at the section's end. Sections are bounded, and may be nested.
  */
 #ifndef PBONET_XM_STEADY_H
 #define PBONET_XM_STEADY_H
@@ -13,11 +12,11 @@
 #include <stdatomic.h>
 
 struct xm_steady {
-    volatile sig_atomic_t depth, owed;      /* owed: a signal that came within; 0: none */
+    volatile sig_atomic_t depth, owed;      /* owed: a signal that arrived; 0: none */
 };
 
-/* Eight bytes, so they may stand where they are found without a call: glibc keeps room for
- * such in libraries that are loaded late. */
+/* Eight bytes, so the initial-exec model needs no call: glibc reserves static TLS space for
+ * small variables of libraries that are loaded late. */
 #if defined(__GLIBC__) && defined(__GNUC__)
 __attribute__((tls_model("initial-exec")))
 #endif
@@ -28,8 +27,8 @@ static inline struct xm_steady *xm_steady_here(void)
     return &xm_steady;
 }
 
-/* For a handler of signals in the same thread: whether it came amid a section, at whose
- * end it will be called again. */
+/* For a signal handler in the same thread: whether it interrupted a section, at whose end
+ * it will be called again. */
 static inline int xm_steady_owes(struct xm_steady *steady, int signal)
 {
     if (!steady->depth)

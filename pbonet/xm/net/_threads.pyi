@@ -1,9 +1,9 @@
 """Threads that Python did not start, such as zenoh's."""
 
 def stay_known() -> None:
-    """Let Python keep its state of this thread, which it did not start.
+    """Keep Python's state of the calling thread, which Python did not start.
 
-    Otherwise it is made again at each call and discarded afterwards, which takes longer
-    than many calls. At most 64 threads of a process get this; for others it does
+    Otherwise it is created at each call and discarded afterwards, which takes longer
+    than many calls. At most 64 threads of a process are kept; for others this does
     nothing.
     """

@@ -1,11 +1,11 @@
 # cython: language_level=3, boundscheck=False, wraparound=False
-"""Threads that Python did not start, such as zenoh's; `_threads.pyi` says what is here."""
+"""Threads that Python did not start, such as zenoh's; documented in `_threads.pyi`."""
 
 cdef extern from *:
     """
-    /* Python knows a thread that it did not start for as long as a call lasts: at each call
-     * it maps and unmaps memory for it. One that comes again and again is to stay known.
-     * What is kept of a thread is never freed, so there is an end to it. */
+    /* Python keeps the state of a foreign thread only during a call: at each call it maps
+     * and unmaps memory for it. For a thread that calls often, the state is kept. It is
+     * never freed, so the number of threads is limited. */
     enum { XM_KNOWN = 64 };
     static _Thread_local int xm_known;
     static _Atomic int xm_knowns;
