@@ -40,7 +40,7 @@ def compile_c(name: str, folder: Path) -> Path:
     """Return the program made of the C file of that name beside this one."""
     here = Path(__file__).parent
     program = folder / name
-    native = here.parent / "pbonet" / "node"
+    native = here.parent / "pbonet" / "node" / "rt"
     options = ["-O2", "-std=c11", "-I", str(native), "-o", str(program)]
     subprocess.run(["cc", *options, str(here / f"{name}.c")], check=True)  # noqa: S607 - the compiler is where PATH says
     return program

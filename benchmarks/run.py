@@ -67,7 +67,7 @@ QUICK = {
     "transfer": "--seconds 1",
     "simulate": "--seconds 2",
     "ipc": "--rounds 3",
-    "tbuf": "--rounds 1 --seconds 1",
+    "tbuf": "--rounds 2 --seconds 1",
     "tbuf-tasks": "--rounds 1 --seconds 1",
     "signals": "--rounds 3",
     "combine": "--blocks 1 --seconds 1",
