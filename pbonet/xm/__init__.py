@@ -1,8 +1,8 @@
 """Express mail: how tasks, agents and masters reach each other (Stewart 1994, 5.3).
 
-Semaphores, message queues and shared memory segments are what modules and programs
-import from here. Keys, messages, sessions and the request layer stand in files of their
-own, and everything over zenoh is opened there: importing this loads no network.
+Modules and programs import semaphores, message queues and shared memory segments from
+here. Keys, messages, sessions and the request layer are in `pbonet.xm.net`, which alone
+uses zenoh: importing this package loads no network code.
 """
 
 from pbonet.lazy import attach

@@ -1,4 +1,4 @@
-"""Attach to a resource, or make it: the order of its users does not matter."""
+"""Attach to a resource, or make it: its users may start in any order."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def semaphore(
         name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
         initial: Its value when it is made; a binary one is free (1) or taken (0).
         maximum: Its highest value, 2**31 - 1 by default.
-        binary: Whether it guards a critical section: its holder is known, and when that
-            dies the next P is told.
+        binary: Whether it protects a critical section: the holder is known, and if it
+            dies the next P returns `Taken.HOLDER_DIED`.
 
     Raises:
-        XmNameError: It is no name.
-        UnreachableError: The RTPU is on no machine that can be reached.
+        XmNameError: `name` is malformed.
+        UnreachableError: No reachable machine has the RTPU.
         XmMissingError: There is none, and no `initial` was given.
-        XmLayoutError: It stands with another maximum, or is not what `binary` says.
+        XmLayoutError: It exists with another maximum, or is not what `binary` says.
         XmError: Its file cannot be used.
     """
 
@@ -62,15 +62,15 @@ def queue(
 
     Args:
         name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
-        policy: Which message is received first; FIFO by default.
-        messages: How many it holds at most; 64 by default.
-        blocks: How many blocks the messages share; as many as messages.
+        policy: Order in which messages are received; FIFO by default.
+        messages: Maximum number of messages; 64 by default.
+        blocks: Number of blocks that the messages share; `messages` by default.
         block: Bytes of a block; 64. A longer message takes several.
 
     Raises:
-        XmNameError: It is no name.
-        UnreachableError: The RTPU is on no machine that can be reached.
-        XmLayoutError: It stands with another setting than one given here.
+        XmNameError: `name` is malformed.
+        UnreachableError: No reachable machine has the RTPU.
+        XmLayoutError: It exists with a setting that differs from one given here.
         XmError: Its file cannot be used.
     """
 
@@ -98,13 +98,13 @@ def segment(name: str, size: int | None = None) -> Segment:
 
     Args:
         name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
-        size: Bytes.
+        size: Size in bytes.
 
     Raises:
-        XmNameError: It is no name.
+        XmNameError: `name` is malformed.
         UnreachableError: The RTPU is not on this machine.
         XmMissingError: There is none, and no `size` was given.
-        XmLayoutError: It stands with another size.
+        XmLayoutError: It exists with another size.
         XmError: Its file cannot be used.
     """
 
@@ -117,7 +117,7 @@ def segment(name: str, size: int | None = None) -> Segment:
 
 
 def _open(attach: Callable[[], T], make: Callable[[], T], **wanted: object) -> T:
-    """Attach, or make, whatever others do meanwhile; refuse other settings."""
+    """Attach or make, whatever other processes do meanwhile; refuse other settings."""
     while True:
         try:
             return _checked(attach(), wanted)

@@ -1,11 +1,11 @@
 """Files of other machines as an fsspec file system: ``pbonet://RTPU/PATH``.
 
-What fsspec, numpy, MCAP readers and others do with files works with it (Stewart 1994,
-section 5.3.2). A path begins in the folder that the RTPU's agent declares. A file that
-is written appears when it is closed, whole, or not at all.
+fsspec, numpy, MCAP readers and others can use it (Stewart 1994, section 5.3.2). Paths
+are relative to the folder that the RTPU's agent declares. A file that is written
+appears as a whole when it is closed, or not at all.
 """
 
-# What fsspec's classes have is not declared there.
+# fsspec's classes do not declare their attributes.
 # pyright: basic, reportIncompatibleMethodOverride=false, reportArgumentType=false
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from . import names, remote_channel
 
 try:
     from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
-except ImportError as error:  # pragma: no cover - said once, by who lacks it
+except ImportError as error:  # pragma: no cover - only without the extra `files`
     raise ImportError(
         "files of other machines need fsspec: pip install 'pbonet[files]'"
     ) from error
@@ -45,20 +45,23 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 ANSWER_TIME = 5.0
-"""Seconds in which an agent reads or writes a part of a file."""
+"""Seconds within which an agent reads or writes a part of a file."""
 DEEPEST = 64
-"""Folders in a path; a link may lead round in a circle."""
+"""Maximum depth of a path in folders; symbolic links may form a cycle."""
 
 
 class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
     """Files on the machines of RTPUs.
 
+    Errors are those of `pbonet.errors`, of classes that also inherit the builtin ones
+    (`FileNotFoundError` and others) where fsspec expects them.
+
     Args:
-        domain: The domain of the RTPUs; this process's own if left out.
-        connect: Endpoints of agents; those of `PBONET_CONNECT` and of this machine if
-            left out.
-        keys: A key folder; the one that `PBONET_KEYS` names if left out.
-        options: Those of every fsspec file system.
+        domain: The domain of the RTPUs; by default this process's own.
+        connect: Endpoints of agents; by default those of `PBONET_CONNECT` and of this
+            machine.
+        keys: A key folder; by default the one in `PBONET_KEYS`.
+        options: Options of every fsspec file system.
     """
 
     protocol = "pbonet"
@@ -83,21 +86,21 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
             )
 
     def ask(self, path: str, request: XmRequest, result: type[T]) -> T:
-        """Return an agent's answer; `path` begins with the RTPU."""
+        """Return an agent's answer to a request; `path` begins with the RTPU."""
         refuse(f"the file pbonet://{path}")
         carrier = self._carrier or remote_channel.carrier()
         rtpu = _split(path)[0]
         return carrier.call(rtpu, request, result, timeout=ANSWER_TIME)
 
     def close(self) -> None:
-        """Close the connection, if it is one of its own."""
+        """Close the connection, if this object has its own."""
         if self._carrier is not None:
             self._carrier.close()
 
-    # -- looking -----------------------------------------------------------------------
+    # -- reading -----------------------------------------------------------------------
 
     def info(self, path: str, **_: object) -> dict[str, Any]:
-        """Return what stands at a path: `name`, `type`, `size`, `mtime`."""
+        """Return the entry at a path: `name`, `type`, `size` (bytes), `mtime` (s)."""
         path = str(self._strip_protocol(path))
         if not path:
             return {"name": "", "type": "directory", "size": 0}
@@ -108,7 +111,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         """Return whether something exists at a path.
 
         Raises:
-            UnreachableError: Unknown, because the RTPU cannot be reached.
+            UnreachableError: The RTPU cannot be reached, so the answer is unknown.
         """
         return self._type(path) != ""
 
@@ -121,9 +124,9 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         return self._type(path) == "file"
 
     def _type(self, path: str) -> str:
-        """Return what stands at a path; empty if that is nothing that can be used.
+        """Return the type of the entry at a path; empty if there is none.
 
-        fsspec would take a link that is cut for a file that is not there.
+        fsspec would report an unreachable RTPU as a missing file.
         """
         try:
             return str(self.info(path)["type"])
@@ -131,7 +134,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
             return ""
 
     def ls(self, path: str, detail: bool = True, **_: object) -> list[Any]:  # noqa: FBT001, FBT002 - fsspec's
-        """Return what a folder holds; of the root the RTPUs that are there."""
+        """Return the entries of a folder; of the root the RTPUs that are alive."""
         path = str(self._strip_protocol(path))
         if not path:
             found = [
@@ -167,7 +170,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         self._change(path, "mkdir")
 
     def makedirs(self, path: str, exist_ok: bool = False) -> None:  # noqa: FBT001, FBT002 - fsspec's
-        """Make a folder and those above it."""
+        """Make a folder and its parents."""
         path = str(self._strip_protocol(path))
         parts = [part for part in _split(path)[1].split("/") if part]
         for count in range(1, len(parts) + 1):
@@ -186,7 +189,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
             self.makedirs(parent, exist_ok=True)
 
     def touch(self, path: str, truncate: bool = True, **options: Any) -> None:  # noqa: FBT001, FBT002, ANN401 - fsspec's
-        """Make an empty file; without `truncate` one that is there gets a new time."""
+        """Make an empty file; without `truncate` an existing one gets a new time."""
         path = str(self._strip_protocol(path))
         if truncate or not self.exists(path):
             self._make_parent(path)
@@ -200,9 +203,9 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         recursive: bool = False,  # noqa: FBT001, FBT002 - fsspec's
         maxdepth: int | None = None,
     ) -> None:
-        """Remove files, and folders with all that they hold if `recursive`.
+        """Remove files, and folders with their content if `recursive`.
 
-        A symbolic link is removed, never what it leads to.
+        A symbolic link is removed, never its target.
         """
         for one in self.expand_path(path):
             self._remove(one, deeper=(maxdepth or DEEPEST) if recursive else 0)
@@ -214,7 +217,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         self.rm_file(path)
 
     def _is_folder(self, path: str) -> bool:
-        """Return whether a folder exists at a path, and no link to one."""
+        """Return whether the entry at a path is a folder and not a link to one."""
         with contextlib.suppress(XmError):
             found = self.info(path)
             return found["type"] == "directory" and not found.get("islink")
@@ -230,7 +233,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
     def cp_file(self, path1: str, path2: str, **_: object) -> None:
         """Copy a file, also from one RTPU to another; of a folder make an empty one.
 
-        The copy appears when it is whole. What it holds passes through this process.
+        The copy appears when it is complete. The data passes through this process.
         """
         path1, path2 = (str(self._strip_protocol(path)) for path in (path1, path2))
         if self.isdir(path1):
@@ -249,11 +252,11 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
     ) -> None:
         """Move files and whole folders, into `path2` if that is a folder.
 
-        On one RTPU each is moved at once. From one RTPU to another it is copied, and
-        removed when the copy is whole. A file that stands at its new path is replaced.
+        On one RTPU each is moved atomically. From one RTPU to another it is copied, and
+        removed when the copy is complete. A file at the new path is replaced.
 
         Raises:
-            XmExistsError: A folder is to go to another RTPU, to the place of one.
+            XmExistsError: A folder at the new path on another RTPU is in the way.
         """
         if isinstance(path2, list):
             pairs = list(
@@ -276,7 +279,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
         if rtpu == other:
             try:
                 self.ask(source, f.FileMove(path=path, to=to), type(None))
-            except XmMissingError:  # what was to be moved, or the folder it is to go to
+            except XmMissingError:  # of the source, or of the target's folder
                 if not self._is_listed(source):
                     raise
                 self._make_parent(target)
@@ -327,7 +330,7 @@ class PbonetFileSystem(AbstractFileSystem):  # type: ignore[misc]
 
 
 class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
-    """A file of another machine."""
+    """A file on another machine."""
 
     DEFAULT_BLOCK_SIZE: ClassVar[int] = f.CHUNK
 
@@ -348,7 +351,7 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
                 got=mode,
                 remedy="read it, and write it anew; or write another file beside it",
             )
-        if mode == "xb" and fs.exists(path):  # and again when it is whole
+        if mode == "xb" and fs.exists(path):  # the agent checks again at the end
             raise XmExistsError(
                 "something stands there",
                 where=f"pbonet://{path}",
@@ -366,7 +369,7 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
             )
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the file; what was written is dropped if something was raised."""
+        """Close the file; after an exception what was written is discarded."""
         if kind is not None and self.mode != "rb":
             self.discard()
         self.close()
@@ -414,9 +417,9 @@ class PbonetFile(AbstractBufferedFile):  # type: ignore[misc]
         self._finish(keep=True)
 
     def discard(self) -> None:
-        """Drop what was written."""
+        """Discard what was written."""
         self.forced = True  # nothing is left to send when it is closed
-        with contextlib.suppress(PbonetError):  # the agent drops it without us, too
+        with contextlib.suppress(PbonetError):  # the agent discards it anyway
             self._finish(keep=False)
 
     def _finish(self, *, keep: bool) -> None:

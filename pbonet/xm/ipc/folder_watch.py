@@ -1,4 +1,4 @@
-"""Watches folders of shared memory that are listed again and again."""
+"""Detects changes of shared memory folders that are listed repeatedly."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import os
 import time
 
 TICK_NS = 20_000_000
-"""A folder's time stamp is that of the last tick of the kernel, some ms ago at most."""
+"""Resolution of a folder's time stamp: the kernel's clock tick, some milliseconds."""
 
 
 class Changes:
-    """Detects whether something was made or removed in a folder.
+    """Detects whether a file was made or removed in a folder.
 
-    After a change the folder is to be listed until its time stamp has stood for longer
-    than a tick: it cannot tell what came directly behind a listing.
+    After a change the folder must be listed until its time stamp has not changed for
+    longer than a tick: the stamp cannot show a change directly after a listing.
 
     Args:
         path: The folder.
@@ -26,7 +26,7 @@ class Changes:
         self._settled = False
 
     def look(self) -> bool:
-        """Return whether the folder is to be listed now."""
+        """Return whether the folder must be listed now."""
         stamp = os.stat(self._path).st_mtime_ns  # noqa: PTH116 - three times as fast
         if stamp == self._stamp and self._settled:
             return False

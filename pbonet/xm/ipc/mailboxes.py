@@ -1,10 +1,9 @@
-"""Mailbox interrupts that users define, with a value (Stewart 1994, section 5.3.1).
+"""User-defined mailbox interrupts with a value (Stewart 1994, section 5.3.1).
 
-A task or program on an RTPU has a mailbox and a handler for what comes; any other on
-any machine sends. Each interrupt is kept, in order, until it is handled, even while no
-receiver is there; when the mailbox is full the sender is notified. Nothing happens in a
-cycle of its own accord: a task looks in, or waits in `sync`; a program may leave it to
-a thread.
+A task or program on an RTPU installs a mailbox and a handler; any process on any
+machine can send to it. Interrupts are kept in order until they are handled, even while
+there is no receiver; if the mailbox is full the sender gets an error. A cycle is never
+interrupted: a task checks the mailbox, or waits in `sync`; a program may use a thread.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ PREFIX = "mbox."
 """Prefix of the names of a mailbox's queue and semaphore."""
 DEPTH = 64
 KEPT = 32
-"""Mailboxes that a process which sends to them stays attached to."""
+"""Number of mailboxes to which a sending process stays attached."""
 _VALUE = struct.Struct("<q")
 _LOOK_NS = 100_000_000
 
@@ -55,21 +54,21 @@ def _resource(text: str | int) -> Name:
 
 
 class Mailbox(shm.Closeable):
-    """A mailbox of this process's own RTPU (``xmMboxInstall``).
+    """A mailbox on this process's own RTPU (``xmMboxInstall``).
 
     Args:
         name: ``NAME``, a number, or ``RTPU:NAME`` of an RTPU on this machine.
-        handler: Called with each value; where is said by who calls `serve` or `start`.
-        depth: Interrupts that wait at most.
+        handler: Called with each value, in the thread of `serve` or of `start`.
+        depth: Maximum number of waiting interrupts.
 
     Attributes:
-        handled: Interrupts handled by this process.
-        failed: Those of them whose handler raised, in the thread of `start`.
+        handled: Number of interrupts handled by this process.
+        failed: Number of those whose handler raised in the thread of `start`.
 
     Raises:
-        XmNameError: It is no name, or that of another machine.
-        XmTakenError: It has a handler already.
-        XmLayoutError: It stands with another depth.
+        XmNameError: `name` is malformed, or of another machine.
+        XmTakenError: The mailbox already has a handler.
+        XmLayoutError: It exists with another depth.
     """
 
     def __init__(
@@ -107,24 +106,24 @@ class Mailbox(shm.Closeable):
 
     @property
     def pending(self) -> int:
-        """Interrupts that wait to be handled."""
+        """Number of interrupts that wait to be handled."""
         return len(self._queue)
 
     @property
     def sent(self) -> int:
-        """Interrupts that came, since the mailbox was first installed."""
+        """Number of interrupts received since the mailbox was first installed."""
         return self._queue.sent
 
     @property
     def refused(self) -> int:
-        """Interrupts that found it full; their senders were notified."""
+        """Number of interrupts refused because it was full; senders got an error."""
         return self._queue.dropped
 
     def wait(self, until_ns: int | None = None) -> bool:
         """Wait for an interrupt and leave it there; for a module's `sync`.
 
         Args:
-            until_ns: When to give up, CLOCK_MONOTONIC nanoseconds; None for never.
+            until_ns: Time-out, CLOCK_MONOTONIC nanoseconds; None for none.
 
         Returns:
             Whether there is one.
@@ -132,7 +131,7 @@ class Mailbox(shm.Closeable):
         return self._queue.wait(until_ns)
 
     def take(self, until_ns: int | None = 0) -> int | None:
-        """Return the value of the next interrupt, None when there is none in time."""
+        """Return the value of the next interrupt, None at the time-out."""
         data = self._queue.receive(until_ns)
         if data is None:
             return None
@@ -140,13 +139,13 @@ class Mailbox(shm.Closeable):
         return int(_VALUE.unpack(data)[0])
 
     def serve(self, until_ns: int | None = 0) -> int:
-        """Call the handler for what has come, in this thread; not for what comes then.
+        """Call the handler for the waiting interrupts, not for later ones.
 
         Args:
-            until_ns: How long to wait for the first.
+            until_ns: Time-out of the wait for the first.
 
         Returns:
-            How many there were.
+            The number of interrupts.
 
         Raises:
             StateError: There is no handler.
@@ -161,7 +160,7 @@ class Mailbox(shm.Closeable):
         return count
 
     def start(self) -> None:
-        """Let a thread call the handler, until `close`; for programs, not for tasks.
+        """Call the handler in a thread until `close`; for programs, not for tasks.
 
         Raises:
             StateError: There is no handler, or this is a task.
@@ -196,12 +195,12 @@ class Mailbox(shm.Closeable):
                 self.serve(time.monotonic_ns() + _LOOK_NS)
             except XmDestroyedError:
                 return
-            except Exception:  # the next interrupt is handled in any case
+            except Exception:  # later interrupts are still handled
                 self.failed += 1
                 log.exception("%s: the handler has failed", self.name)
 
     def close(self) -> None:
-        """Handle nothing any more; what comes waits for the next that installs it."""
+        """Stop handling; further interrupts wait for the next process to install it."""
         self._over = True
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join()
@@ -211,7 +210,7 @@ class Mailbox(shm.Closeable):
         self._place.close()
 
     def destroy(self) -> None:
-        """Remove it, with what waits; senders get an error."""
+        """Remove it with its waiting interrupts; senders get an error."""
         self._over = True
         self._queue.destroy()
         self._place.destroy()
@@ -226,13 +225,13 @@ def interrupt(name: str | int, value: int = 1) -> None:
 
     Args:
         name: ``RTPU:NAME``, or ``NAME`` on this process's own RTPU; or a number.
-        value: A whole number of 64 bits that its handler is given.
+        value: Value for the handler, a signed 64-bit integer.
 
     Raises:
-        XmMissingError: It is not installed.
-        XmQueueFullError: It is full: those before were not handled yet.
+        XmMissingError: The mailbox is not installed.
+        XmQueueFullError: It is full: earlier interrupts were not handled yet.
         UnreachableError: The RTPU cannot be reached.
-        ValueError: The value is too large.
+        ValueError: The value is out of range.
     """
     if not -(1 << 63) <= value < 1 << 63:
         raise ValueError(f"the value {value} has more than 64 bits")
@@ -256,7 +255,7 @@ def interrupt_here(box: Name, value: int) -> None:
     """Send to a mailbox of this machine; `box` names its queue and semaphore.
 
     Raises:
-        XmMissingError: It is not installed.
+        XmMissingError: The mailbox is not installed.
         XmQueueFullError: It is full.
     """
     with _guard:

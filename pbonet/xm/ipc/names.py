@@ -1,7 +1,7 @@
 """Names of resources, ``RTPU:RESOURCE``, and their files.
 
-A name without a colon is a resource of the RTPU that the process belongs to, so that a
-module need not know where it runs. Nothing here imports zenoh: tasks use it.
+A name without a colon is a resource of the RTPU that the process belongs to, so a
+module need not know where it runs. Nothing here imports zenoh, because tasks use it.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ _RESOURCE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+\-]{0,63}")
 
 
 class Home(NamedTuple):
-    """Where a process is at home."""
+    """The RTPU and domain that a process belongs to."""
 
     domain: str
     rtpu: str
     priority: Callable[[], int]
     """Default priority of its waits: a task's criticality."""
     subsystem: str = ""
-    """Of a task; empty for other processes."""
+    """Subsystem of a task; empty for other processes."""
 
 
 class Name(NamedTuple):
-    """A resource's name in its parts."""
+    """The parts of a resource's name."""
 
     domain: str
     rtpu: str
     resource: str
 
     def __str__(self) -> str:
-        """Return the name as it is written."""
+        """Return the name as ``RTPU:RESOURCE``."""
         return f"{self.rtpu}:{self.resource}"
 
     def path(self, kind: str) -> Path:
@@ -66,13 +66,13 @@ def live_on(
     priority: Callable[[], int] = _no_priority,
     subsystem: str = "",
 ) -> None:
-    """Tell where this process is at home; the runtime does so for its tasks.
+    """Set the RTPU that this process belongs to; the runtime does so for its tasks.
 
     Args:
-        rtpu: The RTPU that names without a colon belong to.
+        rtpu: The RTPU of names without a colon.
         domain: The domain of all its names.
-        priority: Called when a wait names no priority.
-        subsystem: The subsystem that it belongs to, if it does.
+        priority: Called when a wait gives no priority.
+        subsystem: The subsystem that it belongs to, if any.
     """
     global _home  # noqa: PLW0603 - a process has one home
     run_folder.check_name("an RTPU", rtpu)
@@ -82,7 +82,7 @@ def live_on(
 
 @contextmanager
 def living_on(rtpu: str, *, domain: str, subsystem: str = "") -> Generator[None]:
-    """Have this process be at home there in this block, as a task whose log is run."""
+    """Set the RTPU of this process within the block, as for a task in a replay."""
     global _home  # noqa: PLW0603 - a process has one home
     before, _home = _home, Home(domain, rtpu, _no_priority, subsystem)
     try:
@@ -92,17 +92,17 @@ def living_on(rtpu: str, *, domain: str, subsystem: str = "") -> Generator[None]
 
 
 def home() -> Home:
-    """Return where this process is at home."""
+    """Return the RTPU and domain that this process belongs to."""
     return _home
 
 
 def find(text: str | Name) -> tuple[Name, bool]:
     """Return the parts of a name, and whether its RTPU is on this machine.
 
-    What is in parts already is of this machine.
+    A name given as `Name` is on this machine.
 
     Raises:
-        XmNameError: It is no name.
+        XmNameError: `text` is malformed.
     """
     if isinstance(text, Name):
         return text, True
@@ -116,10 +116,10 @@ def is_here(name: Name) -> bool:
 
 
 def parse(text: str) -> Name:
-    """Return the parts of a name, wherever its RTPU is.
+    """Return the parts of a name; its RTPU may be on any machine.
 
     Raises:
-        XmNameError: It is no name.
+        XmNameError: `text` is malformed.
     """
     return parse_at(text, _home.rtpu)
 
@@ -128,7 +128,7 @@ def parse_at(text: str, place: str) -> Name:
     """Return the parts of a name; without a colon it belongs to `place`.
 
     Raises:
-        XmNameError: It is no name.
+        XmNameError: `text` is malformed.
     """
     rtpu, colon, resource = text.rpartition(":")
     rtpu = rtpu if colon else place
@@ -144,15 +144,15 @@ def parse_at(text: str, place: str) -> Name:
 
 
 def resolve(text: str, *, remedy: str) -> Name:
-    """Return the name of a resource that can be on this machine only.
+    """Return the name of a resource that must be on this machine.
 
     Args:
         text: The name.
-        remedy: What to do when it is elsewhere.
+        remedy: What to do if it is on another machine.
 
     Raises:
-        XmNameError: It is no name.
-        UnreachableError: Its RTPU is on another machine, or nowhere.
+        XmNameError: `text` is malformed.
+        UnreachableError: Its RTPU is on another machine, or does not exist.
     """
     name = parse(text)
     if is_here(name):
@@ -184,7 +184,7 @@ def standing(kind: str, domain: str) -> list[str]:
 
 
 def missing(name: Name, kind: str) -> XmMissingError:
-    """Return the error for a resource that does not stand."""
+    """Return the error for a resource that does not exist."""
     what = _WORDS[kind]
     there = standing(kind, name.domain)
     return XmMissingError(

@@ -1,4 +1,4 @@
-"""The ways to take a message off a queue that all come down to one."""
+"""Ways to receive a message, all based on `letter`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ if TYPE_CHECKING:
 
 
 class Receiving:
-    """A queue that has `letter` of its own, and what follows from it."""
+    """Base of queues that implement `letter` themselves."""
 
     _MOST: ClassVar[int]
-    """Bytes of the longest message."""
+    """Size of the longest message, in bytes."""
     letter: Callable[..., tuple[bytes, int] | None]
 
     def receive(
         self, until_ns: int | None = None, *, priority: int | None = None
     ) -> bytes | None:
-        """Take one message; None if none came in time. See `Queue.receive`."""
+        """Take one message; None at the time-out. See `Queue.receive`."""
         found = self.letter(until_ns, priority=priority)
         return None if found is None else found[0]
 
@@ -35,7 +35,7 @@ class Receiving:
         *,
         priority: int | None = None,
     ) -> int | None:
-        """Take one message into memory of one's own; return its length."""
+        """Take one message into the caller's memory; return its length in bytes."""
         with memoryview(buffer) as view, view.cast("B") as room:
             most = min(len(room), self._MOST)
             found = self.letter(until_ns, priority=priority, most=most)

@@ -1,6 +1,6 @@
-"""Semaphores and queues of a module that is recorded: each answer goes on its tape.
+"""Semaphores and queues of a recorded module: each answer is written to its tape.
 
-In a replay the same objects give what was answered, and nothing is opened.
+In a replay the same objects return the recorded answers, and nothing is opened.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 def opened(
     make: Callable[..., Semaphore | Queue], name: str | Name, settings: dict[str, Any]
 ) -> HeardSemaphore | HeardQueue:
-    """Return what `make` opens, with its answers on record."""
+    """Return the object that `make` opens, wrapped to record its answers."""
     kind = HeardQueue if make in {Queue.create, Queue.attach} else HeardSemaphore
     return kind(make, name, settings)
 
 
 class _Heard:
-    """Base of both."""
+    """Base of recorded semaphores and queues."""
 
     _WHAT = ""
     _SETTINGS: tuple[str, ...] = ()
@@ -53,7 +53,7 @@ class _Heard:
         return [path, *(int(getattr(self._inner, one)) for one in self._SETTINGS)]
 
     def _hear(self, what: str, *args: Any, default: Any, **more: Any) -> Any:  # noqa: ANN401
-        """Return what a method, or a property, answers."""
+        """Return the recorded result of a method."""
         return self._outside.ask(self._do, what, args, more, default=default)
 
     def _do(self, what: str, args: tuple[Any, ...], more: dict[str, Any]) -> Any:  # noqa: ANN401
@@ -85,7 +85,7 @@ class _Heard:
 
 
 class HeardSemaphore(_Heard, Semaphore):
-    """A semaphore whose answers are on record."""
+    """A semaphore whose answers are recorded."""
 
     _WHAT = "semaphore"
     _SETTINGS: tuple[str, ...] = ("maximum", "binary")
@@ -125,7 +125,7 @@ class HeardSemaphore(_Heard, Semaphore):
 
 
 class HeardQueue(Receiving, _Heard, Queue):
-    """A message queue whose answers are on record."""
+    """A message queue whose answers are recorded."""
 
     _WHAT = "queue"
     _MOST = 0xFFFFFFFE

@@ -1,9 +1,8 @@
-"""How a process asks other machines for their resources.
+"""Requests of a process to other machines for their resources.
 
-A task asks its agent, by a Unix socket, and has nothing of the network in its process.
-Every other process is a client of the agents of its own, as all tools are. Both show a
-liveliness token for as long as the process lives, so that what acts for it elsewhere
-ends with it.
+A task sends them to its agent through a Unix socket; its process has no network code.
+Every other process is a client of the agents, like all tools. Both declare a liveliness
+token for their lifetime, so that agents drop what they hold for a process that ended.
 """
 
 from __future__ import annotations
@@ -41,14 +40,14 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 CONNECT = "PBONET_CONNECT"
-"""Names endpoints of agents elsewhere, with blanks between them."""
+"""Variable with the endpoints of agents on other machines, separated by blanks."""
 
 
 class Carrier(Protocol):
-    """Brings requests to agents, and answers back."""
+    """Sends requests to agents and returns their answers."""
 
     name: str
-    """The client, as its token says."""
+    """The client's name, as in its token."""
 
     def call(
         self, rtpu: str, request: Request, result: type[T], *, timeout: float = ...
@@ -57,25 +56,25 @@ class Carrier(Protocol):
         ...
 
     def tell(self, rtpu: str, request: Request) -> None:
-        """Send a request and wait for nothing."""
+        """Send a request without waiting for an answer."""
 
     def rtpus(self) -> list[str]:
-        """Return the names of the RTPUs whose agents are there."""
+        """Return the names of the RTPUs whose agents are alive."""
         ...
 
     def close(self) -> None:
-        """End; what acts for it elsewhere ends with it."""
+        """Close; agents drop what they hold for this process."""
 
 
 class Post:
-    """Sends a task's requests to its RTPU's agent, and from there to the others.
+    """Sends a task's requests to its RTPU's agent, which passes them on.
 
-    Every thread has a connection of its own, and the process one more, on which nothing
-    is asked: when the last one closes, the agent drops what acts for the process.
+    Every thread has its own connection, and the process one more, without requests:
+    when the last one closes, the agent drops what it holds for the process.
 
     Args:
         path: The agent's socket.
-        rtpu: Its name.
+        rtpu: The agent's RTPU.
     """
 
     def __init__(self, path: str, rtpu: str) -> None:
@@ -96,17 +95,17 @@ class Post:
         return read_result(rtpu, self._codec.answer(answer), result)
 
     def tell(self, rtpu: str, request: Request) -> None:
-        """Send a request; the agent sees to the rest."""
+        """Send a request; the agent passes it on."""
         request.client = self.name
         data = self._codec.pack(request)
         self._exchange(Letter(self.name, rtpu, 0.0, data, wait=False))
 
     def rtpus(self) -> list[str]:
-        """Return the names of the RTPUs whose agents are there."""
+        """Return the names of the RTPUs whose agents are alive."""
         return read_names(self._exchange(Letter(self.name, "", 0.0, b"")))
 
     def close(self) -> None:
-        """End; what acts for the process elsewhere ends with it."""
+        """Close; agents drop what they hold for this process."""
         self._forget()
         with self._guard:
             anchor, self._anchor = self._anchor, None
@@ -121,14 +120,14 @@ class Post:
         except (OSError, EOFError) as error:
             self._forget()
             with self._guard:
-                self._anchor = None  # of an agent that has ended
+                self._anchor = None  # its agent has ended
             raise UnreachableError(
                 "the task's own agent cannot be reached",
                 where=self._rtpu,
                 got=str(error) or type(error).__name__,
                 remedy=f"start it again: pbonet agent --name {self._rtpu}",
             ) from None
-        except BaseException:  # a handler of signals raised: the answer is not for us
+        except BaseException:  # a signal handler raised: an answer may be under way
             self._forget()
             raise
 
@@ -164,11 +163,11 @@ os.register_at_fork(after_in_child=_after_fork)
 
 
 def carrier() -> Carrier:
-    """Return this process's carrier, made when it is first asked for.
+    """Return this process's carrier, made on first use.
 
     Raises:
         UnreachableError: No agent can be reached.
-        XmError: The process was forked from one that used the network.
+        XmError: The process was forked from one that had used the network.
     """
     global _carrier  # noqa: PLW0603 - a process has one carrier
     with _guard:
@@ -190,13 +189,13 @@ def client(
     """Open a client of the agents, as tools do.
 
     Args:
-        domain: Of the agents.
-        connect: Endpoints of some; those that the environment names if left out.
-        key_folder: Of whoever asks; the one that the environment names if left out.
+        domain: Domain of the agents.
+        connect: Endpoints of agents; by default those in `PBONET_CONNECT`.
+        key_folder: Keys of the client; by default those in `PBONET_KEYS`.
 
     Raises:
         UnreachableError: No agent can be reached.
-        XmError: The process was forked from one that used the network.
+        XmError: The process was forked from one that had used the network.
     """
     from pbonet.xm.net import Client, session
 
@@ -215,20 +214,20 @@ def client(
         raise
     made = Client(opened, domain, f"p{os.getpid()}-{secrets.token_hex(4)}")
     token = made.announce(key_expressions.customer(domain, made.name))
-    atexit.register(_end, made, token)  # which keeps it, too: it ends when forgotten
+    atexit.register(_end, made, token)  # also keeps the token alive
     return made
 
 
 def _end(client: Client, token: Declared) -> None:
-    with contextlib.suppress(Exception):  # the process ends in any case
+    with contextlib.suppress(Exception):  # the process is about to end
         token.undeclare()
         client.close()
 
 
 def alive(rtpu: str) -> bool:
-    """Return whether an RTPU's agent is there (``xmAlive``, section 5.3.1).
+    """Return whether an RTPU's agent is alive (``xmAlive``, section 5.3.1).
 
-    Of one on this machine that is known without the network.
+    For an agent on this machine no network is needed.
 
     Raises:
         UnreachableError: No agent at all can be reached.

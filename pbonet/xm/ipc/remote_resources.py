@@ -1,8 +1,8 @@
-"""Semaphores and queues of other machines, used like those of one's own (section 5.4).
+"""Semaphores and queues of other machines, used like local ones (section 5.4).
 
-Each operation is a request to the agent of the RTPU that has the resource. What was
-taken is acknowledged, so that nothing is lost with an answer that does not arrive. Who
-was out of sight for a moment is attached anew with the next operation.
+Each operation is a request to the agent of the RTPU that has the resource. The client
+acknowledges what it took, so that nothing is lost with an answer that does not arrive.
+A client that was disconnected attaches again with its next operation.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 FOREVER = 1e8
-"""Seconds, three years, of a wait without an end."""
+"""Seconds, three years, that stand for a wait without a time-out."""
 SPARE = 2.0
-"""Seconds in which an agent answers, beside those that it waits."""
+"""Seconds in which an agent answers, in addition to its wait."""
 
 
 class Far:
-    """A resource that an agent is attached to in this process's place.
+    """A resource to which an agent is attached on behalf of this process.
 
     Args:
         name: The resource.
         kind: ``sem`` or ``queue``.
-        create: The settings of one that is to be made.
+        create: The settings if it is to be made.
     """
 
     def __init__(self, name: Name, kind: str, create: dict[str, Any] | None) -> None:
@@ -73,18 +73,18 @@ class Far:
         wait: float = 0.0,
         again: bool = True,
     ) -> T:
-        """Return the result of a request that `make` makes for a handle.
+        """Return the result of a request made by `make`.
 
         Args:
-            make: Is given the handle.
-            result: What comes back.
-            wait: Seconds that it takes at most.
-            again: Whether to attach and ask anew when the agent knows us no more.
+            make: Returns the request for a handle.
+            result: Type of the result.
+            wait: Maximum duration of the operation in seconds.
+            again: Whether to attach and ask again if the agent has dropped the handle.
 
         Raises:
-            XmLapsedError: It knows us no more.
-            UnreachableError: It cannot be reached.
-            XmError: It refuses, as the same operation would here.
+            XmLapsedError: The agent has dropped the handle.
+            UnreachableError: The agent cannot be reached.
+            XmError: The agent refuses, as the same operation would locally.
         """
         handle = self._open()
         try:
@@ -110,12 +110,12 @@ class Far:
         until: int | None,
         result: type[T],
     ) -> T:
-        """Wait for something; a wait that is broken off took nothing.
+        """Wait for something; an interrupted wait takes nothing.
 
         Args:
-            make: Is given the handle, a name for the wait, and its seconds.
-            until: When to give up, CLOCK_MONOTONIC nanoseconds; None for never.
-            result: What comes back.
+            make: Returns the request for a handle, a name of the wait, and seconds.
+            until: Time-out, CLOCK_MONOTONIC nanoseconds; None for none.
+            result: Type of the result.
         """
         take, wait = secrets.token_hex(8), _left(until)
         try:
@@ -132,11 +132,11 @@ class Far:
             self._carrier.tell(self.name.rtpu, r.Settle(take=take, keep=keep))
 
     def look(self) -> r.Seen:
-        """Return how it stands."""
+        """Return the state of the resource."""
         return self.ask(lambda handle: r.Look(handle=handle), r.Seen)
 
     def detach(self, *, destroy: bool) -> None:
-        """Let go of it; what stands for us there goes, now or with this process."""
+        """Detach; the agent frees what it holds for us, now or when we end."""
         if self._handle:
             request = r.Detach(handle=self._handle, destroy=destroy)
             try:
@@ -156,7 +156,7 @@ class Far:
 
 
 def _left(until: int | None) -> float:
-    """Return the seconds until then."""
+    """Return the seconds until a time-out."""
     if until is None:
         return FOREVER
     return min(max(0.0, (until - time.monotonic_ns()) * 1e-9), FOREVER)
@@ -195,13 +195,13 @@ class FarSemaphore(_There, Semaphore):
 
     @classmethod
     def create_there(cls, name: Name, initial: int, maximum: int, binary: bool) -> Self:  # noqa: FBT001
-        """Make one; the settings have been checked."""
+        """Make one on another machine; the settings have been checked."""
         create = {"initial": initial, "maximum": maximum, "binary": bool(binary)}
         return cls(Far(name, "sem", create))
 
     @classmethod
     def attach_there(cls, name: Name) -> Self:
-        """Attach to one."""
+        """Attach to one on another machine."""
         return cls(Far(name, "sem", None))
 
     @property
@@ -242,7 +242,7 @@ class FarSemaphore(_There, Semaphore):
         return self.p(0)
 
     def v(self) -> bool:
-        # Of a critical section that was lost with the link nobody may think it is kept.
+        # After a lost link the critical section is lost, too: report it, do not repeat.
         return self._far.ask(
             lambda handle: r.Give(handle=handle), bool, again=not self.binary
         )
@@ -261,7 +261,7 @@ class FarQueue(Receiving, _There, Queue):
     def create_there(
         cls, name: Name, policy: Policy, messages: int, blocks: int, block: int
     ) -> Self:
-        """Make one; the settings have been checked."""
+        """Make one on another machine; the settings have been checked."""
         create = {
             "policy": int(policy),
             "messages": messages,
@@ -272,7 +272,7 @@ class FarQueue(Receiving, _There, Queue):
 
     @classmethod
     def attach_there(cls, name: Name) -> Self:
-        """Attach to one."""
+        """Attach to one on another machine."""
         return cls(Far(name, "queue", None))
 
     @property

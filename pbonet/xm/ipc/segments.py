@@ -1,8 +1,8 @@
 """Shared memory segments by name (Stewart 1994, section 5.4.1).
 
-A segment is plain memory that processes of one machine share; what stands in it, and
-who may write when, is theirs to agree on, with a semaphore if need be. Who is attached
-is counted by locks on the file, which the kernel drops when a process ends.
+A segment is plain memory that processes of one machine share. They must agree on its
+layout and on when each may write, if necessary with a semaphore. Attached processes are
+counted by locks on the file, which the kernel releases when a process ends.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 KIND = "shm"
 MEMBERS = 128
-"""Most processes that are attached at a time."""
+"""Maximum number of processes attached at a time."""
 VERSION = 1
 _MAGIC = b"pbonetSM"
 _HEAD = struct.Struct("8sIIQ")
-_DESTROYED = 12  # where that word of the head stands
-_START = 64  # where the user's bytes begin
+_DESTROYED = 12  # offset of that word in the head
+_START = 64  # offset of the user's bytes
 _FLOCK = struct.Struct("hhqqi4x")
 _ELSEWHERE = (
     "memory is shared within a machine only; to another one use a link (pbonet.tbuf), "
@@ -49,11 +49,11 @@ _ELSEWHERE = (
 
 
 class Segment(shm.Closeable):
-    """A segment, attached (``shmCreate``, ``shmAttach``).
+    """An attached segment (``shmCreate``, ``shmAttach``).
 
     Attributes:
         name: ``RTPU:RESOURCE``.
-        size: Bytes.
+        size: Size in bytes.
     """
 
     name: str
@@ -66,17 +66,17 @@ class Segment(shm.Closeable):
 
     @classmethod
     def create(cls, name: str, size: int) -> Self:
-        """Make a segment of zeros; one without users is replaced.
+        """Make a segment of zeros; an existing one without users is replaced.
 
         Args:
             name: ``RTPU:RESOURCE``, or ``RESOURCE`` for the task's own RTPU.
-            size: Bytes.
+            size: Size in bytes.
 
         Raises:
-            XmExistsError: One of that name is in use.
-            XmFullError: There is no room.
+            XmExistsError: A segment of that name is in use.
+            XmFullError: Shared memory is full.
             UnreachableError: The RTPU is not on this machine.
-            XmError: Its file cannot be made.
+            XmError: The file cannot be made.
             ValueError: `size` is not positive.
         """
         if size <= 0:
@@ -97,12 +97,12 @@ class Segment(shm.Closeable):
 
     @classmethod
     def attach(cls, name: str) -> Self:
-        """Use a segment that stands.
+        """Attach to an existing segment.
 
         Raises:
-            XmMissingError: There is none.
+            XmMissingError: There is no segment of that name.
             UnreachableError: The RTPU is not on this machine.
-            XmDamagedError: The file is no segment.
+            XmDamagedError: The file is not a segment.
             XmFullError: Too many processes are attached.
             XmError: Its file cannot be used.
         """
@@ -123,7 +123,7 @@ class Segment(shm.Closeable):
 
     @property
     def attached(self) -> int:
-        """How many processes are attached, this one included."""
+        """Number of attached processes, including this one."""
         self._bytes()
         return 1 + sum(self._is_taken(member) for member in range(MEMBERS))
 
@@ -149,12 +149,12 @@ class Segment(shm.Closeable):
         """Return an array in the segment.
 
         Args:
-            dtype: Of its elements.
+            dtype: Type of its elements.
             shape: Its shape; () for one element.
-            offset: Bytes from the beginning; the beginning fits any type.
+            offset: Offset in bytes; 0 is aligned for every type.
 
         Raises:
-            XmLayoutError: It does not fit in.
+            XmLayoutError: The array does not fit.
         """
         kind, count = np.dtype(dtype), int(np.prod(shape, dtype=np.int64))
         if offset < 0 or offset + kind.itemsize * count > self.size:
@@ -168,11 +168,11 @@ class Segment(shm.Closeable):
         return np.ndarray(shape, kind, self.memory, offset)
 
     def close(self) -> None:
-        """Detach (``shmDetach``); arrays that were taken from it go on to work."""
+        """Detach (``shmDetach``); arrays obtained from it remain valid."""
         self._let_go()
 
     def destroy(self) -> None:
-        """Remove it (``shmDestroy``); others keep what they have and are notified."""
+        """Remove it (``shmDestroy``); other users keep their arrays and get errors."""
         if self._map is not None:
             shm.remove_same(self._path, self._fd)
             struct.pack_into("I", self._bytes(), _DESTROYED, 1)
@@ -202,7 +202,7 @@ class Segment(shm.Closeable):
             )
 
     def _enter(self) -> None:
-        """Take a place among those who are attached: a lock on one byte."""
+        """Take a place among the attached processes: a lock on one byte."""
         for member in range(MEMBERS):
             try:
                 fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _lock(fcntl.F_WRLCK, member))
@@ -217,13 +217,13 @@ class Segment(shm.Closeable):
         )
 
     def _is_taken(self, member: int) -> bool:
-        """Return whether another process has that place."""
+        """Return whether another process holds that place."""
         answer = fcntl.fcntl(self._fd, fcntl.F_OFD_GETLK, _lock(fcntl.F_WRLCK, member))
         return int(_FLOCK.unpack(answer)[0]) != fcntl.F_UNLCK
 
     def _let_go(self) -> None:
-        """Give up locks and map; the memory stays as long as an array needs it."""
-        if self._map is not None:  # the map holds the file open, so say it
+        """Release locks and map; the memory remains as long as an array needs it."""
+        if self._map is not None:  # the map keeps the file open, so unlock explicitly
             fcntl.fcntl(self._fd, fcntl.F_OFD_SETLK, _lock(fcntl.F_UNLCK, 0, MEMBERS))
             fcntl.flock(self._fd, fcntl.LOCK_UN)
             os.close(self._fd)

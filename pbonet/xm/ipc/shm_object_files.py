@@ -1,4 +1,4 @@
-"""The files of semaphores, queues, segments and links: found, and swept."""
+"""The files of semaphores, queues, segments and links: open and clean up."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def open_file(name: Name, kind: str) -> tuple[int, int]:
     """Attach to a resource's file; return its descriptor and size.
 
     Raises:
-        XmMissingError: There is none.
-        XmAccessError: It is not this user's own.
+        XmMissingError: There is no such file.
+        XmAccessError: It belongs to another user.
     """
     try:
         return FILES.open(name.path(kind))
@@ -32,7 +32,7 @@ def open_file(name: Name, kind: str) -> tuple[int, int]:
 def sweep(rtpu: str, domain: str = "default") -> list[str]:
     """Remove an RTPU's unused files; return the last parts of their names.
 
-    For when an RTPU ends, or begins where one was killed.
+    Called when an RTPU ends, or starts after an earlier one was killed.
     """
     swept: list[str] = []
     prefix = shm.own(f"{domain}:{rtpu}:")

@@ -1,9 +1,9 @@
-"""Permissions on the network, as zenoh's access control enforces them.
+"""Permissions on the network, as enforced by zenoh's access control.
 
-zenoh judges a message by the link on which it comes or goes, so every agent keeps its
-own edge: what an observer sends is dropped by the agent it is connected to, whichever
-RTPU it is meant for. Agents trust each other, and processes of the same user that come
-over the agent's Unix socket.
+zenoh checks a message by the link on which it comes or goes, so every agent filters its
+own links: what an observer sends is dropped by the agent it is connected to, whichever
+RTPU it is meant for. Agents trust each other, and processes of the same user that
+connect to the agent's Unix socket.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _EVERYTHING = [
     *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
 ]
 LOCAL = "unixsock-stream"
-"""The link of processes on the agent's own machine; the socket is the user's own."""
+"""Protocol of processes on the agent's machine; only the user can open the socket."""
 
 
 def rules() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Records of agents and of the ways between them."""
+"""Records of agents and of the paths between them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from msgspec import Struct
 
 
 class Lost(Struct, kw_only=True):
-    """Another agent that an agent has seen, and sees no more."""
+    """An agent that another agent has seen and no longer sees."""
 
     rtpu: str
     host: str
     near: bool
-    """Whether a link of its own stood between the two."""
+    """Whether the two had a direct link."""
     ago: float
-    """Seconds since it was looked for in vain for the first time."""
+    """Seconds since the first failed attempt to find it."""
 
 
 class AgentInfo(Struct, kw_only=True):
@@ -23,50 +23,50 @@ class AgentInfo(Struct, kw_only=True):
     domain: str
     host: str
     machine: str
-    """Boot identity: equal for processes that share memory."""
+    """Boot identity; equal for processes that share memory."""
     core: int
     cores: int
     pid: int
     rtpu_pid: int
     backend: str
-    """``fifo`` or ``park``; what it means is in `limits`."""
+    """``fifo`` or ``park``; the consequences are in `limits`."""
     limits: list[str] = []
     """Reduced guarantees and their reasons, one sentence each."""
     version: str
     python: str
     claims: dict[str, int] = {}
-    """Subsystems that use the RTPU, and the epoch of each."""
+    """Subsystems that use the RTPU, and the epoch of each one's claim."""
     libraries: list[str] = []
     zid: str = ""
-    """The agent's zenoh identity; a new one with every start."""
+    """The agent's zenoh identity; new after every start."""
     dials: list[str] = []
-    """Endpoints that it keeps a link to, or tries to."""
+    """Endpoints to which it keeps, or tries to open, a link."""
     listens: list[str] = []
-    """Endpoints that it listens on, beside the socket of its machine."""
+    """Endpoints on which it listens, besides the socket of its machine."""
     now_ns: int = 0
     """CLOCK_MONOTONIC of its machine when it answered."""
     keys_left: float | None = None
-    """Seconds that its keys are good for; None if it has none."""
+    """Seconds until its certificate expires; None if it has none."""
     lost: list[Lost] = []
     """Agents that disappeared without announcing their end."""
 
 
 class Way(Struct, kw_only=True):
-    """The way from one agent to another, as round trips have measured it."""
+    """The path from one agent to another, as measured by round trips."""
 
     rtpu: str
     host: str = ""
     version: str = ""
     trip: float = 0.0
-    """Seconds of the shortest round trip."""
+    """Shortest round trip in seconds."""
     offset: float = 0.0
     """Seconds by which the other machine's monotonic clock is ahead of this one's."""
     spread: float = 0.0
-    """Seconds by which `offset` may be wrong: half of the round trip."""
+    """Error bound of `offset` in seconds: half of the round trip."""
     hops: int = 0
-    """0: the same machine; 1: a link of its own; 2: by way of other agents."""
+    """0: the same machine; 1: a direct link; 2: through other agents."""
     error: str = ""
-    """Why there was no round trip; empty when there was."""
+    """Why there was no round trip; empty if there was."""
 
 
 class TableNews(Struct, kw_only=True):
@@ -75,13 +75,13 @@ class TableNews(Struct, kw_only=True):
     subsystem: str
     host: str
     commits: int
-    """Groups that are, or were, in the table."""
+    """Number of groups written to the table."""
     gaps: int
-    """Commits that were passed over, because newer ones were there."""
+    """Number of commits skipped because newer ones were there."""
     refused: int
-    """Commits that a task of this machine or a guard kept out."""
+    """Number of commits refused by a task of this machine or by a guard."""
     lost: int = 0
-    """Packets that came faster than this machine could take them."""
+    """Number of packets lost because they came too fast for this machine."""
 
 
 class LinkReport(Struct, kw_only=True):
@@ -91,6 +91,6 @@ class LinkReport(Struct, kw_only=True):
     ways: list[Way] = []
     tables: list[TableNews] = []
     unseen: list[str] = []
-    """Agents to which a link stands, and that are not seen by it: it is made anew."""
+    """Agents to which a link exists but which are not visible; it is opened again."""
     double: list[str] = []
-    """Agents to which two links stand, which makes zenoh's routers stall."""
+    """Agents to which there are two links, which makes zenoh's routers stall."""

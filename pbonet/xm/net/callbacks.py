@@ -1,6 +1,6 @@
 """Functions that zenoh's own threads call.
 
-They must be short: while one runs, nothing else comes over that link.
+They must be short: while one runs, nothing else is received over that link.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ T = TypeVar("T")
 def direct(
     what: Callable[[T], object], end: Callable[[], object] | None = None
 ) -> zenoh.handlers.Callback[T]:
-    """Let zenoh's own thread call a function, with no change of thread.
+    """Return a callback that zenoh's own thread calls, without a change of thread.
 
     Args:
-        what: Is called with each query, sample or reply.
-        end: Is called when no more will come.
+        what: Called with each query, sample or reply.
+        end: Called after the last one.
     """
 
     def call(given: T) -> None:

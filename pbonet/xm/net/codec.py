@@ -1,4 +1,4 @@
-"""Packs messages and unpacks them; refuses what is not understood."""
+"""Packs and unpacks messages; refuses those it does not understand."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ prepare(messages, resource_messages, file_messages)
 
 
 class _Version(Struct):
-    """The two fields that are read before all others."""
+    """The two fields that are decoded first."""
 
     v: int = 0
     id: str = ""
 
 
 MALFORMED = (msgspec.MsgspecError, UnicodeDecodeError)
-"""Exceptions of decoding: msgspec passes text that is not UTF-8 as it is."""
+"""Exceptions of decoding: msgspec does not wrap errors of invalid UTF-8."""
 
 
 class Codec:
-    """Packs and unpacks messages; refuses what it does not understand."""
+    """Packs and unpacks messages; refuses those it does not understand."""
 
     MAX_BYTES: ClassVar[int] = 1 << 20
 
@@ -113,7 +113,7 @@ def failure(error: PbonetError, request_id: str = "") -> Answer:
 
 
 def request_id(data: bytes) -> str:
-    """Return the id of a request that is otherwise not understood, if it has one."""
+    """Return the id of a request that cannot be decoded otherwise, if it has one."""
     try:
         return msgspec.msgpack.decode(data, type=_Version).id
     except MALFORMED:

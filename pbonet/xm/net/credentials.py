@@ -1,7 +1,7 @@
-"""Key folders: with what a session proves who it is.
+"""Key folders: the credentials of a session.
 
-A key folder holds three files, ``ca.pem``, ``cert.pem`` and ``key.pem``; it is what one
-copies to a machine. `pbonet keys` makes it.
+A key folder holds three files, ``ca.pem``, ``cert.pem`` and ``key.pem``, and is copied
+to a machine as a whole. `pbonet keys` makes it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 FILES = CA, CERT, KEY = "ca.pem", "cert.pem", "key.pem"
 VARIABLE = "PBONET_KEYS"
-"""Names the key folder of masters and tools."""
+"""Variable with the key folder of masters and tools."""
 _RUN_OUT: Final = 10
 _NOT_YET: Final = 9
-"""Numbers that OpenSSL gives to certificates out of their time."""
+"""OpenSSL's error numbers for certificates outside their validity period."""
 SOON: Final = 30 * 86400.0
-"""Seconds before a certificate expires in which that is reported."""
+"""Seconds before its expiry from which an expiring certificate is reported."""
 
 
 class Role(StrEnum):
@@ -42,7 +42,7 @@ class Role(StrEnum):
 
 
 def named() -> Path | None:
-    """Return the key folder that the environment names."""
+    """Return the key folder that `PBONET_KEYS` names, if any."""
     name = os.environ.get(VARIABLE, "")
     return Path(name).absolute() if name else None
 
@@ -51,7 +51,7 @@ def check(folder: Path) -> Path:
     """Return `folder` if it is a key folder that this process may read.
 
     Raises:
-        ConfigFileError: A file is missing, or everybody may read the key.
+        ConfigFileError: A file is missing, or the key is readable by all users.
     """
     for name in FILES:
         try:
@@ -78,12 +78,12 @@ def check(folder: Path) -> Path:
 
 
 def left(until: float) -> float:
-    """Return the seconds until an instant that `prove` has given."""
+    """Return the seconds until a time returned by `prove`."""
     return until - time.time()
 
 
 def days(seconds: float) -> str:
-    """Return a time that is left, as one says it."""
+    """Return a remaining time as text."""
     if seconds < 2 * 60:
         return f"{seconds:.0f} seconds"
     if seconds < 2 * 3600:
@@ -94,21 +94,21 @@ def days(seconds: float) -> str:
 
 
 def prove(folder: Path, role: Role | None = None) -> float:
-    """Make sure that others will take the keys of `folder` for good.
+    """Check that other machines will accept the keys of `folder`.
 
-    Its certificate is shown to its own authority, as it will be to other machines.
-    A session with bad keys would only find that there is no answer.
+    Its certificate is verified with its own authority, as other machines will do. A
+    session with bad keys would only get no answer.
 
     Args:
         folder: A key folder.
-        role: The role it must have; any if left out.
+        role: The required role; by default any.
 
     Returns:
-        Until when it is good, for `left`.
+        The time of its expiry, for `left`.
 
     Raises:
-        ConfigFileError: A file is missing or damaged, the certificate has run out, is
-            not the authority's, or is that of another role.
+        ConfigFileError: A file is missing or damaged, the certificate has expired, was
+            not signed by the authority, or is for another role.
     """
     import ssl
 
@@ -137,16 +137,16 @@ def prove(folder: Path, role: Role | None = None) -> float:
 
 
 def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
-    """Return why the keys of `folder` and of who listens there do not go together.
+    """Return why the keys of `folder` and a TLS listener reject each other.
 
     Args:
         folder: A key folder.
-        host: The host of a TLS listener.
-        port: The port there.
-        limit: Seconds for each answer.
+        host: Host of the listener.
+        port: Port of the listener.
+        limit: Time-out of each answer in seconds.
 
     Returns:
-        A sentence; empty if they do, or if there is no answer.
+        A sentence; empty if they accept each other, or there is no answer.
     """
     import socket
     import ssl
@@ -177,7 +177,7 @@ def doubted(folder: Path, host: str, port: int, limit: float = 0.4) -> str:
 
 
 def _shown(ca: Path, cert: Path, key: Path) -> tuple[str, float]:
-    """Show a certificate to its authority; return its common name, and its end."""
+    """Verify a certificate with its authority; return its common name and expiry."""
     import ssl
 
     judge = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -185,7 +185,7 @@ def _shown(ca: Path, cert: Path, key: Path) -> tuple[str, float]:
     judge.load_verify_locations(ca)
     holder = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     holder.check_hostname = False
-    holder.verify_mode = ssl.CERT_NONE  # who judges has no other certificate to show
+    holder.verify_mode = ssl.CERT_NONE  # the judge uses the same certificate
     for context in (judge, holder):
         context.load_cert_chain(cert, key, password="")
     here, there = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -202,7 +202,7 @@ def _shown(ca: Path, cert: Path, key: Path) -> tuple[str, float]:
 
 
 def _refused(folder: Path, error: ssl.SSLCertVerificationError) -> ConfigFileError:
-    """Return what is said of a certificate that its authority does not take."""
+    """Return the error for a certificate that its authority rejects."""
     what, remedy = {
         _RUN_OUT: (
             "the certificate has run out",

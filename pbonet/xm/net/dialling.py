@@ -1,11 +1,11 @@
-"""Which of two agents dials the other: exactly one.
+"""Decides which of two agents dials the other, so that exactly one does.
 
-When two agents dial each other zenoh makes two links of it, and its routers then stall
-for seconds and send in circles whenever a third link comes or goes (decision 0085). So
-an agent asks, before it dials, whether the other one dials it already. Two that start
-at one time could not ask each other; therefore each says whom it dials as soon as its
-session is open, asks again behind that, and of two one takes its own back: whoever asks
-later sees what the other has said.
+When two agents dial each other zenoh opens two links, and its routers then stall for
+seconds and send in circles whenever a third link comes or goes (decision 0085). So
+before an agent dials, it asks whether the other one already dials it. Two that start at
+the same time could not ask each other; therefore each publishes what it dials as soon
+as its session is open, and asks again after that. One of the two then withdraws: the
+later question always sees what the other agent has published.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ASK_TIME = 0.5
-"""Seconds in which the agent at an endpoint answers which others it dials."""
+"""Seconds in which the agent at an endpoint reports what it dials."""
 SETTLE_TIME = 3.0
-"""Seconds in which an agent that is to give way is waited for; it may do so later."""
+"""Seconds to wait for an agent that must withdraw; it may also do so later."""
 LINK_TIME = 0.3
-"""Seconds in which the links stand to those who are there, before names are asked."""
+"""Seconds for the links to existing agents to open, before names are checked."""
 PAUSE = 0.02
 
 
 class Dials(msgspec.Struct, kw_only=True):
-    """An agent's description of itself while it decides which agents to dial."""
+    """An agent's report while it decides which agents to dial."""
 
     rtpu: str
     zid: str
     dials: list[str]
     settled: bool
-    """Whether it will take none of them back any more."""
+    """Whether the decision is final."""
 
 
 _DIALS: Final = msgspec.msgpack.Decoder(Dials)
@@ -57,18 +57,18 @@ class Behind(NamedTuple):
     zid: str = ""
     """The zenoh identity of the router there; empty if there is none."""
     said: Dials | None = None
-    """Its description of itself, if it is a running agent of the domain."""
+    """Its report, if it is a running agent of the domain."""
 
 
 class Dialled:
-    """An agent's session, and what it dials.
+    """An agent's session, and the endpoints it dials.
 
     Args:
         places: The agent's files.
-        listen: Endpoints that it listens on, beside its socket.
-        connect: Endpoints that it is to be linked to, whoever dials.
+        listen: Endpoints that it listens on, besides its socket.
+        connect: Endpoints to which it needs a link, whichever side dials.
         multicast: See `session.agent`.
-        key_folder: The agent's keys, if it has any.
+        key_folder: The agent's keys, if any.
 
     Raises:
         NodeError: An endpoint cannot be listened on.
@@ -96,7 +96,7 @@ class Dialled:
         self.session = self._open()
 
     def settle(self) -> None:
-        """Take back what another agent dials too; nothing else may be declared yet.
+        """Withdraw from endpoints whose agent dials too; to be called before others.
 
         Raises:
             NodeError: The session cannot be opened again.
@@ -119,10 +119,10 @@ class Dialled:
                 break
         self._settled = True
 
-    # -- who gives way -----------------------------------------------------------------
+    # -- which agent withdraws ---------------------------------------------------------
 
     def _vain(self, found: Mapping[str, Behind]) -> set[str]:
-        """Return the endpoints that are not to be dialled, by the agent at each."""
+        """Return the endpoints that must not be dialled."""
         back = _doubled(found)
         me = self._places.name, str(self.session.info.zid())
         for endpoint, behind in found.items():
@@ -136,11 +136,11 @@ class Dialled:
         return back
 
     def _open_question(self, found: Mapping[str, Behind], *, silent: bool) -> bool:
-        """Return whether an agent is to be asked again.
+        """Return whether an agent must be asked again.
 
         Args:
             found: The agent at each endpoint.
-            silent: Whether a router that says nothing may yet turn out an agent.
+            silent: Whether a router without a report may still be an agent.
         """
         return any(
             (zid and silent) if said is None else self._dials_me(found[endpoint])
@@ -154,8 +154,8 @@ class Dialled:
     # -- sessions ----------------------------------------------------------------------
 
     def _open(self) -> zenoh.Session:
-        """Open the session, and say at once what is dialled."""
-        self._places.remove(self._places.sock)  # of a killed agent; the lock is ours
+        """Open the session, and publish at once what is dialled."""
+        self._places.remove(self._places.sock)  # of a killed agent; we hold the lock
         link = session.agent(
             self._places,
             listen=self._listen,
@@ -181,7 +181,7 @@ class Dialled:
         return link
 
     def _wait_links(self, routers: set[str]) -> None:
-        """Wait until the links to those stand that were found."""
+        """Wait until the links to the agents that were found are open."""
         deadline = time.monotonic() + LINK_TIME
         missing = routers - {""}
         while missing and time.monotonic() < deadline:
@@ -189,7 +189,7 @@ class Dialled:
             missing -= {str(zid) for zid in self.session.info.routers_zid()}
 
     def _look(self, endpoints: Sequence[str]) -> dict[str, Behind]:
-        """Return the agent at each endpoint now."""
+        """Return the agent now found at each endpoint."""
         if not endpoints:
             return {}
         with ThreadPoolExecutor(len(endpoints)) as pool:
@@ -213,7 +213,7 @@ class Dialled:
 
 
 def _ask(link: zenoh.Session, domain: str) -> Behind:
-    """Return who a client is connected to."""
+    """Return the agent that a client is connected to."""
     near = str(next(iter(link.info.routers_zid()), ""))
     replies = link.get(
         key_expressions.all_rtpus(domain, "dials"),
@@ -232,7 +232,7 @@ def _ask(link: zenoh.Session, domain: str) -> Behind:
 
 
 def _doubled(found: Mapping[str, Behind]) -> set[str]:
-    """Return the endpoints of agents that are dialled by another one already."""
+    """Return the endpoints whose agent is also dialled at an earlier endpoint."""
     seen: set[str] = set()
     double: set[str] = set()
     for endpoint, behind in found.items():
@@ -253,7 +253,7 @@ def neighbours(places: run_folder.Places) -> list[str]:
 
 
 def links(link: zenoh.Session) -> Counter[str]:
-    """Return how many links there are to each router, by its zenoh identity."""
+    """Return the number of links to each router, by its zenoh identity."""
     routers = {str(zid) for zid in link.info.routers_zid()}
     return Counter(zid for one in link.info.links() if (zid := str(one.zid)) in routers)
 
@@ -263,7 +263,7 @@ def _address(endpoint: str) -> str:
 
 
 def is_mine(endpoint: str, listens: Iterable[str]) -> bool:
-    """Return whether an endpoint that another agent dials is listened on here."""
+    """Return whether this agent listens on an endpoint that another one dials."""
     plain = _address(endpoint)
     for own in map(_address, listens):
         if plain == own:

@@ -1,4 +1,4 @@
-"""The codes of the events that a node tells; ``docs/protocol.md`` says when it does."""
+"""The codes of a node's events; ``docs/protocol.md`` describes each."""
 
 from __future__ import annotations
 
@@ -17,6 +17,6 @@ TOLD: Final = frozenset(
     LOG_FULL LOG_AGAIN NOT_RECORDED CLEANED PROTOCOL INTERNAL
     """.split()  # noqa: SIM905 - many words
 )
-"""Codes of what happens to a node, its tasks, tables, links and logs."""
+"""Codes of events of a node, its tasks, tables, links and logs."""
 KNOWN: Final = TOLD | BY_CODE.keys()
-"""These, and the errors that are reported as events."""
+"""All codes: `TOLD`, and the errors that are reported as events."""

@@ -1,4 +1,4 @@
-"""The one place that knows how keys on the network are spelled."""
+"""The keys used on the network; no other file composes keys."""
 
 from __future__ import annotations
 
@@ -26,40 +26,40 @@ def masters(domain: str, subsystem: str) -> str:
 
 
 def master_of(key: str) -> tuple[str, str]:
-    """Return subsystem and client out of a master's liveliness key."""
+    """Return subsystem and client of a master's liveliness key."""
     parts = key.split("/")
     return parts[3], parts[5]
 
 
 def svar(domain: str, subsystem: str, leaf: str, machine: str = "*") -> str:
-    """Return a key of a subsystem's table on a machine, or on all.
+    """Return a key of a subsystem's table on one machine, or on all.
 
     Args:
         domain: The domain.
         subsystem: The subsystem of the table.
         leaf: ``here``, ``news``, ``sync`` or ``flush``.
-        machine: As `machine` spells it.
+        machine: The machine, as returned by `machine`.
     """
     return f"{ROOT}/{domain}/sbs/{subsystem}/svar/{leaf}/{machine}"
 
 
 def machine(identity: str) -> str:
-    """Return a machine's identity as it is spelled in keys."""
+    """Return a machine's identity in the form used in keys."""
     return identity.replace("/", "-")
 
 
 def network(domain: str, portname: str) -> str:
-    """Return the key on which a master's network interface answers (section 4.4.2)."""
+    """Return the key of a master's network interface (section 4.4.2)."""
     return f"{ROOT}/{domain}/net/{portname}"
 
 
 def network_client(domain: str, portname: str, client: str) -> str:
-    """Return the liveliness key of a program that steers through the port."""
+    """Return the liveliness key of a program that commands through the port."""
     return f"{ROOT}/{domain}/net/{portname}/client/{client}"
 
 
 def rtpu_name(key: str) -> str:
-    """Return the RTPU's name out of one of its keys."""
+    """Return the RTPU's name from one of its keys."""
     return key.split("/")[3]
 
 
@@ -69,7 +69,7 @@ def last(key: str) -> str:
 
 
 def customer(domain: str, client: str) -> str:
-    """Return the liveliness key of who uses resources of other machines, or of all."""
+    """Return the liveliness key of a client of remote resources, or of all clients."""
     return f"{ROOT}/{domain}/xm/client/{client}"
 
 
@@ -96,7 +96,7 @@ def all_links(domain: str) -> str:
 
 
 def link_parts(key: str) -> tuple[str, str, list[str]] | None:
-    """Return name, leaf and agents out of a key of a link; None if it is none."""
+    """Return name, leaf and agents of a link's key; None for other keys."""
     match key.split("/"):
         case [_, _, "tbuf", name, leaf, *agents]:
             return name, leaf, agents

@@ -1,4 +1,4 @@
-"""Parts of messages: parameters, variables, the job that stands."""
+"""Parts of messages: parameters, variables, the current job."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def plain(value: NDArray[Any]) -> list[float] | bytes:
-    """Return the elements of a variable as they travel; of a ``bool`` 0 and 1."""
+    """Return a variable's elements as sent in messages; ``bool`` becomes 0 and 1."""
     if value.dtype.kind == "V":
         return value.tobytes()
     numbers: list[float] = (value + 0 if value.dtype.kind == "b" else value).tolist()
@@ -39,7 +39,7 @@ class VarValue(Struct, kw_only=True):
     desc: str = ""
     writer: str | None = None
     age: float | None = None
-    """Seconds since it was written; None when it never was."""
+    """Seconds since it was written; None if it never was."""
     cycle: int = 0
     seq: int = 0
     stale: bool = False
@@ -48,7 +48,7 @@ class VarValue(Struct, kw_only=True):
 
 
 class Standing(Struct, kw_only=True):
-    """The job that was started or switched to last (section 3.2)."""
+    """The job that was last started or switched to (section 3.2)."""
 
     name: str
     file: str

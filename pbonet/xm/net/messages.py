@@ -2,9 +2,9 @@
 
 Every request is one map ``{"v", "id", "client", "subsystem", "epoch", "op", ...}``,
 where ``op`` names the operation and the other fields are its arguments; an answer is
-``{"v", "id", "ok", "result" | "error", "warnings"}``. Unknown fields are ignored, an
-unknown version is refused with both numbers. A request repeated with the same id is
-answered again and not executed twice.
+``{"v", "id", "ok", "result" | "error", "warnings"}``. Unknown fields are ignored; an
+unknown version is refused with both version numbers. A request repeated with the same
+id gets the same answer and is not executed twice.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .statuses import (
 
 VERSION = 1
 MOST_CALLERS = 32
-"""So many tasks one successor can wait for."""
+"""Maximum number of tasks for which one successor can wait."""
 LAST_TICKET = (1 << 31) - 1
 _Word: TypeAlias = A[int, Meta(ge=0, lt=1 << 32)]
 ParamValue: TypeAlias = values.ParamValue
@@ -47,28 +47,28 @@ class Request(Struct, kw_only=True, tag_field="op"):
     v: int = VERSION
     id: str = ""
     client: str = ""
-    """The master's own name, unique; its liveliness token carries it too."""
+    """The master's unique name; also in its liveliness token."""
     subsystem: str = ""
     epoch: int = 0
-    """Of the claim; 0 where none is needed."""
+    """Epoch of the claim; 0 if none is needed."""
 
 
 class Hello(Request, tag="hello"):
-    """Ask an agent who it is. Result: `AgentInfo`."""
+    """Ask an agent for its identity. Result: `AgentInfo`."""
 
 
 class Links(Request, tag="links"):
-    """Have an agent measure the way to every other one. Result: `LinkReport`."""
+    """Measure the latency from an agent to all others. Result: `LinkReport`."""
 
 
 class Claim(Request, tag="claim"):
     """Reserve the RTPU for a subsystem (section 4.5.1). Result: `Claimed`.
 
     The same subsystem may claim again when the former master's token is gone, or with
-    `take_over`; the epoch then rises and the former master's commands are refused.
+    `take_over`; the epoch then increases and the former master's commands are refused.
 
-    With the text of a ``.svar`` file the table is opened, too, as by `OpenTable`; where
-    that fails, the claim is as it was before.
+    With the text of a ``.svar`` file the table is opened as well, as by `OpenTable`; if
+    that fails, the claim does not change.
     """
 
     usage: str = "exclusive"
@@ -78,7 +78,7 @@ class Claim(Request, tag="claim"):
     maxfreq: float = 1000.0
     take_over: bool = False
     svar: str = ""
-    """Text of the ``.svar`` file; empty: the table is left as it is."""
+    """Text of the ``.svar`` file; empty: the table is not touched."""
     svar_name: str = ""
     """Its name, for messages."""
     keep: bool = False
@@ -86,13 +86,13 @@ class Claim(Request, tag="claim"):
 
 
 class Release(Request, tag="release"):
-    """Give the RTPU back; refused while the subsystem has tasks on it. Result: None."""
+    """Release the RTPU; refused while the subsystem has tasks on it. Result: None."""
 
 
 class OpenTable(Request, tag="open_table"):
     """Create or attach the subsystem's table. Result: `TableInfo`.
 
-    Refused when a table of that name stands with another layout.
+    Refused if a table of that name exists with another layout.
     """
 
     svar: str
@@ -114,7 +114,7 @@ class Spawn(Request, tag="spawn"):
     """
 
     task: str
-    """The task's name in the subsystem: the RMOD's name, unless told otherwise."""
+    """The task's name in the subsystem; by default the RMOD's name."""
     rmod: str
     """Text of the ``.rmod`` file."""
     rmod_name: str
@@ -124,11 +124,11 @@ class Spawn(Request, tag="spawn"):
     priority: int = 0
     """User priority, from the data flow (section 6.2.4); higher runs first."""
     effc: float | None = None
-    """E of a soft task as measured, seconds; counts where the RMOD has no EFFC."""
+    """E of a soft task as measured, seconds; used if the RMOD has no EFFC."""
     timeout: float = 10.0
-    """Seconds that `init` may take."""
+    """Time limit of `init` in seconds."""
     replaces: list[str] = []
-    """Tasks that leave: it takes their constants over, whatever the values."""
+    """Tasks that it replaces: it takes over their constants, whatever the values."""
 
 
 class Control(Request, tag="control"):
@@ -140,76 +140,77 @@ class Control(Request, tag="control"):
     """Text for the module, as ``self.task.arg``."""
     timeout: float = 5.0
     replaces: list[str] = []
-    """For ``reinit``: tasks that leave; it takes their constants over."""
+    """For ``reinit``: tasks that it replaces; it takes over their constants."""
 
 
 class Call(Struct, kw_only=True):
-    """How a task that has ended engages its successor, which stands by."""
+    """How a task that has ended engages its successor, a standby."""
 
     successor: str
     outputs: list[str]
-    """The variables that the successor writes; of a call from another machine those
-    that the caller wrote, too."""
+    """The variables that the successor writes; for a call from another machine also
+    those that the caller wrote."""
     core: A[int, Meta(ge=0, lt=1024)]
     slot: A[int, Meta(ge=0, lt=128)]
     life: _Word
-    """Of the slot: which task has it."""
+    """Of the slot: identifies the task that has it."""
     ticket: A[int, Meta(ge=0, le=LAST_TICKET)]
-    """Tells this exchange from others."""
+    """Identifies this exchange."""
     caller: A[int, Meta(ge=0, lt=MOST_CALLERS)]
-    """Which of those who call, counted from 0."""
+    """Index of the caller, from 0."""
     far: bool = False
-    """The successor is on another machine: the agents call, with the table's news."""
+    """The successor is on another machine: the agents call, with the table's data."""
 
 
 class Successors(Request, tag="successors"):
-    """Have tasks stand by to take over from tasks on other RTPUs.
+    """Make tasks standbys that take over from tasks on other RTPUs.
 
-    Result: a list of `Call` for each task that is waited for, by its name; they are for
-    `Reconfig.calls` there. An ``on`` in a list then waits until it has come on.
+    Result: for each predecessor, by name, a list of `Call` to be passed in
+    `Reconfig.calls` there. An ``on`` in a list then waits until the successor is ON.
     """
 
     after: dict[str, A[list[str], Meta(max_length=MOST_CALLERS)]]
-    """The successors, and for each the tasks that it waits for; an empty list: none, it
-    stands by no longer."""
+    """The successors, and for each its predecessors; an empty list: none, it is no
+    longer a standby."""
     timeout: float = 5.0
-    """Seconds; then they stand by no longer."""
+    """Seconds after which they are no longer standbys."""
     far: list[str] = []
-    """Predecessors that are on other machines."""
+    """Predecessors on other machines."""
 
 
 class Reconfig(Request, tag="reconfig"):
     """Send an ordered list of signals, acknowledged once (section 4.4.4).
 
-    An ``off`` and the ``on`` of a task that takes its variables over are carried out
-    together, and so are several such pairs side by side: the dispatcher releases the
-    new task as the old one ends. Result: `Reconfigured`. The first failure ends it.
+    An ``off`` and the ``on`` of a task that takes over its variables are carried out
+    together, and so are several such pairs in parallel: the dispatcher releases the
+    new task when the old one ends. Result: `Reconfigured`. The first failure ends the
+    list.
     """
 
     items: list[tuple[str, str]]
     """Pairs of task and signal."""
     handover: dict[str, list[str]] = {}
-    """For tasks that go off, here or elsewhere, the variables that a task that comes
-    later takes over, on whatever RTPU."""
+    """For tasks that go off, here or elsewhere, the variables that a later task takes
+    over, on any RTPU."""
     timeout: float = 5.0
     calls: dict[str, list[Call]] = {}
-    """For tasks among these whom each is to call when its `off` has ended."""
+    """For tasks of the list, the calls that each makes when its `off` has ended."""
     slowest: float = 0.0
     """Period in seconds of the slowest task that leaves on another RTPU at the same
-    time; those that are called have so much longer to take over."""
+    time; successors get this much longer to take over."""
 
 
 class Standby(Request, tag="standby"):
     """Make a task the fallback of another one on its RTPU. Result: `TaskStatus`.
 
-    Whenever the original is ON and the standby OFF, the standby has everything ready;
-    the dispatcher releases it when the original goes to ERROR or dies.
+    Whenever the original is ON and the standby OFF, the standby is ready to run; the
+    dispatcher releases it when the original goes to ERROR or dies.
     """
 
     task: str
     """The standby."""
     original: str
-    """Empty: it stands by no longer."""
+    """Empty: it is no longer a standby."""
 
 
 class Freq(Request, tag="freq"):
@@ -232,28 +233,31 @@ class Set(Request, tag="set"):
     task: str
     name: str
     value: str
-    """As it would stand in a LOCAL line."""
+    """As written in a LOCAL line."""
 
 
 class Rank(Request, tag="rank"):
-    """Tell the criticality and user priority of tasks after a change. Result: None.
+    """Set the criticality and user priority of tasks after a change. Result: None.
 
-    A criticality of None leaves it to the scheduler's rule, which the RTPU knows best:
-    it sees the tasks of every subsystem on its core. User priorities follow the data
-    flow of the whole subsystem (section 6.2.4), which only its master sees.
+    With a criticality of None the RTPU applies the scheduler's rule, because it knows
+    the tasks of every subsystem on its core. User priorities follow the data flow of
+    the whole subsystem (section 6.2.4), which only its master knows.
     """
 
     tasks: dict[str, tuple[int | None, int]]
 
 
 class Status(Request, tag="status"):
-    """Ask for status; never touches a task. Result: `RtpuStatus`."""
+    """Ask for status; does not disturb tasks. Result: `RtpuStatus`."""
 
     task: str | None = None
 
 
 class Profile(Request, tag="profile"):
-    """Ask for execution profiles; touches no task. Result: list of `TaskProfile`."""
+    """Ask for execution profiles, without disturbing tasks.
+
+    Result: list of `TaskProfile`.
+    """
 
     task: str | None = None
 
@@ -278,7 +282,7 @@ class Modules(Request, tag="modules"):
 
 
 class Stop(Request, tag="stop"):
-    """Turn everything OFF in order and kill it; always accepted. Result: `Stopped`.
+    """Turn all tasks OFF in order and kill them; always accepted. Result: `Stopped`.
 
     An empty `subsystem` means every subsystem on the RTPU.
     """
@@ -292,27 +296,27 @@ class Flag(Request, tag="flag"):
     """Raise or clear an entry of the illegal-configuration flag (section 3.10).
 
     The raiser is the subsystem's master. It raises ``equation 2`` while a loop that is
-    built by hand is not closed yet. Result: the causes that stand, a list of str.
+    built by hand is not closed yet. Result: the current causes, a list of str.
     """
 
     cause: str
     up: bool
     unfed: list[str] = []
-    """Variables that nobody writes: the entry goes when all of them are written, and is
-    not raised if they are."""
+    """Variables without a writer: the entry is removed when all of them have one, and
+    not raised if they already have."""
 
 
 class Sigmask(Request, tag="sigmask"):
-    """Get or set which signals of tasks nobody wants (section 4.4.4).
+    """Get or set which signals of tasks are ignored (section 4.4.4).
 
-    Result: dict of the names masked, by task; ``""`` stands for the subsystem, whose
-    mask holds for every task without one of its own.
+    Result: dict of the masked signals' names, by task; the key ``""`` is the subsystem,
+    whose mask applies to every task without one of its own.
     """
 
     task: str = ""
     """The task whose mask is changed; empty: the subsystem's mask."""
     names: list[str] | None = None
-    """The new mask; None: none is changed."""
+    """The new mask; None: no change."""
     unset: bool = False
     """Remove the mask instead."""
 
@@ -323,10 +327,10 @@ class Sigmask(Request, tag="sigmask"):
 
 
 class Job(Request, tag="job"):
-    """Ask the keeper which job stands, tell it, or have it forget.
+    """Get, set or clear the current job, which the keeper stores.
 
-    Result: list of `Standing`, one or none. So whoever goes over to another job, maybe
-    another master, finds the conditions under which the first one may be left.
+    Result: list of `Standing`, with at most one entry. A master that switches to
+    another job, maybe a new master, reads there the conditions for leaving the first.
     """
 
     told: Standing | None = None
@@ -334,14 +338,14 @@ class Job(Request, tag="job"):
 
     @property
     def changes(self) -> bool:
-        """Whether it says something, and does not only ask."""
+        """Whether it changes the job and does not only ask."""
         return self.forget or self.told is not None
 
 
 class Record(Request, tag="record"):
     """Record the subsystem's tasks on this RTPU from now on. Result: `Recorded`.
 
-    It ends when the RTPU is given back, or with mode ``off``.
+    Recording ends when the RTPU is released, or with mode ``off``.
     """
 
     run: str = ""
@@ -350,7 +354,7 @@ class Record(Request, tag="record"):
     """Name of the log, without ``.mcap``."""
     job: str = ""
     mode: str = "outputs"
-    """``off``; ``outputs``; or ``all``, with the inputs of every cycle beside them."""
+    """``off``; ``outputs``; or ``all``, which adds the inputs of every cycle."""
     tasks: dict[str, str] = {}
     """Modes of single tasks."""
     hidden: list[str] = []
@@ -358,7 +362,7 @@ class Record(Request, tag="record"):
     files: dict[str, str] = {}
     """Configuration files to attach: text by name."""
     last: float = 0.0
-    """Keep so many seconds in memory, and write them when an error comes; 0: write
+    """Keep this many seconds in memory, and write them when an error occurs; 0: write
     everything."""
 
 
@@ -400,23 +404,23 @@ AnyRequest = (
 
 
 class Claimed(Struct, kw_only=True):
-    """A claim that was granted."""
+    """A granted claim."""
 
     epoch: int
     tasks: list[str] = []
-    """Tasks of the subsystem that stand on the RTPU already."""
+    """Existing tasks of the subsystem on the RTPU."""
     rmods: dict[str, str] = {}
     """Text of the ``.rmod`` that each of them was spawned from."""
     modules: dict[str, Any] = {}
-    """The module that each of them runs, described as by the request ``modules``."""
+    """The module of each of them, described as by the request ``modules``."""
     status: RtpuStatus | None = None
-    """As the request ``status`` gives it, so that a master need not ask again."""
+    """The result of ``status``, which saves the master a request."""
     agent: AgentInfo | None = None
-    """As the request ``hello`` gives it."""
+    """The result of ``hello``."""
 
 
 class TableInfo(Struct, kw_only=True):
-    """A table that stands on the machine."""
+    """A table that exists on the machine."""
 
     name: str
     layout: str
@@ -424,23 +428,23 @@ class TableInfo(Struct, kw_only=True):
 
 
 class Recorded(Struct, kw_only=True):
-    """Where a recording goes."""
+    """The destination of a recording."""
 
     path: str
-    """The log on the agent's machine; empty when it was ended."""
+    """The log on the agent's machine; empty if recording has ended."""
     machine: str
 
 
 class Reconfigured(Struct, kw_only=True):
-    """How far a reconfiguration came."""
+    """The result of a reconfiguration, which may be incomplete."""
 
     done: int
     states: dict[str, str] = {}
     error: WireError | None = None
-    """Of the first item of `rest`."""
+    """Error of the first item of `rest`."""
     rest: list[tuple[str, str]] = []
-    """Items that were not carried out, the failed one first; empty at success. Tasks
-    that are exchanged together need not fail in the order of the list."""
+    """Items that were not carried out, the failed one first; empty on success. Tasks
+    that are exchanged together may fail in another order than that of the list."""
 
 
 class Stopped(Struct, kw_only=True):
@@ -448,17 +452,17 @@ class Stopped(Struct, kw_only=True):
 
     off: list[str]
     killed: list[str]
-    """Tasks that did not stop by themselves and were ended."""
+    """Tasks that did not stop by themselves and were killed."""
 
 
 class Event(Struct, kw_only=True):
-    """Something that happened, with its place and cycle."""
+    """An event, with its place and cycle."""
 
     n: int
     time: int
     """CLOCK_MONOTONIC nanoseconds on the machine."""
     wall: float
-    """For people to read."""
+    """Wall-clock time, for display."""
     severity: int
     code: str
     rtpu: str
@@ -468,11 +472,11 @@ class Event(Struct, kw_only=True):
     bits: int = 0
     """Signals that a module sent, as bits of `pbonet.Signal` (section 4.4.4)."""
     errnum: int = 0
-    """The number that the module gave the error or warning, 0 for none."""
+    """The number that the module gave the error or warning; 0: none."""
     place: str = ""
-    """Where in the module's code it happened, ``file:line in method``, if known."""
+    """Place in the module's code, ``file:line in method``, if known."""
     state: str = ""
-    """The task's state when it happened, of what is about a task."""
+    """The task's state at that time, for events of a task."""
     text: str
 
 

@@ -1,10 +1,10 @@
-"""Certificates of a laboratory: who is an agent, a master, an observer.
+"""Certificates of a laboratory: the roles agent, master and observer.
 
 One authority signs for one laboratory and makes a key folder (see `credentials`) for
-each machine and person. A certificate's common name is the role, on which access
-control goes; its unit is the holder's own name, for people.
+each machine and person. A certificate's common name is the role, which access control
+checks; its organizational unit is the holder's own name, for display.
 
-Needs the package cryptography; nothing that runs a robot does.
+Needs the package cryptography, which running a robot does not need.
 """
 
 from __future__ import annotations
@@ -38,39 +38,39 @@ if TYPE_CHECKING:
 
 AUTHORITY_KEY = "ca.key"
 YEARS = 10.0
-"""How long an authority is good for."""
+"""Validity of an authority in years."""
 DAYS = 825.0
-"""How long a certificate is good for."""
+"""Default validity of a certificate in days."""
 _EARLY = dt.timedelta(hours=1)
-"""Certificates begin in the past: clocks of machines differ."""
+"""Certificates are valid from the past on, because clocks of machines differ."""
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 
 
 class Holder(Struct, frozen=True):
-    """Whom a key folder speaks of."""
+    """The holder of a key folder."""
 
     name: str
     role: Role
     hosts: tuple[str, ...]
-    """Addresses at which others may meet it; an agent's alone."""
+    """Addresses at which other machines reach it; for agents only."""
     until: str
     """Last day, as YEAR-MONTH-DAY."""
     days: float
-    """Days that are left; negative when it is over."""
+    """Remaining days; negative after expiry."""
 
 
 def make_authority(folder: Path, name: str = "pbonet") -> Path:
     """Make the authority that signs a laboratory's certificates.
 
     Args:
-        folder: Where ``ca.pem`` and ``ca.key`` are put; it is made if need be.
-        name: What people call the laboratory.
+        folder: Folder for ``ca.pem`` and ``ca.key``; made if necessary.
+        name: Name of the laboratory, for display.
 
     Returns:
         The path of ``ca.pem``.
 
     Raises:
-        NodeError: There is an authority already.
+        NodeError: The folder already has an authority.
         ConfigFileError: The folder cannot be written.
     """
     if (folder / AUTHORITY_KEY).exists():
@@ -113,19 +113,19 @@ def issue(
 
     Args:
         authority: The authority's folder.
-        role: What the holder may do.
+        role: The holder's role.
         name: The holder's own name.
-        hosts: Names and addresses at which others reach an agent.
-        days: How long it is good for.
-        folder: Where it is put; ``authority/name`` if left out.
+        hosts: Names and addresses at which other machines reach an agent.
+        days: Validity in days.
+        folder: Destination; ``authority/name`` by default.
 
     Returns:
         The folder.
 
     Raises:
-        NodeError: The name or a host is malformed, an agent has no host, the folder
-            holds keys already.
-        ConfigFileError: The authority cannot be read, or the folder not be written.
+        NodeError: The name or a host is malformed, an agent has no host, or the folder
+            already has keys.
+        ConfigFileError: The authority cannot be read, or the folder cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise NodeError(
@@ -171,10 +171,10 @@ def issue(
 
 
 def read(folder: Path) -> Holder:
-    """Return whom a key folder speaks of.
+    """Return the holder of a key folder.
 
     Raises:
-        ConfigFileError: It lacks a file, or one is no certificate of pbonet.
+        ConfigFileError: A file is missing, or is not a certificate of pbonet.
     """
     check(folder)
     try:
@@ -292,7 +292,7 @@ def _pem(made: x509.Certificate) -> bytes:
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
-    """Write files that only their owner may read; keys come first."""
+    """Write files that only their owner may read, keys first."""
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         for name, data in files.items():

@@ -1,4 +1,4 @@
-"""Finds why an endpoint does not answer, in words that say what to check."""
+"""Finds why an endpoint does not answer, and what to check."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 TRY_TIME: Final = 0.5
-"""Seconds in which a host must answer that is there."""
+"""Time-out in seconds for an answer of the host."""
 _BY_TCP: Final = {"tcp", "tls", "ws"}
 
 
 def reasons(endpoints: Sequence[str]) -> tuple[str, str]:
-    """Return why no session came about, and what to do.
+    """Return why no session could be opened, and what to do.
 
     Args:
         endpoints: ``PROTOCOL/HOST:PORT`` each, at least one; all are tried at once.

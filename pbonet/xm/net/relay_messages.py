@@ -16,11 +16,11 @@ T = TypeVar("T")
 
 
 class Letter(Struct, array_like=True):
-    """A request that the agent is to pass on; answered with a packed `Answer`."""
+    """A request to be passed on by the agent; answered with a packed `Answer`."""
 
     client: str
     rtpu: str
-    """Empty: asks for the names of the RTPUs that are there, if it waits."""
+    """Empty: asks for the names of the RTPUs that are alive, if it waits."""
     timeout: float
     data: bytes
     """The packed request."""
@@ -38,7 +38,7 @@ def read_result(rtpu: str, answer: Answer, result: type[T]) -> T:
 
     Raises:
         PbonetError: The agent refused.
-        ProtocolError: It is not what was asked for.
+        ProtocolError: The result has another type.
     """
     if not answer.ok:
         raise PbonetError.from_wire(answer.error or {})

@@ -1,8 +1,9 @@
 """Requests to a resource of another machine (Stewart 1994, section 5.4).
 
-The agent of the RTPU that has the resource stands in for whoever asks: it attaches, and
-waits in the line, in the client's place. A client shows a liveliness token
-(`keys.customer`); when that goes, so does all that stands for it.
+The agent of the RTPU that has the resource acts for the client: it attaches, and waits
+in line, in the client's place. A client declares a liveliness token
+(`key_expressions.customer`); when that disappears, the agent drops all of the client's
+handles and waits.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from msgspec import Struct
 from .messages import Request
 
 LONGEST = (1 << 20) - 4096
-"""Bytes of a message that travels."""
+"""Maximum size of a message to another machine, in bytes."""
 
 
 class XmRequest(Request):
@@ -25,35 +26,35 @@ class Attach(XmRequest, tag="xm_attach"):
     """Attach to a semaphore or queue, or make it. Result: `Attached`."""
 
     name: str
-    """Without the RTPU."""
+    """Name without the RTPU."""
     kind: str
     """``sem`` or ``queue``."""
     create: dict[str, Any] | None = None
-    """The settings of one that is made; None attaches."""
+    """The settings if it is to be made; None attaches only."""
 
 
 class Detach(XmRequest, tag="xm_detach"):
-    """Let go, and destroy if told so. Result: None."""
+    """Detach, and destroy if requested. Result: None."""
 
     handle: int
     destroy: bool = False
 
 
 class Take(XmRequest, tag="xm_take"):
-    """P, or receive. Result: `Took`; to be settled by the client."""
+    """P, or receive. Result: `Took`, which the client must settle."""
 
     handle: int
     take: str
-    """A name that the client gives it."""
+    """The client's name for this operation."""
     wait: float = 0.0
-    """Seconds in the line."""
+    """Time-out in seconds."""
     priority: int = 0
     most: int = LONGEST
-    """Bytes of a message at most; a longer one stays."""
+    """Maximum size of a message in bytes; a longer one stays."""
 
 
 class Settle(XmRequest, tag="xm_settle"):
-    """Keep what was taken, or give it back; a wait under way ends. Result: None."""
+    """Keep what was taken, or return it; a wait under way ends. Result: None."""
 
     take: str
     keep: bool
@@ -69,13 +70,13 @@ class Await(XmRequest, tag="xm_await"):
 
 
 class Give(XmRequest, tag="xm_give"):
-    """V. Result: whether it was below its maximum."""
+    """V. Result: whether the value was below its maximum."""
 
     handle: int
 
 
 class Put(XmRequest, tag="xm_put"):
-    """Send a message. Result: whether it is in."""
+    """Send a message. Result: whether it was put in the queue."""
 
     handle: int
     take: str
@@ -87,7 +88,7 @@ class Put(XmRequest, tag="xm_put"):
 
 
 class Look(XmRequest, tag="xm_look"):
-    """Ask how a resource stands. Result: `Seen`."""
+    """Ask for a resource's state. Result: `Seen`."""
 
     handle: int
 
@@ -96,12 +97,12 @@ class Interrupt(XmRequest, tag="xm_interrupt"):
     """Send a mailbox interrupt. Result: None."""
 
     name: str
-    """Without the RTPU."""
+    """Name without the RTPU."""
     value: int = 1
 
 
 class Attached(Struct, kw_only=True):
-    """A resource that the agent is attached to in the client's place."""
+    """A resource to which the agent is attached for the client."""
 
     handle: int
     settings: dict[str, int]
@@ -111,17 +112,17 @@ class Took(Struct, kw_only=True):
     """The result of a `Take`."""
 
     code: int
-    """As `Taken` says; of a queue 1 for a message."""
+    """A value of `Taken`; for a queue 1 if there is a message."""
     data: bytes = b""
     priority: int = 0
 
 
 class Seen(Struct, kw_only=True):
-    """How a resource stands."""
+    """The state of a resource."""
 
     waiting: int
     value: int = 0
-    """Of a semaphore; of a queue its messages."""
+    """Value of a semaphore; number of messages in a queue."""
     holder: int | None = None
     free: tuple[int, int] = (0, 0)
     dropped: int = 0

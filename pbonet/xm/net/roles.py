@@ -1,7 +1,8 @@
-"""Which requests only read, so that clients that may not command can make them.
+"""Which requests only read, so that clients without command rights can make them.
 
-An RTPU answers on two keys: ``sbs`` takes every request, ``status`` those that change
-nothing. Access control goes by keys (see `access`), so an observer reaches the second.
+An RTPU answers on two keys: ``sbs`` accepts every request, ``status`` those that change
+nothing. Access control is by key (see `access_control`), so an observer reaches only
+the second.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ def leaf(request: m.Request) -> str:
 
 
 def check(request: m.Request, key: str) -> None:
-    """Refuse a request that was made where only reading is allowed.
+    """Refuse a request that changes something on a key for reading only.
 
     Args:
-        request: What is asked.
+        request: The request.
         key: The key expression of the query.
 
     Raises:
-        AccessError: It changes something, and came on a key that is not for that.
+        AccessError: The request is not allowed on that key.
     """
     if key.rpartition("/")[2] != "sbs" and not only_looks(request):
         raise AccessError(

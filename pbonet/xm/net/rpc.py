@@ -1,14 +1,13 @@
-"""Requests to agents, with the status and the time limits that zenoh does not give.
+"""Requests to agents, with the errors and time limits that zenoh does not give.
 
-A zenoh query that nobody answers, because nobody is there, because the server died with
-the query in its hands, or because access control dropped it, ends without a reply and
-without an error. This layer says which it was: it looks at the liveliness tokens, asks
-again under the same request id (an agent executes an id once), and gives up within the
-time limit of the request. A request that takes long is watched: an agent that is there
-proves it by answering a greeting meanwhile, and one that does not is given up after
-little more than a second, not at the end of the long limit.
+A zenoh query without an answer ends without a reply and without an error, whether there
+is no server, the server died with the query, or access control dropped it. This layer
+finds out which it was: it reads the liveliness tokens, asks again with the same request
+id (an agent executes an id once), and gives up within the time limit of the request.
+During a long request the agent is monitored by greetings: if it does not answer one,
+the request is given up after little more than a second, not at the end of its limit.
 
-Stands for the message queues between the master task and the SBS servers of Stewart
+Replaces the message queues between the master task and the SBS servers of Stewart
 1994, section 4.5.
 """
 
@@ -50,40 +49,41 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 ANSWER_TIME: Final = 2.0
-"""Seconds in which an agent answers whatever happens, or is not there."""
+"""Seconds in which a live agent answers any request."""
 
 WAY_TIME: Final = 0.5
-"""Seconds for the way there and back, beside the time limit of a request."""
+"""Seconds for both directions, in addition to the time limit of a request."""
 ASK_TIME: Final = 0.5
-"""Seconds without an answer after which an agent is asked for a sign of life."""
+"""Seconds without an answer after which an agent is sent a greeting."""
 PROOF_TIME: Final = 0.6
-"""Seconds in which one that lives gives it."""
+"""Seconds in which a live agent answers the greeting."""
 _SLICE: Final = 0.05
-"""A proof is waited for in slices of this many seconds. If the whole machine stands
-still, for us as for the agent, that is one slice, and not the agent's silence."""
+"""The wait for that answer is divided into slices of this many seconds. If the whole
+machine stalls, client and agent alike, that counts as one slice only."""
 _SILENCE_TIME: Final = 1.0
-"""Seconds for which an agent that gave no sign of life is not asked again; a stop is
-always sent."""
+"""Seconds for which an agent that did not answer a greeting is not asked again; a stop
+is always sent."""
 _ALONE_TIME: Final = 1.2
-"""When nobody at all can be reached, the agent through which we reach the others has
-gone; in this time zenoh finds the next. So long one is waited for, too, that is not
-seen while its process runs on this machine: its link is being restored."""
+"""If no agent at all can be reached, the agent through which we reach the others has
+ended; zenoh connects to the next one within this time. The same wait applies to an
+agent that is not seen while its process runs here: its link is being restored."""
 _LOSS_TIME: Final = 0.3
+"""Seconds in which agents report which others they have lost, for all together."""
 """Seconds in which agents say whom they see no more, all together."""
 _LEAST_TRIES: Final = 10
-"""So often an agent is looked for at least: behind a standstill of the whole machine
-all times are over, and the links are only being restored."""
+"""Minimum number of attempts to find an agent: after a stall of the whole machine all
+times have passed while links are still being restored."""
 _TOKEN_TIME: Final = 1.0
 _RETRY_PAUSE: Final = 0.05
 _REPLIES: Final = 8
-"""Room for the replies to a query: one, unless two agents have one name."""
+"""Room for the replies to a query: one, unless two agents have the same name."""
 _TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
 
 log = logging.getLogger("pbonet.xm")
 
 
 def ignore_warning(rtpu: str, text: str) -> None:
-    """Take a warning that came with an answer, and log it."""
+    """Log a warning that came with an answer."""
     log.info("%s: %s", rtpu, text)
 
 
@@ -97,26 +97,26 @@ class _Waiter:
     def take(self, reply: zenoh.Reply) -> None:
         if self.reply is None:
             self.reply = reply
-            self.done.set()  # there is one answer; zenoh's end comes some time later
+            self.done.set()  # there is one answer; zenoh reports the end later
 
     def end(self) -> None:
         self.done.set()
 
 
 class Declared(Protocol):
-    """Something that stands until it is taken back."""
+    """Something declared in zenoh."""
 
     def undeclare(self) -> None:
-        """Take it back."""
+        """Withdraw the declaration."""
 
 
 class Client:
-    """Asks the agents of one domain, in the name of one master or tool.
+    """Sends requests to the agents of one domain for one master or tool.
 
     Args:
         session: An open zenoh session that reaches at least one agent.
-        domain: The domain whose RTPUs are meant.
-        name: The client's own unique name, as its liveliness token carries it.
+        domain: The domain of the RTPUs.
+        name: The client's own unique name, as in its liveliness token.
         warned: Called with an RTPU's name and a warning that came with an answer.
     """
 
@@ -136,7 +136,7 @@ class Client:
         self._run = os.urandom(4).hex()
         self._count = itertools.count(1)
         self._silent: dict[str, float] = {}
-        """When an RTPU's agent gave no sign of life."""
+        """Time at which an RTPU's agent did not answer a greeting."""
 
     def tokens(self, key: str) -> list[str]:
         """Return the keys of the liveliness tokens that match `key`, sorted."""
@@ -150,7 +150,7 @@ class Client:
         return sorted(found)
 
     def rtpus(self) -> list[str]:
-        """Return the names of the RTPUs whose agents are there, sorted."""
+        """Return the names of the RTPUs whose agents are alive, sorted."""
         return sorted(map(key_expressions.rtpu_name, self.tokens(self._alive("*"))))
 
     def call(
@@ -165,16 +165,16 @@ class Client:
 
         Args:
             rtpu: The RTPU's name.
-            request: What is asked; its id and client are filled in here.
-            result: The type of the result; `NoneType` when nothing comes back.
-            timeout: Seconds the operation itself may take. The answer may come half a
-                second later; an agent that gives no sign of life is given up after
-                `ASK_TIME` and `PROOF_TIME`.
+            request: The request; its id and client are filled in here.
+            result: The type of the result; `NoneType` for none.
+            timeout: Time limit of the operation itself in seconds. The answer may come
+                half a second later; an agent that does not answer greetings is given
+                up after `ASK_TIME` and `PROOF_TIME`.
 
         Raises:
-            UnreachableError: No agent of that name is there.
-            NoAnswerError: The agent is there and did not answer in time.
-            PbonetError: The agent refused; the error is of the class it names.
+            UnreachableError: No agent of that name is alive.
+            NoAnswerError: The agent is alive and did not answer in time.
+            PbonetError: The agent refused; the error has the class that it names.
         """
         request.id = f"{self._run}-{next(self._count)}"
         request.client = request.client or self.name
@@ -186,7 +186,7 @@ class Client:
         return read_result(rtpu, answer, result)
 
     def tell(self, rtpu: str, request: Request) -> None:
-        """Send a request and wait for nothing.
+        """Send a request without waiting for an answer.
 
         Raises:
             UnreachableError: The connection to the agents is closed.
@@ -206,7 +206,7 @@ class Client:
         """Send a request to each of several RTPUs at once.
 
         Returns:
-            The results of those that gave one, and the errors of the others.
+            The results by RTPU, and the errors of the others.
         """
         results: dict[str, T] = {}
         errors: list[PbonetError] = []
@@ -219,7 +219,7 @@ class Client:
             except PbonetError as error:
                 return error
 
-        *others, last = requests  # of the last one nobody else need take care
+        *others, last = requests  # this thread handles the last one
         with ThreadPoolExecutor(len(others) or 1) as pool:
             asked = {
                 # in this context, so that warnings find their command
@@ -236,7 +236,7 @@ class Client:
         return results, errors
 
     def announce(self, key: str) -> Declared:
-        """Show a liveliness token until what is returned is undeclared.
+        """Declare a liveliness token until the returned object is undeclared.
 
         Raises:
             UnreachableError: The connection to the agents is closed.
@@ -248,7 +248,7 @@ class Client:
         return token
 
     def hear(self, key: str, told: Callable[[], None]) -> Declared:
-        """Let a function be called, in zenoh's thread, with each sample under a key."""
+        """Call a function, in zenoh's thread, for each sample under a key."""
 
         def heard(_: zenoh.Sample) -> None:
             told()
@@ -259,7 +259,7 @@ class Client:
         return subscriber
 
     def close(self) -> None:
-        """Close the session; a call that waits ends with an error."""
+        """Close the session; a waiting call ends with an error."""
         if not self.session.is_closed():
             self.session.close()  # type: ignore[no-untyped-call]
 
@@ -267,7 +267,7 @@ class Client:
         return key_expressions.rtpu(self.domain, rtpu, "alive")
 
     def _exchange(self, rtpu: str, request: Request, timeout: float) -> Answer:
-        """Return the agent's answer, asking again while it is there and silent."""
+        """Return the agent's answer; ask again while it is alive and silent."""
         if self._is_silent(rtpu) and not isinstance(request, Stop):
             raise _no_sign(rtpu)
         payload = self._codec.pack(request)
@@ -290,16 +290,18 @@ class Client:
                 raise unreachable_reason.unreachable(
                     rtpu, self.domain, names, self._loss(rtpu, names)
                 )
-            if greeted:  # it answered a moment ago, but not this
+            if greeted:  # it answered the greeting, but not this request
                 raise _no_access(rtpu)
             greeted = leaf == "sbs" and rtpu in names and self._hello(rtpu)
             if now > min(give_up, end) and not patient:
                 break
-            time.sleep(_RETRY_PAUSE)  # it starts up, or our own link is being restored
+            time.sleep(
+                _RETRY_PAUSE
+            )  # it is starting, or our own link is being restored
         raise _no_answer(rtpu, ANSWER_TIME)
 
     def _is_silent(self, rtpu: str) -> bool:
-        """Return whether an agent gave no sign of life a moment ago."""
+        """Return whether an agent has just failed to answer a greeting."""
         return time.monotonic() - self._silent.get(rtpu, -_SILENCE_TIME) < _SILENCE_TIME
 
     def _ask(
@@ -307,9 +309,9 @@ class Client:
     ) -> zenoh.Reply | None:
         """Return the reply to a query; None if it ended without one.
 
-        Most answers come soon. For those a channel will do, which costs a quarter of a
-        round trip less than a callback that wakes us. What takes longer is asked
-        again, which changes nothing, and watched.
+        Most answers come soon. For those a channel is used, which costs a quarter of a
+        round trip less than a callback that wakes us. A longer request is sent again,
+        which is harmless, and monitored.
         """
         soon = min(ASK_TIME, end - time.monotonic())
         reply = self._at_once(rtpu, leaf, payload, soon)
@@ -328,7 +330,7 @@ class Client:
     def _at_once(
         self, rtpu: str, leaf: str, payload: bytes, timeout: float
     ) -> zenoh.Reply | None:
-        """Return the first reply, which is zenoh's own after the time limit."""
+        """Return the first reply, or zenoh's own at the time limit."""
         try:
             replies = self.session.get(
                 key_expressions.rtpu(self.domain, rtpu, leaf),
@@ -356,7 +358,7 @@ class Client:
         return waiter
 
     def _hello(self, rtpu: str, other: _Waiter | None = None) -> bool:
-        """Return whether the agent answers the simplest request, or the other one."""
+        """Return whether the agent answers a greeting, or the other request."""
         hello = Hello(id=f"{self._run}-{next(self._count)}", client=self.name)
         payload = self._codec.pack(hello)
         waiter = self._get(rtpu, roles.leaf(hello), payload, ANSWER_TIME)
@@ -367,17 +369,17 @@ class Client:
         return answered or (other is not None and other.done.is_set())
 
     def _may_come_back(self, rtpu: str, names: list[str]) -> bool:
-        """Tell whether links are being restored: to all, or to an agent that runs here.
+        """Return whether links to all agents, or to one that runs here, may return.
 
         Args:
             rtpu: The RTPU of the agent.
-            names: Those that are seen; it is not among them.
+            names: The RTPUs that are seen, without this one.
         """
         pid = run_folder.agent_processes(self.domain).get(rtpu, 0)
         return not names or (pid > 0 and not run_folder.is_stopped(pid))
 
     def _loss(self, rtpu: str, names: list[str]) -> tuple[str, str]:
-        """Return who has lost sight of an agent, and the remedy; empty if unknown."""
+        """Return which agent has lost this one, and the remedy; empty if unknown."""
         infos: list[AgentInfo] = []
         end = time.monotonic() + _LOSS_TIME
         for name in names:
@@ -410,7 +412,7 @@ class Client:
 
 
 def raise_all(what: str, errors: list[PbonetError], *, remedy: str = "") -> None:
-    """Raise what went wrong: nothing, the one error, or all of them as one tree."""
+    """Raise nothing, the one error, or all errors as one tree."""
     if len(errors) == 1:
         raise errors[0]
     if errors:
@@ -458,9 +460,9 @@ def _refusal(rtpu: str, answer: Answer) -> PbonetError:
 
 
 def placed(rtpu: str, error: PbonetError) -> PbonetError:
-    """Return an RTPU's error; its place begins with the RTPU.
+    """Return an RTPU's error with the RTPU added to its place.
 
-    What is on it reads ``arm0/pid``, a file of its machine ``arm0:/lib/pid.py``.
+    For example ``arm0/pid`` for a task, ``arm0:/lib/pid.py`` for a file of its machine.
     """
     if not error.where:
         error.where = rtpu

@@ -1,14 +1,14 @@
 """The runtime folder: where the processes of one machine find each other.
 
 ``$PBONET_RUN_DIR``, else ``$XDG_RUNTIME_DIR/pbonet``, else ``/tmp/pbonet-<uid>``. It
-is the user's own and nobody else may enter it. Under it stands one folder per domain,
+belongs to the user, and no other user may enter it. It contains one folder per domain,
 and in that, per RTPU: ``NAME.sock`` (the agent's zenoh endpoint), ``NAME.ctl`` (the
-RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use what
-other machines have), ``NAME.agent`` and ``NAME.rtpu`` (locked while they live),
-``NAME.state`` (what has to be cleaned away should the RTPU process be killed) and
-``NAME.log`` (what the RTPU process wrote to its standard error).
+RTPU process's own socket), ``NAME.post`` (the agent's socket for tasks that use
+resources of other machines), ``NAME.agent`` and ``NAME.rtpu`` (locked while these
+processes live), ``NAME.state`` (what to clean up if the RTPU process is killed) and
+``NAME.log`` (the RTPU process's standard error).
 
-Nothing here imports zenoh: the RTPU process uses it too.
+Nothing here imports zenoh, because the RTPU process uses it too.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from pbonet.errors import DuplicateNameError, NodeError
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,30}")
 LONGEST_SOCKET = 107
-"""Bytes that Linux takes for the path of a Unix socket."""
+"""Maximum length of a Unix socket's path on Linux, in bytes."""
 _LOOK = 0.01
 _HOLDER = re.compile(r"process (\d+)")
 _FLOCK = struct.Struct("hhqqi4x")
 
 
 def check_name(what: str, name: str) -> str:
-    """Return `name` if it is valid in a key and in a file's name.
+    """Return `name` if it is valid in a key and in a file name.
 
     Raises:
-        NodeError: It may not.
+        NodeError: It is not valid.
     """
     if not NAME.fullmatch(name):
         raise NodeError(
@@ -49,7 +49,7 @@ def check_name(what: str, name: str) -> str:
 
 
 def folder() -> Path:
-    """Return the runtime folder, made if need be.
+    """Return the runtime folder; made if necessary.
 
     Raises:
         NodeError: It cannot be made, or belongs to another user.
@@ -110,11 +110,11 @@ class Places:
 
     @property
     def agents_files(self) -> tuple[Path, Path, Path]:
-        """The agent's sockets, with what zenoh makes for one."""
+        """The agent's sockets, and the lock file that zenoh makes for one."""
         return self.sock, self.sock.with_suffix(".sock.lock"), self.post
 
     def remove(self, *paths: Path) -> None:
-        """Remove some of the files; a missing one is no fault."""
+        """Remove some of the files; missing ones are ignored."""
         for path in paths:
             path.unlink(missing_ok=True)
 
@@ -131,14 +131,14 @@ def _check_length(path: Path) -> None:
 
 
 class NameLock:
-    """Holds an RTPU's name on this machine for as long as the holder lives.
+    """Holds an RTPU's name on this machine while the process lives.
 
-    An open-file-description lock, because its holder can be asked for without taking
-    it: who only looks never stands in the way of an agent that starts.
+    Uses an open-file-description lock, because its holder can be queried without taking
+    it: a process that only checks never blocks an agent that starts.
 
     Args:
         path: The file.
-        text: The holder, for the error of a second process.
+        text: Description of the holder, for the error of a second process.
         patience: Seconds to try.
 
     Raises:
@@ -178,7 +178,7 @@ class NameLock:
             os.close(fd)  # its last holder removed it between our open and our lock
 
     def release(self) -> None:
-        """Give the name back and remove the file; harmless when done twice."""
+        """Release the name and remove the file. Idempotent."""
         if self._fd >= 0:
             self.path.unlink(missing_ok=True)
             os.close(self._fd)
@@ -186,7 +186,7 @@ class NameLock:
 
 
 def is_held(path: Path) -> bool:
-    """Return whether the lock on `path` is held; takes nothing."""
+    """Return whether the lock on `path` is held, without taking it."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -218,14 +218,14 @@ def live_agents(domain: str) -> list[str]:
 def agent_processes(domain: str) -> dict[str, int]:
     """Return the agents of `domain` that live on this machine, and their processes.
 
-    The process of an agent that does not say its own is 0.
+    The process is 0 for an agent that does not report it.
     """
     here = folder() / check_name("a domain", domain)
     return {path.stem: _holder(path) for path in here.glob("*.agent") if is_held(path)}
 
 
 def is_stopped(pid: int) -> bool:
-    """Tell whether a process lives and is held: by SIGSTOP, a terminal, a debugger."""
+    """Return whether a process is stopped, by SIGSTOP, a terminal or a debugger."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     except OSError:
@@ -234,7 +234,7 @@ def is_stopped(pid: int) -> bool:
 
 
 def _holder(path: Path) -> int:
-    """Return the process that a lock's holder says it is, or 0."""
+    """Return the process id that a lock's holder has written, or 0."""
     try:
         found = _HOLDER.search(path.read_text(encoding="utf-8", errors="replace"))
     except OSError:
@@ -243,10 +243,11 @@ def _holder(path: Path) -> int:
 
 
 def machine() -> str:
-    """Return an identity that is equal for processes that see one shared memory.
+    """Return an identity that is equal for processes that see the same shared memory.
 
-    It is made of the kernel's boot and of the shared memory's mount, so that two
-    containers on one host differ unless they share it, and two hosts of one name do.
+    It consists of the kernel's boot id and the shared memory's mount, so that two
+    containers on one host differ unless they share it, and so do two hosts of the same
+    name.
     """
     boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     found = shm.folder().stat()

@@ -1,13 +1,13 @@
-"""Opens zenoh sessions the way pbonet uses them: this file alone configures zenoh.
+"""Opens zenoh sessions; this file alone configures zenoh.
 
-Agents run as routers and everything else is a client of some agent, so that one agent
-within reach reaches all. Agents of one machine find each other in the runtime folder,
-others are named, or found by multicast where that was asked for. There is no gossip,
-the shared-memory transport is off, and a lost peer is noticed within 400 ms.
+Agents run as routers and everything else is a client of some agent, so one agent within
+reach is enough to reach all. Agents of one machine find each other in the runtime
+folder; others are named, or found by multicast if that is requested. There is no
+gossip, the shared-memory transport is off, and a lost peer is detected within 400 ms.
 
-With a key folder every link over a network is mutual TLS and agents keep access
-control (see `credentials` and `access`). Without one, an agent that listens beyond
-loopback needs `insecure`.
+With a key folder every link over a network is mutual TLS and agents enforce access
+control (see `credentials` and `access_control`). Without one, an agent that listens
+beyond loopback needs `insecure`.
 
 A session must be opened in a process that was started by exec, never after a fork.
 """
@@ -36,17 +36,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LEASE_MS = 400
-"""After this long without a sign a peer is lost; shorter leases gave false losses."""
+"""Milliseconds without a sign of life until a peer is lost; less gave false losses."""
 OPEN_MS = 500
-"""After this long an agent that hangs is passed over for the next; zenoh's ten seconds
-would keep a master from all the others, and from stopping them, and an agent from one
-whose link has healed meanwhile."""
+"""Milliseconds until an agent that hangs is skipped for the next; zenoh's ten seconds
+would keep a master from all others, and from stopping them, and an agent from one whose
+link has recovered meanwhile."""
 RETRY_MS = 200
-"""Longest pause between attempts to reach an agent that is away."""
+"""Longest pause between attempts to reach a lost agent, in milliseconds."""
 SCOUTING_PORT = 17000
 """The first of the thousand ports on which domains search for their agents."""
 OPEN_TIME = 1.1
-"""Seconds in which a client keeps trying when there is no answer."""
+"""Seconds for which a client tries to connect."""
 _OPEN_PAUSE = 0.05
 _KEYS_REFUSED = (
     " Were both sides' keys made by one authority, and is the address among the agent's"
@@ -56,7 +56,7 @@ PROTOCOLS = ("tcp", "tls", "udp", "ws", "unixsock-stream")
 _HOST_PORT = re.compile(r"([^\s/\[\]:?#]+|\[[^\s/\[\]]+\]):(\d{1,5})([?#].*)?")
 _LAST_PORT = 65535
 TOKENS = 100_000
-"""Room for liveliness tokens: zenoh's default handler blocks for ever beyond 256."""
+"""Room for liveliness tokens: zenoh's default handler blocks forever beyond 256."""
 
 
 def _is_address(text: str) -> bool:
@@ -72,7 +72,7 @@ def check_endpoint(
 
     Raises:
         NodeError: It is malformed, of an unknown protocol, reaches beyond this machine
-            without keys or `insecure`, or its protocol and the keys do not fit.
+            without keys or `insecure`, or needs keys that are missing, or the reverse.
     """
     protocol, _, address = endpoint.partition("/")
     local = protocol == "unixsock-stream" and address
@@ -117,8 +117,8 @@ def check_dialled(endpoint: str, *, key_folder: Path | None = None) -> str:
     """Return `endpoint` if a link may be opened to it.
 
     Raises:
-        NodeError: As `check_endpoint`; or it names a host by an address of IPv6 over
-            TLS, which zenoh cannot compare with a certificate.
+        NodeError: As `check_endpoint`; or it names a host by an IPv6 address over TLS,
+            which zenoh cannot compare with a certificate.
     """
     if check_endpoint(endpoint, key_folder=key_folder).startswith("tls/["):
         port = endpoint.rpartition(":")[2]
@@ -137,7 +137,7 @@ def _is_loopback(address: str) -> bool:
     host = address.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
-    import ipaddress  # only where a host is given
+    import ipaddress  # only if a host is given
 
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -157,11 +157,11 @@ def agent(
 
     Args:
         places: The agent's files.
-        listen: Endpoints beside its socket.
-        dial: Endpoints that it keeps a link to; it goes on trying while one is away.
-            No two agents may dial each other, see `pbonet.xm.net.dialling`.
-        multicast: Find the agents of the domain on the same network by multicast too.
-        key_folder: The agent's keys, if it has any.
+        listen: Endpoints besides its socket.
+        dial: Endpoints to which it keeps a link, with retries while one is lost. No
+            two agents may dial each other, see `pbonet.xm.net.dialling`.
+        multicast: Also find agents of the domain on the same network by multicast.
+        key_folder: The agent's keys, if any.
 
     Raises:
         NodeError: An endpoint cannot be listened on.
@@ -186,13 +186,13 @@ def agent(
 
 
 def _scouting(domain: str) -> dict[str, object]:
-    """Return how the agents of a domain find each other; other domains don't hear."""
+    """Return the settings by which the agents of one domain only find each other."""
     port = SCOUTING_PORT + zlib.crc32(domain.encode()) % 1000
     return {
         "enabled": True,
         "address": f"224.0.0.224:{port}",
         "autoconnect": {"router": ["router"], "peer": [], "client": []},
-        # One of two that hear each other dials, never both.
+        # Of two agents that find each other only one dials.
         "autoconnect_strategy": {"router": {"to_router": "greater-zid"}},
         "listen": True,
     }
@@ -210,10 +210,10 @@ def client(
 
     Args:
         domain: Agents of this domain on this machine are tried after `connect`.
-        connect: Endpoints of agents elsewhere.
+        connect: Endpoints of other agents.
         timeout: Seconds to keep trying.
-        local: Whether agents of this machine will do.
-        key_folder: A key folder; the one that the environment names if left out.
+        local: Whether to try agents of this machine.
+        key_folder: A key folder; by default the one in `PBONET_KEYS`.
 
     Raises:
         UnreachableError: No agent can be reached.
@@ -231,7 +231,7 @@ def client(
         )
     key_folder = key_folder or credentials.named()
     endpoints = [check_dialled(one, key_folder=key_folder) for one in connect]
-    # Who is stopped comes last: it would keep us waiting for half a second.
+    # Stopped agents come last: each would cost half a second.
     endpoints += [
         run_folder.Places(domain, name).endpoint for name in (*running, *stopped)
     ]
@@ -255,12 +255,12 @@ def client(
             return zenoh.open(config)
         except zenoh.ZError as error:
             now = time.monotonic()
-            if now - begin + (now - tried) < timeout:  # the next try may last as long
+            if now - begin + (now - tried) < timeout:  # the next try may take as long
                 time.sleep(_OPEN_PAUSE)
                 continue
             got, remedy = _reason(error), ""
             if timeout:
-                from . import probe_endpoint  # only where there is no answer
+                from . import probe_endpoint  # only if there is no answer
 
                 got, remedy = probe_endpoint.reasons(endpoints)
             raise UnreachableError(
@@ -272,7 +272,7 @@ def client(
 
 
 def _local_agents(domain: str) -> tuple[list[str], dict[str, int]]:
-    """Return the agents of this machine: those that run, and those that are stopped."""
+    """Return the agents of this machine: the running ones, and the stopped ones."""
     processes = run_folder.agent_processes(domain)
     stopped = {
         name: pid
@@ -283,10 +283,10 @@ def _local_agents(domain: str) -> tuple[list[str], dict[str, int]]:
 
 
 def alive(session: zenoh.Session, key: str, timeout: float = 1.0) -> list[str]:
-    """Return the keys of the liveliness tokens that match `key`, sorted, once each.
+    """Return the keys of the liveliness tokens that match `key`, sorted and unique.
 
-    A session that subscribes to the same tokens must not ask so: zenoh 1.10 then misses
-    tokens now and then (24 of 4500 when measured; none without the subscriber).
+    Not for a session that subscribes to the same tokens: zenoh 1.10 then occasionally
+    misses tokens (24 of 4500 when measured; none without the subscriber).
     """
     replies = session.liveliness().get(
         key, handler=zenoh.handlers.FifoChannel(TOKENS), timeout=timeout
@@ -317,7 +317,7 @@ def _config(
         "mode": mode,
         "connect": {**connect, "retry": retry},
         "scouting": {
-            "delay": 0,  # half a second at every start otherwise, for nothing
+            "delay": 0,  # otherwise half a second at every start, without use
             "multicast": multicast or {"enabled": False},
             "gossip": {"enabled": False},
         },
@@ -341,7 +341,7 @@ def _config(
 
 
 def _tls(folder: Path) -> dict[str, object]:
-    """Return the settings of links with the keys of `folder`, and of no others."""
+    """Return the settings of TLS links with the keys of `folder`, and no others."""
     ca, cert, key = (str(folder / name) for name in credentials.FILES)
     return {
         "protocols": ["tls", access_control.LOCAL],
@@ -358,6 +358,6 @@ def _tls(folder: Path) -> dict[str, object]:
 
 
 def _reason(error: Exception) -> str:
-    """Return the first line of what zenoh says, without the place in its sources."""
+    """Return the first line of zenoh's error, without the place in its sources."""
     text = str(error) or type(error).__name__
     return re.sub(r"\s+at \S+\.rs:\d+\.?", "", text.splitlines()[0])

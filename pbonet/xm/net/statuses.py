@@ -1,4 +1,4 @@
-"""The status of RTPUs and tasks, as it travels (Stewart 1994, section 4.4.1)."""
+"""The status of RTPUs and tasks, as sent in messages (Stewart 1994, section 4.4.1)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class SectionStatus(Struct, kw_only=True):
 
 
 class TaskStatus(Struct, kw_only=True):
-    """Everything that section 4.4.1 lists for one task, and a little more.
+    """The status of one task: everything that section 4.4.1 lists, and more.
 
     Counters are totals since the task was turned on; each interface keeps its own
     baseline to show "since the last status".
@@ -29,7 +29,7 @@ class TaskStatus(Struct, kw_only=True):
     S: str
     crit: int
     crit_assumed: bool = True
-    """True while the criticality does not rest on a known MAXC."""
+    """True unless the criticality is based on a known MAXC."""
     priority: int = 0
     state: str
     cycle: int
@@ -58,86 +58,86 @@ class TaskStatus(Struct, kw_only=True):
     faults: int = 0
     """Minor page faults since the task was turned on."""
     retries: int = 0
-    """Copy-ins that met the retry bound."""
+    """Copy-ins that reached the retry limit."""
     module: str = ""
     version: str = ""
     transfer_in: float = 0.0
-    """Mean seconds of a copy-in, and of a copy-out."""
+    """Mean duration in seconds of a copy-in, and of a copy-out."""
     transfer_out: float = 0.0
     now: int = 0
     """CLOCK_MONOTONIC nanoseconds at which this was read."""
     ring: str = ""
-    """Name of the ring in shared memory that gets one record a cycle."""
+    """Name of the ring in shared memory that gets one record per cycle."""
     lost: int = 0
     """Records that did not fit the ring since the task was spawned."""
     rank: int = 0
-    """Criticality at this moment: lower while a reserve is used up."""
+    """Current criticality: lower while a reserve is used up."""
     reserve: float = 0.0
     """CPU seconds reserved for each cycle, or for a server's period; 0 for none."""
     failures: dict[str, int] = {}
     """Timing failures by kind, since the task was spawned (section 6.3)."""
     overruns: int = 0
-    """How often the reserve was used up."""
+    """Number of times the reserve was used up."""
     aborted: int = 0
     """Cycles ended by the module's handler of timing failures."""
     skipped: int = 0
-    """Releases left out: too late to begin, or because the handler said so."""
+    """Skipped releases: too late to begin, or on the handler's request."""
     handlers: int = 0
     """Calls of that handler."""
     delivery_max: float = 0.0
-    """Longest time from the finding of a failure to its handler's begin, seconds."""
+    """Longest time from the detection of a failure to its handler's start, seconds."""
     held_off: int = 0
-    """Critical sections that lasted too long, and were overruled."""
+    """Critical sections that lasted too long and were cut short."""
     sections: dict[str, SectionStatus] = {}
     """Timed sections by name (section 6.7.2)."""
     fallback_of: str = ""
     """The task whose fallback it is."""
     stands_by: bool = False
-    """It is ready to be released in the place of that one."""
+    """Whether it is ready to be released in place of that task."""
     signals: dict[str, int] = {}
-    """How often it has sent each signal since it was spawned, masked ones left out."""
+    """Number of signals of each kind sent since it was spawned, without masked ones."""
 
 
 class TbufStatus(Struct, kw_only=True):
-    """A link between subsystems, as it stands on one machine (section 5.6)."""
+    """State of a link between subsystems on one machine (section 5.6)."""
 
     name: str
     writer: str
-    """Its writer there: a process, or the agent that brings it from another machine;
-    empty: nobody."""
+    """Its writer there: a process, or the agent that receives it from another machine;
+    empty: none."""
     reader: str
-    """The same of who reads it."""
+    """Its reader, likewise."""
     number: int
     """Counter of the newest record; 0 before the first."""
     age: float | None = None
-    """Of the newest record, seconds; None before the first."""
+    """Age of the newest record, seconds; None before the first."""
 
 
 class RtpuStatus(Struct, kw_only=True):
-    """Status of an RTPU and of the tasks asked for."""
+    """Status of an RTPU and of the requested tasks."""
 
     rtpu: str
     backend: str
     scheduler: str
     tasks: list[TaskStatus]
     util: float = 0.0
-    """CPU share used by the tasks since the dispatcher started, of one core."""
+    """Share of one core used by the tasks since the dispatcher started."""
     dispatcher: float = 0.0
-    """CPU share used by the dispatcher."""
+    """Share of one core used by the dispatcher."""
     stalls: int = 0
-    """How often the core stood still for more than 20 ms."""
+    """Number of times the core stalled for more than 20 ms."""
     stalled: float = 0.0
-    """Seconds that it stood still, in all."""
+    """Total duration of these stalls in seconds."""
     illegal: list[str] = []
     """Causes for which the illegal-configuration flag is up."""
     log: str = ""
-    """The log that is being written; empty for none."""
+    """The log that is being written; empty if none."""
     unlogged: int = 0
     """Records that could not be written to it."""
     events: dict[str, dict[str, int]] = {}
-    """How often each code of events came, by task; held-back ones are counted too."""
+    """Number of events of each code, by task, including suppressed ones."""
     tbufs: list[TbufStatus] = []
-    """The links that stand on the machine, in this RTPU's domain."""
+    """The links on the machine, in this RTPU's domain."""
 
 
 class TaskProfile(Struct, kw_only=True):
@@ -145,14 +145,14 @@ class TaskProfile(Struct, kw_only=True):
 
     status: TaskStatus
     least: float
-    """CPU seconds of the shortest of the cycles in `cpu`; `most` of the longest."""
+    """CPU seconds of the shortest cycle in `cpu`; `most` is that of the longest."""
     most: float
     cpu: list[tuple[int, int]] = []
-    """Bins of `histogram` that count cycles by CPU time, and the counts;
-    since the task was spawned, without the first cycle after each `on`."""
+    """Bins of `histogram` and the number of cycles with that CPU time, since the task
+    was spawned; without the first cycle after each `on`."""
     jitter: list[tuple[int, int]] = []
     """The same for delays from release to cycle, every cycle."""
     late: int = 0
     """Cycles that ended after their deadline, since the task was spawned."""
     failed: int = 0
-    """Cycles in which the module raised, since then."""
+    """Cycles in which the module raised, since the task was spawned."""

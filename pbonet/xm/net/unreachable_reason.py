@@ -1,4 +1,4 @@
-"""Reasons why agents cannot be reached, from the agents that have seen them."""
+"""Reasons why agents cannot be reached, as reported by agents that saw them."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from .agents import AgentInfo, Lost
 
 _TOGETHER: Final = 3.0
-"""Seconds within which agents that are behind each other are lost."""
+"""Seconds within which a neighbour and the agents behind it are lost."""
 _DIGITS: Final = "0123456789"
 
 
 def loss(by: AgentInfo, lost: Lost) -> str:
-    """Return who has lost sight of whom, and since when."""
+    """Return which agent no longer sees which other one, and since when."""
     text = f"{by.name} of {by.host} has not seen {lost.rtpu} of {lost.host} for "
     return text + f"{lost.ago:.0f} s" + (", to which it had a link" * lost.near)
 
 
 def remedy(by: AgentInfo, lost: Lost) -> str:
-    """Return what is to be done about it."""
+    """Return what to do about it."""
     runs = f"whether {lost.rtpu} runs on {lost.host}"
     if by.host == lost.host:
         return f"see {runs}"
@@ -36,9 +36,9 @@ def remedy(by: AgentInfo, lost: Lost) -> str:
 
 
 def grouped(losses: Sequence[Lost]) -> Iterator[tuple[Lost, list[Lost]]]:
-    """Give each loss that stands for itself, with those that it explains.
+    """Yield each independent loss, with the losses that it explains.
 
-    Who was reached by way of a neighbour is lost with it.
+    Agents that were reached through a neighbour are lost together with it.
     """
     near = [one for one in losses if one.near]
     rest = [one for one in losses if not one.near]
@@ -51,11 +51,11 @@ def grouped(losses: Sequence[Lost]) -> Iterator[tuple[Lost, list[Lost]]]:
 
 
 def first(rtpu: str, infos: Iterable[AgentInfo]) -> tuple[AgentInfo, Lost] | None:
-    """Return who knows best why an agent is out of reach, if anybody does.
+    """Return the best explanation why an agent cannot be reached, if any.
 
     Returns:
-        Who says so, and the loss: of the agent itself, or of the neighbour by way of
-        which it was reached.
+        The reporting agent, and the loss: of the agent itself, or of the neighbour
+        through which it was reached.
     """
     found = [
         (info, one)
@@ -78,8 +78,8 @@ def unreachable(
     Args:
         rtpu: Its name.
         domain: Its domain.
-        names: Those that can be reached.
-        loss: Who has lost sight of it, and what is to be done, if that is known.
+        names: RTPUs that can be reached.
+        loss: Which agent no longer sees it, and the remedy, if known.
     """
     pid = run_folder.agent_processes(domain).get(rtpu, 0)
     if pid:
@@ -92,7 +92,7 @@ def unreachable(
             got=f"{loss[0]}; RTPUs that can be reached: {there}",
             remedy=loss[1],
         )
-    stem = rtpu.rstrip(_DIGITS)  # arm1 is no misspelt arm0
+    stem = rtpu.rstrip(_DIGITS)  # arm1 is not a misspelt arm0
     hint = did_you_mean(rtpu, [n for n in names if n.rstrip(_DIGITS) != stem])
     start = f"pbonet agent --name {rtpu}"
     if domain != "default":
@@ -107,7 +107,7 @@ def unreachable(
 
 
 def _bad_keys() -> str:
-    """Return what is wrong with one's keys; empty if nothing is."""
+    """Return what is wrong with the client's keys; empty if nothing is."""
     try:
         if (folder := credentials.named()) is not None:
             credentials.prove(folder)
@@ -117,7 +117,7 @@ def _bad_keys() -> str:
 
 
 def _cut_off(rtpu: str, pid: int) -> UnreachableError:
-    """Return the error for an agent whose process is on this machine, but not heard."""
+    """Return the error for an agent whose process runs here but does not answer."""
     stopped = run_folder.is_stopped(pid)
     return UnreachableError(
         "the agent cannot be reached, though its process is there",

@@ -1,8 +1,8 @@
-"""Types that messages are decoded into, prepared before several threads may.
+"""Prepares the types of messages before several threads decode them.
 
-msgspec (0.22) prepares a `Struct` when it is first decoded into, which runs Python and
-so lets other threads run. One that decodes into it meanwhile finds it half prepared,
-and the process ends by SIGSEGV. Once prepared, a type is safe for all threads.
+msgspec (0.22) prepares a `Struct` at its first decoding, which runs Python code and so
+lets other threads run. A thread that decodes into it meanwhile finds it half prepared,
+and the process ends with SIGSEGV. Once prepared, a type is safe for all threads.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def prepare(*modules: ModuleType) -> None:
-    """Prepare every `Struct` of some modules; called while one thread imports them."""
+    """Prepare every `Struct` of the modules; called while one thread imports them."""
     for module in modules:
         for one in vars(module).values():
             if isinstance(one, type) and issubclass(one, Struct):
