@@ -1,4 +1,4 @@
-"""Shared memory: the folder of its files, how they are made and found, what closes."""
+"""Shared memory: the folder of its files, making and opening them, closing."""
 
 from pbonet.lazy import attach
 

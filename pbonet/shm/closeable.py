@@ -1,4 +1,4 @@
-"""Base of what is released by `close`, by hand or at the end of a `with` block."""
+"""Base of objects that `close` releases, directly or at the end of a `with` block."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ class Closeable:
     """Closes itself at the end of a `with` block."""
 
     def close(self) -> None:
-        """Release it; a second call does no harm."""
-        raise NotImplementedError  # abstract: everything that closes has its own
+        """Release it. Idempotent."""
+        raise NotImplementedError  # abstract: each subclass has its own
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -25,5 +25,5 @@ class Closeable:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close, whatever happened."""
+        """Close, also after an exception."""
         self.close()

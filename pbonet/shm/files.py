@@ -1,7 +1,7 @@
-"""Files in shared memory: made, published, opened, and removed when nobody uses them.
+"""Files in shared memory: make, publish, open, and remove unused ones.
 
-Every process that is attached holds a shared lock on the file, which the kernel drops
-when the process ends. So a file that can be locked alone is one that nobody uses.
+Every attached process holds a shared lock on the file, which the kernel releases when
+the process ends. So a file that can be locked exclusively has no users.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class Files:
     """The files of one kind of resource, and the errors that they raise.
 
     Args:
-        what: The kind's name, as messages write it.
-        exists: Raised where a file of that name is in use.
-        access: Raised for a file that this user cannot use, or others can.
-        full: Raised where there is no room.
+        what: The kind's name in messages.
+        exists: Raised if a file of that name is in use.
+        access: Raised for a file that this user cannot use, or that others can.
+        full: Raised if there is no room.
     """
 
     what: str
@@ -42,8 +42,8 @@ class Files:
     def make(self, path: Path, size: int) -> tuple[int, Path]:
         """Make a file of zeros under another name; return its descriptor and path.
 
-        Its pages are allocated at once: a full shared memory is an error now, not a bus
-        error in a cycle.
+        Its pages are allocated at once: a full shared memory is an error now and not a
+        bus error in a cycle.
         """
         fresh = path.with_name(f"{path.name}.{os.urandom(6).hex()}.new")
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -62,7 +62,7 @@ class Files:
         return fd, fresh
 
     def publish(self, fresh: Path, path: Path) -> None:
-        """Give a filled file its name; a file that nobody uses is replaced."""
+        """Give a filled file its name; an existing file without users is replaced."""
         try:
             for _ in range(16):
                 if self._link(fresh, path):
@@ -81,7 +81,7 @@ class Files:
         """Attach to a file; return its descriptor and size.
 
         Raises:
-            FileNotFoundError: There is none.
+            FileNotFoundError: There is no such file.
         """
         fd = self._open(path)
         fcntl.flock(fd, fcntl.LOCK_SH)  # a remover holds it for an instant
@@ -92,7 +92,7 @@ class Files:
         return fd, found.st_size
 
     def remove_unused(self, path: Path) -> bool:
-        """Remove a file that no process is attached to; False when one is."""
+        """Remove a file without users; return False if it has any."""
         try:
             fd = self._open(path)
         except FileNotFoundError:
@@ -111,7 +111,7 @@ class Files:
             path.hardlink_to(fresh)
         except FileExistsError:
             return False
-        except OSError as error:  # the folder takes no hard links
+        except OSError as error:  # the folder does not support hard links
             raise self._refused(path, error) from None
         return True
 
@@ -154,7 +154,7 @@ class Files:
 
 
 def remove_same(path: Path, fd: int) -> None:
-    """Remove `path` if it still is the open file."""
+    """Remove `path` if it is still the open file."""
     with contextlib.suppress(FileNotFoundError):
         if os.path.samestat(path.stat(), os.fstat(fd)):
             path.unlink()

@@ -7,15 +7,15 @@ from pathlib import Path
 
 
 def folder() -> Path:
-    """Return ``PBONET_SHM_DIR``, or ``/dev/shm`` where that is unset or empty."""
+    """Return ``PBONET_SHM_DIR``, or ``/dev/shm`` if that is unset or empty."""
     return Path(os.environ.get("PBONET_SHM_DIR") or "/dev/shm")  # noqa: S108 - its place
 
 
 def own(name: str) -> str:
-    """Return the name of a file of this user, or the beginning of several."""
+    """Return the name of a file of this user, or a common prefix of several."""
     return f"pbonet.{os.geteuid()}.{name}"
 
 
 def path_of(name: str) -> Path:
-    """Return the file of this user that `name` is in."""
+    """Return the path of this user's file `name`."""
     return folder() / own(name)

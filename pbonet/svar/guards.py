@@ -1,7 +1,7 @@
 """Checks of a value before it enters the table: FINITE, LIMIT, MIN, MAX.
 
-Tasks' commits are judged natively (guard.h) by the checks made here; values that an
-operator sets are judged here.
+Tasks' commits are checked natively (guard.h) with the checks made here; values set by
+an operator are checked here.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FINITE, _CLIP, _LIMIT = range(3)
 
 
 class Check(NamedTuple):
-    """One look at a stretch of a group before it is committed; guard.h reads it."""
+    """A check of a part of a group before it is committed; read by guard.h."""
 
     type: int
     rule: int
@@ -41,10 +41,10 @@ class Check(NamedTuple):
 
 
 def checks_of(variables: Sequence[Variable], group: Group) -> list[Check]:
-    """Return what is checked before the group is committed.
+    """Return the checks of a group before it is committed.
 
     First whether floats are finite, so that an infinity is an error even where a limit
-    would clip it; neighbours of one type are looked at in one go.
+    would clip it; adjacent variables of one type share one check.
     """
     finite: list[Check] = []
     limits: list[Check] = []
@@ -76,22 +76,22 @@ def _add_finite(checks: list[Check], new: Check) -> None:
 
 
 class Blamed(NamedTuple):
-    """Details of a refused copy or a stale input."""
+    """Details of a refused commit or a stale input."""
 
     variable: str = ""
     element: int = 0
     got: str = ""
     """The element's value."""
     expected: str = ""
-    """Its limits, where it has any."""
+    """Its limits, if any."""
 
 
 def blame(variable: Variable, element: int, array: NDArray[Any]) -> Blamed:
-    """Return what is to be told of an element that was not taken.
+    """Return the details of an element that was refused.
 
     Args:
         variable: The variable.
-        element: From 0.
+        element: Index from 0.
         array: The values that were to be written.
     """
     expected = ""
@@ -105,12 +105,14 @@ def blame(variable: Variable, element: int, array: NDArray[Any]) -> Blamed:
 def blamed(
     variables: Sequence[Variable], groups: Iterable[Group], index: int, element: int
 ) -> tuple[Variable, int]:
-    """Return what a check means: it counts its elements on over the group's next ones.
+    """Return the variable and element that a check refers to.
+
+    A check of adjacent variables counts its elements through all of them.
 
     Args:
         variables: All variables of the table.
-        groups: What the task writes.
-        index: The first variable that the check looked at.
+        groups: The groups that the task writes.
+        index: The first variable of the check.
         element: The element that failed, counted from there.
     """
     order = next((g.indices for g in groups if index in g.indices), (index,))
@@ -132,7 +134,7 @@ def limits_of(variable: Variable) -> tuple[NDArray[Any], NDArray[Any]]:
 def typed(
     where: str, variable: Variable, values: Sequence[float] | bytes
 ) -> NDArray[Any]:
-    """Return what an operator gives in the variable's type.
+    """Return an operator's values in the variable's type.
 
     Raises:
         SvarLayoutError: There are more or fewer values than elements, or they do not

@@ -1,8 +1,8 @@
 """Layout of a table and of a task's local table: pure arithmetic.
 
-A variable takes whole words of 8 bytes. In a group the variables stand in the order of
-their indices, in the table and in the local table alike, so that neighbours are copied
-together.
+A variable takes whole words of 8 bytes. In a group the variables are in the order of
+their indices, in the table and in the local table alike, so that adjacent ones are
+copied together.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _VARIABLES: Final = msgspec.msgpack.Decoder(tuple[Variable, ...])
 WORD = 8
 LINE = 64
 NAME_LENGTH = 15
-"""Characters that a variable's name may have (Stewart 1994, section 5.5.2)."""
+"""Maximum length of a variable's name in characters (Stewart 1994, section 5.5.2)."""
 
 
 class Group(NamedTuple):
@@ -45,17 +45,17 @@ def padded(size: int, unit: int = WORD) -> int:
 
 
 def var_bytes(variable: Variable) -> int:
-    """Return the bytes that the variable takes in a group."""
+    """Return the size of the variable in a group, in bytes."""
     return padded(np.dtype(variable.dtype).itemsize * variable.nelem)
 
 
 def values_of(
     variable: Variable, values: Sequence[float] | None, *, where: str
 ) -> NDArray[Any]:
-    """Return `values` in the variable's type, filled up with zeros.
+    """Return `values` in the variable's type, padded with zeros.
 
     Raises:
-        SvarLayoutError: There are too many, or one of them does not fit the type.
+        SvarLayoutError: There are too many, or a value does not fit the type.
     """
     dtype = np.dtype(variable.dtype)
     filled = np.zeros(variable.nelem, dtype)
@@ -87,10 +87,10 @@ def values_of(
 
 
 def check_variables(variables: Sequence[Variable]) -> None:
-    """Refuse what cannot be a table.
+    """Refuse variables that cannot form a table.
 
     Raises:
-        SvarLayoutError: A name is empty, too long or there twice, or NELEM is below 1.
+        SvarLayoutError: A name is empty, too long or repeated, or NELEM is below 1.
     """
     seen: set[str] = set()
     for variable in variables:
@@ -117,20 +117,20 @@ def check_variables(variables: Sequence[Variable]) -> None:
 
 
 def encode(variables: Sequence[Variable]) -> bytes:
-    """Return the variables as the table's file carries them."""
+    """Return the variables in the format of the table's file."""
     plain = [msgspec.structs.replace(variable, place=None) for variable in variables]
     return msgspec.msgpack.encode(plain)
 
 
 def decode(text: bytes) -> tuple[Variable, ...]:
-    """Return the variables out of a table's file."""
+    """Return the variables stored in a table's file."""
     return _VARIABLES.decode(text)
 
 
 def layout_hash(variables: Sequence[Variable]) -> bytes:
-    """Return 16 bytes that are equal for tables that mean the same.
+    """Return 16 bytes that are equal for compatible tables.
 
-    DESC is left out: it may be corrected while a subsystem runs.
+    DESC is not included: it may be corrected while a subsystem runs.
     """
     digest = hashlib.sha256()
     for v in variables:
@@ -144,7 +144,7 @@ def layout_hash(variables: Sequence[Variable]) -> bytes:
 
 
 def initial_values(variables: Sequence[Variable]) -> NDArray[np.uint8]:
-    """Return the keeper's first group: INIT of every variable, the rest zero."""
+    """Return the keeper's first group: INIT of every variable, zeros elsewhere."""
     sizes = [var_bytes(variable) for variable in variables]
     group = np.zeros(max(1, sum(sizes)), np.uint8)
     at = 0

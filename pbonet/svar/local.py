@@ -37,9 +37,9 @@ def _never() -> bool:
 class LocalTable(shm.Closeable, NativeTable):
     """Private copies of a task's variables, and the transfers to and from the table.
 
-    Made by `Table.local`. Variables are named by name, or by their index in the table.
+    Made by `Table.local`. Variables are given by name, or by their index in the table.
     `copy_in`, `copy_in_on`, `copy_in_consts` and `commit` are native and return
-    `Flags`; 0 is good. Everything belongs to one thread.
+    `Flags`; 0 is success. An object may be used by one thread only.
     """
 
     _task: str
@@ -64,7 +64,7 @@ class LocalTable(shm.Closeable, NativeTable):
         ports: list[list[int]],
         keep: bool,
     ) -> LocalTable:
-        """Lay the local table out and take its registers; `Table.local` calls this."""
+        """Lay out the local table and take its registers; called by `Table.local`."""
         inconst, outconst, invar, outvar = ports
         both = set(outconst) & set(outvar)
         if both:
@@ -139,7 +139,7 @@ class LocalTable(shm.Closeable, NativeTable):
 
     @property
     def owner(self) -> int:
-        """Identity of the task for `Table.reap`; 0 when it writes nothing."""
+        """Identity of the task for `Table.reap`; 0 if it writes nothing."""
         return self._owner
 
     @property
@@ -149,7 +149,7 @@ class LocalTable(shm.Closeable, NativeTable):
 
     @property
     def consumed(self) -> list[tuple[int, int]]:
-        """(register uid, sequence) of every group that the last copy brought."""
+        """(register uid, sequence) of every group in the last copy."""
         return self.pairs
 
     @property
@@ -159,9 +159,9 @@ class LocalTable(shm.Closeable, NativeTable):
 
     @property
     def blamed(self) -> guards.Blamed:
-        """The variable and element that the last refused commit or stale copy met."""
+        """Variable and element of the last refused commit or stale copy."""
         one, element = guards.blamed(self._variables, self._groups, *self.fault)
-        if one.name not in self._arrays:  # no fault of a value was met yet
+        if one.name not in self._arrays:  # no value was refused yet
             return guards.Blamed()
         return guards.blame(one, element, self._arrays[one.name])
 
@@ -188,9 +188,9 @@ class LocalTable(shm.Closeable, NativeTable):
             ) from None
 
     def copy_out_consts(self, now_ns: int = 0) -> int:
-        """Send the out-consts and own them; returns flags, and then sends nothing.
+        """Commit the out-consts and own them; returns flags, if any without committing.
 
-        A constant that its present owner gives the same value is left to that owner.
+        A constant to which its owner gives the same value stays with that owner.
 
         Raises:
             SvarOwnerError: A live task gives one of them another value.
@@ -200,62 +200,61 @@ class LocalTable(shm.Closeable, NativeTable):
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
         """Commit the out-vars and own them all, as one event; returns flags.
 
-        Nothing is sent or owned when a flag is set.
+        Nothing is committed or owned if a flag is set.
 
         Raises:
             SvarOwnerError: A live task owns one of them.
-            SvarFullError: Some of them stand in the task's register and others were
-                set or taken over since; that needs a fresh one, and none is left.
+            SvarFullError: Some of them are in the task's register and others were set
+                or taken over since; that needs a new register, and none is free.
         """
         if self.given_up():
             self.take_over_from([])
         return self._take(VARS, now_ns, cycle)
 
     def check_claim(self) -> None:
-        """Refuse, before a module is turned on, what `claim` would refuse after it.
+        """Check, before a module is turned on, whether `claim` would be refused.
 
         Raises:
             SvarOwnerError: A live task owns one of the out-vars.
-            SvarFullError: The task needs a fresh register, and none is left.
+            SvarFullError: The task needs a new register, and none is free.
         """
         self._must_be_open()
         self._judge(*self.ask(VARS))
 
     def release(self) -> None:
-        """Give the out-vars up; their values remain until another task takes over."""
+        """Release the out-vars; their values remain until another task takes over."""
         self._check(self.give(VARS, False))  # noqa: FBT003
 
     def take_over_from(self, tasks: Iterable[str]) -> None:
-        """Say which tasks hand over: `claim` takes their variables though they live.
+        """Set the tasks that hand over: `claim` takes their variables while they live.
 
-        So the variables go from one task to the other as one event, and are never
-        without an owner. Where `given_up` tells by then that nobody waits for that any
-        more, they are only taken if nobody owns them.
+        So the variables go from one task to the other as one event, and always have an
+        owner. If `given_up` returns True by then, because the hand-over was abandoned,
+        they are only taken if they have no owner.
 
         Args:
-            tasks: Their names; none ends it.
+            tasks: Their names; empty ends it.
         """
         self.given_up = _never
         self.succeed(VARS, [name.encode() for name in tasks])
 
     def have_ended(self) -> None:
-        """Say that those that hand over have ended: they write no more.
+        """Record that the tasks that hand over have ended and write no more.
 
-        Who of them commits from here on was turned on again, and `claim` takes nothing
+        A task that commits after this was turned on again, and `claim` takes nothing
         from it.
 
         Raises:
-            SvarError: The table cannot be had.
+            SvarError: The table's lock could not be taken.
         """
         self._check(self.note_ends(VARS))
 
     @contextmanager
     def replacing(self, tasks: Iterable[str]) -> Generator[None]:
-        """Let `copy_out_consts` take constants from tasks that live, in the block.
+        """Let `copy_out_consts` take constants from live tasks, in the block.
 
         Args:
-            tasks: Their names. What they have given is theirs no longer, also where the
-                value is another one.
+            tasks: Their names. They lose their constants even if the values differ.
         """
         self.succeed(OUT_CONSTS, [name.encode() for name in tasks])
         try:
@@ -276,7 +275,7 @@ class LocalTable(shm.Closeable, NativeTable):
             raise
 
     def read(self, which: str | int) -> int:
-        """Bring one variable into the local table (svarRead, svarReadIx).
+        """Copy one variable to the local table (svarRead, svarReadIx).
 
         Returns flags, as `copy_in` does.
         """
@@ -287,9 +286,9 @@ class LocalTable(shm.Closeable, NativeTable):
             raise
 
     def write(self, which: str | int, now_ns: int = 0, cycle: int = 0) -> int:
-        """Send one out-var or out-const (svarWrite, svarWriteIx); returns flags.
+        """Commit one out-var or out-const (svarWrite, svarWriteIx); returns flags.
 
-        It alone is judged and sent; the others keep what was last committed.
+        Only this variable is checked and sent; the others keep their last values.
 
         Raises:
             UnknownVariableError: The task does not write it.
@@ -306,13 +305,13 @@ class LocalTable(shm.Closeable, NativeTable):
         return self.write_one(group, place, now_ns or clock_ns(), cycle)
 
     def close(self) -> None:
-        """Give everything up; values stand, the registers may be used again."""
+        """Release all variables; values remain, the registers may be reused."""
         self._closed = True
         codes = [self.give(which, True) for which in (VARS, OUT_CONSTS)]  # noqa: FBT003
         self._check(min(codes))
 
     def _must_be_open(self) -> None:
-        """Refuse to write once the registers may belong to other tasks.
+        """Refuse to write after the registers may have been reused.
 
         Raises:
             SvarError: The local table was closed.
@@ -378,7 +377,7 @@ def _lay_out(
 ) -> tuple[dict[int, int], int]:
     """Return the place of every variable in the local table, and its size.
 
-    Groups come first, each as the table has it; then what is only read.
+    Groups come first, each laid out as in the table; then the variables only read.
     """
     places: dict[int, int] = {}
     size = 0
@@ -400,7 +399,7 @@ def _called(which: str | int) -> str:
 
 
 def _aligned(size: int) -> NDArray[np.uint8]:
-    """Return zeroed bytes that begin at a cache line."""
+    """Return zeroed bytes that begin at a cache line boundary."""
     room = np.zeros(size + 2 * layout.LINE, np.uint8)
     skip = -room.ctypes.data % layout.LINE
     return room[skip : skip + layout.padded(max(size, 1), layout.LINE)]

@@ -1,17 +1,17 @@
-"""Numbers that the C headers answer with."""
+"""Result codes of the C headers."""
 
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
 RIVAL, FULL, STUCK, ALIVE = -1, -2, -3, -4
-"""Of changes of ownership; 0 is good."""
+"""Results of changes of ownership; 0 is success."""
 
 CONSTS, IN, ON = range(3)
-"""Plans: what a copy brings."""
+"""Plans: sets of variables that are copied in."""
 
 VARS, OUT_CONSTS = range(2)
-"""Groups: what is written together."""
+"""Groups: sets of variables that are written together."""
 
 
 class Verdict(IntEnum):
@@ -23,20 +23,20 @@ class Verdict(IntEnum):
     CUT_SHORT = 3
     DAMAGED = 4
     MOVING_PART = 5
-    """Behind the static part; not the header's judgement, but that of a first look."""
+    """In the mutable part; reported by `Table.check_moving_part`, not by the header."""
 
 
 class Flags(IntFlag):
     """Result of a copy or a commit; 0 is success."""
 
     COPY_TORN = 1
-    """The retry bound was met: groups are whole, the cut is not proven consistent."""
+    """The retry limit was reached: groups are whole, the cut is not proven."""
     COPY_STALE = 2
     """An input is older than its MAXAGE, or was never written."""
     COPY_KEPT = 4
-    """With TORN: the inputs of the last copy were kept, as the task asked for."""
+    """With TORN: the inputs of the last copy were kept, as requested."""
     COPY_LOST = 8
-    """With TORN: a group was not had whole in 256 tries; do not use the inputs."""
+    """With TORN: a group could not be copied whole in 256 tries; do not use inputs."""
     COMMIT_NONFINITE = 16
     """Nothing was committed: a float is NaN or infinite."""
     COMMIT_LIMIT = 32

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from pbonet.config import Variable
 
 SPARE = 4
-"""How many times the whole table fits into its arena, beside the keeper's register."""
+"""How many more copies of the whole table fit into its arena besides the keeper's."""
 
 
 class Table(shm.Closeable):
     """One subsystem's table on this machine; made by `create` or `attach`.
 
-    Reading needs no right but the file's; writing is done by tasks, through the
-    `LocalTable` that `local` makes, and by an operator for variables that no task owns.
+    Reading needs only access to the file. Tasks write through the `LocalTable` that
+    `local` makes; an operator may set variables that no task owns.
 
     Args:
         name: The table's name.
@@ -53,7 +53,7 @@ class Table(shm.Closeable):
         self._variables = lay.decode(arena.text)
         self._index = {v.name: i for i, v in enumerate(self._variables)}
         self.virtual: Callable[[], int] | None = None
-        """Tells the time, in nanoseconds, where it is virtual."""
+        """Returns the current time in nanoseconds if it is virtual; else None."""
 
     @classmethod
     def create(
@@ -65,17 +65,16 @@ class Table(shm.Closeable):
     ) -> Table:
         """Make a table with every variable at its INIT value (svarCreate).
 
-        A file of that name that nobody is attached to was left by a crash and is
-        replaced.
+        An existing file of that name without users was left by a crash and is replaced.
 
         Args:
             name: Part of the file's name.
-            variables: What the ``.svar`` file defines.
-            spare: How many times the whole table fits into the arena.
+            variables: The variables of the ``.svar`` file.
+            spare: How many more copies of the whole table fit into the arena.
 
         Raises:
             SvarExistsError: A table of that name is in use.
-            SvarLayoutError: The variables cannot be a table.
+            SvarLayoutError: The variables cannot form a table.
             SvarFullError: There is no room in shared memory.
         """
         lay.check_variables(variables)
@@ -104,16 +103,16 @@ class Table(shm.Closeable):
 
     @classmethod
     def attach(cls, name: str, *, layout: str | None = None) -> Table:
-        """Attach to a table that stands (svarAttach).
+        """Attach to an existing table (svarAttach).
 
         Args:
             name: The table's name.
-            layout: What its `layout` must be; None takes any.
+            layout: Required value of its `layout`; None accepts any.
 
         Raises:
-            SvarMissingError: There is none.
-            SvarAccessError: It is not this user's own, or its permissions were changed.
-            SvarDamagedError: It is no table, cut short, or was overwritten.
+            SvarMissingError: There is no such table.
+            SvarAccessError: It is another user's, or its permissions were changed.
+            SvarDamagedError: It is not a table, truncated, or was overwritten.
             SvarLayoutError: It is of another version or another layout.
             SvarFullError: It cannot be mapped.
         """
@@ -131,10 +130,10 @@ class Table(shm.Closeable):
         return table
 
     def check_moving_part(self) -> None:
-        """Refuse a table whose directory names places that are none.
+        """Refuse a table whose directory refers to invalid places.
 
         Raises:
-            SvarDamagedError: It does.
+            SvarDamagedError: A variable cannot be read.
         """
         for index, variable in enumerate(self._variables):
             if self._open().look(index, _room(variable)) is None:
@@ -142,17 +141,17 @@ class Table(shm.Closeable):
 
     @staticmethod
     def layout_of(variables: Sequence[Variable]) -> str:
-        """Return what `layout` of a table of these variables would be."""
+        """Return the value of `layout` of a table with these variables."""
         return lay.layout_hash(variables).hex()
 
     @property
     def layout(self) -> str:
-        """Equal for tables that mean the same; DESC does not count."""
+        """Equal for compatible tables; DESC is not included."""
         return self._open().layout.hex()
 
     @property
     def generation(self) -> int:
-        """Rises with every change of ownership."""
+        """A number that increases with every change of ownership."""
         return self._open().generation
 
     @property
@@ -168,7 +167,7 @@ class Table(shm.Closeable):
         """Return the index of a variable (svarTranslate).
 
         Raises:
-            UnknownVariableError: The table has none of that name.
+            UnknownVariableError: The table has no variable of that name.
         """
         try:
             return self._index[name]
@@ -188,7 +187,7 @@ class Table(shm.Closeable):
         """Return the newest value of a variable (svarRead, svarReadIx).
 
         Raises:
-            UnknownVariableError: There is none of that name or index.
+            UnknownVariableError: There is no variable of that name or index.
         """
         return self._look(self._number(which))[0]
 
@@ -222,7 +221,7 @@ class Table(shm.Closeable):
         """Set a variable that no task owns, as an operator does (svarWrite).
 
         Returns:
-            Whether it was set: not if, without `wait`, the table is locked just now.
+            Whether it was set; False without `wait` if the table is locked now.
 
         Raises:
             SvarOwnerError: A task owns it.
@@ -252,20 +251,20 @@ class Table(shm.Closeable):
     def peek(
         self, number: int, room: NDArray[np.uint8]
     ) -> tuple[int, bool, int, int, int, int, str] | None:
-        """Copy a variable into `room`, for who carries it to other machines.
+        """Copy a variable into `room`, to send it to other machines.
 
         Args:
             number: Its index.
-            room: As many bytes as it takes in a group.
+            room: Array of its size in a group, in bytes.
 
         Returns:
             Register, whether a task owns it, time (ns), cycle, the register's uid, the
-            commit's number, and task; None when no whole copy was had.
+            commit's number, and task; None if no whole copy was possible.
         """
         return self._open().look(number, room)
 
     def put(self, number: int, data: NDArray[np.uint8], time_ns: int) -> bool:
-        """Set a variable as it was elsewhere; return whether no task owns it here."""
+        """Set a variable to another machine's value; return whether it has no owner."""
         code = self._open().set(number, data, time_ns)
         self._check_stuck(code)
         return code != RIVAL
@@ -285,17 +284,17 @@ class Table(shm.Closeable):
 
         Args:
             task: The task's name.
-            pid: The process that will write; when it dies its claims may be taken over.
+            pid: The process that will write; after its death its claims can be taken.
             inconst: Variables read by `copy_in_consts`.
             outconst: Variables written by `copy_out_consts`.
             invar: Variables read by `copy_in`.
             outvar: Variables written by `commit`.
-            keep: On a cut that cannot be proven consistent keep the last inputs,
-                instead of using groups that are whole each. Costs a second copy.
+            keep: If a cut cannot be proven consistent, keep the last inputs instead of
+                using groups that are whole each. Costs a second copy.
 
         Raises:
             UnknownVariableError: There is no such variable.
-            SvarFullError: No register is left.
+            SvarFullError: No register is free.
         """
         ports = [
             sorted({self.index(name) for name in names})
@@ -318,10 +317,10 @@ class Table(shm.Closeable):
         return now_ns() if self.virtual is None else self.virtual()
 
     def registers(self) -> list[Register]:
-        """Return who holds which register; a recorder names writers by it.
+        """Return the registers and their holders; a recorder names writers by it.
 
         Raises:
-            SvarError: The lock between claimers was not had in time.
+            SvarError: The lock between claimers was not available in time.
         """
         found = self._open().registers()
         if found is None:
@@ -329,9 +328,9 @@ class Table(shm.Closeable):
         return [Register(*fields) for fields in found]
 
     def reap(self, owner: int | str) -> list[str]:
-        """Free the claims of a task whose process has ended; its values stand.
+        """Free the claims of a task whose process has ended; its values remain.
 
-        What the process raised in the illegal-configuration flag goes as well.
+        Its entries in the illegal-configuration flag are removed as well.
 
         Args:
             owner: `LocalTable.owner`, or the task's name.
@@ -368,9 +367,9 @@ class Table(shm.Closeable):
 
     @property
     def illegal(self) -> list[Cause]:
-        """Why the illegal-configuration flag is up; empty: it is down.
+        """Causes for which the illegal-configuration flag is up; empty: it is down.
 
-        What several processes have raised is listed once.
+        A cause raised by several processes is listed once.
 
         Raises:
             SvarError: The causes change faster than they can be read.
@@ -387,18 +386,18 @@ class Table(shm.Closeable):
 
     @property
     def unlisted(self) -> int:
-        """How many causes were refused for want of room since the table was made."""
+        """Number of causes refused for lack of room since the table was made."""
         return self._open().unlisted
 
     def raise_illegal(self, cause: str, raiser: str, machine: str = "") -> None:
         """Raise the flag; raising the same cause again changes nothing.
 
-        The entry belongs to this process: it alone may clear it, and anybody once it is
-        dead. Raising never waits.
+        The entry belongs to this process: only it may clear the entry, or any process
+        after its death. Raising never waits.
 
         Raises:
             SvarFullError: There is no room; the refusal is counted. The flag is up, but
-                not by this cause: raise it again when others have gone.
+                not by this cause: raise it again when others have been cleared.
         """
         words = (
             cause.encode(),
@@ -414,10 +413,10 @@ class Table(shm.Closeable):
             )
 
     def clear_illegal(self, raiser: str, cause: str = "", machine: str = "") -> int:
-        """Take back what `raiser` raised on this machine; return how many went.
+        """Clear what `raiser` raised on this machine; return the number of entries.
 
         Raises:
-            SvarOwnerError: Another process has raised it, and lives.
+            SvarOwnerError: Another, live process has raised it.
         """
         words = (
             cause.encode(),
@@ -434,26 +433,26 @@ class Table(shm.Closeable):
         return code
 
     def must_be_whole(self) -> None:
-        """Refuse a table whose file somebody has truncated; see `survive_cuts`.
+        """Refuse a table whose file was truncated; see `survive_cuts`.
 
         Raises:
-            SvarDamagedError: Bytes that are mapped are not there any more.
+            SvarDamagedError: Mapped bytes are missing.
         """
         table_files.must_be_whole(self.path, self.arena.fileno, self.arena.size)
 
     @property
     def arena(self) -> Arena:
-        """The file, mapped; for native code."""
+        """The mapped file; for native code."""
         return self._open()
 
     def close(self) -> None:
-        """Let go of the table (svarDetach); local tables made from it go on working."""
+        """Detach from the table (svarDetach); its local tables remain usable."""
         self._arena = None
 
     def destroy(self) -> None:
-        """Remove the file and let go; whoever is attached goes on working.
+        """Remove the file and detach; other users continue to work.
 
-        A file that took this one's place, after somebody removed it, is left alone.
+        A file that has replaced this one since is left alone.
         """
         shm.remove_same(self.path, self._open().fileno)
         self.close()

@@ -1,4 +1,4 @@
-"""The files of tables: their names, how they are opened, and what may be wrong."""
+"""The files of tables: names, opening, and their errors."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
 
 
 def machine() -> bytes:
-    """Return the name of this machine, as causes of the flag carry it."""
+    """Return the name of this machine, as used in causes of the flag."""
     return os.uname().nodename.encode()
 
 
 def map_whole(path: Path, fd: int, size: int) -> Arena:
-    """Map a file whole; the descriptor is the arena's then, or closed.
+    """Map a file whole; the arena then owns the descriptor, on an error it is closed.
 
     Raises:
         SvarFullError: It cannot be mapped.
@@ -54,10 +54,10 @@ def map_whole(path: Path, fd: int, size: int) -> Arena:
 
 
 def path_of(name: str) -> Path:
-    """Return the file of the table `name` of this user.
+    """Return this user's file of the table `name`.
 
     Raises:
-        SvarError: The name cannot be part of a file's name.
+        SvarError: The name is not valid in a file name.
     """
     if not _NAME.fullmatch(name):
         raise SvarError(
@@ -72,8 +72,8 @@ def open_file(path: Path) -> tuple[int, int]:
     """Open a table's file; return its descriptor and size.
 
     Raises:
-        SvarMissingError: There is none.
-        SvarAccessError: It is not this user's own, or open to others.
+        SvarMissingError: There is no such file.
+        SvarAccessError: It belongs to another user, or others may access it.
         SvarDamagedError: It is too short for a table.
     """
     try:
@@ -87,10 +87,10 @@ def open_file(path: Path) -> tuple[int, int]:
 
 
 def must_be_whole(path: Path, fd: int, size: int) -> None:
-    """Refuse a file that somebody has cut short since it was mapped.
+    """Refuse a file that was truncated after it was mapped.
 
     Raises:
-        SvarDamagedError: Bytes that are mapped are not there any more.
+        SvarDamagedError: Mapped bytes are missing.
     """
     left = os.fstat(fd).st_size
     if left < size:
@@ -113,7 +113,7 @@ def _missing(path: Path) -> SvarMissingError:
 
 
 def other_layout(where: str, wanted: str, got: str) -> SvarLayoutError:
-    """Return the error for a table that does not mean what was asked for."""
+    """Return the error for a table that has another layout."""
     return SvarLayoutError(
         "a table of this name stands with another layout",
         where=where,
@@ -134,14 +134,14 @@ def no_lock(path: Path, error: int) -> SvarError:
 
 
 def closed(name: str) -> SvarError:
-    """Return the error for a table that was let go."""
+    """Return the error for a closed table."""
     return SvarError(
         "the table was closed", where=name, remedy="open it again with Table.attach"
     )
 
 
 def stuck(where: str) -> SvarError:
-    """Return the error for a lock that somebody holds without running."""
+    """Return the error for a lock whose holder does not run."""
     return SvarError(
         "the lock between claimers was not free for 2 s",
         where=where,
@@ -150,11 +150,11 @@ def stuck(where: str) -> SvarError:
 
 
 def verify(path: Path, arena: Arena, size: int) -> None:
-    """Refuse what is no sound table of this version.
+    """Refuse a file that is not a sound table of this version.
 
     Raises:
         SvarLayoutError: It is of another version.
-        SvarDamagedError: It is no table, cut short, or was overwritten.
+        SvarDamagedError: It is not a table, truncated, or was overwritten.
     """
     verdict = Verdict(arena.verify())
     if verdict is Verdict.OTHER_VERSION:
@@ -170,7 +170,7 @@ def verify(path: Path, arena: Arena, size: int) -> None:
 
 
 def damaged(path: Path, verdict: Verdict, size: int = 0) -> SvarDamagedError:
-    """Return the error for a file that is no sound table."""
+    """Return the error for a file that is not a sound table."""
     what = {
         Verdict.NO_TABLE: "the file is not a state variable table",
         Verdict.CUT_SHORT: "the table's file is cut short",

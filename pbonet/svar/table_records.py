@@ -1,4 +1,4 @@
-"""Records with which the table describes itself."""
+"""Records that describe the table."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from msgspec import Struct
 
 
 class VarInfo(Struct, frozen=True):
-    """Where the value of a variable comes from."""
+    """Provenance of a variable's value."""
 
     owner: str | None
-    """The task that writes it now; None: nobody does."""
+    """The task that writes it now; None: no task."""
     writer: str | None
-    """The task that wrote the present value; None: INIT, or an operator."""
+    """The task that wrote the current value; None: INIT, or an operator."""
     time_ns: int
-    """When it was committed, CLOCK_MONOTONIC; 0 when it never was."""
+    """When it was committed, CLOCK_MONOTONIC nanoseconds; 0 if never."""
     age_ns: int | None
-    """How long ago that was; None when it never was written."""
+    """Nanoseconds since then; None if it was never written."""
     cycle: int
-    """The writer's cycle; for values an operator set, how often that was done."""
+    """The writer's cycle; for values set by an operator, how often that was done."""
     seq: int
     """Number of the commit in its register."""
     register: int
     """The register's uid, unique for the life of the table."""
     stale: bool
-    """True when older than MAXAGE."""
+    """Whether it is older than MAXAGE."""
 
 
 class Register(Struct, frozen=True):
@@ -32,17 +32,17 @@ class Register(Struct, frozen=True):
     index: int
     uid: int
     owner: int
-    """Equal for the registers of one task; what `Table.reap` takes."""
+    """Equal for the registers of one task; for `Table.reap`."""
     pid: int
     task: str
     bytes: int
     commits: int
     held: bool
-    """False: the holder has gone, values of it may still stand."""
+    """False: the holder has released it, but its values may still be current."""
 
 
 class Cause(Struct, frozen=True):
-    """One reason for which the illegal-configuration flag is up."""
+    """One reason why the illegal-configuration flag is up."""
 
     cause: str
     raiser: str
@@ -56,11 +56,11 @@ class Counts(Struct, frozen=True, kw_only=True):
     copies: int
     retries: int
     torn: int
-    """Copies that met the retry bound."""
+    """Copies that reached the retry limit."""
     lost: int
     stale: int
     commits: int
     refused: int
     """Commits that a guard refused."""
     clipped: int
-    """Elements that LIMIT clip brought inside."""
+    """Elements that LIMIT clip has changed."""

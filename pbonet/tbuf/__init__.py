@@ -1,9 +1,9 @@
 """Links between subsystems: triple buffers (Stewart 1994, section 5.6).
 
-One writes, one reads, neither waits, and what is read is the newest whole record. The
-two may be on one machine or on two; agents carry records from machine to machine, and
-no process that has an end of a link has anything of the network. Importing this loads
-no network either.
+A link has one writer and one reader, neither waits, and the reader gets the newest
+whole record. Both may be on one machine or on two; agents carry records between
+machines, so a process with an end of a link needs no network code. Importing this
+package loads none.
 """
 
 from pbonet.lazy import attach

@@ -24,14 +24,14 @@ class _Attached(shm.Closeable, End):
     """Base of both ends."""
 
     name: str
-    """Its full name."""
+    """The link's full name."""
 
     def close(self) -> None:
-        """Detach (``tbufDetach``); the last one out removes the buffer."""
+        """Detach (``tbufDetach``); the last user removes the buffer."""
         places.leave(self)
 
     def destroy(self) -> None:
-        """Remove the buffer; its other users are notified (``tbufDestroy``)."""
+        """Remove the buffer; its other users get errors (``tbufDestroy``)."""
         if self.outside is not None and self.outside.plays:
             return
         shm.remove_same(Path(self.path), self.fileno)
@@ -62,7 +62,7 @@ class _Attached(shm.Closeable, End):
     def _attach(
         self, name: Name, wanted: np.dtype[Any] | None, role: int
     ) -> tuple[Outside | None, np.dtype[Any]]:
-        """Return what records this end, and what a record looks like in the buffer."""
+        """Return the recorder of this end, if any, and the buffer's record type."""
         if not active():
             return None, places.attach(name, wanted, role, self)
         outside = Outside(f"link {name}")
@@ -83,14 +83,15 @@ class Writer(_Attached, Out):
     this machine or on any other that the agents reach.
 
     Args:
-        name: ``NAME``, or ``SUBSYSTEM:NAME`` or ``RTPU:NAME`` of the writer's own.
-        dtype: What a record looks like, as numpy says it: ``("f8", 6)``, or fields.
-        data: An array of that type and shape to send from, in place of `value`.
+        name: ``NAME``, or ``SUBSYSTEM:NAME`` or ``RTPU:NAME`` with the writer's own
+            subsystem or RTPU.
+        dtype: Type of a record as a numpy dtype: ``("f8", 6)``, or fields.
+        data: An array of that type and shape to send from, instead of `value`.
 
     Raises:
-        XmNameError: It is no name, or that of somebody else.
-        XmTakenError: The link has a writer.
-        XmLayoutError: The reader waits for other records.
+        XmNameError: The name is malformed, or belongs to another subsystem or RTPU.
+        XmTakenError: The link already has a writer.
+        XmLayoutError: The reader expects other records.
         XmError: The buffer's file cannot be used.
     """
 
@@ -114,16 +115,16 @@ class Writer(_Attached, Out):
 class Reader(_Attached, In):
     """The one reader of a link (``tbufAttach`` and ``tbufRead``, section 5.6.1).
 
-    `read` brings the newest record into `value`; the writer need not be there yet.
+    `read` copies the newest record into `value`; the writer need not exist yet.
 
     Args:
-        name: ``SUBSYSTEM:NAME`` or ``RTPU:NAME``, after who writes it.
-        dtype: What a record looks like; None takes what the writer, who must then have
-            been there, says. Values of the other byte order are turned round.
+        name: ``SUBSYSTEM:NAME`` or ``RTPU:NAME``, with the writer's subsystem or RTPU.
+        dtype: Type of a record; None takes the writer's, which must then have been
+            started. Values in the other byte order are converted.
 
     Raises:
-        XmNameError: It is no name.
-        XmTakenError: The link has a reader.
+        XmNameError: The name is malformed.
+        XmTakenError: The link already has a reader.
         XmLayoutError: The writer sends other records.
         XmMissingError: There is no such link yet, and no `dtype` was given.
         XmError: The buffer's file cannot be used.

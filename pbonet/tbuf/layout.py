@@ -1,7 +1,7 @@
-"""Layout of a record, as text that travels with the link.
+"""Layout of a record as text, which is sent with the records.
 
-The text is that of numpy's own files, a description and a shape, so it names every
-field with its type, byte order and size.
+The text has the format of numpy's own files, a description and a shape, so it names
+every field with its type, byte order and size.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 _NO_LAYOUT = (
     *(ValueError, TypeError, SyntaxError, OverflowError),
-    *(MemoryError, RecursionError),  # of a text that means harm
+    *(MemoryError, RecursionError),  # raised by malicious texts
 )
 LARGEST = 1 << 20
-"""Bytes of a record: it is copied within a cycle."""
+"""Maximum size of a record in bytes: it is copied within a cycle."""
 
 
 def describe(dtype: np.dtype[Any]) -> bytes:
-    """Return the text of a record.
+    """Return the text that describes records of a type.
 
     Raises:
         XmLayoutError: Records of that type cannot be sent.
@@ -57,7 +57,7 @@ def parse(text: bytes) -> np.dtype[Any]:
     """Return the type that a text describes.
 
     Raises:
-        XmLayoutError: It describes none.
+        XmLayoutError: It does not describe a type.
     """
     with contextlib.suppress(*_NO_LAYOUT):
         descr, shape = ast.literal_eval(text.decode())
@@ -70,12 +70,12 @@ def parse(text: bytes) -> np.dtype[Any]:
 
 
 def as_dtype(dtype: DTypeLike) -> np.dtype[Any]:
-    """Return `dtype` as one of numpy's; ``("f8", 6)`` is six numbers."""
+    """Return `dtype` as a numpy dtype; ``("f8", 6)`` is six numbers."""
     return np.dtype(dtype)
 
 
 def same_values(one: np.dtype[Any], other: np.dtype[Any]) -> bool:
-    """Return whether two types differ in byte order at most."""
+    """Return whether two types differ at most in byte order."""
     return one.newbyteorder("=") == other.newbyteorder("=")
 
 
@@ -85,7 +85,7 @@ def room(dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
 
 
 def refuse(where: str, wanted: np.dtype[Any], got: np.dtype[Any]) -> XmLayoutError:
-    """Return the error for two ends that do not fit each other."""
+    """Return the error for two ends with different records."""
     return XmLayoutError(
         "the two ends of the link have different records",
         where=where,

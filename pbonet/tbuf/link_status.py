@@ -1,4 +1,4 @@
-"""State of links as seen from outside, without being an end of any."""
+"""State of links, read without being an end of any."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
 
 
 def seen(domain: str, links: Iterable[str]) -> list[TbufStatus]:
-    """Return how links stand on this machine.
+    """Return the state of links on this machine.
 
     Args:
         domain: Their domain.
-        links: Their names; those that have gone meanwhile are left out.
+        links: Their names; links that no longer exist are left out.
     """
     found: list[TbufStatus] = []
     for text in links:
-        with contextlib.suppress(XmError):  # it has gone, or is no link
+        with contextlib.suppress(XmError):  # removed meanwhile, or not a link
             found.append(_look(text, domain))
     return found
 

@@ -1,4 +1,4 @@
-"""The native half, for what is built on it; modules use `Reader` and `Writer`."""
+"""The native half, for other packages; modules use `Reader` and `Writer`."""
 
 from ._tbuf import CARER, READER, WRITER, Buffer, In, Out, parts
 

@@ -1,9 +1,9 @@
-"""The files of links: made, found, and which user has which role in them.
+"""The files of links: making and finding them, and the roles of their users.
 
-A link has one writer and one reader on a machine, and at most one agent that looks
-after it; each holds a lock on one byte of the file, which the kernel drops when the
-process ends, however it ends. Everybody attached holds the whole file, as for all
-express mail, so what nobody uses is known.
+A link has one writer and one reader on a machine, and at most one agent that supervises
+it; each holds a lock on one byte of the file, which the kernel releases when the
+process ends for any reason. Every user also holds a shared lock on the whole file, as
+for all express mail, so unused files are recognized.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ if TYPE_CHECKING:
 
 KIND = "tbuf"
 PATIENCE = 1.0
-"""Seconds for which whoever ends, or an agent that lets go, may still be in the way."""
+"""Seconds to wait for an ending process, or an agent that releases the role."""
 _LOOK = 0.01
 _FLOCK = struct.Struct("hhqqi4x")
 _ROLES = {WRITER: "writer", READER: "reader", CARER: "agent"}
 
 
 def name_to_read(text: str) -> Name:
-    """Return the name of a link that another subsystem writes.
+    """Return the name of a link to read; by default of the own subsystem.
 
     Raises:
-        XmNameError: It is no name.
+        XmNameError: The name is malformed.
     """
     home = names.home()
     return names.parse_at(text, home.subsystem or home.rtpu)
 
 
 def name_to_write(text: str) -> Name:
-    """Return the name of a link of this process's own.
+    """Return the name of a link to write, which belongs to this process.
 
     Raises:
-        XmNameError: It is no name, or belongs to somebody else.
+        XmNameError: The name is malformed, or belongs to another subsystem or RTPU.
     """
     name, home = name_to_read(text), names.home()
     if name.rtpu in {home.subsystem, home.rtpu}:
@@ -79,16 +79,16 @@ def attach(
 
     Args:
         name: The link.
-        dtype: What a record shall look like; None takes what stands.
+        dtype: Required type of a record; None accepts the existing one.
         role: `WRITER`, `READER` or `CARER`.
-        end: Is mapped.
+        end: The buffer object to be mapped.
 
     Returns:
-        What a record looks like in the buffer.
+        The type of a record in the buffer.
 
     Raises:
-        XmMissingError: There is none, and no `dtype`.
-        XmLayoutError: What stands has other records.
+        XmMissingError: There is no such link, and no `dtype` was given.
+        XmLayoutError: The link has other records.
         XmTakenError: Another process has that role.
         XmError: The file cannot be used.
     """
@@ -158,7 +158,7 @@ def _take(name: Name, end: Buffer, role: int) -> None:
 
 
 def try_take(fd: int, role: int) -> bool:
-    """Take a role if it is free; return whether that worked."""
+    """Take a role if it is free; return whether it was."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _byte(fcntl.F_WRLCK, role))
     except (BlockingIOError, PermissionError):
@@ -177,7 +177,7 @@ def _byte(kind: int, role: int) -> bytes:
 
 
 def leave(end: Buffer) -> None:
-    """Detach; the last one out removes the file."""
+    """Detach; the last user removes the file."""
     if end.fileno >= 0:
         end.unmap()
         with contextlib.suppress(XmError):
@@ -190,7 +190,7 @@ def standing(domain: str) -> list[str]:
 
 
 class Standing:
-    """The links of a domain that stand on this machine, for who looks again and again.
+    """The links of a domain on this machine, for repeated listing.
 
     Args:
         domain: The domain.
@@ -202,7 +202,7 @@ class Standing:
         self._found: list[str] = []
 
     def names(self) -> list[str]:
-        """Return their names; the folder is listed only when it has changed."""
+        """Return their names; the folder is read only when it has changed."""
         if self._changes.look():
             self._found = standing(self.domain)
         return self._found

@@ -1,4 +1,4 @@
-"""The agent's part in a table on several machines: it carries what changes."""
+"""The agent's part in a table on several machines: sending and receiving changes."""
 
 from pbonet.lazy import attach
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Promises:
-    """A function to be called once: by its cause, or at the end."""
+    """Functions to be called exactly once each: by their cause, or at the end."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
@@ -21,7 +21,7 @@ class Promises:
         self._over = False
 
     def make(self, done: Callable[[], None]) -> Callable[[], None] | None:
-        """Return a function that calls `done` if that is due; None after the end."""
+        """Return a function that calls `done` once; None after the end."""
         with self._guard:
             if self._over:
                 return None
@@ -36,7 +36,7 @@ class Promises:
             done()
 
     def end(self) -> list[Callable[[], None]]:
-        """Return what was not called yet, for the caller to do; no more is taken."""
+        """Return the functions not called yet, for the caller; accept no more."""
         with self._guard:
             self._over = True
             left = list(self._open.values())

@@ -1,6 +1,6 @@
 """One table of this machine, and its exchange with other machines.
 
-Its work is done in the carrier's thread; zenoh's threads only pass data on.
+Its work is done in the carrier's thread; zenoh's threads only pass on data.
 """
 
 from __future__ import annotations
@@ -34,26 +34,26 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 SHORTEST, LONGEST = 0.00015, 0.025
-"""Seconds between reads of a table, by how often it changes. A read costs tens of
-microseconds, so commits that come closer to each other go together."""
+"""Limits of the seconds between reads of a table, which depend on how often it changes.
+A read costs tens of microseconds, so commits close to each other are sent together."""
 ALONE = 0.2
-"""Seconds between reads where no other machine listens."""
+"""Seconds between reads if no other machine receives."""
 BEAT = 0.5
-"""Seconds after which everything is sent again, in case something was dropped."""
+"""Seconds after which everything is sent again, in case a packet was dropped."""
 SILENT = 1.6
-"""A machine that sent nothing for so many seconds, and a beat, is out of sight."""
+"""Seconds of silence after which a machine is out of sight."""
 FLAG = 0.02
 """Seconds between checks of the causes of the flag."""
 ANSWER_TIME = 0.5
-"""Seconds that another machine has to take a state."""
+"""Seconds that another machine has to process a state."""
 TAKE = b"take"
-"""Asks the agent that carries a table to take the other machines' states, too."""
+"""Asks the agent that carries a table to process the other machines' states, too."""
 TOLD_NS = 10_000_000_000
-"""Nanoseconds between two reports about packets that were lost."""
+"""Nanoseconds between two reports about lost packets."""
 
 
 class Owner(Protocol):
-    """The thread that does the work: see `Mirrors`."""
+    """The thread that does the work; see `Mirrors`."""
 
     session: zenoh.Session
     domain: str
@@ -61,21 +61,21 @@ class Owner(Protocol):
     tell: Callable[[rtpu_messages.Note], None]
 
     def do(self, what: Callable[[], object]) -> None:
-        """Let the carrier's thread do something; may be called from anywhere."""
+        """Let the carrier's thread call a function; may be called from any thread."""
 
     def offer(self, what: Callable[[], object]) -> bool:
-        """Let something be done unless too much waits; return whether it will be."""
+        """As `do` unless too much waits; return whether it will be called."""
         ...
 
     def end(self, done: Callable[[], None]) -> None:
-        """Let `done` be called in a separate thread; for zenoh's threads."""
+        """Let a separate thread call `done`; for use in zenoh's threads."""
 
     def late(self, machine: str, sent_ns: int) -> int | None:
-        """Return how many ns a packet was on its way; None: unknown."""
+        """Return the transmission time of a packet in nanoseconds; None: unknown."""
         ...
 
     def safely(self, what: Callable[[], object]) -> None:
-        """Do something, and continue even if it fails."""
+        """Call a function, and log its exception."""
 
 
 class Carried:
@@ -84,7 +84,7 @@ class Carried:
     Args:
         owner: The owner of the thread that does the work.
         subsystem: The subsystem of the table.
-        keep: Whether operators set variables here.
+        keep: Whether operators set variables on this machine.
     """
 
     def __init__(self, owner: Owner, subsystem: str, *, keep: bool) -> None:
@@ -95,7 +95,7 @@ class Carried:
         self.mirror: Mirror | None = None
         self.next = 0.0
         self.changed = False
-        """Whether commands have changed it while no other machine was there."""
+        """Whether commands have changed it while there was no other machine."""
         self.incoming = Incoming(lambda: owner.do(self._take_waiting))
         self._beat = self._flag = 0.0
         self._lost, self._told_ns = 0, -TOLD_NS
@@ -107,8 +107,8 @@ class Carried:
 
     @property
     def alone(self) -> bool:
-        """Whether no other machine is there: what it will ask for then stands here."""
-        mirror = self.mirror  # asked for in any thread, while the carrier's may end it
+        """Whether there is no other machine; a later one will ask for the state."""
+        mirror = self.mirror  # read once: the carrier's thread may end it meanwhile
         if mirror is None or not self._settled:
             return False
         return not (self._there or mirror.others)
@@ -141,9 +141,9 @@ class Carried:
             self.mirror.watch(watch)
 
     def spread(self, done: Callable[[], None], *, take: bool) -> None:
-        """Let the other machines take the whole state, then call `done`.
+        """Send the whole state to the other machines, then call `done`.
 
-        With `take`, it is called after all their answers.
+        With `take`, it is called after all their answers have been processed.
         """
         if self.mirror is not None or self._begin():
             self._exchange(partial(self._owner.do, done) if take else done)
@@ -151,16 +151,16 @@ class Carried:
             self._get("flush", self._owner.machine, TAKE if take else b"", done)
 
     def call(self, calls: Sequence[Call]) -> None:
-        """Let the other machines take the whole state, then call successors.
+        """Send the whole state to the other machines, with calls of successors.
 
-        Where another agent of this machine carries the table, no call is made; see
+        If another agent of this machine carries the table, no call is made; see
         `remote_handover`.
         """
         if self.mirror is not None:
             self._exchange(calls=remote_handover.packed(calls))
 
     def close(self) -> None:
-        """Let go of the table, and remove it when nobody else uses it."""
+        """Detach from the table, and remove it if it has no other users."""
         for entity in self._declared:
             with contextlib.suppress(zenoh.ZError):
                 entity.undeclare()
@@ -228,11 +228,11 @@ class Carried:
                 self._publisher.put(packets.pack(packet))  # pyright: ignore[reportUnknownMemberType]
 
     def _pace(self, now: float) -> None:
-        """Read again just after the next commit, by the writers' periods."""
+        """Set the next read just after the next commit, by the writers' periods."""
         due = self.mirror.due() if self.mirror is not None else None
         if due is None:
             self.next = self._beat
-        else:  # what is overdue is checked twice as late each time
+        else:  # an overdue commit is checked at doubling intervals
             self.next = now + min(max(abs(due), SHORTEST), LONGEST)
 
     # -- zenoh's threads ---------------------------------------------------------------
@@ -283,7 +283,7 @@ class Carried:
             self._lost, self._told_ns = lost, now
 
     def _take(self, data: bytes) -> str:
-        """Process another machine's packet; return which machine it is."""
+        """Process another machine's packet; return that machine."""
         packet = packets.unpack(data)
         if self.mirror is None or packet is None:
             return ""
@@ -296,7 +296,7 @@ class Carried:
             remote_handover.make(self.table, call, late_ns)
         if new or (not placed and packet.full is None):
             self.next = 0.0
-            self._beat = 0.0  # it may lack ours too
+            self._beat = 0.0  # it may lack our state, too
         return packet.machine
 
     def _lose(self, machine: str) -> None:
@@ -304,7 +304,7 @@ class Carried:
             self.mirror.lose(machine)
 
     def _answer(self, query: zenoh.Query) -> None:
-        """Take the state of the asking machine, and return this machine's."""
+        """Process the state of the asking machine, and return this machine's."""
         if self.mirror is None:
             query.drop()  # type: ignore[no-untyped-call]
             return
@@ -322,7 +322,7 @@ class Carried:
     def _exchange(
         self, done: Callable[[], None] | None = None, calls: Sequence[bytes] = ()
     ) -> None:
-        """Send this machine's state to every other one, and take theirs."""
+        """Send this machine's state to all others, and process theirs."""
         packet = self.mirror.tell(full=True) if self.mirror is not None else None
         if packet is not None:
             packet.calls = list(calls)

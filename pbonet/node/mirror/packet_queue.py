@@ -1,8 +1,8 @@
-"""A bounded queue of packets that wait to be taken; lost ones are counted.
+"""A bounded queue of received packets; dropped ones are counted.
 
-They come in zenoh's threads and are taken in the carrier's. If that falls behind, the
-oldest are dropped: each packet holds the newest values, and every half second a machine
-sends everything again.
+Zenoh's threads add packets and the carrier's thread takes them. If that is too slow,
+the oldest are dropped: each packet holds the newest values, and every half second a
+machine sends everything again.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 WAITING = 256
-"""Packets that wait at the most, for each table."""
+"""Maximum number of waiting packets of each table."""
 
 
 class Incoming:
-    """The packets of one table that were received and not yet taken.
+    """The received packets of one table that were not taken yet.
 
     Args:
         ring: Lets the carrier's thread call `taken`; may be called from any thread.
-        room: Packets that wait at the most.
+        room: Maximum number of waiting packets.
     """
 
     def __init__(self, ring: Callable[[], None], room: int = WAITING) -> None:
@@ -33,10 +33,10 @@ class Incoming:
         self._room = room
         self._rung = False
         self.lost: Counter[str] = Counter()
-        """Packets that were never taken, by machine."""
+        """Number of dropped packets by machine."""
 
     def heard(self, machine: str, data: bytes) -> None:
-        """Keep a packet; runs in zenoh's threads."""
+        """Add a packet; runs in zenoh's threads."""
         with self._guard:
             if len(self._waiting) >= self._room:
                 self.lost[self._waiting.popleft()[0]] += 1
@@ -46,7 +46,7 @@ class Incoming:
             self._ring()
 
     def taken(self) -> list[bytes]:
-        """Return what has come, the oldest first."""
+        """Return the waiting packets, oldest first."""
         with self._guard:
             found = [data for _, data in self._waiting]
             self._waiting.clear()

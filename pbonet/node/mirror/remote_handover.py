@@ -1,10 +1,10 @@
-"""Calls of successors on other machines: the agent makes them, with the table's news.
+"""Calls of successors on other machines: agents make them, with the table's data.
 
 A task that leaves cannot call a successor whose core table is on another machine. Its
-last values, and the news of its end, arrive there with the table. So the calls travel
-in the same packet, and are made when that has been taken in: the successor finds the
-last values, and variables without an owner. A call that is lost or late is made by the
-successor's own RTPU when the master sends the ``on``; see `successors`.
+last values and the release of its variables arrive there with the table. So the calls
+are sent in the same packet, and made after the rest has been processed: the successor
+finds the last values, and variables without an owner. A call that is lost or late is
+made by the successor's own RTPU when the master sends the ``on``; see `successors`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from pbonet.svar import Table
 
 LATEST_NS = 250_000_000
-"""A call that was longer on its way is not made: a later decision may not have arrived
-yet. Nor is a call whose delay is unknown."""
+"""A call with a longer transmission time is not made, because a later decision may be
+under way. Nor is a call whose transmission time is unknown."""
 
 _decoder = msgspec.msgpack.Decoder(Call)
 
 
 def packed(calls: Sequence[Call]) -> list[bytes]:
-    """Return calls in the form in which they travel with the table."""
+    """Return calls in the form in which they are sent with the table."""
     return [msgspec.msgpack.encode(call) for call in calls]
 
 
@@ -39,10 +39,10 @@ def make(table: Table, data: bytes, late_ns: int | None) -> bool:
     """Make a call, unless it is too late or a task writes what was handed over.
 
     Args:
-        table: This machine's, which knows already what went with the call.
+        table: This machine's table, in which the packet has already been processed.
         data: The packed call; all machines get it, and one has the successor.
-        late_ns: How long it was on its way; None while the clock of the machine that
-            it comes from is not known.
+        late_ns: Its transmission time; None if the clock of the sending machine is
+            not known.
 
     Returns:
         Whether a successor waited for it.
@@ -61,7 +61,7 @@ def make(table: Table, data: bytes, late_ns: int | None) -> bool:
 
 
 def _free(table: Table, outputs: list[str]) -> bool:
-    """Return whether all of these variables are without an owner."""
+    """Return whether none of these variables has an owner."""
     return all(table.info(output).owner is None for output in outputs)
 
 

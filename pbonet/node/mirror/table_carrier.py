@@ -1,10 +1,10 @@
-"""Carries tables between machines: an agent's thread, never a task's.
+"""Carries tables between machines, in a thread of the agent and never of a task.
 
 Agents of one subsystem on several machines find each other by liveliness tokens, one
 per machine: of the agents that share a table, the one that holds a lock on its file
-declares it. News is sent as it comes, all groups of a moment in one packet, newest
-first, and is dropped where a link is slow. Whole states are exchanged by queries: when
-machines meet, and before an agent answers a command that has changed its table.
+declares it. News is sent at once, all groups of a moment in one packet, newest first,
+and is dropped if a link is slow. Whole states are exchanged by queries: when machines
+meet, and before an agent answers a command that has changed its table.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ if TYPE_CHECKING:
 log = logging.getLogger("pbonet.node")
 
 GLANCE_NS = 20_000_000
-"""Nanoseconds between quick checks of a table that is not expected to change; such a
-check runs without Python."""
+"""Nanoseconds between quick checks of a table that is not expected to change; these run
+without Python."""
 LAST_TIME = 1.0
-"""Seconds that the last answers may take."""
+"""Seconds for the last answers at the end."""
 NEVER = 1e9
-"""On the monotonic clock."""
+"""A time on the monotonic clock that is never reached."""
 ASKED = 1000
-"""Most messages of others that may wait for the carrier; more are refused."""
+"""Maximum number of messages of others that wait for the carrier; more are refused."""
 
 
 class Mirrors:
-    """The tables that an agent carries, and the thread that does it.
+    """The tables that an agent carries, and the thread that carries them.
 
     Args:
         session: The agent's session.
         domain: Its domain.
         offset: Returns by how many nanoseconds another machine's clock is ahead; None
-            while that is not known.
-        tell: Takes what is to be reported to masters.
+            if unknown.
+        tell: Called with reports for masters.
     """
 
     def __init__(
@@ -80,45 +80,45 @@ class Mirrors:
         )
 
     def start(self) -> None:
-        """Begin to carry what `carry` names."""
-        self._ends.submit(int)  # has the thread begin
+        """Start to carry the tables given to `carry`."""
+        self._ends.submit(int)  # starts the thread
         self._thread.start()
 
     def stop(self) -> None:
-        """Let go of everything; requests that wait for other machines are answered."""
+        """Close all tables; waiting requests are answered."""
         self.carry({})
         self.do(self._end)
         if self._thread.is_alive():
             self._thread.join()
         for done in self._promises.end():
             self.safely(done)
-        with contextlib.suppress(TimeoutError):  # answers that it is about to give
+        with contextlib.suppress(TimeoutError):  # answers that are about to be given
             self._ends.submit(int).result(LAST_TIME)
         self._ends.shutdown(wait=False)
 
     def do(self, what: Callable[[], object]) -> None:
-        """Let the carrier's thread do something; may be called from anywhere."""
+        """Let the carrier's thread call a function; may be called from any thread."""
         self._todo.put(what)
         self._watch.ring()
 
     def end(self, done: Callable[[], None]) -> None:
-        """Let `done` be called in a separate thread; for zenoh's threads.
+        """Let a separate thread call `done`; for use in zenoh's threads.
 
-        One that gives a link up ends what was asked over it while it holds the routes:
-        an answer that was sent from there would wait for them for ever.
+        A zenoh thread that closes a link also ends the requests over it while it holds
+        the lock of the routes: an answer sent from that thread would wait forever.
         """
-        with contextlib.suppress(RuntimeError):  # nobody is answered any more
+        with contextlib.suppress(RuntimeError):  # shut down: answers are not sent
             self._ends.submit(self.safely, done)
 
     def offer(self, what: Callable[[], object]) -> bool:
-        """Let something be done unless too much waits; return whether it will be."""
+        """As `do` unless too much waits; return whether it will be called."""
         room = self._todo.qsize() < ASKED
         if room:
             self.do(what)
         return room
 
     def carry(self, tables: dict[str, bool], *, wait: float = 0.0) -> None:
-        """Carry exactly these tables, by subsystem; the value tells the keeper."""
+        """Carry exactly these tables, by subsystem; the value is True on the keeper."""
         done = threading.Event()
         self._tables = tables
         self.do(lambda: self._carry(tables))
@@ -134,21 +134,20 @@ class Mirrors:
         take: bool = False,
         value: bool = False,
     ) -> None:
-        """Call `done` when the other machines know the subsystem's table.
+        """Call `done` when the other machines have the subsystem's table.
 
-        After a table's end it is called when the carrier has let go of it: the last
-        user removes the file, and the client that is answered may make another one at
-        once. It is called in a thread for that, in the carrier's, or at once; by `stop`
-        at the latest: what was done here remains, and the next agent reports it to the
-        others.
+        After a table's end it is called when the carrier has closed it: the last user
+        removes the file, and the client may make another one at once. `done` is called
+        in the thread for it, in the carrier's, or at once; at the latest by `stop`: the
+        changes remain, and the next agent sends them to the others.
 
         Args:
             subsystem: The subsystem of the table.
-            done: Is called once.
-            take: Whether this machine must have taken their states as well, as after
-                the opening of a table that exists elsewhere.
-            value: Whether only a value was set: where no other machine is there, the
-                carrier is not woken, and checks in its next turn.
+            done: Called once.
+            take: Whether this machine must also have processed their states, as after
+                opening a table that exists elsewhere.
+            value: Whether only a value was set: if there is no other machine, the
+                carrier is not woken and checks in its next turn.
         """
         carried = self._carried.get(subsystem) if subsystem in self._tables else None
         if carried is not None and carried.alone and not take:
@@ -171,13 +170,13 @@ class Mirrors:
             try:
                 carried.spread(promised, take=take)
             except Exception:
-                promised()  # the waiter continues, and finds the fault itself
+                promised()  # the waiting client continues, and finds the fault itself
                 raise
 
         self.do(spread)
 
     def call(self, call: rtpu_messages.Called) -> None:
-        """Let other machines take the table, then call successors there."""
+        """Send the table to other machines, with calls of successors there."""
 
         def spread() -> None:
             carried = self._carried.get(call.subsystem)
@@ -187,7 +186,7 @@ class Mirrors:
         self.do(spread)
 
     def report(self, limit: float = ANSWER_TIME) -> list[m.TableNews]:
-        """Return what has come from other machines; nothing if it takes too long."""
+        """Return what came from other machines; nothing at the time-out."""
         found: list[m.TableNews] = []
         done = threading.Event()
 
@@ -212,9 +211,9 @@ class Mirrors:
         return found if done.wait(limit) else []
 
     def late(self, machine: str, sent_ns: int) -> int | None:
-        """Return how many nanoseconds a packet was on its way, by the clocks.
+        """Return the transmission time of a packet in nanoseconds, by the clocks.
 
-        None while that machine's clock is not known: it has just come into sight.
+        None if that machine's clock is not known, because it has just appeared.
         """
         offset = self._offset(machine)
         if offset is None:
@@ -260,8 +259,8 @@ class Mirrors:
 
     @staticmethod
     def safely(what: Callable[[], object]) -> None:
-        """Do something, and continue even if it fails."""
+        """Call a function, and log its exception."""
         try:
             what()
-        except Exception:  # one table's trouble is not that of the others
+        except Exception:  # a fault of one table must not affect the others
             log.exception("a table could not be carried")

@@ -1,4 +1,4 @@
-"""The recorder process: it writes the records in tasks' rings to MCAP files."""
+"""The recorder process: writes the records in tasks' rings to MCAP files."""
 
 from pbonet.lazy import attach
 

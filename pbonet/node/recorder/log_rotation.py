@@ -1,7 +1,7 @@
-"""The files of one recording: when a new one begins, and which old ones go.
+"""The log files of one recording: when to begin a new one, which old ones to remove.
 
-What is recorded comes as calls that write it. They are carried out at once, or kept for
-some seconds and carried out when something has gone wrong.
+Records are passed as functions that write them. They are called at once, or kept for
+some seconds and called when an error occurs.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     Do = Callable[[LogWriter], None]
 
 RETRY: Final = 2.0
-"""Seconds until a new file is tried when one could not grow."""
+"""Seconds until the next attempt to make a new file after a failure."""
 SWEEP: Final = 5.0
 """Seconds between two checks of the size of all logs."""
 FRESH: Final = 60.0
-"""Seconds after its last change in which a file may be another recorder's."""
+"""Seconds after its last change in which a file may belong to another recorder."""
 AFTER: Final = 1.0
-"""Seconds that are written after an error, where only the last seconds are kept."""
+"""Seconds written after an error, if only the last seconds are kept."""
 SHARE: Final = 4
-"""Files that the limit of all logs has room for, at least, so that old ones can go."""
+"""Minimum number of files within the limit of all logs; old ones can be removed."""
 _MB: Final = 1e6
 
 
@@ -48,28 +48,28 @@ class Time(NamedTuple):
     """The time base of a recording."""
 
     clock: Callable[[], float]
-    """Gives seconds."""
+    """Returns seconds."""
     epoch_ns: int
     """Offset from its nanoseconds to those since 1970."""
     machine: str
-    """The boot within which it may be compared."""
+    """The boot within which times can be compared."""
     seconds: float = 0.0
-    """As `RunAbout` has it."""
+    """As in `RunAbout`."""
 
 
 def real_time() -> Time:
-    """Return that of this machine."""
+    """Return the time base of this machine."""
     ahead = time.time_ns() - time.monotonic_ns()
     return Time(time.monotonic, ahead, run_folder.machine())
 
 
 class LogFiles:
-    """Where one recorder writes.
+    """The files that one recorder writes.
 
     Args:
         wanted: The plan of the recording.
-        say: Takes messages to the agent.
-        enter: Writes what is known so far into a new file.
+        say: Sends messages to the agent.
+        enter: Writes what is known so far to a new file.
         by: The time base of the recording; None for this machine's.
     """
 
@@ -88,9 +88,9 @@ class LogFiles:
         self._goes_on = False
         """Whether nothing is missing between the last file and the next."""
         self.unwritten = 0
-        """Records that were lost for lack of a file."""
+        """Records that were lost because there was no file."""
         self.told = False
-        """Whether it was reported that no file can be made."""
+        """Whether a failure to make a file was reported."""
         self._retry = self._sweep = 0.0
         self._begun = 0.0
         self._wrong = 0.0
@@ -104,7 +104,7 @@ class LogFiles:
         self._most = _MB * min(limits.log_mb or most, most)
 
     def turn(self) -> None:
-        """Begin a file when it is time, end it when it is full, let old ones go."""
+        """Begin a file if it is time, end it if it is full, remove old ones."""
         now = self.by.clock()
         if self._wanted.last and self.writer is not None and now > self._wrong:
             self._finish()
@@ -120,11 +120,11 @@ class LogFiles:
             self._let_go()
 
     def put(self, do: Do, records: bytes = b"") -> None:
-        """Write something, now or when an error asks for it.
+        """Write something, now or when an error occurs.
 
         Args:
             do: Writes it.
-            records: What is lost where it cannot, as a ring gave it.
+            records: The records that are lost if it fails, as read from a ring.
         """
         if self._wanted.last and self.writer is None:
             now = self.by.clock()
@@ -136,7 +136,7 @@ class LogFiles:
             self.unwritten += len(parse(records)) if records else 0
 
     def write(self, do: Do) -> bool:
-        """Write something if there is a file; return whether that was done."""
+        """Write something if there is a file; return whether it was written."""
         writer = self.writer
         if writer is None:
             return False
@@ -148,7 +148,7 @@ class LogFiles:
         return True
 
     def went_wrong(self) -> None:
-        """Write what was kept, and what comes in the next second."""
+        """Write what was kept, and everything in the next second."""
         if self._wanted.last:
             self._wrong = self.by.clock() + AFTER
             self._due = self.writer is None
@@ -173,7 +173,7 @@ class LogFiles:
         return full or bool(seconds and now >= self._begun + seconds)
 
     def _open(self) -> None:
-        """Begin a file, and write into it what is known so far."""
+        """Begin a file, and write to it what is known so far."""
         lost = self.unwritten
         try:
             self.writer = self._make()
@@ -226,7 +226,7 @@ class LogFiles:
         )
 
     def _full(self, error: OSError | LogError) -> None:
-        """Continue without a file; another one is tried from time to time."""
+        """Continue without a file; a new one is tried at intervals."""
         writer, self.writer = self.writer, None
         self._retry = self.by.clock() + RETRY
         self._goes_on = False
@@ -245,7 +245,7 @@ class LogFiles:
             )
 
     def _let_go(self) -> None:
-        """Remove the oldest logs while all of them take more than they may."""
+        """Remove the oldest logs while all of them together exceed the limit."""
         mine = self.writer.path if self.writer is not None else None
         fresh = time.time() - FRESH
         found: list[tuple[float, int, Path]] = []
@@ -265,7 +265,7 @@ class LogFiles:
                 gone.append(path)
                 excess -= size
             with contextlib.suppress(OSError):
-                path.parent.rmdir()  # where it was the last one
+                path.parent.rmdir()  # if it is empty now
         if gone:
             text = f"{len(gone)} logs were removed, the oldest ones, for all may take "
             text += f"{self._wanted.limits.runs_mb:g} MB: {gone[0]}"

@@ -1,8 +1,8 @@
 """The recorder: a process of the agent that writes the records in tasks' rings.
 
-Nothing of real time depends on it. It finds the rings of its subsystem and RTPU in
+It is not part of the real-time side. It finds the rings of its subsystem and RTPU in
 shared memory, empties them every 50 ms, and writes a log; events come from the agent
-through a pipe, and when that ends, so does the recorder, its log finished.
+through a pipe, and when the pipe is closed, the recorder finishes its log and ends.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ if TYPE_CHECKING:
 PERIOD: Final = 0.05
 """Seconds between two passes; a ring of 1 MiB holds seconds of a 1 kHz task."""
 FLUSH: Final = 0.5
-"""The most seconds that are missing at the end of a killed recorder's log."""
+"""Maximum number of seconds missing at the end of a killed recorder's log."""
 STATUS: Final = 1.0
 HANDOVER: Final = 3.0
-"""Seconds for which another recorder, whose agent is gone, may hold a ring."""
+"""Seconds for which a recorder of an agent that has ended may still hold a ring."""
 
 
 class Followed:
     """A ring that is being emptied.
 
     Args:
-        ring: Open.
+        ring: The open ring.
         about: The task it belongs to.
     """
 
@@ -57,7 +57,7 @@ class Followed:
         self.ring = ring
         self.about = about
         self.writer: LogWriter | None = None
-        """File that describes the task of this number."""
+        """The file in which `number` identifies the task."""
         self.number = 0
         self.lost = 0
 
@@ -67,7 +67,7 @@ class Recorder:
 
     Args:
         wanted: The plan of the recording.
-        tell: Takes messages to the agent.
+        tell: Sends messages to the agent.
         by: The time base of the recording; None for this machine's.
     """
 
@@ -84,7 +84,7 @@ class Recorder:
         self._others: set[tuple[str, int]] = set()
         self._folder = str(shm.folder())
         self._waiting = False
-        """Whether there are rings that may yet be followed."""
+        """Whether there are rings that may be followed later."""
         self._refused: dict[tuple[str, int], float] = {}
         self._unfit = 0
         self._flush = self._status = 0.0
@@ -99,7 +99,7 @@ class Recorder:
         return folder_watch.Changes(self._folder)
 
     def turn(self) -> None:
-        """Do what there is to do."""
+        """Take one pass."""
         now = self._files.by.clock()
         self._files.turn()
         self._look()
@@ -119,7 +119,7 @@ class Recorder:
         self._report()
 
     def end(self) -> None:
-        """Take what is left, and finish the log."""
+        """Write what is left, and finish the log."""
         self.turn()
         self._put_status()
         for followed in self._rings.values():
@@ -127,7 +127,7 @@ class Recorder:
         self._files.close()
 
     def _look(self) -> None:
-        """Follow rings that are new, and let go of those that were removed."""
+        """Follow new rings, and close those that were removed."""
         if not (self._changes.look() or self._waiting):
             return
         there = dict(self._found())
@@ -142,7 +142,7 @@ class Recorder:
         self._waiting = bool(there.keys() - self._rings.keys() - self._others)
 
     def _found(self) -> Iterator[tuple[tuple[str, int], str]]:
-        """Yield the rings that may be ours: path and inode, and name."""
+        """Yield the rings that may be ours: (path, inode), and name."""
         first = shm.own("")
         ours = f"{first}{self._wanted.domain}.{self._wanted.subsystem}."
         with os.scandir(self._folder) as entries:
@@ -156,7 +156,7 @@ class Recorder:
         try:
             ring = Ring.attach(name)
         except (NodeError, OSError, ValueError):
-            return  # empty yet, not ready, or gone: the next pass will see
+            return  # still empty, not ready, or gone: the next pass tries again
         try:
             about = msgspec.json.decode(ring.about, type=TaskAbout)
             mode = self._mode(about)
@@ -165,7 +165,7 @@ class Recorder:
                 self._begin(key, ring, about)
                 if orphaned_rings.is_left(
                     name
-                ):  # it is whole: the next pass lets go of it
+                ):  # it is complete: the next pass closes it
                     Path(ring.path).unlink(missing_ok=True)
                 return
         except msgspec.MsgspecError:
@@ -198,7 +198,7 @@ class Recorder:
         self._record(followed, first)
 
     def _enter_all(self, writer: LogWriter) -> None:
-        """Write what is known so far into a new file."""
+        """Write what is known so far to a new file."""
         for followed in self._rings.values():
             enter(writer, followed)
             followed.ring.want()
@@ -217,10 +217,10 @@ class Recorder:
         if text:
             self._files.put(lambda writer: add(writer, followed, text), text)
 
-    # -- what else is written ----------------------------------------------------------
+    # -- other records -----------------------------------------------------------------
 
     def take(self, message: rtpu_messages.ToRecorder) -> None:
-        """Take the agent's messages."""
+        """Process a message of the agent."""
         match message:
             case rtpu_messages.Clocks():
                 now, clocks = time.monotonic_ns(), msgspec.to_builtins(message)
@@ -233,7 +233,7 @@ class Recorder:
                 self._happened(message.data)
 
     def _happened(self, data: bytes) -> None:
-        """Take a packed event."""
+        """Process a packed event."""
         self.event(self._events.decode(data))
 
     def event(self, event: Event) -> None:
@@ -293,14 +293,14 @@ class Recorder:
 
 
 def hide(about: TaskAbout, names: Iterable[str]) -> None:
-    """Report which variables of a task are not recorded."""
+    """Set which variables of a task are not recorded."""
     each = (about.inconst, about.invar, about.outconst, about.outvar)
     own = {variable.name for variables in each for variable in variables}
     about.hidden = [name for name in names if name in own]
 
 
 def enter(writer: LogWriter, followed: Followed) -> None:
-    """Make the channels of a task, and attach its code."""
+    """Add the channels of a task, and attach its code."""
     about = followed.about
     followed.writer, followed.number = writer, writer.add_task(about)
     rmod = Path(about.rmod_name).name
@@ -313,17 +313,17 @@ def enter(writer: LogWriter, followed: Followed) -> None:
 
 
 def add(writer: LogWriter, followed: Followed, text: bytes) -> None:
-    """Write what a ring gave."""
-    if followed.writer is not writer:  # it was gone when the file began
+    """Write records read from a ring."""
+    if followed.writer is not writer:  # the ring was closed when the file began
         enter(writer, followed)
     writer.add(followed.number, text)
 
 
 class Pipe:
-    """Messages of the agent, from a pipe that may end at any time.
+    """Messages of the agent, from a pipe that may be closed at any time.
 
     Args:
-        fd: Its end for reading.
+        fd: Its read end.
     """
 
     def __init__(self, fd: int) -> None:
@@ -336,7 +336,7 @@ class Pipe:
         os.set_blocking(fd, False)
 
     def take(self, timeout: float) -> list[rtpu_messages.ToRecorder]:
-        """Return what has come; wait for at most `timeout` seconds."""
+        """Return the received messages; wait for at most `timeout` seconds."""
         if select.select([self._fd], [], [], timeout)[0]:
             with contextlib.suppress(BlockingIOError):
                 part = os.read(self._fd, 1 << 20)
@@ -354,7 +354,7 @@ class Pipe:
 
 
 def main(argv: list[str]) -> int:
-    """Record what the memory file of that number says, while standard input is open."""
+    """Record by the plan in a memory file (its descriptor) until stdin is closed."""
     process_setup.set_title("pbonet-recorder")
     stop = False
 

@@ -1,4 +1,4 @@
-"""A table on several machines: what each sends the others of its own part."""
+"""A table on several machines: the exchange of each machine's own part."""
 
 from pbonet.lazy import attach
 

@@ -1,14 +1,14 @@
 """Decides which machine's value of a variable counts.
 
-Each claim of a variable has an *epoch*: one more than the newest claim that was known
-to have ended when it was made. A task that takes over in order therefore has a higher
-epoch than the one before it, and all machines agree on who is newer, whatever order the
-news comes in. Two tasks that claim while their machines do not see each other have the
-same epoch, or the one that was left out of sight has the lower one and is alive still:
-its own machine sees that, says so, and neither claim counts anywhere until one of them
-has ended.
+Each claim of a variable has an *epoch*: one more than that of the newest claim known to
+have ended when it was made. A task that takes over in order therefore has a higher
+epoch than its predecessor, and all machines agree on the order, whatever order the data
+arrives in. Two tasks that claim while their machines do not see each other have the
+same epoch, or the task that was out of sight has the lower one and is still alive: its
+own machine detects that and reports it, and neither claim counts anywhere until one of
+them has ended.
 
-Plain decisions: no table, no network.
+Pure decisions: no table, no network.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 HERE = ""
-"""Denotes this machine."""
+"""This machine."""
 
 
 class Claim(NamedTuple):
@@ -31,17 +31,17 @@ class Claim(NamedTuple):
 
 
 class Epochs:
-    """The claims of all variables, as one machine knows them."""
+    """The claims of all variables known to one machine."""
 
     def __init__(self) -> None:
         self.own: dict[int, Claim] = {}
         self.ended: dict[int, int] = {}
         self.others: dict[str, dict[int, Claim]] = {}
         self.told: dict[str, frozenset[int]] = {}
-        """By machine, the variables over which it sees a fight with itself."""
+        """By machine, the variables for which it reports a conflict with itself."""
 
     def here(self, seen: Mapping[int, tuple[int, bool]]) -> None:
-        """Take in which groups exist on this machine: uid and live, by variable."""
+        """Update this machine's groups: (uid, live) by variable."""
         for variable in self.own.keys() - seen.keys():
             self._end(variable, self.own.pop(variable))
         for variable, (uid, live) in seen.items():
@@ -63,7 +63,7 @@ class Epochs:
         ended: Iterable[tuple[int, int]] = (),
         fights: Iterable[int] = (),
     ) -> None:
-        """Take in the groups of another machine."""
+        """Update the groups of another machine."""
         self.others[machine] = dict(claims)
         self.told[machine] = frozenset(fights)
         for variable, epoch in ended:
@@ -73,15 +73,15 @@ class Epochs:
             self.ended[variable] = max(self.ended.get(variable, 0), before)
 
     def forget(self, machine: str) -> None:
-        """Take in that a machine is out of sight: its tasks may live and write."""
+        """Forget a machine that is out of sight: its tasks may live and write."""
         self.others.pop(machine, None)
         self.told.pop(machine, None)
 
     def own_fights(self, equal: Callable[[int, str], bool]) -> list[int]:
-        """Return the variables that a task here owns and one elsewhere too.
+        """Return the variables that a task here owns and one elsewhere, too.
 
         Args:
-            equal: Whether a variable is a constant of the same value here and there.
+            equal: Whether a variable is a constant of the same value on both machines.
         """
         return sorted(
             variable
@@ -97,11 +97,11 @@ class Epochs:
         )
 
     def fought_over(self, own: Iterable[int]) -> set[int]:
-        """Return the variables of which no claim counts; `own` are this machine's."""
+        """Return the variables without a valid claim; `own` are this machine's."""
         return set(own).union(*self.told.values())
 
     def winner(self, variable: int) -> str | None:
-        """Return the machine whose claim counts; None when there is none."""
+        """Return the machine whose claim counts; None if there is none."""
         claims = [
             (claim.live, claim.epoch, machine)
             for machine, known in self.others.items()

@@ -1,4 +1,4 @@
-"""Groups of other machines' tasks in a machine's table."""
+"""Groups of other machines' tasks, written to this machine's table."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _NUMBERS = (1 << 56) - 1
 
 
 class Counts:
-    """Data from a machine since this one began to listen."""
+    """Totals of data from a machine since this one began to receive."""
 
     def __init__(self) -> None:
         self.packets = 0
         self.commits = 0
         self.gaps = 0
-        """Commits that were not carried: newer ones were there."""
+        """Commits that were skipped: newer ones were there."""
         self.refused = 0
 
 
 class Theirs:
-    """One group of another machine, and where it stands here."""
+    """One group of another machine, and its copy here."""
 
     def __init__(self, group: Group) -> None:
         self.group = group
@@ -49,7 +49,7 @@ class Theirs:
         self.shown: tuple[int, ...] = ()
 
     def value(self, table: Table, variable: int) -> bytes:
-        """Return the bytes of one of its variables, without what fills up words."""
+        """Return the bytes of one of its variables, without padding."""
         news, record = self.news, table.variables[variable]
         if news is None:
             return b""
@@ -57,7 +57,7 @@ class Theirs:
         return news.data[at : at + np.dtype(record.dtype).itemsize * record.nelem]
 
     def drop(self) -> None:
-        """Give the variables up; their values remain until a task takes over."""
+        """Release the variables; their values remain until a task takes over."""
         if self.local is not None:
             with contextlib.suppress(SvarError):
                 self.local.close()
@@ -69,8 +69,8 @@ class Machine:
 
     Args:
         table: This machine's table.
-        run: Of the other's carrier.
-        host: Its name.
+        run: Number of the other carrier's run.
+        host: Its host name.
     """
 
     def __init__(self, table: Table, run: int, host: str) -> None:
@@ -83,11 +83,11 @@ class Machine:
         self.heard_ns = now_ns()
 
     def take(self, packet: Packet, late_ns: int) -> bool:
-        """Take in a packet; return whether its news could be placed.
+        """Process a packet; return whether its news belong to known groups.
 
         Args:
-            packet: What came.
-            late_ns: How long it was on its way.
+            packet: The packet.
+            late_ns: Its transmission time in nanoseconds.
         """
         self.counts.packets += 1
         self.heard_ns = now_ns()
@@ -116,7 +116,7 @@ class Machine:
         }
 
     def show(self, wanted: set[int]) -> None:
-        """Let exactly the `wanted` variables of its groups stand in the table."""
+        """Write exactly the `wanted` variables of its groups to the table."""
         for theirs in self.groups.values():
             shown = tuple(v for v in theirs.group.vars if v in wanted)
             if shown != theirs.shown:
@@ -127,7 +127,7 @@ class Machine:
                 self._claim(theirs)
 
     def drop(self) -> None:
-        """Give up all that stands here for it."""
+        """Release everything that is in the table for it."""
         for theirs in self.groups.values():
             theirs.drop()
 
@@ -146,7 +146,7 @@ class Machine:
                 groups[group.uid] = Theirs(group)
                 if known is not None:
                     known.drop()
-        self.drop()  # what has gone there
+        self.drop()  # groups that no longer exist there
         self.groups, self.causes = groups, full.causes
 
     def _count(self, theirs: Theirs, news: News) -> None:
@@ -157,11 +157,11 @@ class Machine:
 
     @staticmethod
     def kept(theirs: Theirs) -> bool:
-        """Return whether an operator set it, and no task."""
+        """Return whether an operator set the group, and not a task."""
         return not theirs.group.task
 
     def _claim(self, theirs: Theirs) -> None:
-        """Let a group stand in the table, owned here if it is owned there."""
+        """Write a group to the table, owned here if it is owned there."""
         if not theirs.shown or theirs.news is None:
             return
         if self.kept(theirs):
@@ -214,13 +214,13 @@ class Machine:
 
 
 def _places(table: Table, variables: Sequence[int]) -> list[tuple[int, int]]:
-    """Return where each variable begins in a group's data."""
+    """Return the offset of each variable in a group's data."""
     group = layout.group_of(table.variables, variables)
     return list(zip(group.indices, group.at, strict=True))
 
 
 def _newer(one: News, other: News) -> bool:
-    """Return whether a commit came after another; numbers wrap."""
+    """Return whether a commit is newer than another; numbers wrap around."""
     return one.seq != other.seq and one.seq - other.seq & _NUMBERS < _NUMBERS >> 1
 
 

@@ -1,4 +1,4 @@
-"""Groups of a machine's own tasks, sent to the others as they change."""
+"""Groups of this machine's tasks, sent to other machines when they change."""
 
 from __future__ import annotations
 
@@ -19,17 +19,18 @@ if TYPE_CHECKING:
     from .epochs import Epochs
 
 TRIES = 64
-"""Copies of a group that is being written, before it is left for the next look."""
+"""Copies of a group that is being written, before it is left for the next check."""
 KEPT = 1 << 62
-"""From here on, identities of variables that an operator set."""
+"""First uid of variables that an operator set."""
 BEHIND = 80_000
-"""Nanoseconds after an expected commit, in which it will have come."""
+"""Nanoseconds after an expected commit within which it should be there."""
 TOGETHER = 8
-"""Commits within this part of a period go together."""
+"""Commits within this fraction of a period are sent together."""
 _IDLE, _BREAK, _MANY = 4, 20_000_000, 1000
-"""A writer that has been silent for so many periods and so long has stopped."""
+"""A writer has stopped if it was silent for so many periods plus nanoseconds; the third
+is the largest plausible number of commits between two checks."""
 MARK = "@"
-"""In the names of those who write on other machines, ``TASK@HOST``."""
+"""Separates task and host in the names of remote writers, ``TASK@HOST``."""
 
 
 class Own:
@@ -40,40 +41,40 @@ class Own:
         self._table = table
         self._rooms = [room_of(table, v) for v in variables]
         self.sent = -1
-        """The number of the commit that was sent last."""
+        """Number of the commit that was sent last."""
         self.pause_ns = _pause(table, variables)
         self.next_ns = 0
-        """Before it nothing newer is sent, whoever asks."""
+        """Time before which nothing newer is sent."""
         self.live = False
         """Whether a task owns it, as last reported."""
         self._last: News | None = None
-        """The state that was sent last, of a group that is not sent at each commit."""
+        """The state that was sent last, for a group with a limited rate."""
         self.stamp_ns = 0
-        """When what was sent last was committed."""
+        """When the last commit that was sent was made."""
         self.period_ns = 0
-        """From commit to commit, lately; 0: not known."""
+        """Recent time between commits; 0: unknown."""
         self.register = 0
-        """Where its commits stand."""
+        """Its register."""
 
     def sends(self, news: News, now: int) -> None:
-        """Note a commit that is being sent."""
+        """Record a commit that is being sent."""
         stamp = now - news.age_ns
         commits = news.seq - self.sent
-        # Who carries may have stood still between two looks at the clock.
+        # The carrier may have been stopped between two readings of the clock.
         if self.sent >= 0 and 0 < commits < _MANY and stamp > self.stamp_ns:
             period = (stamp - self.stamp_ns) // commits
             known = self.period_ns
             self.period_ns = (3 * known + period) // 4 if known else period
         self.sent, self.stamp_ns = news.seq, stamp
         if self.pause_ns:
-            # Counted from when it was due, so that a late check costs no turn.
+            # Counted from the due time, so that a late check costs no turn.
             late = now - self.next_ns
             kept = late if 0 < late < self.pause_ns else 0
             self.next_ns = now + self.pause_ns - kept
             self._last = news
 
     def again(self, now: int) -> News | None:
-        """Return what was sent last; None when something newer may be sent."""
+        """Return what was sent last; None if something newer may be sent."""
         if self._last is None or now >= self.next_ns:
             return None
         last = self._last
@@ -81,7 +82,7 @@ class Own:
         return News(last.uid, last.seq, age_ns, last.cycle, last.data)
 
     def due_ns(self, now: int) -> int | None:
-        """Return when its next commit will stand; None when none is to be expected."""
+        """Return when its next commit should be there; None if none is expected."""
         if not self.period_ns or now - self.stamp_ns > _IDLE * self.period_ns + _BREAK:
             return self.next_ns if self.next_ns > now else None
         return max(self.stamp_ns + self.period_ns + BEHIND, self.next_ns)
@@ -92,7 +93,7 @@ class Own:
         return None if seen is None else seen[5]
 
     def read(self) -> News | None:
-        """Return the newest commit, whole; None when the group has gone or changes."""
+        """Return the newest commit, whole; None if the group is gone or is changing."""
         for _ in range(TRIES):
             looks = [
                 self._table.peek(v, room)
@@ -114,24 +115,24 @@ class Outbox:
 
     Args:
         table: The machine's table.
-        keep: Whether operators set variables here.
+        keep: Whether operators set variables on this machine.
     """
 
     def __init__(self, table: Table, *, keep: bool) -> None:
         self._table = table
         self._keep = keep
         self.generation = -1
-        """Of the table, as it was looked at last."""
+        """Generation of the table at the last check."""
         self.groups: dict[int, Own] = {}
         self._kept: int | None = None
-        """A variable that stands where operators set them, and the commit there."""
+        """A variable in the keeper's register, and the last commit there."""
         self._kept_seq = -1
         self._kept_room = np.zeros(0, np.uint8)
         self._unset: list[tuple[int, NDArray[np.uint8]]] = []
         """Variables that an operator may set and has not set yet."""
 
     def look(self, epochs: Epochs) -> bool:
-        """Take in who owns what now; return whether that has changed."""
+        """Update the owners of variables; return whether they have changed."""
         try:
             self._table.must_be_whole()
         except SvarDamagedError:  # the RTPU process reports it
@@ -163,7 +164,7 @@ class Outbox:
         for uid, group in self.groups.items():
             group.register = registers[uid]
             live = found[uid][1]
-            if group.live != live:  # its first and last values wait for no turn
+            if group.live != live:  # its first and last values are sent at once
                 group.live, group.next_ns = live, 0
         return True
 
@@ -179,9 +180,9 @@ class Outbox:
 
         Args:
             now: The time.
-            everything: The last commit that was sent of what is not due, too.
-            newest: The newest of everything, as for a machine that has nothing yet.
-            to_all: Whether all machines are told, so that it is new to none any more.
+            everything: Repeat the last sent commit of groups that are not due.
+            newest: Send the newest of everything, for a machine that has nothing yet.
+            to_all: Whether all machines are sent it, so that it counts as sent.
         """
         found: list[News] = []
         for group in self.groups.values():
@@ -198,9 +199,9 @@ class Outbox:
         return found
 
     def due(self, now: int) -> int | None:
-        """Return when to look for the next commit; in the past: it is overdue.
+        """Return when to check for the next commit; in the past: it is overdue.
 
-        Those that are expected close to each other are read together.
+        Commits that are expected close to each other are read together.
         """
         expected = [
             (due, group.period_ns)
@@ -214,7 +215,7 @@ class Outbox:
         return max(due for due, _ in expected if due <= together)
 
     def heads(self, now: int) -> set[tuple[int, int]]:
-        """Return where commits may come unexpectedly, and the last one sent of each."""
+        """Return registers where commits may come unexpectedly, and their last one."""
         heads = {
             (group.register, max(group.sent, 0))  # no commit has number 0
             for group in self.groups.values()
@@ -225,7 +226,7 @@ class Outbox:
         return heads
 
     def told(self, epochs: Epochs) -> list[Group]:
-        """Return the groups in the form sent to others."""
+        """Return the groups in the form in which they are sent."""
         return [
             Group(
                 own.uid,
@@ -250,7 +251,7 @@ class Outbox:
         return MARK not in task
 
     def _keep_grown(self) -> bool:
-        """Whether an operator has set a variable for the first time."""
+        """Return whether an operator has set a variable for the first time."""
         if self._kept is None:
             return False
         seen = self._table.peek(self._kept, self._kept_room)
@@ -264,12 +265,12 @@ class Outbox:
 
 
 def room_of(table: Table, number: int) -> NDArray[np.uint8]:
-    """Return room for a variable as it stands in a group."""
+    """Return an array for a variable as stored in a group."""
     return np.zeros(layout.var_bytes(table.variables[number]), np.uint8)
 
 
 def _pause(table: Table, variables: list[int]) -> int:
-    """Return the nanoseconds between two commits that are carried; 0: each is."""
+    """Return the nanoseconds between two commits that are sent; 0: every commit is."""
     rates = [table.variables[v].rate for v in variables]
     if any(rate is None for rate in rates):
         return 0

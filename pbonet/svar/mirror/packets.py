@@ -1,8 +1,8 @@
 """Packets in which the machines of a subsystem exchange their tables.
 
 A *group* is what one task of a machine writes together, or one variable that an
-operator set. A packet carries news of groups, and, when ownership has changed or
-somebody asks, all groups that stand on the machine. Arrays on the wire, as they are
+operator set. A packet carries news of groups, and, when ownership has changed or a
+machine asks, all groups of the machine. Packets are encoded as arrays because there are
 many.
 """
 
@@ -12,17 +12,17 @@ import msgspec
 from msgspec import Struct
 
 VERSION = 1
-"""Of packets; machines of another one are not understood, and said to be so."""
+"""Version of packets; packets of other versions are refused and reported."""
 
 
 class Group(Struct, array_like=True):
-    """One group, and since which epoch each of its variables stands there."""
+    """One group, and the epoch of the claim of each of its variables."""
 
     uid: int
     task: str
-    """Empty: an operator set it."""
+    """The writer; empty: an operator."""
     live: bool
-    """A task owns it now."""
+    """Whether a task owns it now."""
     vars: list[int]
     epochs: list[int]
     """One for each variable; see `pbonet.svar.mirror.epochs`."""
@@ -34,22 +34,22 @@ class News(Struct, array_like=True):
     uid: int
     seq: int
     age_ns: int
-    """Since the commit, when the packet was sent."""
+    """Nanoseconds since the commit when the packet was sent."""
     cycle: int
     data: bytes
     """Its variables in the order of their indices, each in whole words."""
 
 
 class Full(Struct, array_like=True):
-    """All that stands on a machine."""
+    """The whole state of a machine."""
 
     groups: list[Group]
     ended: list[tuple[int, int]]
     """Variable and epoch of the newest claim that is known to have ended."""
     fights: list[int]
-    """Variables that a task here and one elsewhere both own."""
+    """Variables owned both by a task here and by one elsewhere."""
     causes: list[tuple[str, str]]
-    """Cause and raiser of the illegal-configuration flag."""
+    """Causes and raisers of the illegal-configuration flag."""
 
 
 class Packet(Struct, array_like=True):
@@ -59,15 +59,15 @@ class Packet(Struct, array_like=True):
     machine: str
     host: str
     run: int
-    """Another one after each start of the sender."""
+    """A number that differs after each start of the sender."""
     state: int
-    """Number of the newest `Full` that the news belong to."""
+    """Number of the newest `Full` to which the news belong."""
     sent_ns: int
     """CLOCK_MONOTONIC of the sender's machine."""
     news: list[News]
     full: Full | None = None
     calls: list[bytes] = []
-    """Whom to call when the rest has been taken in; who carries tables knows how."""
+    """Packed `Call`s to make after the rest has been processed."""
 
 
 _encoder = msgspec.msgpack.Encoder()
@@ -80,7 +80,7 @@ def pack(packet: Packet) -> bytes:
 
 
 def unpack(data: bytes) -> Packet | None:
-    """Return the packet; None when it is none, or of another version."""
+    """Return the packet; None if it is malformed or of another version."""
     try:
         packet = _decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError):

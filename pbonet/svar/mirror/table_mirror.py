@@ -1,8 +1,8 @@
-"""A machine's part in a table that stands on several (DESIGN: across machines).
+"""A machine's part in a table that exists on several (DESIGN: across machines).
 
-It tells the others of the groups that tasks here write, and lets theirs stand in the
-table of this machine, as commits of their own with the age that they have. What it does
-when, and over which network, is its caller's business; all calls come from one thread.
+It reports to the others the groups that tasks here write, and writes theirs to this
+machine's table, as commits with their true age. Its caller decides when, and over which
+network; all calls come from one thread.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Mirror:
         table: The table.
         machine: This machine's identity.
         run: A number that no other start has.
-        keep: Whether operators set variables here.
-        late: By how much a packet of a machine, sent at a time of its clock, is late.
+        keep: Whether operators set variables on this machine.
+        late: Returns the transmission time of a packet, by machine and sending time.
     """
 
     def __init__(
@@ -63,24 +63,24 @@ class Mirror:
         self._state = 0
         self._fights: list[int] = []
         self._news = False
-        """Whether something is to be told that is not in the table."""
+        """Whether there is something to send that is not in the table."""
         self._raised: dict[tuple[str, str, str], None] = {}
         self._causes: list[tuple[str, str]] = []
         self._glance = table.local(RAISER, os.getpid())
-        """Returns whether the flag is up, by one load."""
+        """Checks with one load whether the flag is up."""
         self._changes = 0
-        """Of the flag, as it was looked at last."""
+        """The flag's change count at the last check."""
         self._lost: dict[str, tuple[str, list[int]]] = {}
 
     def tell(
         self, *, full: bool = False, look: bool = True, machine: str = ""
     ) -> Packet | None:
-        """Return what there is to send to the others; None when nothing is new.
+        """Return the packet to send; None if nothing is new.
 
         Args:
-            full: Everything, not only what is new.
-            look: Whether to look at the causes of the flag too.
-            machine: The only receiver; all if left out.
+            full: Send everything, not only what is new.
+            look: Whether to check the causes of the flag, too.
+            machine: The only receiver; all by default.
         """
         changed = self._outbox.look(self._epochs)
         if changed:
@@ -115,7 +115,8 @@ class Mirror:
         """Process another machine's packet.
 
         Returns:
-            Whether it could be placed; else all of that machine must be asked for.
+            Whether its news belong to known groups; else that machine must be asked for
+            its whole state.
         """
         other = self.others.get(packet.machine)
         if other is not None and other.run != packet.run:
@@ -140,14 +141,14 @@ class Mirror:
         return placed
 
     def miss(self, seconds: float) -> None:
-        """Drop the machines that have sent nothing for so long."""
+        """Drop the machines that have sent nothing for so many seconds."""
         before = now_ns() - round(seconds * 1e9)
         silent = [m for m, other in self.others.items() if other.heard_ns < before]
         for machine in silent:
             self.lose(machine)
 
     def lose(self, machine: str) -> None:
-        """Take in that a machine is out of sight."""
+        """Drop a machine that is out of sight."""
         other = self.others.get(machine)
         if other is None:
             return
@@ -156,7 +157,7 @@ class Mirror:
         self._reconcile()
 
     def close(self) -> None:
-        """Give up what stands here for others, and what was raised."""
+        """Release what is in the table for others, and clear what was raised."""
         for machine in list(self.others):
             self._remove(machine)
         self._lost.clear()
@@ -169,7 +170,7 @@ class Mirror:
         return None if expected is None else (expected - now) * 1e-9
 
     def watch(self, watch: Watch) -> None:
-        """Have a sleep end when something is to be told that `due` does not expect."""
+        """End a sleep when there is something to send that `due` does not expect."""
         heads = self._outbox.heads(now_ns())
         generation = max(self._outbox.generation, 0)
         watch.add(self._glance.arena, generation, self._changes, heads)
@@ -193,7 +194,7 @@ class Mirror:
         )
 
     def _reconcile(self) -> None:
-        """Let stand what counts, and raise the flag for what does not."""
+        """Write the valid values to the table, and raise the flag for conflicts."""
         fights = self._epochs.own_fights(self._is_constant)
         if fights != self._fights:
             self._fights, self._news = fights, True
@@ -243,7 +244,7 @@ class Mirror:
                     self._raised[cause] = None
 
     def _look_at_causes(self) -> bool:
-        """Take in what was raised on this machine; return whether it has changed."""
+        """Read the causes raised on this machine; return whether they have changed."""
         self._changes = self._glance.arena.changes
         standing = self.table.illegal if self._glance.illegal else []
         causes = [
@@ -257,7 +258,7 @@ class Mirror:
         return True
 
     def _is_constant(self, variable: int, machine: str) -> bool:
-        """Tell whether a variable is a constant of one value here and there.
+        """Return whether a variable is a constant with the same value on both machines.
 
         A constant is written once, by a commit of cycle 0.
         """

@@ -69,7 +69,6 @@ ended; zenoh connects to the next one within this time. The same wait applies to
 agent that is not seen while its process runs here: its link is being restored."""
 _LOSS_TIME: Final = 0.3
 """Seconds in which agents report which others they have lost, for all together."""
-"""Seconds in which agents say whom they see no more, all together."""
 _LEAST_TRIES: Final = 10
 """Minimum number of attempts to find an agent: after a stall of the whole machine all
 times have passed while links are still being restored."""
