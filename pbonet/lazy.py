@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import logging
     from collections.abc import Callable
 
 _IMPORT = re.compile(r"^from ([\w.]+) import (?:\(([^)]*)\)|(.*))", re.MULTILINE)
@@ -48,3 +49,10 @@ def attach(
         return getattr(import_module(home, package), name)
 
     return load, lambda: names, names
+
+
+def logger(name: str) -> logging.Logger:
+    """Return a logger; `logging` is loaded only where something is logged."""
+    import logging
+
+    return logging.getLogger(name)

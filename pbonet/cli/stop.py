@@ -30,12 +30,12 @@ def command(
         Stop one subsystem:
         pbonet stop arm.sbs
     """
-    from pbonet.master.console import oneshot
+    from pbonet.master.console import stop_all
 
     from .table import show
 
-    name = oneshot.subsystem_name(subsystem) if subsystem else None
-    data = oneshot.stop(
+    name = stop_all.subsystem_name(subsystem) if subsystem else None
+    data = stop_all.stop(
         name, domain=agents.domain, connect=agents.connect, timeout=timeout
     )
     show("stop", data, [], as_data=json_)

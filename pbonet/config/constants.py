@@ -154,7 +154,7 @@ class Constants:
 
 def _without_unit(text: str) -> str:
     """Return what to write in place of a number followed by a unit, if it is one."""
-    match = _WITH_UNIT.fullmatch(text)
+    match = re.fullmatch(r"([+-]?[0-9]*\.?[0-9]+)([a-zA-Z]{1,3})", text)
     if match is None:
         return ""
     scale = _SCALE.get(match[2])
@@ -163,7 +163,6 @@ def _without_unit(text: str) -> str:
     return f"units are not written: {float(match[1]) * scale:.12g}"
 
 
-_WITH_UNIT = re.compile(r"([+-]?[0-9]*\.?[0-9]+)([a-zA-Z]{1,3})")
 _SCALE = {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "s": 1.0, "ms": 1e-3, "us": 1e-6}
 """By what a number is multiplied when its unit is left out: files have Hz and s."""
 

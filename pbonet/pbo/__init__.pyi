@@ -52,12 +52,12 @@ from ._signals import (
     signal_bits as signal_bits,
     signal_names as signal_names,
 )
+from ._state import State as State
 from ._task import (
     Answer as Answer,
     BoundedOutbox as BoundedOutbox,
     Notice as Notice,
     Outbox as Outbox,
-    State as State,
     TaskContext as TaskContext,
     TaskFailure as TaskFailure,
 )

@@ -28,20 +28,12 @@ from ._handling import (
 )
 from ._schedule import Counted, IllegalHook, Schedule
 from ._signals import Signal
+from ._state import State
 from ._timing import PythonWatch, TimingFailure, Watch
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
-
-
-class State(StrEnum):
-    """The states of a task (Stewart 1994, Figure 3.10)."""
-
-    NOT_CREATED = "NOT-CREATED"
-    OFF = "OFF"
-    ON = "ON"
-    ERROR = "ERROR"
 
 
 class Answer(StrEnum):

@@ -14,7 +14,7 @@ from watching import wait_for
 from pbonet import cli
 from pbonet.errors import ConditionError, StateError, VerificationError
 from pbonet.master.configuration.environment import Place
-from pbonet.master.console import oneshot
+from pbonet.master.console import oneshot, stop_all
 from pbonet.master.console.command_session import CommandSession
 from pbonet.master.subsystem.subsystem import Subsystem
 
@@ -155,7 +155,7 @@ def test_another_master_asks_the_job_that_stands(arm, files, place):
     reply = verb("switch", job="high", wait="20s")
     assert "POST of low holds" in reply.data["conditions"][0]
     verb("start", job="low")
-    oneshot.stop("levels", domain=place.domain)
+    stop_all.stop("levels", domain=place.domain)
     with opened(files, place) as after:  # a stop has ended the job, and its POST
         after.write("LEVEL", [0.0, 0.0])
         after.write("TWIN", [0.0, 0.0])

@@ -12,9 +12,9 @@ from watching import wait_for
 
 from pbonet.errors import PbonetError
 from pbonet.svar import Table
-from pbonet.xm.net import codec, key_expressions, messages as m
+from pbonet.xm.net import AnyMessage, codec, key_expressions, messages as m
 
-KINDS = get_args(codec.AnyMessage)
+KINDS = get_args(AnyMessage)
 SLOW = {m.Modules, m.Links}
 """Take seconds each when they are understood; once is enough."""
 ODD = [

@@ -15,7 +15,7 @@ from watching import wait_for
 
 from pbonet.errors import ClaimError, DuplicateNameError, NodeError, PbonetError
 from pbonet.master.configuration.environment import Place
-from pbonet.master.console import oneshot
+from pbonet.master.console import ask_master, oneshot
 from pbonet.master.console.interfaces import Script
 from pbonet.master.console.network_interface import Port
 from pbonet.xm.net import (
@@ -281,7 +281,7 @@ def test_port_that_is_closed_answers_no_more(arm, world):
         pass
     client = rpc.Client(session.client(world.domain), world.domain, "late")
     with pytest.raises(PbonetError, match="the master has gone"):
-        oneshot.ask(client, "gone", "status", {})
+        ask_master.ask(client, "gone", "status", {})
     client.close()
 
 

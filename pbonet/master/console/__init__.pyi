@@ -1,10 +1,12 @@
 from . import (
+    ask_master as ask_master,
     follow_events as follow_events,
     interfaces as interfaces,
     live_status as live_status,
     oneshot as oneshot,
     profile_plot as profile_plot,
     render as render,
+    stop_all as stop_all,
     watch_values as watch_values,
 )
 from .commands import (

@@ -13,8 +13,6 @@ from pbonet.errors import PbonetError, Severity
 from pbonet.master.subsystem import is_sequence, status_fields
 from pbonet.xm.net import Event
 
-from . import profile_plot
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
@@ -223,6 +221,8 @@ def _profile_of(task: Data) -> list[str]:
         for name, one in task["sections"].items()
     ]
     if task["psi"]:
+        from . import profile_plot
+
         lines += [
             "share of the cycles within a CPU time:",
             profile_plot.as_text(task["psi"]),

@@ -267,7 +267,7 @@ class VirtualClient(rpc.Client):
         domain: str,
         name: str,
         *,
-        warned: Callable[[str, str], None] = rpc.ignore_warning,
+        warned: Callable[[str, str], None] = rpc.log_warning,
     ) -> None:
         super().__init__(None, domain, name, warned=warned)  # type: ignore[arg-type]
         self._rtpus = rtpus

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fnmatch
-import logging
 import math
 import threading
 from collections.abc import Callable, Generator, Iterable, Sequence
@@ -17,15 +16,14 @@ from pbonet.errors import (
     UnknownVariableError,
     did_you_mean,
 )
+from pbonet.lazy import logger
 
 from .subsystem_tasks import SIGNALS
-
-log = logging.getLogger("pbonet.master")
 
 
 def log_warning(text: str) -> None:
     """Take a warning and log it."""
-    log.warning("%s", text)
+    logger("pbonet.master").warning("%s", text)
 
 
 _collector: ContextVar[Callable[[str], None] | None] = ContextVar(

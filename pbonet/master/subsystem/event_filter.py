@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pbonet.xm.net import messages as m
 
 
-_AGO: Final = re.compile(r"([0-9]+(?:\.[0-9]+)?)([smhd])")
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -52,7 +51,7 @@ def since(word: int | str) -> tuple[int, float]:
     text = str(word)
     if text.isdecimal():
         return int(text), 0.0
-    found = _AGO.fullmatch(text)
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smhd])", text)
     if found is None:
         raise StateError(
             "this says not since when",

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING
-
-import msgspec
 
 from pbonet.config import no_module
 from pbonet.errors import ModuleLoadError
@@ -21,18 +18,11 @@ _LOAD_TIME = 10.0
 """Seconds in which an agent imports and describes the modules of its libraries."""
 
 
-@cache
 def _answer() -> type[list[ModuleInfo]]:
-    """Return the type of an answer, prepared before several threads decode it.
-
-    See `pbonet.xm.net.warm_decoders`. It is loaded with numpy, so only where modules
-    are asked for.
-    """
+    """Return the type of an answer; it is loaded with numpy, so only where needed."""
     from pbonet.pbo import ModuleInfo
 
-    kind = list[ModuleInfo]
-    msgspec.msgpack.Decoder(kind)
-    return kind
+    return list[ModuleInfo]
 
 
 def on(fleet: Fleet, library: Library, rtpu: str, module: str) -> ModuleInfo:

@@ -8,7 +8,6 @@ epoch into every command, so that a master that was replaced is refused.
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 from types import NoneType
 from typing import TYPE_CHECKING, TypeVar
@@ -24,6 +23,7 @@ from pbonet.errors import (
     UnreachableError,
     did_you_mean,
 )
+from pbonet.lazy import logger
 from pbonet.xm.net import key_expressions, messages as m, rpc
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from pbonet.config import RtpuEntry, SbsFile
 
 T = TypeVar("T")
-
-log = logging.getLogger("pbonet.master")
 
 
 def client_name(kind: str) -> str:
@@ -227,7 +225,7 @@ class Fleet:
         if free:
             _, errors = self.each(lambda _: m.Release(), NoneType, rtpus=free)
             for error in errors:
-                log.warning("cannot give back: %s", error)
+                logger("pbonet.master").warning("cannot give back: %s", error)
         self.drop()
 
     def drop(self) -> None:

@@ -6,7 +6,6 @@ next judgement rests on what is, not on what was asked for.
 
 from __future__ import annotations
 
-import logging
 from functools import cache, partial
 from types import NoneType
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -22,6 +21,7 @@ from pbonet.errors import (
     UnknownTaskError,
     UnreachableError,
 )
+from pbonet.lazy import logger
 from pbonet.master.configuration import Member, Picture, RmodSource, already
 from pbonet.pbo import State
 from pbonet.xm.net import messages as m, rpc
@@ -61,8 +61,6 @@ _BY_OTHERS: Final = {legality.Code.NO_WRITER, legality.Code.NO_CONSTANT}
 """Problems that tasks on other RTPUs may solve."""
 
 T = TypeVar("T")
-
-log = logging.getLogger("pbonet.master")
 
 
 class Crew:
@@ -254,7 +252,7 @@ class Crew:
             try:
                 source = self._source(status.rmod, None)
             except PbonetError as error:  # spawned from elsewhere; it is only watched
-                log.debug("task %s: %s", status.task, error)
+                logger("pbonet.master").debug("task %s: %s", status.task, error)
                 return
             member = Member(source=source, rtpu=status.rtpu, freq=status.ref_f)
             self.picture.add(member)
@@ -592,7 +590,7 @@ class Crew:
             try:
                 self.send([(name, "off")])
             except PbonetError as error:
-                log.debug("off %s: %s", name, error)
+                logger("pbonet.master").debug("off %s: %s", name, error)
 
     def stop(self) -> tuple[m.Stopped, list[PbonetError]]:
         """Stop every RTPU at once; return what it did and what went wrong."""

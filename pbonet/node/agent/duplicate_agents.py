@@ -15,7 +15,7 @@ import msgspec
 import zenoh
 
 from pbonet.errors import ProtocolError
-from pbonet.xm.net import codec, messages as m, run_folder
+from pbonet.xm.net import codec, convert, messages as m, run_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -102,7 +102,7 @@ class Twins:
 
     def _judge(self, data: bytes) -> None:
         try:
-            info = msgspec.convert(self._codec.answer(data).result, m.AgentInfo)
+            info = convert(self._codec.answer(data).result, m.AgentInfo)
         except (ProtocolError, msgspec.ValidationError):
             return  # another version; its master will report it
         who = (info.machine, info.pid)

@@ -22,6 +22,7 @@ from pbonet.errors import PbonetError, Severity
 from pbonet.node.wire import rtpu_messages
 from pbonet.xm.net import (
     codec,
+    convert,
     dialling,
     direct,
     key_expressions,
@@ -302,7 +303,7 @@ class Ways:
             try:
                 answer = self._codec.answer(reply.ok.payload.to_bytes())
                 if answer.ok:
-                    return msgspec.convert(answer.result, m.AgentInfo)
+                    return convert(answer.result, m.AgentInfo)
                 return str(PbonetError.from_wire(answer.error or {}))
             except (PbonetError, msgspec.ValidationError) as error:
                 return str(error)

@@ -40,7 +40,7 @@ from .shared_memory_status import HANDLED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pbonet.xm.net import AgentInfo, LinkReport
+    from pbonet.xm.net import AgentInfo, AnyMessage, LinkReport
 
     from .shared_memory_status import Handled, Overview
 
@@ -280,7 +280,7 @@ class Server:
             with self._guard:
                 self._behind -= 1
 
-    def _at_once(self, query: zenoh.Query, request: codec.AnyMessage) -> bool:
+    def _at_once(self, query: zenoh.Query, request: AnyMessage) -> bool:
         """Answer a request, or see to it that it will be; else return False."""
         if isinstance(request, m.Hello):
             self._introduce(query, request)

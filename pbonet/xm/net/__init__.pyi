@@ -2,6 +2,7 @@ from . import (
     access_control as access_control,
     codec as codec,
     credentials as credentials,
+    decoders as decoders,
     dialling as dialling,
     event_codes as event_codes,
     file_messages as file_messages,
@@ -15,8 +16,10 @@ from . import (
     session as session,
     unreachable_reason as unreachable_reason,
 )
+from .any_message import AnyMessage as AnyMessage
 from .callbacks import direct as direct
 from .codec import Codec as Codec, failure as failure
+from .decoders import convert as convert, prepare as prepare
 from .file_messages import FileWrite as FileWrite
 from .message_parts import VarValue as VarValue, plain as plain
 from .messages import (
@@ -58,4 +61,3 @@ from .resource_messages import (
 )
 from .rpc import Client as Client, Declared as Declared
 from .run_folder import NAME as NAME, check_name as check_name, machine as machine
-from .warm_decoders import prepare as prepare

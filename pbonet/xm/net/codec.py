@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import msgspec
 from msgspec import Struct
 
 from pbonet.errors import PbonetError, ProtocolError
 
-from . import file_messages, messages, resource_messages
-from .file_messages import AnyFileRequest
-from .messages import VERSION, Answer, AnyRequest, Event, Request
-from .resource_messages import AnyXmRequest
-from .warm_decoders import prepare
+from .decoders import decoder
+from .messages import VERSION, Answer, Event, Request
 
-AnyMessage = AnyRequest | AnyXmRequest | AnyFileRequest
-prepare(messages, resource_messages, file_messages)
+if TYPE_CHECKING:
+    from .any_message import AnyMessage
 
 
 class _Version(Struct):
@@ -27,6 +24,7 @@ class _Version(Struct):
     id: str = ""
 
 
+_VERSION: msgspec.msgpack.Decoder[_Version] = decoder(_Version)
 MALFORMED = (msgspec.MsgspecError, UnicodeDecodeError)
 """Exceptions of decoding: msgspec does not wrap errors of invalid UTF-8."""
 
@@ -38,13 +36,14 @@ class Codec:
 
     def __init__(self) -> None:
         self._encoder = msgspec.msgpack.Encoder()
-        self._version = msgspec.msgpack.Decoder(_Version)
-        self._answer = msgspec.msgpack.Decoder(Answer)
+        self._answer: msgspec.msgpack.Decoder[Answer] = decoder(Answer)
 
     @cached_property
     def _request(self) -> msgspec.msgpack.Decoder[AnyMessage]:
         """The decoder of requests, which only servers need."""
-        return msgspec.msgpack.Decoder(AnyMessage)
+        from .any_message import AnyMessage
+
+        return decoder(AnyMessage)
 
     def pack(self, message: Request | Answer | Event) -> bytes:
         """Return the message as msgpack bytes."""
@@ -91,7 +90,7 @@ class Codec:
                 remedy="send it in parts, or send less",
             )
         try:
-            version = self._version.decode(data).v
+            version = _VERSION.decode(data).v
         except MALFORMED as error:
             raise ProtocolError(
                 "the message is not msgpack",
@@ -115,6 +114,6 @@ def failure(error: PbonetError, request_id: str = "") -> Answer:
 def request_id(data: bytes) -> str:
     """Return the id of a request that cannot be decoded otherwise, if it has one."""
     try:
-        return msgspec.msgpack.decode(data, type=_Version).id
+        return _VERSION.decode(data).id
     except MALFORMED:
         return ""

@@ -9,6 +9,8 @@ from msgspec import Struct
 
 from pbonet.errors import PbonetError, ProtocolError
 
+from .decoders import convert
+
 if TYPE_CHECKING:
     from .messages import Answer
 
@@ -43,7 +45,7 @@ def read_result(rtpu: str, answer: Answer, result: type[T]) -> T:
     if not answer.ok:
         raise PbonetError.from_wire(answer.error or {})
     try:
-        return msgspec.convert(answer.result, result)
+        return convert(answer.result, result)
     except msgspec.ValidationError as error:
         raise ProtocolError(
             "the result is not what the operation gives",

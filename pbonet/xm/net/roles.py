@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from pbonet.errors import AccessError
 
-from . import file_messages, messages as m
+from . import messages as m
 
 LEAVES = ("sbs", "status")
-_LOOKING = (
-    *(m.Hello, m.Links, m.Get, m.Status, m.Profile, m.Display, m.Modules, m.Events),
-    *(file_messages.FileStat, file_messages.FileList, file_messages.FileRead),
-)
+_LOOKING = {
+    *("hello", "links", "get", "status", "profile", "display", "modules", "events"),
+    *("xm_stat", "xm_list", "xm_read"),
+}
+"""The ``op`` of requests that change nothing."""
 
 
 def only_looks(request: m.Request) -> bool:
     """Return whether the request changes nothing."""
     if isinstance(request, m.Sigmask | m.Job):
         return not request.changes
-    return isinstance(request, _LOOKING) or (
+    return request.__struct_config__.tag in _LOOKING or (
         isinstance(request, m.Freq) and request.hz is None
     )
 

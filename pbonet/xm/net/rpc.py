@@ -16,12 +16,9 @@ from __future__ import annotations
 import contextlib
 import contextvars
 import itertools
-import logging
 import os
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import msgspec
@@ -35,6 +32,7 @@ from pbonet.errors import (
     SeveralError,
     UnreachableError,
 )
+from pbonet.lazy import logger
 
 from . import key_expressions, roles, run_folder, unreachable_reason
 from .agents import AgentInfo
@@ -78,12 +76,10 @@ _REPLIES: Final = 8
 """Room for the replies to a query: one, unless two agents have the same name."""
 _TOKENS: Final = 10_000  # zenoh's default channel deadlocks above 256 tokens
 
-log = logging.getLogger("pbonet.xm")
 
-
-def ignore_warning(rtpu: str, text: str) -> None:
+def log_warning(rtpu: str, text: str) -> None:
     """Log a warning that came with an answer."""
-    log.info("%s: %s", rtpu, text)
+    logger("pbonet.xm").info("%s: %s", rtpu, text)
 
 
 class _Waiter:
@@ -125,7 +121,7 @@ class Client:
         domain: str,
         name: str,
         *,
-        warned: Callable[[str, str], None] = ignore_warning,
+        warned: Callable[[str, str], None] = log_warning,
     ) -> None:
         self.session = session
         self.domain = domain
@@ -207,32 +203,34 @@ class Client:
         Returns:
             The results by RTPU, and the errors of the others.
         """
-        results: dict[str, T] = {}
-        errors: list[PbonetError] = []
         if not requests:
-            return results, errors
+            return {}, []
+        results: dict[str, T] = {}
+        failed: dict[str, Exception] = {}
 
-        def ask(rtpu: str) -> T | PbonetError:
+        def ask(rtpu: str) -> None:
             try:
-                return self.call(rtpu, requests[rtpu], result, timeout=timeout)
-            except PbonetError as error:
-                return error
+                results[rtpu] = self.call(rtpu, requests[rtpu], result, timeout=timeout)
+            except Exception as error:  # noqa: BLE001 - raised below
+                failed[rtpu] = error
 
         *others, last = requests  # this thread handles the last one
-        with ThreadPoolExecutor(len(others) or 1) as pool:
-            asked = {
-                # in this context, so that warnings find their command
-                rtpu: pool.submit(contextvars.copy_context().run, partial(ask, rtpu))
-                for rtpu in others
-            }
-            own = ask(last)
-        answers = {rtpu: call.result() for rtpu, call in asked.items()} | {last: own}
-        for rtpu, answer in answers.items():
-            if isinstance(answer, PbonetError):
-                errors.append(answer)
-            else:
-                results[rtpu] = answer
-        return results, errors
+        threads = [
+            # in this context, so that warnings find their command
+            threading.Thread(target=contextvars.copy_context().run, args=(ask, rtpu))
+            for rtpu in others
+        ]
+        for thread in threads:
+            thread.start()
+        ask(last)
+        for thread in threads:
+            thread.join()
+        errors: list[PbonetError] = []
+        for error in (failed[rtpu] for rtpu in requests if rtpu in failed):
+            if not isinstance(error, PbonetError):
+                raise error
+            errors.append(error)
+        return {rtpu: results[rtpu] for rtpu in requests if rtpu in results}, errors
 
     def announce(self, key: str) -> Declared:
         """Declare a liveliness token until the returned object is undeclared.

@@ -14,12 +14,12 @@ A session must be opened in a process that was started by exec, never after a fo
 
 from __future__ import annotations
 
-import json
 import re
 import time
 import zlib
 from typing import TYPE_CHECKING
 
+import msgspec
 import zenoh
 
 from pbonet.errors import NodeError, UnreachableError
@@ -337,7 +337,7 @@ def _config(
         settings["listen"] = listen
         if key_folder:
             settings["access_control"] = access_control.rules()
-    return zenoh.Config.from_json5(json.dumps(settings))
+    return zenoh.Config.from_json5(msgspec.json.encode(settings).decode())
 
 
 def _tls(folder: Path) -> dict[str, object]:
