@@ -1,4 +1,4 @@
-"""The process of one task, and the fork server from which it comes."""
+"""The process of one task, and the fork server that creates it."""
 
 from pbonet.lazy import attach
 

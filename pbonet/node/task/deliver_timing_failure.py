@@ -1,4 +1,4 @@
-"""Reports a timing failure to a module during its cycle, and records that."""
+"""Delivers a timing failure to a module during its cycle, and records that."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class Telling:
 
     Args:
         executor: Calls the module's handler.
-        told: Records the kind, the line that was interrupted (empty: none of the
-            module's, its method had not begun), the release, what the handler asked,
-            and its answer.
+        told: Records the kind, the interrupted line (empty: not in the module, whose
+            method had not begun), the release, the requests of the handler, and its
+            answer.
         time: The task's time.
         ours: Code of the runtime that calls the module.
     """

@@ -66,7 +66,7 @@ class Executor:
 
     Args:
         instance: Bound by `pbonet.pbo.bind`.
-        copies: Carries its ports.
+        copies: Transfers its ports.
         illegal: For a CRITICAL task: returns whether the illegal-configuration flag is
             up; `cycle` then runs ``stable`` instead.
 
@@ -85,9 +85,9 @@ class Executor:
         self.task = instance.task
         self.state = State.NOT_CREATED
         self.failure: MethodError | None = None
-        """The last failure of a method, however `error` answered it."""
+        """The last failure of a method, whatever `error` answered."""
         self.cycling: Callable[[], str] = lambda: "cycle"
-        """Returns the method that runs now, where the native loop does the cycling."""
+        """Returns the method that runs now; set by the owner of a native loop."""
         self._spent = False
         self._outdated = False
         self._actions = Actions(instance, copies, illegal)
@@ -106,7 +106,7 @@ class Executor:
 
         Raises:
             MethodError: It failed; `kill` has run and the task is NOT-CREATED.
-            StateError: The instance was initialised before.
+            StateError: The instance has been initialised before.
         """
         if self._spent:
             raise StateError(
@@ -129,15 +129,15 @@ class Executor:
             cede: For ``off``: the successor takes them over in its own claim.
 
         Returns:
-            The state afterwards. For ``on`` it may be OFF, when the module cannot start
+            The state afterwards. For ``on`` it may be OFF if the module cannot start
             yet; for ``clear`` it may be ERROR.
 
         Raises:
-            StateError: The signal is not valid in this state; nothing happened.
-            SvarOwnerError: ``on``: another task writes an out-var; nothing happened.
+            StateError: The signal is not valid in this state; nothing was done.
+            SvarOwnerError: ``on``: another task writes an out-var; nothing was done.
             PortError: ``reinit``: a size changed; the old constants remain.
             MethodError: A method failed and the error was not corrected; `state` is the
-                task's state now.
+                task's new state.
         """
         event = signal_event(name, where=self.task.name)
         self.task.arg = arg
@@ -153,7 +153,7 @@ class Executor:
             self.task.handover = False
 
     def set(self, name: str, words: tuple[str, ...], *, where: str = "") -> object:
-        """Change a parameter, between two cycles; return the new value.
+        """Change a parameter between two cycles; return the new value.
 
         Args:
             name: The parameter.
@@ -161,7 +161,7 @@ class Executor:
             where: The place of the value, for errors.
 
         Raises:
-            ParameterError: No such parameter, or the value is refused.
+            ParameterError: There is no such parameter, or the value is refused.
             MethodError: The module refused it; the old value remains.
             StateError: There is no task.
         """
@@ -179,7 +179,7 @@ class Executor:
         return getattr(params, key)
 
     def get(self, name: str) -> object:
-        """Return a parameter's present value, as the module's `get` returns it.
+        """Return a parameter's current value, as returned by the module's `get`.
 
         Raises:
             ParameterError: There is no such parameter.
@@ -193,14 +193,14 @@ class Executor:
     # -- cycling ----------------------------------------------------------------------
 
     def cycle(self, dt: float, now: int | None = None) -> State:
-        """Do one cycle here, in Python: copies, the module's law, copies.
+        """Run one cycle in Python: copy in, the module's method, copy out.
 
         Args:
             dt: Seconds since the release of the last executed cycle.
-            now: What ``self.task.now`` is during the cycle, in nanoseconds.
+            now: Value of ``self.task.now`` during the cycle, in nanoseconds.
 
         Returns:
-            The state afterwards; OFF when the module asked for it.
+            The state afterwards; OFF if the module asked for it.
 
         Raises:
             StateError: The task is not ON.
@@ -215,7 +215,7 @@ class Executor:
             for do in self._wakeup:
                 do()
         except CycleAborted:
-            with suppress(MethodError):  # `failure` holds it, like that of a cycle
+            with suppress(MethodError):  # it is kept in `failure`, as for a cycle
                 self.abort()
         except RAISED as error:
             self.fault(error, self._actions.method)
@@ -228,13 +228,13 @@ class Executor:
         return self.state
 
     def sync(self) -> State:
-        """Wait for the event that wakes a synchronous task: runs the module's `sync`.
+        """Run the module's `sync`, which waits for the event of a synchronous task.
 
-        Return ON when the event came, otherwise the state that `error` chose after a
+        Returns ON when the event came, otherwise the state that `error` chose after a
         failure.
 
         Raises:
-            StateError: It is not ON.
+            StateError: The task is not ON.
         """
         found = rule(self.state, Event.SYNC, where=self.task.name)
         try:
@@ -244,14 +244,14 @@ class Executor:
         return self.state
 
     def fault(self, error: BaseException, method: str = "cycle") -> State:
-        """Let `error` handle what a cycle raised, and return the next state.
+        """Let `error` handle an exception of a cycle; return the new state.
 
         The owner of the native loop calls this with any exception from the loop,
         including an error made from refused flags.
 
         Args:
-            error: What was raised.
-            method: Which method raised it: ``cycle``, ``stable``, ``sync`` or
+            error: The exception.
+            method: The method that raised it: ``cycle``, ``stable``, ``sync`` or
                 ``timing_failure``.
         """
         event = Event.SYNC if method == "sync" else Event.WAKEUP
@@ -270,7 +270,7 @@ class Executor:
         Raises:
             StateError: The task is not ON.
             MethodError: The handler returned an unknown answer.
-            Exception: What the handler raised: an error of the task, as if the cycle
+            Exception: The handler's exception: an error of the task, as if the cycle
                 had raised it; pass it to `fault`.
         """
         task, cls = self.task, type(self.instance)
@@ -295,17 +295,17 @@ class Executor:
         return answer
 
     def abort(self) -> State:
-        """Start again after a cycle that a timing failure ended: `on` runs again.
+        """Restart after a cycle that a timing failure ended: `on` runs again.
 
-        What the cycle left in the out-vars is discarded; the task still owns them.
+        The cycle's values of the out-vars are discarded; the task still owns them.
 
         Returns:
-            The state afterwards: ON, or OFF when `on` answers that it cannot continue.
+            The state afterwards: ON, or OFF if `on` answers that it cannot continue.
 
         Raises:
             StateError: The task is not ON.
             MethodError: `on` failed and the error was not corrected; `state` is the
-                task's state now.
+                task's new state.
         """
         return self._run(Event.ABORT)
 
@@ -330,7 +330,7 @@ class Executor:
         task.on_fail = self._on_fail if found.failure is Failure.ERROR else None
 
     def _steps(self, found: Rule, steps: tuple[Step, ...]) -> None:
-        """Take the steps of a rule, then enter its end state or the one answered."""
+        """Take the steps of a rule, then enter its end state or that of an answer."""
         end: Outcome | None = None
         for step in steps:
             end = self._take(found, step)
@@ -341,7 +341,7 @@ class Executor:
         self._go(end.to if end else found.to)
 
     def _take(self, found: Rule, step: Step) -> Outcome | None:
-        """Take one step; return where its answer leads, None to go on."""
+        """Take one step; return the outcome of its answer, None to continue."""
         self._actions.method = str(step)
         if step is Step.KILL:
             self.task.on_fail = None
@@ -361,7 +361,7 @@ class Executor:
     # -- failures ---------------------------------------------------------------------
 
     def _recover(self, found: Rule, failed: StepFailed) -> None:
-        """Do what the rule says about a failure; raise it unless it was corrected."""
+        """Apply the rule to a failure; raise it unless it was corrected."""
         if isinstance(failed.cause, RefusedError) and self.state in _ALIVE:
             self._go(self.state)
             raise failed.cause.error from None
@@ -384,12 +384,12 @@ class Executor:
     def _put_right(
         self, found: Rule, error: Raised, failure: MethodError
     ) -> MethodError | None:
-        """Ask `error`, unless it was asked already, and do what it answers.
+        """Call `error`, unless it was called already, and apply its answer.
 
-        In a combination, the parts after the one that failed may fail as well.
+        In a combination, the parts after the failed one may fail as well.
 
         Returns:
-            The failure that remains; None when `error` answered CONTINUE and that
+            The failure that remains; None if `error` answered CONTINUE and that
             succeeded.
         """
         while (answer := self._answer(error, failure)) is Answer.CONTINUE:
@@ -415,7 +415,7 @@ class Executor:
         return failure
 
     def _answer(self, error: Raised, failure: MethodError) -> Answer:
-        """Return what handlers or `error` answered, within ``fail()`` or now."""
+        """Return the answer of handlers or of `error`, given in ``fail()`` or now."""
         if isinstance(error, TaskFailure) and error.answer is not None:
             if error.answer is Answer.CONTINUE:  # from a handler that jumps
                 self.failure = None
@@ -432,7 +432,7 @@ class Executor:
         return self._ask(error, failure)
 
     def _follow(self, after: Outcome, failure: MethodError) -> None:
-        """Follow an outcome; what fails on the way is reported with `failure`."""
+        """Apply an outcome; further failures are reported with `failure`."""
         self.task.on_fail = None
         self.task.nextstate = after.to
         self._actions.cede = False
@@ -446,14 +446,14 @@ class Executor:
             self.task.signal(Signal.ERROR, self.task.errmsg)
 
     def _on_fail(self, error: MethodError) -> Answer:
-        """Have ``self.task.fail()`` ask the module's `error`."""
+        """Call the module's `error` for ``self.task.fail()``."""
         method = (
             self.cycling() if self._actions.method == "cycle" else self._actions.method
         )
         return self._ask(error, self._described(error, method))
 
     def _ask(self, error: Raised, failure: MethodError) -> Answer:
-        """Run the module's `error`; an exception in it counts as the answer ERROR."""
+        """Call the module's `error`; an exception in it counts as the answer ERROR."""
         task, before = self.task, self.task.on_fail
         shown = error.error if isinstance(error, TaskFailure) else error
         task.on_fail = None
@@ -469,10 +469,10 @@ class Executor:
         return answer
 
     def _described(self, error: Raised, method: str) -> MethodError:
-        """Return `error` as the error of a method, and note it in the context."""
+        """Return `error` as the error of a method, and store it in the context."""
         asked = isinstance(error, TaskFailure) and error.answer is not None
         if asked and self.failure is not None:
-            return self.failure  # it was noted when `error` was asked
+            return self.failure  # stored when `error` was called
         described = method_error(error, method, self._who())
         self.task.errmsg = str(described)
         self.failure = described
@@ -481,18 +481,18 @@ class Executor:
         return described
 
     def _who(self) -> str:
-        """Return the task, and of a combination the part that failed."""
+        """Return the task; for a combination, the part that failed."""
         part = self.task.at()
         return f"{self.task.name}.{part}" if part else self.task.name
 
     def _also(self, failure: MethodError, error: Raised, method: str) -> None:
-        """Add to `failure` what failed because of it."""
+        """Add a failure that is a consequence of `failure` to it."""
         second = method_error(error, method, self._who())
         add_remedy(failure, f"and then {second}")
         self.task.errmsg = str(failure)
 
     def _call(self, event: Event, step: Step, *args: object) -> object:
-        """Call `set` or `get`, which have arguments and change no state."""
+        """Call `set` or `get`, which have arguments and do not change the state."""
         self._enter(rule(self.state, event, where=self.task.name))
         method: Callable[..., object] = getattr(self.instance, str(step))
         try:

@@ -1,10 +1,10 @@
 """The fork server: one thread, numpy and pbonet imported, never zenoh.
 
-The RTPU process begins as one thread that has imported all of this, and forks it off
-before anything else. A fork server that replaces a dead one is started by exec, because
-a process with threads cannot be forked. Requests for children arrive over a socket. A
-child comes up in milliseconds with everything imported, and belongs to this
-process: if it ends, the kernel signals every child, and each turns itself off.
+The RTPU process starts as one thread that has imported all of this, and forks the fork
+server first. A fork server that replaces a dead one is started by exec, because a
+process with threads cannot be forked. Requests for children arrive over a socket. A
+child is ready in milliseconds with everything imported, and belongs to this process: if
+it ends, the kernel signals every child, and each turns itself off.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from pbonet.node.wire import process_setup, rtpu_messages
 from . import module_inspector, task_output, task_process
 
 FDS = 4
-"""The files that come with a request: socket, output, specification, crash text."""
+"""Number of files in a request: socket, output, specification, crash text."""
 CRASHED = 70
 """Exit code of a child that ended with an uncaught exception."""
 
 
 def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
-    """Fork a fork server off this process, which must have one thread.
+    """Fork a fork server from this process, which must have only one thread.
 
     Args:
         core: The RTPU's core.
-        close: A file that the fork server must not keep open, or -1.
+        close: A descriptor that the fork server must not keep open, or -1.
 
     Returns:
-        Its process id and the socket to it.
+        Its process id and the socket connected to it.
 
     Raises:
         NodeError: The system cannot create a process.
@@ -74,7 +74,7 @@ def beside(core: int, *, close: int) -> tuple[int, socket.socket]:
 
 
 def main(argv: list[str]) -> int:
-    """Serve on the socket whose number is the first argument, until it is closed."""
+    """Serve on the socket with the descriptor of the first argument until it closes."""
     return serve(socket.socket(fileno=int(argv[0])), int(argv[1]), int(argv[2]))
 
 
@@ -82,12 +82,12 @@ def serve(control: socket.socket, parent: int, core: int) -> int:
     """Run as the fork server of process `parent` until the socket is closed.
 
     Returns:
-        The exit status: 0, or 1 when the parent is gone already.
+        The exit status: 0, or 1 if the parent has already ended.
     """
     os.sched_setaffinity(0, process_setup.housekeeping_cores(core))
     if not process_setup.set_parent_death_signal(signal.SIGKILL, parent):
         return 1
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends at once, as with SIGTERM
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends it at once, like SIGTERM
     process_setup.set_title("pbonet-forks")
     gc.collect()
     gc.freeze()  # children share these pages until a reference count changes
@@ -161,13 +161,13 @@ class ForkServer:
 def become_child(request: rtpu_messages.Fork, fds: list[int], server: int) -> int:
     """Turn the process just forked into a task or an inspector; return its exit code.
 
-    Never raises: errors are written where the RTPU process finds them.
+    Never raises: errors are written to the file that the RTPU process reads.
     """
     sock_fd, spec_fd, crash_fd = _arrange_fds(fds)
     try:
         task_output.take_over()
         process_setup.set_title(request.title)
-        faulthandler.enable(crash_fd, all_threads=False)  # others keep running
+        faulthandler.enable(crash_fd, all_threads=False)  # other threads keep running
         run = module_inspector.run if request.kind == "inspect" else task_process.run
         return run(sock_fd, spec_fd, crash_fd, server)
     except BaseException:  # noqa: BLE001 - the process ends, and the RTPU is notified
@@ -195,10 +195,10 @@ def _arrange_fds(fds: list[int]) -> tuple[int, int, int]:
 
 
 def receive_with_fds(sock: socket.socket) -> tuple[bytes, list[int]]:
-    """Return the next packet and the files that came with it, b"" at the end.
+    """Return the next packet and the files sent with it; b"" at the end.
 
     Raises:
-        NodeError: A packet came without its files.
+        NodeError: A packet has no files.
     """
     fds = array("i")
     data, ancillary, _, _ = sock.recvmsg(65536, socket.CMSG_SPACE(FDS * fds.itemsize))

@@ -1,8 +1,8 @@
 """Records what a task does between its cycles.
 
-The native loop records the cycles. Everything else that is needed to run the module's
-code again from a log is recorded here: the copies around the other methods, and what
-made the executor run them. None of this happens within a cycle.
+The native loop records the cycles. Everything else that is needed to replay the
+module's code from a log is recorded here: the copies around the other methods, and the
+reasons why the executor ran them. None of this happens within a cycle.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 
 class Local(Copies, Protocol):
-    """A transfer that reports what it has committed."""
+    """Copies that report their last commit."""
 
     @property
     def array(self) -> Callable[[str], NDArray[Any]]:
-        """Gives the local copy of a variable by its name."""
+        """Returns the local copy of a variable by its name."""
         ...
 
     @property
@@ -56,7 +56,7 @@ class Local(Copies, Protocol):
 
 
 class Taker(Protocol):
-    """The destination of records: a ring, or a substitute for one."""
+    """The destination of records: a ring, or a substitute."""
 
     def put(
         self,
@@ -68,12 +68,12 @@ class Taker(Protocol):
         uid: int = 0,
         number: int = 0,
     ) -> bool:
-        """Append one record; False when there is no room."""
+        """Append one record; return False if there is no room."""
         ...
 
 
 class Time(Protocol):
-    """The task's time, which stands still from one record to the next."""
+    """The task's time, which does not advance between two records."""
 
     @property
     def cycles(self) -> int:
@@ -81,16 +81,16 @@ class Time(Protocol):
         ...
 
     def tick(self) -> int:
-        """Freeze it from now on, and return it."""
+        """Read the time, freeze it at that value, and return it."""
         ...
 
     def held(self) -> AbstractContextManager[object]:
-        """Freeze it within a block."""
+        """Return a context manager that freezes it."""
         ...
 
 
 class Whose(NamedTuple):
-    """The task that records are about, where it has no process of its own."""
+    """Identity of a task that has no process of its own."""
 
     domain: str
     rtpu: str
@@ -103,26 +103,26 @@ class Whose(NamedTuple):
 
 
 class Indexed(Protocol):
-    """A table's variables."""
+    """The variables of a table."""
 
     @property
     def variables(self) -> Sequence[Variable]:
-        """All of them."""
+        """All variables."""
         ...
 
     def index(self, name: str) -> int:
-        """Return the place of one."""
+        """Return the index of a variable."""
         ...
 
 
 class Journal:
-    """The copies of a task, and a record of each; see `port_transfer.Copies`.
+    """The copies of a task, each recorded; see `port_transfer.Copies`.
 
     Args:
         local: Does the copying.
-        ring: Takes the records.
-        about: The task they are about.
-        time: The task's time, which stands still from one record to the next.
+        ring: Destination of the records.
+        about: The task.
+        time: The task's time, which does not advance between two records.
         tape: The module's inputs from outside.
     """
 
@@ -142,9 +142,9 @@ class Journal:
 
     @contextlib.contextmanager
     def doing(self, did: Did) -> Generator[None]:
-        """Record what is about to be done, and freeze time."""
+        """Record an action before it is carried out, and freeze time."""
         with self._time.held():
-            did.arg = readable(did.arg)  # a module's error may contain anything
+            did.arg = readable(did.arg)  # a module's error may contain any characters
             self._put(Step.DID, msgspec.json.encode(did))
             try:
                 yield
@@ -153,7 +153,7 @@ class Journal:
 
     @property
     def blamed(self) -> Blamed:
-        """Variable and element that the last flags of a commit are about."""
+        """Variable and element to which the flags of the last commit refer."""
         return self._local.blamed
 
     def copy_in_consts(self) -> int:
@@ -178,7 +178,7 @@ class Journal:
         return self._copied(Step.ON_IN, flags, both)
 
     def check_claim(self) -> None:
-        """Raise when `claim` would, because another task owns an out-var."""
+        """Raise if `claim` would, because another task owns an out-var."""
         try:
             self._local.check_claim()
         except SvarError:
@@ -186,7 +186,7 @@ class Journal:
             raise
 
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out and become their owner, in one event; returns flags."""
+        """Copy the out-vars out and own them, as one event; returns flags."""
         flags = self._local.claim(now_ns, cycle)
         return self._copied(Step.CLAIM, flags, self._about.outvar)
 
@@ -200,7 +200,7 @@ class Journal:
         self._local.cede()
 
     def release(self) -> None:
-        """Give up the out-vars, whose values remain."""
+        """Release the out-vars, whose values remain."""
         self._local.release()
 
     def _copied(self, step: Step, flags: int, variables: Variables) -> int:
@@ -212,7 +212,7 @@ class Journal:
         return flags
 
     def broken_off(self) -> None:
-        """Record what `sync` received before a command interrupted it."""
+        """Record what `sync` read before a command interrupted it."""
         self._put_heard(Step.SYNC)
 
     def _put_heard(self, step: Step) -> None:
@@ -239,7 +239,7 @@ def about(
     library: Library,
     table: Indexed,
 ) -> TaskAbout:
-    """Return the task whose cycles a ring holds."""
+    """Return the description of the task whose cycles a ring holds."""
 
     def variables(ports: tuple[str, ...]) -> Variables:
         indices = {table.index(rmod.svar_name(port)) for port in ports}
@@ -268,7 +268,7 @@ def about(
 
 
 def files_of(rmod: Rmod, library: Library) -> list[str]:
-    """Return the files of the modules that an RMOD runs."""
+    """Return the files of an RMOD's modules."""
     if not rmod.parts:
         return [library.load(rmod.module).info.file]
     return [file for part in rmod.parts for file in files_of(part, library)]

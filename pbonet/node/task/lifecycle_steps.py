@@ -22,14 +22,14 @@ class Actions:
 
     Args:
         instance: Bound by `pbonet.pbo.bind`.
-        copies: Carries its ports.
+        copies: Transfers its ports.
         illegal: For a CRITICAL task: whether the illegal-configuration flag is up.
 
     Attributes:
-        do: What each step does.
-        dt: What `cycle` is given.
-        method: The method that runs, or ran last; ``stable`` when that ran as the
-            cycle.
+        do: The function of each step.
+        dt: The argument of `cycle`.
+        method: The current or last method; ``stable`` if that runs in place of
+            `cycle`.
         cede: Whether a successor takes over the out-vars in its own claim.
 
     Raises:
@@ -87,7 +87,7 @@ class Actions:
             self._instance.cycle(dt)
 
     def _accept(self, flags: int) -> None:
-        """Raise when the flags of a copy say that it was refused."""
+        """Raise if the flags of a copy show that it was refused."""
         if flags & ALL_REFUSED:
             raise refused(flags, self._copies.blamed)
 
@@ -112,7 +112,7 @@ class Actions:
         self._accept(self._copies.copy_out_consts(self._task.now))
 
     def _copy_in_on(self) -> None:
-        """Copy in what `on` needs, if the task may then own its out-vars."""
+        """Copy in what `on` needs, if the task can then own its out-vars."""
         try:
             self._copies.check_claim()
         except SvarError as error:

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 class Inspected(Struct):
-    """The result of an inspector."""
+    """The result of an inspection."""
 
     modules: list[ModuleInfo]
     errors: list[WireError]
 
 
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
-    """Describe what the specification asks for, write the result over it, and end."""
+    """Describe the modules of a specification and overwrite it with the result."""
     del sock_fd, crash_fd
     if not process_setup.set_parent_death_signal(signal.SIGKILL, server):
         return 1

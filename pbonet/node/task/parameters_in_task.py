@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def get_params(
     executor: Executor, info: ModuleInfo, name: str | None
 ) -> list[ParamValue]:
-    """Return one parameter as the module's `get` returns it, or all.
+    """Return one parameter as returned by the module's `get`, or all.
 
     Raises:
         ParameterError: There is no such parameter.

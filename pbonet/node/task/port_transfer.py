@@ -1,4 +1,4 @@
-"""Transfer of a task's ports in and out, as the executor sees it."""
+"""Interface of the transfer of a task's ports, for the executor."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 class Copies(Protocol):
     """Transfer of a task's ports between the local and the global table.
 
-    Every method may raise a `PbonetError`. Those that return flags return 0 when all is
-    well; those in `step_failures.REFUSED` are errors of the task, the others are
-    counted by the code that copies.
+    Every method may raise a `PbonetError`. Those that return flags return 0 on success;
+    the flags in `step_failures.REFUSED` are errors of the task, the others are counted
+    by the code that copies.
     """
 
     @property
     def blamed(self) -> Blamed:
-        """Variable and element that the last flags of a commit are about."""
+        """Variable and element to which the flags of the last commit refer."""
         ...
 
     def copy_in_consts(self) -> int:
@@ -38,10 +38,10 @@ class Copies(Protocol):
         ...
 
     def check_claim(self) -> None:
-        """Raise when `claim` would, because another task owns an out-var."""
+        """Raise if `claim` would, because another task owns an out-var."""
 
     def claim(self, now_ns: int = 0, cycle: int = 0) -> int:
-        """Copy the out-vars out and become their owner, in one event; returns flags."""
+        """Copy the out-vars out and own them, as one event; returns flags."""
         ...
 
     def commit(self, now_ns: int = 0, cycle: int = 0) -> int:
@@ -52,4 +52,4 @@ class Copies(Protocol):
         """Stop writing the out-vars, and leave them to a successor's claim."""
 
     def release(self) -> None:
-        """Give up the out-vars, whose values remain."""
+        """Release the out-vars, whose values remain."""

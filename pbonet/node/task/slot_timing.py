@@ -26,7 +26,7 @@ class SlotWatch:
     """
 
     told: Told
-    """Records what the module is given here."""
+    """Records the values that the module gets from here."""
 
     def __init__(self, failures: Failures) -> None:
         self._failures = failures
@@ -35,7 +35,7 @@ class SlotWatch:
 
     @property
     def criticality(self) -> int:
-        """The task's criticality at this moment."""
+        """The task's current criticality."""
         return self.told.now("criticality", self.ranked, -1)
 
     @criticality.setter
@@ -52,11 +52,11 @@ class SlotWatch:
         self._failures.deadline = check_deadline(self.task, value)
 
     def critical(self) -> AbstractContextManager[None]:
-        """Return what holds off timing failures and the loss of criticality."""
+        """Return a context manager that defers timing failures and their effects."""
         return self._failures.section
 
     def timed(self, name: str) -> AbstractContextManager[None]:
-        """Return the timer of the CPU time of section `name`.
+        """Return a context manager that measures the CPU time of section `name`.
 
         Raises:
             MethodError: The name is invalid, or there is no room for another.
@@ -68,7 +68,7 @@ class SlotWatch:
         return found
 
     def ranked(self) -> int:
-        """Return the criticality at this moment, which is not recorded."""
+        """Return the current criticality, without recording it."""
         return self._failures.criticality
 
     def _due(self) -> float:

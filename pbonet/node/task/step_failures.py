@@ -35,7 +35,7 @@ REFUSED = {
     32: "an output is outside its limits",
     64: "the outputs belong to another task",
 }
-"""Flags of a copy (`pbonet.svar.Flags`) that are errors of the task, in words."""
+"""Flags of a copy (`pbonet.svar.Flags`) that are errors of the task, with texts."""
 ALL_REFUSED = sum(REFUSED)
 OUTSIDE = 32
 ABOUT_ELEMENT = frozenset({16, OUTSIDE})
@@ -54,7 +54,7 @@ class RefusedError(Exception):
     """A step was requested that is not possible; the module is not at fault.
 
     Args:
-        error: What is reported to the sender of the signal.
+        error: The error for the sender of the signal.
     """
 
     def __init__(self, error: PbonetError) -> None:
@@ -63,7 +63,7 @@ class RefusedError(Exception):
 
 
 def contained(error: BaseException) -> Raised:
-    """Return what a module raised as an exception that can be handled.
+    """Return a module's exception as one that can be handled.
 
     A module may raise anything; ``sys.exit()`` must not end the task's process, because
     the task would then miss its `off` and `kill`.
@@ -79,11 +79,11 @@ def contained(error: BaseException) -> Raised:
 
 
 def refused(flags: int, blamed: Blamed) -> SvarError:
-    """Return the error that the flags of a copy mean.
+    """Return the error for the flags of a copy.
 
     Args:
-        flags: Some of them in `REFUSED`.
-        blamed: The variable and element they are about.
+        flags: At least one of them is in `REFUSED`.
+        blamed: The variable and element to which they refer.
     """
     bit, text = next(item for item in REFUSED.items() if flags & item[0])
     keeps = "the table keeps its last values"
@@ -106,10 +106,10 @@ def is_answer(answer: object) -> TypeGuard[Answer]:
 
 
 def answered(found: Rule, step: Step, answer: object) -> Outcome | None:
-    """Return how the result of a step ends its rule; None to continue.
+    """Return the outcome by which the result of a step ends its rule; None: continue.
 
     Raises:
-        MethodError: A method returned an answer that the rule does not have.
+        MethodError: A method returned an answer that the rule does not allow.
     """
     if (answer is None or is_answer(answer)) and answer in found.answers:
         return found.answers[answer]
@@ -117,7 +117,7 @@ def answered(found: Rule, step: Step, answer: object) -> Outcome | None:
 
 
 def recovery(answer: object) -> Recovery:
-    """Return what a handler of timing failures answered.
+    """Return the answer of a handler of timing failures.
 
     Raises:
         MethodError: It returned an unknown answer.
@@ -135,7 +135,7 @@ def recovery(answer: object) -> Recovery:
 
 
 def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
-    """Return the error that says what `step` may answer; `error` has no rule."""
+    """Return the error for an invalid answer of `step`; `error` has no rule."""
     allowed = list(found.answers) if found else list(Answer)
     words = ["None" if one is None else f"Answer.{one}" for one in allowed]
     got = f"Answer.{answer}" if isinstance(answer, Answer) else repr(answer)
@@ -148,7 +148,7 @@ def bad_answer(step: object, answer: object, found: Rule | None) -> MethodError:
 
 
 def method_error(error: Raised, method: str, task: str) -> MethodError:
-    """Return what a method raised as the error of the task, with its parts kept."""
+    """Return a method's exception as the error of the task, with number and place."""
     told = _method_error(error, f"{task}.{method}")
     cause = error.error if isinstance(error, TaskFailure) else error
     told.number = number_of(cause)
@@ -194,13 +194,13 @@ def own_place(trace: str) -> str:
     """Return the innermost line in the module's own folder from a crash's traceback.
 
     Args:
-        trace: Lines of `faulthandler`, the innermost first; a line of ctypes, where a
-            library was called, is not the module's line.
+        trace: Lines of `faulthandler`, innermost first; lines of libraries called
+            through ctypes are not the module's.
     """
     calls: list[tuple[str, str]] = []
     for call in _CALL.finditer(trace):
         if Path(__file__).parents[1] in Path(call[1]).parents:
-            break  # from here outwards it is the task's process
+            break  # the outer frames belong to the task's process
         calls.append((call[1], "{}:{} in {}".format(*call.groups())))
     return innermost(reversed(calls))
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from pbonet.xm.net import Call
 
 Found = tuple["rt.CoreTable", int, int, int, int]
-"""The place where a successor stands by, in the form `rt.Slot.disarm` takes."""
+"""A successor's slot, in the form that `rt.Slot.disarm` takes."""
 
 
 class Successors:
-    """Finds where the successors of a task stand by; in the task's process.
+    """Finds the slots of a task's successors; used in the task's process.
 
     Args:
         core: The core table of the task.
@@ -33,10 +33,10 @@ class Successors:
         """The opened tables of other cores, by core."""
 
     def find(self, calls: Sequence[Call]) -> list[Found]:
-        """Find the successors that calls are for.
+        """Return the slots of the successors to be called.
 
         Raises:
-            StateError: One no longer stands by.
+            StateError: A successor is no longer a standby.
         """
         found: list[Found] = []
         for call in calls:

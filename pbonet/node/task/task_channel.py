@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .step_failures import Raised
 
 LONGEST_TEXT = 5000
-"""Characters of each text that are sent when a notice is too long."""
+"""Characters that are sent of each text if a notice is too long."""
 INTERRUPT = signal.SIGUSR2
 ORPHAN_SIGNAL = signal.SIGUSR1
 """Sent by the kernel when the parent has ended; handled in native code."""
@@ -34,11 +34,11 @@ F_SETSIG = 10
 
 
 class Interrupted(BaseException):
-    """Ends a module's wait in `sync`, because a message arrived."""
+    """Ends a module's wait in `sync` because a message arrived."""
 
 
 def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
-    """Let the kernel signal what arrives on `sock`, including its end.
+    """Let the kernel send a signal when a message arrives on `sock`, or its end.
 
     Args:
         sock: The task's socket.
@@ -46,7 +46,7 @@ def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
             `Interrupted` to end it.
     """
     signal.signal(INTERRUPT, lambda _number, _frame: arrived())
-    # If both come at once, the first one decides whether the kernel restarts the wait.
+    # If both come at once, the first decides whether the kernel restarts the wait.
     signal.siginterrupt(ORPHAN_SIGNAL, True)  # noqa: FBT003 - the library's
     fcntl.fcntl(sock, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(sock, F_SETSIG, int(INTERRUPT))
@@ -57,9 +57,9 @@ def interrupt_waits(sock: socket.socket, arrived: Callable[[], None]) -> None:
 class Voice:
     """The task's end of its socket.
 
-    Answers wait until the RTPU process takes them. What a module sends within a cycle
-    never waits: without room it is dropped, counted, and reported later. News of the
-    task's state does not wait either, but is kept until there is room.
+    Answers wait until the RTPU process receives them. What a module sends within a
+    cycle never waits: if there is no room it is dropped, counted, and reported later.
+    Reports of the task's state do not wait either, but are kept until there is room.
 
     Args:
         sock: Sequenced packets to the RTPU process.
@@ -74,11 +74,11 @@ class Voice:
 
     @property
     def owing(self) -> list[socket.socket]:
-        """The socket, while news of the task's state waits for room there."""
+        """The socket, if reports of the task's state wait for room there."""
         return [self.sock] if self._owed else []
 
     def pay(self) -> bool:
-        """Send the kept news, as far as there is room; return whether all was sent."""
+        """Send kept reports as far as there is room; return whether all were sent."""
         try:
             while self._owed:
                 self.sock.send(self._owed[0], socket.MSG_DONTWAIT)
@@ -90,7 +90,7 @@ class Voice:
         return True
 
     def hear(self) -> bytes | None:
-        """Return the next packet, b"" when the other end is closed, None for none."""
+        """Return the next packet, b"" if the other end is closed, or None."""
         try:
             return self.sock.recv(2 * rtpu_messages.LARGEST_PACKET, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -99,11 +99,11 @@ class Voice:
             return b""
 
     def waits(self) -> bool:
-        """Return whether a packet, or the end, waits to be received."""
+        """Return whether a packet, or the end, can be received."""
         return bool(select.select([self.sock], [], [], 0)[0])
 
     def say(self, done: rtpu_messages.Done) -> None:
-        """Answer a message; what cannot be encoded is answered with an error."""
+        """Answer a message; if the answer cannot be encoded, with an error."""
         done.lost = dict(self._lost)
         try:
             data = rtpu_messages.encode(done)
@@ -115,12 +115,12 @@ class Voice:
             for one in (*self._owed, data):
                 self.sock.send(one)
         except OSError:
-            return  # the RTPU process is gone; the orphan guard says so
+            return  # the RTPU process is gone, as the orphan guard reports
         self._owed.clear()
         self._lost.clear()
 
     def put(self, notice: Notice) -> None:
-        """Take a module's signal or warning, within a cycle."""
+        """Send a module's signal or warning, within a cycle."""
         warned = notice.bits & Signal.WARNING
         handled = notice.handled
         self._post(
@@ -148,7 +148,7 @@ class Voice:
         error: PbonetError | None = None,
         about: PbonetError | None = None,
     ) -> None:
-        """Report something unasked; `about` holds its number and place."""
+        """Send an unsolicited report; `about` holds its number and place."""
         about = about or error
         self._post(
             rtpu_messages.Notice(
@@ -164,7 +164,7 @@ class Voice:
         )
 
     def report(self, error: Raised, executor: Executor, cycle: int) -> None:
-        """Report what a cycle raised and how that was handled."""
+        """Report an error of a cycle and how it was handled."""
         if isinstance(error, PbonetError):
             told = error
         else:
@@ -185,7 +185,7 @@ class Voice:
         return f"{names}: {notice.text}" if notice.text else names
 
     def send(self, data: bytes) -> None:
-        """Send news of the state, encoded beforehand, without waiting."""
+        """Send an encoded report of the state, without waiting."""
         self._offer(data, owe=True)
 
     def _post(self, notice: rtpu_messages.Notice) -> None:
@@ -286,7 +286,7 @@ class SlotTime:
 
     Args:
         slot: The task's slot.
-        told: Records what the module is given of it that is in no cycle's record.
+        told: Records the values that the module gets and that no cycle's record holds.
     """
 
     def __init__(self, slot: Slot, told: Told) -> None:
@@ -302,14 +302,14 @@ class SlotTime:
 
     @property
     def now(self) -> int:
-        """The release of the present cycle; between cycles, when the method began."""
+        """The release of the current cycle; between cycles, when the method began."""
         if self.cycling:
             return self._slot.release_ns
         return self._held or self._slot.now_ns
 
     @contextlib.contextmanager
     def held(self) -> Generator[None]:
-        """Freeze time between cycles, so that a log can state it."""
+        """Freeze time between cycles, so that a log can record it."""
         self.tick()
         try:
             yield
@@ -317,7 +317,7 @@ class SlotTime:
             self._held = 0
 
     def tick(self) -> int:
-        """Freeze it from now on, and return it."""
+        """Read the time, freeze it at that value, and return it."""
         self._held = self._slot.now_ns
         return self._held
 
@@ -341,7 +341,7 @@ class SlotTime:
 class Context(TaskContext):
     """``self.task`` in a task's process: asking for OFF wakes the runtime.
 
-    Signals are counted in the task's slot, where no flood can drop them.
+    Signals are counted in the task's slot, so that none is lost.
     """
 
     on_off: Callable[[], None] | None = None
@@ -350,7 +350,7 @@ class Context(TaskContext):
 
     @property
     def stamp_ns(self) -> int:
-        """When the outputs were measured; see `TaskContext.stamp_ns`."""
+        """Measurement time of the outputs; see `TaskContext.stamp_ns`."""
         return self.slot.stamp_ns
 
     @stamp_ns.setter
@@ -359,7 +359,7 @@ class Context(TaskContext):
 
     @property
     def sigmask(self) -> int:
-        """Signals that the master does not want from this task, as bits."""
+        """Signals of this task that the master ignores, as bits."""
         return self.told.now("sigmask", lambda: self.slot.sigmask, 0)
 
     def signal(self, signal: Signal | int, text: str = "") -> None:

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 
 class Alarm:
-    """Causes that a task has raised: by its module, or because its inputs are stale.
+    """Causes that a task has raised, by its module or because its inputs are stale.
 
-    Both end when the task is not ON any more, and with its process.
+    All are withdrawn when the task is no longer ON, and when its process ends.
 
     Args:
         table: The table with the flag.
         raiser: The task, with its RTPU.
-        task: The module's view of it; gets a hook, and reports what happens.
+        task: The module's context, to which a hook is added; also used for reports.
     """
 
     def __init__(self, table: Table, raiser: str, task: TaskContext) -> None:
@@ -46,13 +46,13 @@ class Alarm:
             self._task.announce(Signal.LEGAL, before)
 
     def end(self) -> None:
-        """Withdraw everything; harmless when there is nothing."""
+        """Withdraw all causes; no effect if there are none."""
         self.aged("")
         for cause in list(self._causes):
             self._said(cause, up=False)
 
     def _said(self, cause: str, *, up: bool) -> None:
-        """Obey the module; withdrawing without a cause withdraws all its causes."""
+        """Raise or withdraw a cause for the module; an empty one withdraws all."""
         if up:
             self._causes.add(cause)
             self._raise(cause)

@@ -1,9 +1,9 @@
 """Output that modules print: carried to the RTPU process without waiting.
 
 In the task, file descriptors 1 and 2 are one non-blocking pipe. Python's own streams
-are replaced by a writer that drops what does not fit and says how much; C code that
-prints loses what does not fit. In the RTPU process, `Lines` cuts what arrives into
-lines and lets a bounded number of them become events.
+are replaced by a writer that drops what does not fit and reports how much; output of C
+code that does not fit is lost. In the RTPU process, `Lines` splits the output into
+lines and turns a bounded number of them into events.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PIPE_BYTES = 1 << 18
 
 
 class DroppingWriter(io.TextIOBase):
-    """A text stream on a non-blocking pipe that drops rather than waits."""
+    """A text stream to a non-blocking pipe that drops output instead of waiting."""
 
     def __init__(self, fd: int) -> None:
         super().__init__()
@@ -36,7 +36,7 @@ class DroppingWriter(io.TextIOBase):
         return True
 
     def fileno(self) -> int:
-        """Return the pipe's number."""
+        """Return the pipe's descriptor."""
         return self._fd
 
     def write(self, text: str) -> int:
@@ -50,7 +50,7 @@ class DroppingWriter(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Write what is left without its newline."""
+        """Write the kept text, which has no newline."""
         if self._part:
             part, self._part = self._part, ""
             self._send(part)
@@ -69,19 +69,19 @@ class DroppingWriter(io.TextIOBase):
 
 
 def take_over() -> None:
-    """Let Python's streams drop rather than wait; 1 and 2 are the pipe already."""
+    """Make Python's streams drop instead of wait; 1 and 2 are the pipe already."""
     os.set_blocking(1, False)
     sys.stdout = DroppingWriter(1)
     sys.stderr = DroppingWriter(2)
 
 
 class Lines:
-    """Cuts what a task printed into lines and passes a bounded number of them on.
+    """Splits a task's output into lines and passes a bounded number of them on.
 
     Args:
-        tell: Called with one line, or with a note that lines were held back.
+        tell: Called with one line, or with a note about suppressed lines.
         clock_ns: CLOCK_MONOTONIC in nanoseconds.
-        budget: How many lines pass.
+        budget: Limits the number of lines.
     """
 
     def __init__(
@@ -95,13 +95,13 @@ class Lines:
         self._budget = budget or LineBudget()
         self._part = b""
         self._cut = False
-        """The last line was passed before its end came."""
+        """Whether the last line was passed before its newline came."""
 
     def feed(self, data: bytes) -> None:
-        """Take bytes as they came out of the pipe."""
+        """Process bytes read from the pipe."""
         *lines, self._part = (self._part + data).split(b"\n")
         if self._cut and lines and not lines[0]:
-            del lines[0]  # no line of its own
+            del lines[0]  # the end of the line that was passed before
         self._cut = self._cut and not data
         if len(self._part) > 4 * LONGEST_LINE:
             lines.append(self._part)
@@ -110,7 +110,7 @@ class Lines:
             self._pass(line)
 
     def close(self) -> None:
-        """Pass the last line, and say how many were held back."""
+        """Pass the last line, and report how many were suppressed."""
         if self._part:
             self._pass(self._part)
             self._part = b""

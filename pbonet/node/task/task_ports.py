@@ -31,7 +31,7 @@ def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
     """Return the local table of this process, with the variables of the ports.
 
     Raises:
-        SvarError: A variable is not there, or there is no room.
+        SvarError: There is no such variable, or no room.
     """
     return table.local(
         task,
@@ -46,12 +46,12 @@ def local_table(table: Table, task: str, rmod: Rmod) -> LocalTable:
 def ages(
     rmod: Rmod, info: ModuleInfo, stale: Callable[[str], bool]
 ) -> Callable[[str], bool]:
-    """Return a function that tells if the in-var of an attribute is stale.
+    """Return a function that returns whether the in-var of an attribute is stale.
 
     Args:
-        rmod: Names the variables of the ports.
+        rmod: Defines the variables of the ports.
         info: The module's description.
-        stale: Returns it for a variable.
+        stale: Returns whether a variable is stale.
     """
     names = {
         port.attr: rmod.svar_name(port.name)
@@ -62,11 +62,11 @@ def ages(
 
 
 def check_ports(rmod: Rmod, info: ModuleInfo) -> None:
-    """Refuse an RMOD that its module does not fit: by ports, or by methods.
+    """Refuse an RMOD that does not fit its module in ports or methods.
 
     Raises:
         PortError: A port is missing on one side, or its kind differs.
-        DeclarationError: A method that the RMOD relies on is missing.
+        DeclarationError: A method that the RMOD needs is missing.
     """
     for what, where, expected, remedy in missing_methods(rmod, info):
         raise DeclarationError(what, where=where, expected=expected, remedy=remedy)

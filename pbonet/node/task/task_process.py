@@ -1,9 +1,9 @@
 """The process of one task: the module in the main thread, and no other thread.
 
-It comes out of the fork server with everything imported. Commands arrive as packets on
-its socket; while the task cycles, the RTPU process also raises a flag in the task's
-slot, which makes the native loop return between two cycles. When the RTPU process or
-the fork server ends, so does the task: it runs `off` and `kill` within a second.
+The fork server creates it with everything imported. Commands arrive as packets on its
+socket; while the task cycles, the RTPU process also sets a request in the task's slot,
+which makes the native loop return between two cycles. When the RTPU process or the fork
+server ends, so does the task: it runs `off` and `kill` within a second.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
     """Run the task that the specification describes; return the exit code."""
     orphan_fd = rt.orphan_guard(task_channel.ORPHAN_SIGNAL, server)
-    # Only its own stack: reading those of running threads can end the process.
+    # Only its own stack: reading the stacks of running threads can end the process.
     faulthandler.register(rtpu_messages.DUMP_SIGNAL, crash_fd, all_threads=False)
     sock = socket.socket(fileno=sock_fd)
     data = os.pread(spec_fd, os.fstat(spec_fd).st_size, 0)
@@ -75,13 +75,13 @@ def run(sock_fd: int, spec_fd: int, crash_fd: int, server: int) -> int:
 
 
 class Host:
-    """A task's process: makes the instance, obeys messages, cycles.
+    """A task's process: makes the instance, handles messages, cycles.
 
     Args:
         spec: The task's specification.
         voice: The socket to the RTPU process.
         core: The table of its core.
-        orphan_fd: Readable once the parent is gone.
+        orphan_fd: Readable when the parent has ended.
     """
 
     def __init__(
@@ -98,9 +98,9 @@ class Host:
         self._asked_to_end = ""
         self._waiting_outside = False
         self.predecessors: list[str] = []
-        """While it stands by: the tasks whose out-vars it takes over."""
+        """The tasks whose out-vars it takes over while it is a standby."""
         self._engaged = b""
-        """Its message after `on`, encoded beforehand because its first cycle waits."""
+        """Its message after `on`, encoded in advance because its first cycle waits."""
         self._wake_read = -1
         self.core = core
         self.slot = rt.Slot(core, spec.slot)
@@ -113,7 +113,7 @@ class Host:
     # -- birth -------------------------------------------------------------------------
 
     def take_signals(self) -> None:
-        """Let signals from outside end the task."""
+        """Let SIGTERM and SIGINT end the task."""
         self._wake_read, wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(wake_write, warn_on_full_buffer=False)
         for which in (signal.SIGTERM, signal.SIGINT):
@@ -123,24 +123,24 @@ class Host:
         """Return the table of a core.
 
         Raises:
-            PbonetError: It cannot be had.
+            PbonetError: The table cannot be opened.
         """
         return rt.CoreTable(number, member=False)
 
     def library(self) -> Library:
-        """Return the library that has the module."""
+        """Return the library of the module."""
         return Library(self.spec.libraries)
 
     def attach(self) -> Table:
         """Return the subsystem's table.
 
         Raises:
-            SvarError: It cannot be had.
+            SvarError: The table cannot be opened.
         """
         return Table.attach(self.spec.table, layout=self.spec.layout)
 
     def live_in_process(self) -> None:
-        """Set what a module's question about its place is answered with."""
+        """Set the RTPU and domain that the module sees as its own."""
         spec = self.spec
         live_on(
             spec.rtpu,
@@ -153,7 +153,7 @@ class Host:
         """Load the module, bind it to the table, and run its `init`.
 
         Raises:
-            PbonetError: What is wrong with RMOD, module, table, or `init`.
+            PbonetError: The RMOD, the module, the table or `init` is at fault.
         """
         spec = self.spec
         self.rmod: Rmod = parse_rmod(spec.rmod, spec.rmod_name)
@@ -228,7 +228,7 @@ class Host:
         self.ready(notes)
 
     def ready(self, notes: list[str]) -> None:
-        """Report that the task is OFF, with all else there is to report."""
+        """Report that the task is OFF, with its description."""
         ready = rtpu_messages.TaskReady(
             module=self.info.name,
             version=self.info.version,
@@ -248,7 +248,7 @@ class Host:
         return self.rmod.tasktype is not TaskType.PERIODIC
 
     def live(self) -> None:
-        """Obey messages and cycle until the task is killed or orphaned."""
+        """Handle messages and cycle until the task is killed or orphaned."""
         while not self._over:
             if self._asked_to_end or rt.orphaned():
                 self.end(self._asked_to_end or "its parent process is gone")
@@ -271,16 +271,16 @@ class Host:
             self._take()
 
     def _stand_by(self) -> None:
-        """Wait, OFF, until the dispatcher engages the task or a message comes."""
+        """Wait while OFF until the dispatcher engages the task or a message arrives."""
         if self.slot.stand_by() == rt.ENGAGED:
             self._engage()
         self._take()
 
     def _engage(self) -> None:
-        """Turn ON because others have ended, without a signal from a master."""
+        """Turn ON because predecessors have ended, without a signal from a master."""
         failed: PbonetError | None = None
         self.predecessors = []
-        kind = self.slot.after or -1  # none: it was taken back before it could run
+        kind = self.slot.after or -1  # 0: withdrawn before it could run
         self.local.given_up = lambda: self.slot.after != kind
         self.time.turned_on()
         try:
@@ -309,7 +309,7 @@ class Host:
         instance = self.executor.instance
         reason = 0
         if not self.voice.pay():
-            self.core.request(self.spec.slot)  # return after a cycle, and pay
+            self.core.request(self.spec.slot)  # return after a cycle, to send reports
         self.time.cycling = True
         try:
             reason = self.slot.run(
@@ -349,12 +349,12 @@ class Host:
         """Wait as the module's `sync` does; a message that arrives ends the wait."""
         self._waiting_outside = True
         if self.voice.waits() or self._asked_to_end:
-            raise task_channel.Interrupted  # before the wait could be interrupted
+            raise task_channel.Interrupted  # it came before the wait began
         self.executor.instance.sync()
         self._waiting_outside = False
 
     def _method(self) -> str:
-        """Return which method the native loop runs, or ran last."""
+        """Return the current or last method of the native loop."""
         if self.slot.failures.error is not None:
             return "timing_failure"
         if self._waiting_outside:
@@ -366,7 +366,7 @@ class Host:
             raise task_channel.Interrupted
 
     def _begin_anew(self) -> None:
-        """Carry out what follows a cycle that the module's handler ended."""
+        """Restart after a cycle that the module's handler ended."""
         try:
             with self.journal.doing(Did("abort", calls=self.tape.calls())):
                 self.executor.abort()
@@ -383,7 +383,7 @@ class Host:
             )
 
     def _fault(self, error: Raised) -> None:
-        """Let the executor handle what a cycle raised, and report it."""
+        """Let the executor handle an exception of a cycle, and report it."""
         method = self._method()
         self._waiting_outside = False
         settled = False
@@ -399,7 +399,7 @@ class Host:
             self.voice.report(error, self.executor, self.time.cyclecount)
 
     def _obey(self, signal: str) -> None:
-        """Carry out a signal for which no request waits; report the result."""
+        """Carry out a signal that no request waits for; report the result."""
         failed: PbonetError | None = None
         try:
             with self.journal.doing(Did(signal)):
@@ -417,7 +417,7 @@ class Host:
         )
 
     def _take(self) -> None:
-        """Obey all messages that wait."""
+        """Handle all waiting messages."""
         while not self._over:
             data = self.voice.hear()
             if data is None:
@@ -461,7 +461,7 @@ class Host:
         """Carry out a signal.
 
         Returns:
-            Successors that were called and have died, and whether the task stands by.
+            Called successors that have died, and whether the task is a standby.
         """
         which = message.signal
         calls = self.successors.find(message.calls)
@@ -481,7 +481,7 @@ class Host:
         return gone, bool(self.predecessors)
 
     def _prepare(self, wanted: rtpu_messages.Prepare) -> None:
-        """Get ready to replace other tasks; refused in the same cases as `on`."""
+        """Become a standby for other tasks; refused in the same cases as `on`."""
         self.predecessors, after = [], wanted.after
         self.local.take_over_from([])
         if not after:
@@ -506,7 +506,7 @@ class Host:
         )
 
     def _after_signal(self, calls: Sequence[Found] = ()) -> list[bool]:
-        """Bring the slot in line with the state; see `_disarm`."""
+        """Adjust the slot to the state; see `_disarm`."""
         state = self.executor.state
         heard: list[bool] = []
         if state is not State.ON:
@@ -517,15 +517,15 @@ class Host:
         return heard
 
     def _tidy(self) -> None:
-        """Leave nothing for the garbage collector in the cycles to come."""
+        """Leave no garbage for the collector in the next cycles."""
         gc.collect()
         gc.freeze()
 
     def _disarm(self, calls: Sequence[Found] = ()) -> list[bool]:
-        """Leave the releases; engage the successors, or in ERROR the fallback.
+        """Stop releases; engage the successors, or in ERROR the fallback.
 
         Returns:
-            Which successors live, of those that were called.
+            For each called successor whether it is alive.
         """
         heard: list[bool] = []
         if self.executor.state is State.ERROR:
@@ -537,7 +537,7 @@ class Host:
         return heard
 
     def _answer(self, n: int, result: object, error: PbonetError | None = None) -> None:
-        wired = PbonetError.to_wire(error) if error else None  # its line is sent too
+        wired = PbonetError.to_wire(error) if error else None  # includes its line
         state = self.executor.state.value
         done = rtpu_messages.Done(n=n, state=state, result=result, error=wired)
         if isinstance(error, MethodError):
@@ -547,7 +547,7 @@ class Host:
     # -- death -------------------------------------------------------------------------
 
     def end(self, reason: str) -> None:
-        """Run `off` and `kill` when the task ends without having been sent them."""
+        """Run `off` and `kill` when the task ends without having received them."""
         self.voice.notice(
             Severity.WARNING,
             "ENDING",

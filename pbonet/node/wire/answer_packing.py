@@ -19,7 +19,7 @@ class Answers:
 
     Args:
         rtpu: The RTPU that answers.
-        report: Takes the text of a fault that is no error of pbonet.
+        report: Called with the text of an exception that is not an error of pbonet.
     """
 
     def __init__(self, rtpu: str, report: Callable[[str], None]) -> None:
@@ -44,13 +44,13 @@ class Answers:
         return data
 
     def bad(self, request: m.Request, error: Exception) -> bytes:
-        """Return the answer with an error; one that is not pbonet's is reported."""
+        """Return the answer with an error; foreign exceptions are reported."""
         if not isinstance(error, PbonetError):
             error = self._fault(request, error)
         return self._codec.pack(codec.failure(error, request.id))
 
     def _fault(self, request: m.Request, error: Exception) -> PbonetError:
-        """Return the answer to a failure that is no error of pbonet."""
+        """Return the error for an exception that is not an error of pbonet."""
         if isinstance(error, OSError) and error.errno == _DISK_FULL:
             return SvarFullError(
                 "no room is left in shared memory",

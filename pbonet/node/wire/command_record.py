@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from pbonet.xm.net import AnyRequest
 
 LONGEST_TEXT: Final = 300
-"""Characters of a text that a log holds; longer ones are files, attached to it."""
+"""Maximum length of a text in a log; longer ones are files, attached to it."""
 LONGEST_LIST: Final = 64
 LARGEST: Final = 8192
-"""Bytes of a request and of an answer; the pipe to the recorder is narrow."""
+"""Maximum bytes of a request and of an answer, because the recorder's pipe is small."""
 _PLAIN: Final = frozenset({"v", "id", "client", "subsystem", "epoch", "op"})
 _ANSWER: Final = msgspec.msgpack.Decoder(Answer)
 
@@ -31,7 +31,7 @@ def command(
     Args:
         request: The request.
         answer: The packed answer.
-        begun_ns: When it came, CLOCK_MONOTONIC.
+        begun_ns: When it was received, CLOCK_MONOTONIC.
         ended_ns: When it was answered.
     """
     asked = cast("dict[str, Any]", msgspec.to_builtins(request))

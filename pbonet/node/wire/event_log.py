@@ -1,7 +1,7 @@
 """Events of one RTPU: numbered, kept for late requests, passed to the publisher.
 
 Every error, warning, state change and line of output becomes an event. The RTPU process
-keeps them, so that numbers go on when its agent is restarted.
+keeps them, so that the numbers continue when its agent is restarted.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class EventLog:
     """The last events of one RTPU.
 
     Args:
-        rtpu: Its name, written into every event.
+        rtpu: Its name, added to every event.
         clock_ns: CLOCK_MONOTONIC in nanoseconds; tests supply their own.
-        wall: Seconds since the epoch, for people to read.
+        wall: Seconds since the epoch, for display.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class EventLog:
 
     @property
     def next(self) -> int:
-        """The number that the next event will have."""
+        """The number of the next event."""
         return self._next
 
     def add(
@@ -65,7 +65,7 @@ class EventLog:
         errnum: int = 0,
         place: str = "",
     ) -> Event:
-        """Number, keep and publish something that happened."""
+        """Number, keep and publish an event."""
         if len(text) > LONGEST_TEXT:
             text = f"{text[:LONGEST_TEXT]} ... ({len(text) - LONGEST_TEXT} more)"
         event = Event(
@@ -94,7 +94,7 @@ class EventLog:
     def count(
         self, code: str, number: int = 1, *, subsystem: str = "", task: str = ""
     ) -> None:
-        """Count events; those that are held back in a flood are counted only."""
+        """Count events; suppressed ones are only counted."""
         self._counts[subsystem, task, code] += number
 
     def counts(self) -> list[tuple[str, str, str, int]]:
@@ -107,7 +107,7 @@ class EventLog:
             del self._counts[key]
 
     def since(self, number: int, limit: int = KEPT) -> list[Event]:
-        """Return the kept events from `number` on, the oldest first."""
+        """Return the kept events from `number` on, oldest first."""
         if not self._kept or number >= self._next:
             return []
         skip = max(0, number - self._kept[0].n)
@@ -133,9 +133,9 @@ def by_task(
 
 
 class LineBudget:
-    """Decides which lines of a talkative source pass: a rate with a burst.
+    """Limits the lines of a source to a rate with a burst.
 
-    What does not pass is counted, and the count is reported once lines pass again.
+    Suppressed lines are counted, and the count is reported once lines pass again.
     """
 
     def __init__(self, rate: float = 20.0, burst: float = 100.0) -> None:
@@ -157,13 +157,13 @@ class LineBudget:
         return False
 
     def told(self) -> int:
-        """Return how many lines were held back since the last call."""
+        """Return how many lines were suppressed since the last call."""
         count, self.suppressed = self.suppressed, 0
         return count
 
 
 def severity(bits: int) -> Severity:
-    """Return how bad the signals are."""
+    """Return the severity of signals."""
     if bits & (Signal.ERROR | Signal.SHUTDOWN):
         return Severity.ERROR
     return Severity.WARNING if bits & Signal.WARNING else Severity.INFO

@@ -1,9 +1,10 @@
 """The life of a task as data (Stewart 1994, sections 3.5, 3.6, 4.5.3, Figure 3.10).
 
-`RULES` says, for every state and every signal that is valid in it, which steps follow:
+`RULES` lists, for every state and every signal that is valid in it, the steps to take:
 copies between the local and the global table, and methods of the module. `ANSWERED`
-says what follows what `error` answered. `pbonet.node.task.executor` obeys these tables,
-``docs/lifecycle.md`` is generated from them, and nothing else decides about states.
+lists the consequences of the answers of `error`. `pbonet.node.task.executor` follows
+these tables, ``docs/lifecycle.md`` is generated from them, and no other code decides
+about states.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Event(StrEnum):
 
 
 class Step(StrEnum):
-    """One thing that a task does: a copy, or a method of the module."""
+    """One step of a task: a copy, or a method of the module."""
 
     COPY_IN_CONSTS = "in-consts in"
     COPY_OUT_CONSTS = "out-consts out"
@@ -46,10 +47,10 @@ class Step(StrEnum):
     COPY_IN_AGAIN = "in-vars and out-vars in again"
     """The same for a task that owns its out-vars and keeps them."""
     CLAIM = "out-vars out, own"
-    """Out-vars are copied out and are the task's own: one event for all others."""
+    """Out-vars are copied out and owned by the task: one event for all others."""
     COMMIT = "out-vars out"
     RELEASE = "disown"
-    """Out-vars keep their values and belong to nobody; nothing if they already do."""
+    """Out-vars keep their values and have no owner; no effect if they have none."""
     INIT = "init"
     ON_METHOD = "on"
     CYCLE = "cycle"
@@ -64,7 +65,7 @@ class Step(StrEnum):
 
     @property
     def is_method(self) -> bool:
-        """True for a method of the module, False for a copy."""
+        """Whether it is a method of the module and not a copy."""
         return self not in _COPIES
 
 
@@ -86,11 +87,11 @@ class Failure(StrEnum):
     KILL = "kill"
     """`kill` runs, and the task is NOT-CREATED."""
     ERROR = "error"
-    """`error` is asked; see `ANSWERED`."""
+    """`error` is called; see `ANSWERED`."""
     REPORT = "report"
-    """The failure is reported and the state stays."""
+    """The failure is reported and the state does not change."""
     GO_ON = "go on"
-    """The failure is reported, and the task is where the rule ends all the same."""
+    """The failure is reported, and the task still enters the rule's end state."""
 
 
 class Outcome(Struct, frozen=True):
@@ -110,13 +111,13 @@ class Rule(Struct, frozen=True, kw_only=True):
     to: State
     """The state after the last step."""
     failure: Failure
-    """Of any step but `kill`, whose failure is reported and stops nothing."""
+    """Of any step but `kill`, whose failure is reported and has no consequence."""
     answers: Mapping[Answer | None, Outcome | None] = {}
-    """Answers that the method may return: an outcome ends the rule, None goes on."""
+    """Answers that the method may return: an outcome ends the rule, None continues."""
     resume: tuple[Step, ...] = ()
-    """After a failure that `error` answers with CONTINUE: steps on the way to `to`."""
+    """Steps on the way to `to` after a failure that `error` answers with CONTINUE."""
     answered: Mapping[Answer, Outcome] = {}
-    """The consequence of other answers of `error`, if that is not in `ANSWERED`."""
+    """The consequences of other answers of `error` that differ from `ANSWERED`."""
 
 
 _ENDED = Outcome((Step.RELEASE, Step.KILL), State.NOT_CREATED)
@@ -189,7 +190,7 @@ RULES: Mapping[tuple[State, Event], Rule] = {
         for event, step in ((Event.SET, Step.SET), (Event.GET, Step.GET))
     },
 }
-"""State and event, and what follows; an event without a rule is not valid there."""
+"""The rule of each state and event; an event without a rule is not valid there."""
 
 
 ANSWERED: Mapping[Answer, Outcome] = {
@@ -200,16 +201,16 @@ ANSWERED: Mapping[Answer, Outcome] = {
 
 
 NOT_MADE = Outcome((Step.KILL,), State.NOT_CREATED)
-"""The consequence of a failed `init`; `error` is not asked."""
+"""The consequence of a failed `init`; `error` is not called."""
 
 
 def outcome(found: Rule, answer: Answer) -> Outcome:
-    """Return what follows when `error` answers OFF or ERROR to a failure in a rule."""
+    """Return the consequence if `error` answers OFF or ERROR to a failure in a rule."""
     return found.answered.get(answer) or ANSWERED[answer]
 
 
 FROM_OUTSIDE = (Event.ON, Event.OFF, Event.KILL, Event.CLEAR, Event.REINIT)
-"""Signals that a master sends to a task that exists (section 4.5.3)."""
+"""Signals that a master sends to an existing task (section 4.5.3)."""
 
 
 def valid(state: State) -> list[Event]:
@@ -218,10 +219,10 @@ def valid(state: State) -> list[Event]:
 
 
 def rule(state: State, event: Event, *, where: str = "") -> Rule:
-    """Return what follows `event` in `state`.
+    """Return the rule of `event` in `state`.
 
     Raises:
-        StateError: The event is not valid there; the task ignores it.
+        StateError: The event is not valid in this state; the task ignores it.
     """
     found = RULES.get((state, event))
     if found is not None:

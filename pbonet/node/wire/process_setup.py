@@ -1,7 +1,7 @@
 """Set-up that every process of a node shares.
 
-Process identities that survive the reuse of a number, the parent-death signal, and the
-environment that must be set before exec.
+Process identities that survive the reuse of a process id, the parent-death signal, and
+the environment that must be set before exec.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import signal
 
 LINK_LEVEL = 2
-"""Level of the threads that carry records between machines; commands have 3."""
+"""Priority of the threads that carry records between machines; commands have 3."""
 _SENDS = "tx-"
 """Prefix of the names of zenoh's sending threads."""
 PR_SET_PDEATHSIG = 1
@@ -43,7 +43,7 @@ EXEC_ENVIRONMENT = {
 
 
 def set_parent_death_signal(which: signal.Signals, parent: int) -> bool:
-    """Ask for `which` when the parent ends; return whether that is still `parent`."""
+    """Request `which` when the parent ends; return whether the parent is `parent`."""
     _libc.prctl(PR_SET_PDEATHSIG, int(which), 0, 0, 0)
     return os.getppid() == parent
 
@@ -54,12 +54,12 @@ def set_title(title: str) -> None:
 
 
 def go_before_others() -> bool:
-    """Give the calling thread the level of links, below all tasks and commands.
+    """Give the calling thread the priority of links, below all tasks and commands.
 
     Its children do not inherit it.
 
     Returns:
-        Whether this process has the right to.
+        Whether this process is allowed to.
     """
     level = os.sched_param(LINK_LEVEL)
     with contextlib.suppress(OSError):
@@ -69,7 +69,7 @@ def go_before_others() -> bool:
 
 
 def send_before_others() -> None:
-    """Give zenoh's sending threads that level too, where this process has the right.
+    """Give zenoh's sending threads that priority, too, if this process may do so.
 
     They belong to the session, and only their names identify them.
     """
@@ -82,7 +82,7 @@ def send_before_others() -> None:
 
 
 def settle_memory() -> None:
-    """Take the garbage collector out of the cycle: collect once, then keep it off."""
+    """Keep the garbage collector out of cycles: collect once, then turn it off."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -91,21 +91,21 @@ def settle_memory() -> None:
 def start_time(pid: int) -> int:
     """Return when process `pid` started, in clock ticks since boot; 0 if it is gone.
 
-    Together with the number it identifies a process as long as the machine is up. One
-    that was killed has files and locks until the last of its threads has ended.
+    Together with the process id it is unique while the machine runs. A killed process
+    holds its files and locks until the last of its threads has ended.
     """
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return 0
     fields = text.rpartition(")")[2].split()
-    threads = int(fields[17])  # with the first one, though that has ended
+    threads = int(fields[17])  # including the first one, even if it has ended
     gone = fields[0] == "X" or (fields[0] == "Z" and threads <= 1)
     return 0 if gone else int(fields[19])
 
 
 def is_alive(pid: int, started: int) -> bool:
-    """Return whether the process that had number `pid` since `started` still runs."""
+    """Return whether the process with id `pid`, started at `started`, still runs."""
     return started != 0 and start_time(pid) == started
 
 
@@ -121,9 +121,9 @@ def environment() -> dict[str, str]:
 
 
 def housekeeping_cores(core: int) -> set[int]:
-    """Return the cores where work that is not real-time belongs: all but `core`.
+    """Return the cores for work that is not real-time: all but `core`.
 
-    If the RTPU's core is the only one this process may use, that core is returned.
+    If this process may use only the RTPU's core, that core is returned.
     """
     allowed = os.sched_getaffinity(0)
     return (allowed - {core}) or allowed

@@ -3,12 +3,12 @@
 Three links, all Unix sockets of one machine and one user:
 
 * agent and RTPU process: a stream socket in the runtime folder, frames of a 4-byte
-  length and a body. The agent forwards requests as it got them; the RTPU process
-  answers, and sends events and its own state unasked.
+  length and a body. The agent forwards requests unchanged; the RTPU process answers,
+  and sends events and its own state unsolicited.
 * RTPU process and fork server: sequenced packets, with file descriptors.
 * RTPU process and task: sequenced packets, one message each.
 
-None of this is public: both ends are always of one version, and check it when they
+None of this is public: both ends always have the same version, and check it when they
 connect.
 """
 
@@ -50,11 +50,11 @@ class RtpuConfig(Struct, frozen=True, kw_only=True):
     """Folder of the logs, absolute."""
     awake: bool = False
     ready_fd: int = -1
-    """Where to write one `Ready` when commands are accepted."""
+    """Descriptor to which one `Ready` is written when commands are accepted."""
 
 
 DUMP_SIGNAL = signal.SIGQUIT
-"""Makes a task write its present stack into its crash file, whatever it is doing."""
+"""Makes a task write its current stack to its crash file, whatever it is doing."""
 
 
 class TaskReady(Struct, kw_only=True):
@@ -64,7 +64,7 @@ class TaskReady(Struct, kw_only=True):
     version: str
     critical_ok: bool
     tells: bool = False
-    """It has a handler of timing failures."""
+    """Whether it has a handler of timing failures."""
     notes: list[str] = []
     signals: dict[str, int] = {}
     """Names and bits of the module's own signals."""
@@ -73,7 +73,7 @@ class TaskReady(Struct, kw_only=True):
 
 
 class Ready(Struct, kw_only=True):
-    """How the start of an RTPU process or of a fork server went."""
+    """The result of starting an RTPU process or a fork server."""
 
     error: WireError | None = None
 
@@ -90,16 +90,16 @@ class Attach(Struct, tag="attach"):
 
 
 class Forward(Struct, tag="forward"):
-    """A request as it came from the network."""
+    """A request as received from the network."""
 
     n: int
     data: bytes
     masters: list[tuple[str, str]] | None = None
-    """Subsystem and client of the masters that live, where the request needs it."""
+    """Subsystem and client of the live masters, if the request needs them."""
 
 
 class Note(Struct, tag="note"):
-    """Something the agent noticed, to be numbered as an event."""
+    """A remark of the agent, to be numbered as an event."""
 
     severity: int
     code: str
@@ -107,7 +107,7 @@ class Note(Struct, tag="note"):
 
 
 class Shutdown(Struct, tag="shutdown"):
-    """Turn everything OFF in order and end."""
+    """Turn all tasks OFF in order and end."""
 
     timeout: float
 
@@ -124,7 +124,7 @@ class Recorder(Struct, tag="recorder", kw_only=True):
 
     subsystem: str
     path: str = ""
-    """The log that it writes; empty while it writes none."""
+    """The log that it writes; empty if none."""
     lost: int = 0
     """Records that could not be written."""
 
@@ -136,7 +136,7 @@ FromAgent = Attach | Forward | Note | Shutdown | Arrived
 
 
 class LogLimits(Struct, frozen=True):
-    """How long an agent's logs may become; 0: as long as they like."""
+    """Limits of an agent's logs in MB (1e6 bytes) and minutes; 0: no limit."""
 
     log_mb: float = 0.0
     log_minutes: float = 0.0
@@ -165,10 +165,10 @@ class Recording(Struct, kw_only=True):
     files: dict[str, str] = {}
     """Configuration files: text by name."""
     last: float = 0.0
-    """Only the last seconds, once something goes wrong; 0: everything."""
+    """Seconds before an error that are recorded; 0: everything is recorded."""
     limits: LogLimits = LogLimits()
     before: list[Commanded] = []
-    """Commands that were answered before; the pipe to a recorder is too narrow for all
+    """Earlier commands, already answered; the pipe to a recorder is too small for all
     of them at once."""
 
 
@@ -184,7 +184,7 @@ class Apart(Struct):
     rtpu: str
     machine: str
     offset_ns: int
-    """How far it is ahead, in nanoseconds."""
+    """Nanoseconds by which it is ahead."""
     within_ns: int
     """The uncertainty of the offset."""
 
@@ -197,7 +197,7 @@ class Clocks(Struct, tag="clocks"):
 
 
 class Commanded(Struct, tag="commanded"):
-    """A command that was answered, as JSON."""
+    """An answered command, as JSON."""
 
     subsystem: str
     data: bytes
@@ -239,7 +239,7 @@ class Published(Struct, tag="published"):
 
 
 class Ending(Struct, tag="ending"):
-    """The RTPU process ends, everything is OFF; the reason is for people."""
+    """The RTPU process ends, all tasks are OFF; the reason is for display."""
 
     reason: str
 
@@ -275,7 +275,7 @@ class Forked(Struct, tag="forked"):
 
 
 class Exited(Struct, tag="exited"):
-    """A child ended, with its status as `os.waitstatus_to_exitcode` gives it."""
+    """A child ended, with its status as returned by `os.waitstatus_to_exitcode`."""
 
     pid: int
     code: int
@@ -288,7 +288,7 @@ FromForkServer = Forked | Exited
 
 
 class Signal(Struct, tag="signal"):
-    """A lifecycle signal; it was found valid for the state the RTPU process knows."""
+    """A lifecycle signal, valid in the state that the RTPU process knows."""
 
     n: int
     signal: str
@@ -297,36 +297,36 @@ class Signal(Struct, tag="signal"):
     cede: bool = False
     """For ``off``: it keeps the out-vars until successors take them over."""
     calls: list[Call] = []
-    """For ``off``: how the task engages its successors. If one no longer stands by,
+    """For ``off``: how the task engages its successors. If one is no longer a standby,
     the ``off`` fails before it begins."""
     replaces: list[str] = []
-    """For ``reinit``: tasks that leave, and whose constants it takes over."""
+    """For ``reinit``: tasks that it replaces, and whose constants it takes over."""
     then: Prepare | None = None
-    """For ``off``: what the task stands by for when it is OFF."""
+    """For ``off``: the tasks for which it becomes a standby when it is OFF."""
 
 
 class Prepare(Struct, tag="prepare"):
-    """Stand by, OFF, until the dispatcher engages the task; nothing ends it."""
+    """Stand by, OFF, until the dispatcher engages the task; without a time limit."""
 
     n: int
     after: list[str]
-    """Tasks whose out-vars it takes over then; empty: stand by no longer."""
+    """Tasks whose out-vars it then takes over; empty: it is no longer a standby."""
     owners: list[str] = []
     """Tasks that own these variables before those do."""
     far: list[str] = []
-    """Predecessors on other machines. They have given the variables up when
-    the task is engaged, which takes them from nobody who owns them again."""
+    """Predecessors on other machines. They have released the variables when the task
+    is engaged; it does not take them from a task that owns them again."""
 
 
 class Calls(Struct, tag="calls"):
-    """Find successors on other cores, which the next ``off`` engages; it takes long."""
+    """Find successors on other cores, which the next ``off`` engages; this is slow."""
 
     n: int
     calls: list[Call]
 
 
 class Disown(Struct, tag="disown"):
-    """Give up out-vars that were ceded and that nobody has taken."""
+    """Release out-vars that were ceded and that no task has taken."""
 
     n: int
 
@@ -340,7 +340,7 @@ class SetParam(Struct, tag="set"):
 
 
 class GetParam(Struct, tag="get"):
-    """Asks for one parameter or for all."""
+    """Get one parameter, or all."""
 
     n: int
     name: str | None = None
@@ -371,11 +371,11 @@ class Done(Struct, tag="done", kw_only=True):
     place: str = ""
     """Where it happened in the module's code."""
     lost: dict[str, int] = {}
-    """Notices that found no room since the last message, by code."""
+    """Number of notices dropped for lack of room since the last message, by code."""
 
 
 class Notice(Struct, tag="notice", kw_only=True):
-    """Something that happened in the task unasked."""
+    """An unsolicited report of the task."""
 
     severity: int
     code: str
@@ -388,7 +388,7 @@ class Notice(Struct, tag="notice", kw_only=True):
     place: str = ""
     """Where it happened in the module's code."""
     lost: dict[str, int] = {}
-    """Notices that found no room before this one, by code."""
+    """Number of notices dropped for lack of room before this one, by code."""
     state: str = ""
     error: WireError | None = None
 
@@ -397,7 +397,7 @@ FromTask = Done | Notice
 
 
 class TaskSpec(Struct, kw_only=True):
-    """Everything a task needs to become one; in a memory file, as it may be long."""
+    """The specification of a task; in a memory file, as it may be long."""
 
     domain: str
     rtpu: str
@@ -415,11 +415,11 @@ class TaskSpec(Struct, kw_only=True):
     forker: int
     """The fork server's process id, which must be the parent's."""
     replaces: list[str] = []
-    """Tasks that leave, and whose constants it takes over."""
+    """Tasks that it replaces, and whose constants it takes over."""
 
 
 class InspectSpec(Struct, kw_only=True):
-    """Modules that an inspector describes."""
+    """The modules that an inspector must describe."""
 
     libraries: tuple[str, ...]
     name: str | None = None
@@ -428,11 +428,11 @@ class InspectSpec(Struct, kw_only=True):
 def encode(message: Struct) -> bytes:
     """Return `message` as msgpack bytes.
 
-    Values from a module may hold numpy's numbers and arrays, which are encoded as
-    Python's, and texts that are no Unicode; see `sanitise_values.readable`.
+    Values from a module may contain numpy's numbers and arrays, which are encoded as
+    Python's, and texts that are not valid Unicode; see `sanitise_values.readable`.
 
     Raises:
-        TypeError: It holds what cannot be encoded; `UNTOLD` lists all such exceptions.
+        TypeError: A value cannot be encoded; `UNTOLD` lists all such exceptions.
     """
     try:
         return msgspec.msgpack.encode(message, enc_hook=of_numpy)

@@ -23,7 +23,7 @@ def readable(text: str) -> str:
 
 
 def readable_tree(tree: object) -> object:
-    """Return what `msgspec.to_builtins` gave with each text `readable`."""
+    """Return the result of `msgspec.to_builtins` with each text `readable`."""
     if isinstance(tree, str):
         return readable(tree)
     if isinstance(tree, dict):
@@ -35,10 +35,10 @@ def readable_tree(tree: object) -> object:
 
 
 def of_numpy(value: object) -> object:
-    """Return a number or an array of numpy as Python's own.
+    """Return a number or array of numpy as Python's own.
 
     Raises:
-        TypeError: It is something else, or holds what no message can.
+        TypeError: It is another type, or contains values that no message can.
     """
     if isinstance(value, _NUMPY):
         plain: object = methodcaller("tolist")(value)
