@@ -126,14 +126,14 @@ def test_run_waits_no_longer_than_it_is_told_and_ends_at_ctrl_c(run, nodes):
     process = run("--wait", "0")
     _, err = process.communicate(timeout=200)
     assert process.returncode == 1
-    assert "nobody runs arm0 and arm1" in err
+    assert "no agent for arm0 and arm1" in err
     assert "start 'pbonet agent --name arm0'" in err
     process = run("--wait", "1000")
     assert "waiting for arm0 and arm1" in process.stdout.readline()
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=200)
     assert process.returncode == 1
-    assert "it was given up to wait for arm0 and arm1" in err
+    assert "the wait for arm0 and arm1 was interrupted" in err
     assert left_of(nodes) == []
 
 
@@ -172,8 +172,8 @@ def test_agent_that_is_there_is_used_and_stays(run, nodes):
     process = run("--seconds", "0.5")
     out, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
-    assert "nobody runs arm0" in out
-    assert "nobody runs arm1" not in out
+    assert "arm0 has no agent" in out
+    assert "arm1 has no agent" not in out
     wait_for(
         lambda: session.rtpus(nodes.session, nodes.domain) == ["arm1"], "arm1 alone"
     )

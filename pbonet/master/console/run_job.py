@@ -124,7 +124,7 @@ class Run:
         if missing:
             cores = agents.start(missing)
             for rtpu, core in cores.items():
-                self._view.say(f"nobody runs {rtpu}: embedded agent on core {core}")
+                self._view.say(f"{rtpu} has no agent: started one on core {core}")
 
     def _steer(self) -> Outcome:
         subsystem = Subsystem(

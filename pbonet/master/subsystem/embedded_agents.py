@@ -124,14 +124,14 @@ class Embedded:
             left = deadline - time.monotonic()
             if given_up.wait(max(min(left, _LOOK), 0.0)):
                 raise StateError(
-                    f"it was given up to wait for {' and '.join(missing)}",
-                    remedy="nothing was begun; start it again",
+                    f"the wait for {' and '.join(missing)} was interrupted",
+                    remedy="nothing was started; start it again",
                 )
             if left <= 0.0:
                 raise NodeError(
-                    f"nobody runs {' and '.join(missing)}",
+                    f"no agent for {' and '.join(missing)}",
                     expected=f"an agent of each within {seconds:g} s",
-                    got=f"of {len(rtpus)} RTPUs {len(rtpus) - len(missing)} are there",
+                    got=f"{len(rtpus) - len(missing)} of {len(rtpus)} RTPUs have one",
                     remedy=f"start 'pbonet agent --name {missing[0]}' where it "
                     "belongs, name an agent that reaches it with --connect, or wait "
                     "longer",

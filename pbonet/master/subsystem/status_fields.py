@@ -36,7 +36,7 @@ FIELDS: Final = (
     Field("rtpu", "", "RTPU on which the task executes"),
     Field("tid", "", "task id: the number of its process"),
     Field("S", "", "P periodic, Y synchronous, S sporadic, D deferrable server"),
-    Field("crit", "", "criticality; ? behind it while it rests on no known MAXC"),
+    Field("crit", "", "criticality; ? after it if no MAXC is known"),
     Field("state", "", "OFF, ON or ERROR"),
     Field("cycle", "", "cycles executed since the last status"),
     Field("miss", "", "cycles missed since the last status"),
@@ -50,26 +50,26 @@ FIELDS: Final = (
     Field("minU", "%", "CPU share of the shortest cycle: minC per period"),
     Field("maxU", "%", "CPU share of the longest cycle: maxC per period"),
     Field("avgU", "%", "CPU share of the mean cycle: avgC per period"),
-    Field("minC", "s", "least CPU time of one cycle but the first, since on"),
-    Field("maxC", "s", "most CPU time of one cycle but the first, since on"),
+    Field("minC", "s", "shortest CPU time of a cycle since on, without the first"),
+    Field("maxC", "s", "longest CPU time of a cycle since on, without the first"),
     Field("avgC", "s", "mean CPU time of one cycle"),
     Field("warn", "", "warnings since the last status"),
-    Field("firstC", "s", "CPU time of the first cycle since on, in no extreme"),
-    Field("nowC", "s", "CPU time that the cycle under way has used"),
+    Field("firstC", "s", "CPU time of the first cycle since on"),
+    Field("nowC", "s", "CPU time of the present cycle so far"),
     Field("prio", "", "user priority, from the data flow"),
     Field("jitter", "s", "longest delay from release to cycle, since on"),
     Field("faults", "", "minor page faults since on"),
-    Field("retries", "", "copy-ins that met the retry bound, since on"),
+    Field("retries", "", "copy-ins that reached the retry bound, since on"),
     Field("xfer", "%", "share of the CPU time spent on transfers of variables"),
-    Field("module", "", "module behind the RMOD"),
+    Field("module", "", "module that the RMOD names"),
     Field("version", "", "version of the module's code that was loaded"),
-    Field("rank", "", "criticality at this moment: another one behind a failure"),
+    Field("rank", "", "present criticality; it differs after a failure"),
     Field("reserve", "s", "CPU time reserved for a cycle, or for a server's period"),
     Field("fail", "", "timing failures since the last status"),
     Field(
         "over",
         "",
-        "reserves used up, and events far too early, since the last status",
+        "reserves used up, and events much too early, since the last status",
     ),
     Field("abort", "", "cycles that the handler aborted, since the last status"),
     Field("skip", "", "releases left out after a failure, since the last status"),
@@ -78,7 +78,7 @@ FIELDS: Final = (
     Field("held", "", "critical sections overruled, since the last status"),
     Field("sections", "", "timed sections: calls and mean CPU time, since spawned"),
 )
-"""The thesis's fields in its order, then what today's machines let us add."""
+"""The fields of the thesis in its order, then those that pbonet adds."""
 
 NAMES: Final = tuple(field.name for field in FIELDS)
 DEFAULT: Final = (

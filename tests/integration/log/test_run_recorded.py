@@ -39,7 +39,7 @@ def test_run_for_a_time_leaves_nothing_and_records_every_cycle(
     assert 400 * passed <= released <= 525 * passed
     assert servo["jitter_exact"]
     assert 0 < servo["jitter_p50"] <= servo["jitter_p99"] <= servo["jitter_max"]
-    assert "nobody runs arm0: embedded agent on core" in err
+    assert "arm0 has no agent: started one on core" in err
     for limit in _rt.probe().reasons:
         assert err.count(limit) == 1, "what is reduced is said, once for all RTPUs"
     assert processes_of("PBONET_RUN_DIR", str(nodes.folder)) == []
